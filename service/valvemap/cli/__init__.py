@@ -1,4 +1,4 @@
-"""The command ``valvemap``: exit code 0, 1 (it could not be done) or 2 (it was asked wrongly)."""
+"""The command ``valvemap``: exit code 0, 1 (the command failed) or 2 (usage error)."""
 
 import gc
 import sys
@@ -18,11 +18,11 @@ _UsageError: Any = typer.BadParameter.__base__  # typer exports its children onl
 
 
 def main() -> None:
-    """Run the command line; a user's mistake is one line, never a traceback."""
+    """Run the command line; errors of the user are one line without a traceback."""
     ask_for_shortcuts()
-    gc.set_threshold(50_000, 20, 20)  # what imports and address spaces make is no garbage
+    gc.set_threshold(50_000, 20, 20)  # imports and address spaces create little garbage
     code = run(sys.argv[1:])
-    gc.freeze()  # else all of it is looked through once more at the end
+    gc.freeze()  # skip the collection at exit
     sys.exit(code)
 
 
@@ -90,7 +90,7 @@ def _is_for_the_user(error: Exception) -> bool:
 
 
 def _exit_code(error: Exception) -> int:
-    """2 where the user asked wrongly, 1 where it could not be done."""
+    """Return 2 for usage errors, else 1."""
     if isinstance(error, ValvemapError):
         return error.exit_code
     from guarded_opcua import ConfigurationError, HardenedError

@@ -1,4 +1,4 @@
-"""``valvemap baseline``: the map of a valve as it was new."""
+"""``valvemap baseline``: the approved map of a new valve."""
 
 import asyncio
 import os

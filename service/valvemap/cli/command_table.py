@@ -1,4 +1,4 @@
-"""The commands: each by its name, module and line of help; a module is imported when it runs."""
+"""The commands: name, module and help line of each; a module is imported when its command runs."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -12,7 +12,7 @@ _STYLE: Final[Mapping[str, Any]] = {"rich_markup_mode": None, "pretty_exceptions
 
 
 class Entry(NamedTuple):
-    """Where a command is, and the first line of its docstring."""
+    """Module of a command, and the first line of its docstring."""
 
     module: str
     help: str
@@ -63,7 +63,7 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     "unit": Entry("package", "Print a systemd unit that serves a configuration from boot on."),
     "warm-up": Entry("serve", "Compile the estimators ahead (for images)."),
 }
-"""Each command; `--help` and a shell's completion read this table and import none of them."""
+"""All commands; `--help` and shell completion read this table without importing any module."""
 
 
 class LazyGroup(TyperGroup):
@@ -77,7 +77,7 @@ class LazyGroup(TyperGroup):
         }
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:  # noqa: ANN401 - Typer's own
-        """Find the command that the words name, and import it."""
+        """Import the command that the arguments name."""
         name, found, rest = super().resolve_command(ctx, args)
         return name, None if found is None else load_command(str(name)), rest
 
@@ -87,7 +87,7 @@ def load_command(name: str) -> Any:  # noqa: ANN401 - Typer exports no class of 
     module = import_module(f"valvemap.cli.{COMMANDS[name].module}")
     command = getattr(module, name.replace("-", "_"))
     app = typer.Typer(**_STYLE)
-    app.callback()(lambda: None)  # a single command keeps its name, too
+    app.callback()(lambda: None)  # otherwise Typer drops the name of a single command
     if isinstance(command, typer.Typer):
         app.add_typer(command, name=name)
     else:

@@ -1,4 +1,4 @@
-"""``valvemap connect``: from a server's address to a configuration."""
+"""``valvemap connect``: writes a configuration from a server's address."""
 
 import asyncio
 import os
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from valvemap.opcua_source.client import SourceSettings
 
 _WATCH_S = 30.0
-_MOST_SKIPPED = 20  # lines; the rest is counted
+_MOST_SKIPPED = 20  # lines; further ones are counted only
 
 
 def connect(
@@ -98,7 +98,7 @@ def connect(
 
 
 def _skipped(found: "Found") -> list[str]:
-    """What cannot be used, as far as it has room."""
+    """Return lines for the unusable nodes, at most ``_MOST_SKIPPED``."""
     more = len(found.skipped) - _MOST_SKIPPED
     return [*found.skipped[:_MOST_SKIPPED], *([f"{more:,} more"] if more > 0 else [])]
 
@@ -106,7 +106,7 @@ def _skipped(found: "Found") -> list[str]:
 def _by_the_best(
     look: "Callable[[str], tuple[SourceSettings, Found]]",
 ) -> "tuple[SourceSettings, Found]":
-    """Look around by the best security that the server offers."""
+    """Browse with the best security policy that the server offers."""
     *secured, none = ("Aes256Sha256RsaPss", "Basic256Sha256", "None")
     for policy in secured:
         try:
@@ -141,7 +141,7 @@ def _settings(
 
 
 def _trust(data: Path, refused: SourceRejected) -> bool:
-    """Trust the certificate that was just rejected, if that was it: the refusal names it."""
+    """Trust the certificate that a refusal names; return False if it names none."""
     from guarded_opcua import Pki
     from guarded_opcua.security.certificates import trust
 
@@ -154,7 +154,7 @@ def _trust(data: Path, refused: SourceRejected) -> bool:
 
 
 def _table(found: "Found") -> Table:
-    """What was seen; narrow enough for a terminal of 80 columns where names are short."""
+    """Table of the signals; it fits a terminal of 80 columns if names are short."""
     beginning = _beginning([node.node for valve in found.valves for node in valve.nodes.values()])
     nodes = f"; nodes begin with {beginning}" if beginning else ""
     table = Table(
@@ -179,7 +179,7 @@ def _table(found: "Found") -> Table:
 
 
 def _beginning(nodes: list[str]) -> str:
-    """What all NodeIds begin with, up to and with ``s=`` or ``i=``; none where they differ.
+    """Return the common prefix of all NodeIds up to ``s=`` or ``i=``; empty if they differ.
 
     >>> _beginning(["nsu=urn:plc;s=FCV.U", "nsu=urn:plc;s=FCV.Q"])
     'nsu=urn:plc;s='

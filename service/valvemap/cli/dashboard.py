@@ -1,4 +1,4 @@
-"""``valvemap dashboard``: the live page beside any service."""
+"""``valvemap dashboard``: the live page, as a separate process beside any service."""
 
 import asyncio
 from pathlib import Path
@@ -84,7 +84,7 @@ def dashboard(
 
 
 def _say(url: str) -> None:
-    write_line(url)  # the process that started this one waits for it
+    write_line(url)  # the parent process waits for it
 
 
 def _address(listen: str) -> tuple[str, int]:

@@ -1,4 +1,4 @@
-"""``valvemap demo``: rig and service side by side, a valve being identified before your eyes."""
+"""``valvemap demo``: rig and service together; shows the live identification of a valve."""
 
 import asyncio
 from collections.abc import Mapping
@@ -91,7 +91,7 @@ async def _demo(
 async def _feed_forward_demo(
     config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
 ) -> None:
-    """Commission, then follow a flow with three maps until the scenario is through."""
+    """Commission, then follow a flow with three maps until the scenario ends."""
     identification = build_identification(config)
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     writer = {"user": "operator", "password": SecretStr(password)}
@@ -149,13 +149,13 @@ def _say_where(
 
 
 class _Watched(Protocol):
-    """What can be shown while the demo runs."""
+    """A view that the demo shows while it runs."""
 
     def table(self) -> Table:
-        """For a terminal."""
+        """Table for a terminal."""
 
     def lines(self) -> list[str]:
-        """For a log."""
+        """Lines for a log."""
 
 
 async def _show(
@@ -165,7 +165,7 @@ async def _show(
     serving: "asyncio.Future[None]",
     duration: float | None,
 ) -> None:
-    """Show the state of things every second, where nobody watches a line now and then; then end."""
+    """Refresh the table, or print lines if the console is no terminal, until the end; then stop."""
     try:
         await _watch(view, console, stop, serving, duration)
     finally:
@@ -200,7 +200,7 @@ async def _watch(
 
 
 class _View:
-    """What the demo shows: the service from inside, and the rig's truth that only a demo has."""
+    """View of the service's estimates and of the rig's true maps."""
 
     def __init__(self, identification: Identification, scenario: Scenario) -> None:
         self.identification = identification
@@ -213,7 +213,7 @@ class _View:
         self._best = {name: _best_fit(points) for name, points in self._points.items()}
 
     def follow(self, line: str) -> None:
-        """Compute the truth of valves whose condition has changed, from a line of the rig's."""
+        """Recompute the true map of valves whose condition has changed, from the rig's output."""
         for name, worn in conditions_in(line).items():
             if name in self._points and worn != self._worn.get(name, AS_NEW):
                 self._points[name] = verification_points(self._scenario, name, worn=worn)
@@ -221,19 +221,19 @@ class _View:
                 self._worn[name] = worn
 
     def count(self, valve: str, samples: Samples) -> None:
-        """Count samples as they are identified from."""
+        """Count the samples of a valve."""
         self._samples[valve] += len(samples)
 
     def table(self) -> Table:
-        """The state of things."""
+        """Table of the current state."""
         return status_table(self.identification, self.verdicts())
 
     def lines(self) -> list[str]:
-        """A line per valve."""
+        """Return one line for each valve."""
         return [verdict.line() for verdict in self.verdicts()]
 
     def verdicts(self) -> list[Verdict]:
-        """Compare every estimator's map with the truth."""
+        """Compare every estimator's map with the true map."""
         return [
             Verdict(
                 valve=plan.name,
@@ -261,7 +261,7 @@ def _best_fit(points: VerificationPoints) -> float:
 
 
 def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Config:
-    """Fit the default configuration to the scenario's valves, open on loopback, state apart."""
+    """Return the default configuration with the scenario's valves, without security."""
     config = load_config()
     update = {"security": "None", "startup_timeout_s": 30.0}
     if fed_forward:

@@ -1,4 +1,4 @@
-"""How the demo shows what the service knows."""
+"""Tables of the demo."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +10,10 @@ from valvemap.pipeline.identification import Identification
 
 @dataclass(frozen=True)
 class Verdict:
-    """How far each estimator's map of a valve is from the rig's noise-free truth, RMSE in l/min.
+    """RMSE of each estimator's map of a valve against the rig's noise-free map, l/min.
 
-    ``best_fit_rmse`` is what is left when eq. (7) is fitted to the truth itself (batch LSM): the
-    best that its five parameters can do on this valve.
+    ``best_fit_rmse`` is the RMSE of eq. (7) fitted to the noise-free map (batch LSM): the lower
+    bound for its five parameters on this valve.
     """
 
     valve: str
@@ -36,7 +36,7 @@ class Verdict:
 
 
 def status_table(identification: Identification, verdicts: Sequence[Verdict]) -> Table:
-    """The live view: a row per estimator."""
+    """Live table: one row for each estimator."""
     table = Table(title="live", title_justify="left")
     for heading in ("valve", "samples", "gaps", "estimator", "status"):
         table.add_column(heading)
@@ -59,7 +59,7 @@ def status_table(identification: Identification, verdicts: Sequence[Verdict]) ->
 
 
 def verdict_table(verdicts: Sequence[Verdict]) -> Table:
-    """The verification at the end."""
+    """Verification table at the end."""
     title = "Verification against the rig's noise-free truth: RMSE of the map, l/min"
     table = Table(title=title, title_justify="left")
     for heading in ("valve", "map"):

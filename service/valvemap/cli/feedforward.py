@@ -1,8 +1,8 @@
-"""Feed-forward flow control: U = f(Q demanded, dp measured), by a living map and by two dead ones.
+"""Feed-forward flow control, U = f(Q demanded, dp measured), with three maps of equal valves.
 
-Three equal valves follow one flow against one varying load. Of the first the map is identified on;
-the second keeps the map it had when new and cold, as a lookup table does; the third eq. (7) of
-that time. No controller corrects the flow: what is left of it is the error of the map.
+Three equal valves follow one flow against one varying load. The first uses the adaptive map. The
+second uses its map of the new, cold valve, like a lookup table, and the third eq. (7) fitted at the
+same time. There is no feedback controller: the flow error is the error of the map.
 """
 
 import math
@@ -28,14 +28,14 @@ COMMISSIONING_S: Final = 40.0
 WINDOW_S: Final = 0.1
 INTERVAL_S: Final = 0.02
 LEAD_S, LEAD_PACE, MOST_LEAD_S = 0.05, 0.01, 1.0
-SLEW_PERCENT_PER_S: Final = 400.0  # the play of the hysteresis in a cycle of the rig
+SLEW_PERCENT_PER_S: Final = 400.0  # hysteresis play per cycle of the rig
 REMEMBERED: Final = 64
 SAME_U: Final = 0.011
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of the scenario; its error counts from ``start_s`` to ``end_s``."""
+    """A phase of the scenario; errors are evaluated from ``start_s`` to ``end_s``."""
 
     name: str
     start_s: float
@@ -60,7 +60,7 @@ def demand(t_s: float) -> float:
 
 
 def valves() -> tuple[ValveConfig, ...]:
-    """The three valves; once armed, the answer to each one's demand goes to its UCommand."""
+    """The three valves; once armed, the answer to a valve's demand is written to its UCommand."""
     eq_7 = RlsConfig(forgetting="exponential", lam=1.0)
     written = FeedForwardConfig(slew_percent_per_s=SLEW_PERCENT_PER_S)
     return tuple(
@@ -75,7 +75,7 @@ def valves() -> tuple[ValveConfig, ...]:
 
 
 def commission(identification: Identification, scenario: Scenario) -> None:
-    """Teach all three the valve as new and cold, from a recording; then freeze two of them."""
+    """Identify the new, cold valves from a recording; then freeze the estimators of two of them."""
     first = scenario.model_copy(
         update={"excitation": Scattered(hold_s=0.02), "faults": (), "valves": scenario.valves[:1]}
     )
@@ -91,7 +91,7 @@ def commission(identification: Identification, scenario: Scenario) -> None:
 
 
 def arm(identification: Identification) -> str:
-    """Arm the feed-forward of all three, as an operator would; return a sentence that says so."""
+    """Arm the feed-forward of all three, as an operator would; return a sentence for the log."""
     names = [plan.name for plan in identification.plans]
     for name in names:
         identification.arm(name)
@@ -99,17 +99,17 @@ def arm(identification: Identification) -> str:
 
 
 class Course:
-    """Demands along the trajectory, and how far the flow is from it.
+    """Demands along the trajectory, and the flow errors.
 
     Parameters
     ----------
     identification
         Answers the demands.
     start_ns
-        UTC ns at which the scenario began.
+        Start of the scenario, UTC ns.
     lead_s
-        How long after a sample the answer to it acts, on average, to begin with; then it is
-        measured: the age of the answer that each sample's U shows.
+        Initial mean delay from a sample to the effect of its answer, s; later it is measured as the
+        age of the answer that a sample's U shows.
     """
 
     def __init__(
@@ -119,13 +119,13 @@ class Course:
         self._start_ns = start_ns
         self._lead_s = lead_s
         names = [plan.name for plan in identification.plans]
-        self._open = dict.fromkeys(names, (0, 0.0, 0))  # window, sum of errors, samples
+        self._open = dict.fromkeys(names, (0, 0.0, 0))  # window, sum of errors, number of samples
         self._squares = {(phase, name): (0.0, 0) for phase in PHASES for name in names}
         self._answers: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)  # t_s, U
         self.t_s = 0.0
 
     def take(self, valve: str, samples: Samples) -> None:
-        """Count the error of the newest samples; demand what comes next."""
+        """Add the errors of the newest samples; set the next demand."""
         t_s = (samples.t - self._start_ns) / 1e9
         for t, Q in zip(t_s.tolist(), samples.Q.tolist(), strict=True):
             if math.isfinite(Q):
@@ -134,14 +134,14 @@ class Course:
         self._identification.demand(valve, demand(self.t_s + self._lead_s), float(samples.dp[-1]))
         if valve != LIVING:
             return
-        if self._is_held():  # U shows no answer, however old
+        if self._is_held():  # the age of a held U is undefined
             self._answers.clear()
             return
         self._measure_lead(t_s.tolist(), samples.U.tolist())
         self._answers.append((self.t_s, commands(self._identification).get(LIVING, math.nan)))
 
     def errors(self, phase: Phase) -> dict[str, float]:
-        """Root mean square of each valve's flow error in a phase, l/min; NaN before it."""
+        """Return the RMS flow error of each valve in a phase, l/min; NaN before it."""
         return {
             name: math.sqrt(squares / n) if n else math.nan
             for (its, name), (squares, n) in self._squares.items()
@@ -149,12 +149,12 @@ class Course:
         }
 
     def gain(self, phase: Phase) -> float:
-        """By how much the fixed map's error is larger than the living one's."""
+        """Ratio of the fixed map's error to the adaptive map's error."""
         errors = self.errors(phase)
         return errors[FIXED] / errors[LIVING] if errors[LIVING] else math.nan
 
     def lines(self) -> list[str]:
-        """A line for a log."""
+        """Return lines for a log."""
         shown = (
             f"{phase.name}: " + ", ".join(f"{n} {e:.2f}" for n, e in self.errors(phase).items())
             for phase in PHASES
@@ -165,7 +165,7 @@ class Course:
         return [f"{self.t_s:.0f} s of {END_S:.0f}; {lead}; flow error, l/min: {counted}"]
 
     def table(self) -> Table:
-        """The comparison."""
+        """Table of the comparison."""
         title = f"Flow error, l/min RMS (means over {WINDOW_S:g} s)"
         table = Table(title=title, title_justify="left")
         for heading in ("", "identified online", "fixed map", "eq. (7) frozen", "fixed / online"):
@@ -188,7 +188,7 @@ class Course:
                 self._lead_s += LEAD_PACE * (min(ages) - self._lead_s)
 
     def _count(self, valve: str, t_s: float, error: float) -> None:
-        """Mean errors over short windows count, so that the flow meter's noise does not."""
+        """Average errors over short windows to suppress the flow meter's noise."""
         window, total, n = self._open[valve]
         now = int(t_s / WINDOW_S)
         if now != window:
@@ -201,7 +201,7 @@ class Course:
 
 
 def commands(identification: Identification) -> dict[str, float]:
-    """Answers to the standing demands, where there is one: what is written to the valves."""
+    """Return the answers to the standing demands, by valve."""
     names = [plan.name for plan in identification.plans]
     answers = {name: identification.required(number)[0].U for number, name in enumerate(names)}
     return {name: U for name, U in answers.items() if not np.isnan(U)}

@@ -1,4 +1,4 @@
-"""``valvemap fleet``: one pipeline on many machines, by way of Kafka."""
+"""``valvemap fleet``: the pipeline distributed over machines with Kafka."""
 
 import asyncio
 import os
@@ -32,7 +32,7 @@ SiteArgument = Annotated[
     str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
 ]
 CONFIG = Path("config/fleet.toml")
-_NOTES = "done"  # folder of what an earlier run has done, see `valvemap.kafka.reidentify`
+_NOTES = "done"  # folder of completion records, see `valvemap.kafka.reidentify`
 
 fleet = typer.Typer(help="Many machines, by way of Kafka.", no_args_is_help=True)
 
@@ -88,7 +88,7 @@ def serve(
 
 
 def _own_models(context: typer.Context, option: typer.CallbackParam, value: Path) -> Path | None:
-    """Check the folder of the models; one that an earlier run has begun may be continued."""
+    """Check the folder of the models; an unfinished run may be continued."""
     return value if (value / _NOTES).is_dir() else new_models(context, option, value)
 
 

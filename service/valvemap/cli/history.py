@@ -1,4 +1,4 @@
-"""Histories: of a server, as a recording that replay reads; of the service, ``history``."""
+"""Histories: a server's history as a recording for replay; the service's history as ``history``."""
 
 import asyncio
 import tempfile
@@ -66,7 +66,7 @@ def export(
 def recordings_of(
     files: Sequence[str], config: Path | None, since: str | None, until: str | None
 ) -> Iterator[list[Path]]:
-    """The recordings themselves; or one, for a while, of what a server remembers.
+    """Yield the recordings; or a temporary recording of a server's history.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _fetch(config: "Config", file: Path, start: int, stop: int) -> None:
 
 
 def _config_at(url: str, config: "Config") -> "Config":
-    """The configuration with its source at ``url``; of several that which is there."""
+    """Return the configuration of the source at ``url``; of several sources, the matching one."""
     if not config.sources:
         return config.model_copy(update={"source": config.source.model_copy(update={"url": url})})
     for source in config.sources:

@@ -1,4 +1,4 @@
-"""``valvemap invert`` and ``valvemap export``: the inverse map in use, outside the service."""
+"""``valvemap invert`` and ``valvemap export``: the inverse map without a running service."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final

@@ -1,4 +1,4 @@
-"""What is logged while a command runs: one line an event, on the error stream."""
+"""Logging of a command: one line for each event, on the error stream."""
 
 import logging
 import sys
@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from valvemap.cli.without import without
 
-with without("rich"):  # for tracebacks in colour: a fortieth of a start
+with without("rich"):  # tracebacks in colour would take 2.5 % of the start
     import structlog
 
 from guarded_opcua.logs import IS_ESCAPED
@@ -19,7 +19,7 @@ _QUIET = ("asyncua", "numba", "matplotlib")
 
 
 def set_up_logs(config: LogConfig | None = None) -> None:
-    """Send our events and those of the libraries through one formatter."""
+    """Format our events and those of the libraries alike."""
     config = config or LogConfig()
     shared: list[structlog.typing.Processor] = [
         structlog.stdlib.add_log_level,
@@ -56,7 +56,7 @@ def _in_one_line(
     _method: str,
     event: structlog.typing.EventDict,
 ) -> structlog.typing.EventDict:
-    """Escape what others may have said, so that it looks like no further line."""
+    """Escape line breaks in values, so that external text cannot forge a log line."""
     if getattr(event.get("_record"), IS_ESCAPED, False):
         return event
     shown = {key: _shown(value) for key, value in event.items() if key not in _OF_STRUCTLOG}
@@ -64,7 +64,7 @@ def _in_one_line(
 
 
 def _shown(value: object) -> object:
-    """A value in which no text is longer than a line, or more than printable."""
+    """Shorten texts to one line, and escape unprintable characters."""
     match value:
         case str():
             return printable(value, LINE)
@@ -83,7 +83,7 @@ def _as_lines(
     _method: str,
     event: structlog.typing.EventDict,
 ) -> structlog.typing.EventDict:
-    """Turn an exception into lines, indented, so that none looks like one of the log."""
+    """Format an exception as indented lines, distinct from log lines."""
     failed = event.pop("exc_info", None)
     if failed is True:
         failed = sys.exc_info()

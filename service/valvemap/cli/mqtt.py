@@ -1,4 +1,4 @@
-"""``valvemap mqtt``: results as Sparkplug B over MQTT, beside any service."""
+"""``valvemap mqtt``: publishes results as Sparkplug B over MQTT, beside any service."""
 
 import asyncio
 from pathlib import Path

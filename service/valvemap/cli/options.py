@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options shared by several commands."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -44,7 +44,7 @@ ForceOption = Annotated[
     bool,
     typer.Option(
         "--force",
-        is_eager=True,  # outputs are checked as they are read
+        is_eager=True,  # outputs are checked first
         help="Replace files that are there.",
     ),
 ]
@@ -53,14 +53,14 @@ ForceOption = Annotated[
 def new_file(
     context: typer.Context, option: typer.CallbackParam, value: Path | None
 ) -> Path | None:
-    """Check a file to write: its folder is there, and the file is not, but with ``--force``."""
+    """Check an output file: its folder exists; the file does not, unless ``--force`` is set."""
     return _new(context, option, value, lambda file: [file])
 
 
 def new_recording(
     context: typer.Context, option: typer.CallbackParam, value: Path | None
 ) -> Path | None:
-    """Check a recording to write, and what goes beside it."""
+    """Check a recording to write, and its companion files."""
     beside = lambda file: [file, file.with_name(f"{file.name}.timing.json")]  # noqa: E731
     return _new(context, option, value, beside)
 
@@ -91,7 +91,7 @@ def _new(
     *,
     folder: bool = False,
 ) -> Path | None:
-    """Refuse to replace a file, before any work is done.
+    """Refuse to replace a file before any work is done.
 
     Raises
     ------
@@ -112,12 +112,12 @@ def _new(
 
 
 def of_source(config: "Config", source: str | None) -> "Config":
-    """The part of a configuration that one source has.
+    """Return the part of a configuration that belongs to one source.
 
     Raises
     ------
     BadParameter
-        naming the sources there are.
+        naming the available sources.
     """
     names = [named.name for named in config.sources]
     there = f"there are {', '.join(names)}" if names else "there is [source] alone"
@@ -129,7 +129,7 @@ def of_source(config: "Config", source: str | None) -> "Config":
 
 
 def check_folder(option: str, file: Path | None) -> None:
-    """Refuse a file to write whose folder is not there, before any work is done.
+    """Refuse an output file without a folder before any work is done.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Output of commands: the only module that writes to the terminal; every text is printable."""
+"""Terminal output: the only module that writes to the terminal; unprintable text is escaped."""
 
 from typing import Any
 
@@ -11,24 +11,24 @@ from valvemap.foreign_text import printable, printable_lines
 
 
 def write_line(text: str) -> None:
-    """Print a line, or lines of our own making."""
+    """Print one or more lines of trusted text."""
     typer.echo(printable_lines(text))
 
 
 def terminal(*, error: bool = False) -> Console:
-    """Return a console for tables: names are shown as they are, no markup is obeyed."""
+    """Return a console for tables, without markup."""
     return _Plain(stderr=error, markup=False, emoji=False)
 
 
 class Description(ProgressColumn):
-    """The text of a bar."""
+    """Description of a progress bar."""
 
     def render(self, task: Task) -> Text:
-        """Show it in one line."""
+        """Render the description in one line."""
         return Text(printable(task.description))
 
 
 class _Plain(Console):
     def render_str(self, text: str, **how: Any) -> Text:  # noqa: ANN401 - rich's options
-        """Show a text without obeying it."""
+        """Render text without markup."""
         return super().render_str(printable_lines(text), **{**how, "markup": False, "emoji": False})

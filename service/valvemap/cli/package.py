@@ -1,4 +1,4 @@
-"""``valvemap schema`` and ``valvemap unit``: what an editor and a machine that boots need."""
+"""``valvemap schema`` and ``valvemap unit``: a JSON schema for editors, a systemd unit."""
 
 import json
 import re
@@ -14,9 +14,9 @@ from valvemap.errors import ConfigurationError
 START_S: Final = 600  # s; the first start of a machine compiles all kernels before it is ready
 WATCHDOG_S: Final = 60  # s; a connected source's supervisor ticks every 0.25 s
 MEMORY_MIB: Final = 1_024  # MiB; twice the peak of a start that compiles all kernels (470 MiB)
-VALVE_MIB: Final = 1  # MiB; ten times the state of a valve (docs/performance.md): its queues, too
+VALVE_MIB: Final = 1  # MiB; ten times the state of a valve (docs/performance.md), including queues
 
-_USER = re.compile(r"[a-z_][a-z0-9_-]{0,30}")  # as useradd takes them
+_USER = re.compile(r"[a-z_][a-z0-9_-]{0,30}")  # names accepted by useradd
 _UNIT = """\
 # /etc/systemd/system/valvemap.service, made by `valvemap unit`:
 #   useradd --system --home-dir {folder} {user}; chown -R {user} {folder}
@@ -97,7 +97,7 @@ def unit(
     valves = len(load_config(config).valves)
     script = Path(sys.executable).with_name("valvemap")
     command = str(script) if script.exists() else f"{sys.executable} -m service"
-    file, folder = config.absolute(), Path.cwd()  # relative paths in it are meant from here
+    file, folder = config.absolute(), Path.cwd()  # relative paths in it refer to this folder
     for text in (str(file), str(folder), command):
         if any(letter in text for letter in "%\n\"'\\"):
             raise ConfigurationError(f"{text}: systemd does not take such a name as it is")

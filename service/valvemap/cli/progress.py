@@ -1,4 +1,4 @@
-"""How far long work has come: a bar on the error stream, where somebody watches it."""
+"""Progress bars on the error stream, if it is a terminal."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +17,7 @@ from valvemap.cli.output import Description, terminal
 
 @contextmanager
 def bars() -> Iterator[Progress]:
-    """Bars for work whose end is known; ``add_task`` adds one."""
+    """Yield a display of progress bars; ``add_task`` adds one."""
     console = terminal(error=True)
     with Progress(
         Description(),
@@ -32,7 +32,7 @@ def bars() -> Iterator[Progress]:
 
 @contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
-    """A line for work whose end is not known; what is yielded changes its text."""
+    """Show a spinner; yields a function that changes its text."""
     console = terminal(error=True)
     columns = SpinnerColumn(), Description(), TimeElapsedColumn()
     with Progress(
@@ -47,7 +47,7 @@ def working(what: str) -> Iterator[Callable[[str], None]]:
 
 
 def of_files(progress: Progress) -> Callable[[Path, float], None]:
-    """A bar for each file that is read."""
+    """Return a callback that shows a bar for each file read."""
     tasks = {}
 
     def update(file: Path, fraction: float) -> None:

@@ -1,4 +1,4 @@
-"""``valvemap replay``: recordings through the live pipeline, with a verdict."""
+"""``valvemap replay``: processes recordings with the live pipeline and reports the fit."""
 
 import json
 from collections.abc import Iterator
@@ -73,7 +73,7 @@ def replay(
 
     loaded = None if config is None else load_config(config)
     plots = None
-    if plot is not None:  # matplotlib is an extra: without pictures nobody needs it
+    if plot is not None:  # matplotlib is an extra
         from valvemap.report.replay_plots import ReplayPlots
 
         plots = ReplayPlots(plot)
@@ -111,14 +111,14 @@ def replay(
 
 
 def _hints(report: "Report") -> Iterator[str]:
-    """A line for each thing that looks odd about a valve's signals."""
+    """Yield a line for each hint on a valve's signals."""
     for valve, estimators in report.items():
         for hint in dict.fromkeys(hint for r in estimators.values() for hint in r.hints):
             yield f"{valve}: hint: {hint}"
 
 
 def _refuse_if_nothing_was_learnt(report: "Report") -> None:
-    """Say of which valves no sample could be used, and why."""
+    """Raise RecordingError if no sample of a valve could be used; it names the reasons."""
     empty = []
     for valve, estimators in report.items():
         r = next(iter(estimators.values()))
@@ -131,7 +131,7 @@ def _refuse_if_nothing_was_learnt(report: "Report") -> None:
 
 
 def _not_learnt_from(report: "Report") -> Iterator[str]:
-    """A line per valve whose U lay beyond what an estimator can describe."""
+    """Yield a line for each valve with samples whose U is outside an estimator's range."""
     for valve, estimators in report.items():
         beyond = max(r.beyond_range for r in estimators.values())
         if beyond:
@@ -142,7 +142,7 @@ def _not_learnt_from(report: "Report") -> Iterator[str]:
 
 
 def _trust_table(report: "Report") -> Table:
-    """How far each map can be trusted, and where a test would help it most."""
+    """Table of each map's uncertainty, and of the operating point to measure next."""
     table = Table(title="Trust: noise, 95 % interval, where to measure next", title_justify="left")
     for heading in ("valve", "estimator"):
         table.add_column(heading)
@@ -157,7 +157,7 @@ def _trust_table(report: "Report") -> Table:
 
 
 def write_json(file: Path, content: object) -> None:
-    """Write ``content``.
+    """Write ``content`` as JSON.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""``valvemap report``: the paper rebuilt. Its code is in the repository, in no wheel."""
+"""``valvemap report``: reproduces the paper. Its code is in the repository only."""
 
 import sys
 from importlib import import_module
@@ -10,7 +10,7 @@ import typer
 from valvemap.cli.options import ForceOption, new_pages
 from valvemap.errors import ValvemapError
 
-REPOSITORY = Path(__file__).parents[3]  # in a clone
+REPOSITORY = Path(__file__).parents[3]  # root of a clone
 
 
 def report(

@@ -124,7 +124,7 @@ def record_offline(scenario: Scenario, file: Path | None) -> None:
 
 
 def _append(append: "Callable[[str, Samples], None]", block: RigBlock) -> None:
-    """Record what a client can align: a sample that lacks a signal is none."""
+    """Record complete samples only, as a client that aligns them would get."""
     import numpy as np
 
     from valvemap.model.samples import Samples
@@ -175,7 +175,7 @@ async def _serve(
         if scenario.fleet is not None:
             server = await FleetServer.create(settings, scenario)
             async with server:
-                write_line(server.url)  # the process that started this one waits for it
+                write_line(server.url)  # the parent process waits for it
                 await _play(server, stop, until_over=scenario.samples is not None)
             return
         on_block = None
@@ -186,14 +186,14 @@ async def _serve(
             on_block = lambda block: _append(writer.append, block)  # noqa: E731 - a tap
         server = await RigServer.create(settings, scenario, on_block=on_block)
         async with server:
-            write_line(server.url)  # the process that started this one waits for it
+            write_line(server.url)  # the parent process waits for it
             if under_demo:
                 stack.callback(asyncio.ensure_future(_say_conditions(server)).cancel)
             await _play(server, stop, until_over=scenario.samples is not None)
 
 
 async def _say_conditions(server: RigServer) -> None:
-    """Print the valves' conditions whenever they change: the demo computes its truth from them."""
+    """Print the valves' conditions whenever they change, for the demo's true maps."""
     before = None
     while True:
         now = condition_line(server.conditions())

@@ -1,4 +1,4 @@
-"""Conditions of a demo's valves, a line of JSON from the rig's process to the demo's."""
+"""Conditions of a demo's valves, sent from the rig's process to the demo's as JSON lines."""
 
 import json
 from collections.abc import Mapping
@@ -6,11 +6,11 @@ from typing import Final
 
 from valvemap_rig.condition import Condition
 
-CONDITION_S: Final = 0.5  # s between two reports; the demo shows a line every second
+CONDITION_S: Final = 0.5  # s; interval of two reports; the demo refreshes every second
 
 
 def condition_line(conditions: Mapping[str, Condition]) -> str:
-    """Pack the conditions of valves, by name.
+    """Encode the conditions of valves, by name.
 
     >>> conditions_in(condition_line({"V1": Condition(0.9)}))
     {'V1': Condition(edge_factor=0.9, gap=0.0, temperature_rise=0.0)}
@@ -19,7 +19,7 @@ def condition_line(conditions: Mapping[str, Condition]) -> str:
 
 
 def conditions_in(line: str) -> dict[str, Condition]:
-    """Unpack them; a line that says something else has none.
+    """Decode a line; any other line has no conditions.
 
     >>> conditions_in("ready")
     {}

@@ -1,6 +1,6 @@
-"""The rig's compiled loops under a command of ours: cached, and shipped, as the service's are.
+"""The rig's compiled loops under this command line use the service's kernel cache.
 
-The rig itself knows nothing of the service.
+The rig itself does not depend on the service.
 """
 
 from valvemap.model.kernels.compiled import keep_kernels
@@ -8,6 +8,6 @@ from valvemap_rig import dynamics, kernels
 
 
 def keep_rig_kernels() -> None:
-    """Give them the service's cache."""
+    """Give the rig's loops the service's cache."""
     for module in (dynamics, kernels):
         keep_kernels(module)

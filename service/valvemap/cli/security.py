@@ -104,14 +104,14 @@ def trust(
 
 
 def _trust_user(pki: Pki, users_file: Path, user: str, role: Role, file: Path) -> str:
-    """Let a user log in with a certificate, or with those of an authority; say so."""
+    """Let a user log in with a certificate, or with those of an authority; return a sentence."""
     certificate = load_certificate(file)
     der = certificate.public_bytes(Encoding.DER)
     users = UserStore.load(users_file)
     users.add_certificate(user, role, der)
     account = users.account(user)
     assert account is not None  # noqa: S101 - it was just added
-    # revocation lists are the server's matter, and may come later
+    # the server checks revocation lists, which may be added later
     trusted = PeerTrust(pki, require_crl=False)
     which = f"the certificate {name_of(certificate)}"
     if account.authority:
@@ -150,7 +150,7 @@ def _trust_each_other(data: Path, service: OwnCertificate, of_rig: OwnCertificat
 
 
 def _make_page(data: Path, *servers: OwnCertificate) -> None:
-    """Give the live page a certificate and an account that may look, nothing else."""
+    """Make a certificate and a read-only account for the live page."""
     page = _certificate(data, "dashboard", PAGE_URI, PAGE_NAME, None)
     trust_certificate(Pki(data / "pki" / "service"), page.certificate)
     trust_certificate(Pki(data / "pki" / "rig"), page.certificate)
@@ -165,7 +165,7 @@ def _make_page(data: Path, *servers: OwnCertificate) -> None:
 
 
 def make_users(data: Path, operator_password: str | None) -> None:
-    """Make users and their passwords, where there are none yet; say so."""
+    """Make users and passwords if there are none yet, and print them."""
     file = data / "users.json"
     if file.exists():
         write_line(f"users: {file} is kept")
@@ -192,7 +192,7 @@ def _make_configuration(data: Path, hosts: list[str]) -> None:
 
 
 def _secret(file: Path) -> str:
-    """Return the password that a file holds; a new one is written where there is none."""
+    """Return the password in a file; if it is missing, write a new one."""
     with _naming(file):
         if file.exists():
             return file.read_text(encoding="utf-8").partition("\n")[0]

@@ -19,7 +19,7 @@ from valvemap.errors import RecordingError
 
 def serve(config: ConfigOption = None) -> None:
     """Subscribe to the source, identify, publish, until Ctrl-C; SIGHUP reads the configuration."""
-    with without("cffi"):  # numba calls its functions, our kernels call none
+    with without("cffi"):  # numba supports cffi functions, which no kernel calls
         from numba.core.typing import cffi_utils as _  # noqa: F401
 
     from valvemap.app.reload import Reload

@@ -1,4 +1,4 @@
-"""The processes of a demo: rig and page, each of its own, that end with it."""
+"""Child processes of a demo, rig and page, which end with it."""
 
 import asyncio
 import importlib.util
@@ -19,12 +19,12 @@ _NEEDED = ("starlette", "uvicorn", "websockets", "prometheus_client")
 async def rig_process(
     url: str, scenario: str, password: str, on_line: OnLine
 ) -> AsyncIterator[str]:
-    """Run the rig; yields its URL. Later lines of its output go to ``on_line``.
+    """Run the rig; yields its URL. Later lines of its output are passed to ``on_line``.
 
     Raises
     ------
     ServerError
-        if the rig does not start; it has said why.
+        if the rig does not start; its output gives the reason.
     """
     arguments = ("rig", "--scenario", scenario, "--url", url)
     async with _process(arguments, f"{password}\n", _RIG_START_S, on_line) as line:
@@ -35,7 +35,7 @@ async def rig_process(
 
 @asynccontextmanager
 async def page_process(service_url: str, rig_url: str) -> AsyncIterator[str]:
-    """Serve the page; yields its URL, or why there is none. A demo goes on without."""
+    """Serve the page; yields its URL, or the reason why it is not available."""
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         yield f"none: {missing[0]} is missing, pip install 'valvemap[dashboard]'"
@@ -49,7 +49,7 @@ async def page_process(service_url: str, rig_url: str) -> AsyncIterator[str]:
 async def _process(
     arguments: tuple[str, ...], said: str, start_s: float, on_line: OnLine
 ) -> AsyncIterator[str]:
-    """A command of ours that ends with us whatever becomes of us; yields its first line, or ""."""
+    """Run a valvemap command that ends with this process; yields its first line, or ""."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         *("-m", "valvemap", *arguments, "--under-demo"),

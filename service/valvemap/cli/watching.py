@@ -1,4 +1,4 @@
-"""Options of commands that look at a running service as a client, and what they come to."""
+"""Options of commands that connect to a running service as a client."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,14 +30,14 @@ def watched(
     require_crl: bool,
     rig_url: str | None = None,
 ) -> "Watched":
-    """The service to look at; as the user that `init` made, unless another is named.
+    """Return the connection settings; the default user is the page's, as `init` creates it.
 
     Raises
     ------
     BadParameter
-        naming what ``security`` may be.
+        naming the allowed values of ``security``.
     ConfigurationError
-        if the password's file cannot be read.
+        if the password file cannot be read.
     """
     from valvemap.app.identities import PAGE_USER
     from valvemap.app.page_access import Watched

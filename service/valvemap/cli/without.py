@@ -1,4 +1,4 @@
-"""What libraries import where it is installed, and no command needs."""
+"""Hides optional packages that libraries import if installed, but no command needs."""
 
 import sys
 from collections.abc import Iterator

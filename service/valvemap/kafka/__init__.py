@@ -1,1 +1,1 @@
-"""The fleet: one pipeline on many machines, by way of Kafka (extra ``fleet``)."""
+"""The fleet: the pipeline distributed over machines with Kafka (extra ``fleet``)."""

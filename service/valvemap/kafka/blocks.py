@@ -1,7 +1,7 @@
-"""Blocks: samples and results of many valves as Arrow IPC; `docs/fleet.md` has the schema.
+"""Blocks: samples and results of many valves as Arrow IPC; `docs/fleet.md` defines the schema.
 
-A block is one stream of one record batch, its buffers packed with LZ4. Its schema's metadata say
-what it is: kind, version, group, number and what else the kind needs. Any Arrow library reads it.
+A block is an Arrow stream with one record batch and LZ4-compressed buffers. The schema's metadata
+hold its kind, version, group and number, and further fields of the kind.
 """
 
 import json
@@ -29,7 +29,7 @@ _COLUMNS: Final[Mapping[str, pa.DataType]] = {
     **dict.fromkeys(("U", "p1", "p2", "Q", "T"), pa.float64()),
     "quality": pa.uint8(),
 }
-_WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # threads cost
+_WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # small blocks
 _DAMAGE: Final = (
     pa.ArrowException,
     OSError,
@@ -38,11 +38,11 @@ _DAMAGE: Final = (
     OverflowError,
     RecursionError,
 )
-_READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # more than a small block gives them
+_READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # small blocks
 
 
 class Head(NamedTuple):
-    """What every block says of itself; ``number`` counts the blocks of its group from 1."""
+    """Metadata of every block; ``number`` counts the blocks of its group from 1."""
 
     kind: str
     group: str
@@ -52,18 +52,18 @@ class Head(NamedTuple):
 
 @dataclass(frozen=True)
 class SamplesBlock:
-    """Samples of some valves of one group, in the order in which they are learnt from.
+    """Samples of valves of one group, in order of processing.
 
     Attributes
     ----------
     group, number
-        Whose, and how many blocks of this group there were, this one included.
+        Group, and number of the block in it, from 1.
     valves
         Names; ``samples.segments.members`` are numbers in this list.
     samples
-        One valve after another.
+        Sorted by valve.
     catalogue
-        Version of the catalogue that its sender knows; a worker with an older one lets it be.
+        Version of the sender's catalogue; a worker with an older one rejects the block.
 
     Examples
     --------
@@ -81,7 +81,7 @@ class SamplesBlock:
 
 
 def write_samples(block: SamplesBlock) -> bytes:
-    """Pack samples."""
+    """Encode samples as a message."""
     samples, (members, starts, stops) = block.samples.samples, block.samples.segments
     index = pa.array(np.repeat(members, stops - starts).astype(np.int32))
     columns = {
@@ -94,12 +94,12 @@ def write_samples(block: SamplesBlock) -> bytes:
 
 
 def read_samples(message: bytes) -> SamplesBlock:
-    """Unpack samples; rows of one valve need not stand together, their order is kept.
+    """Decode samples; a valve's rows need not be contiguous, their order is kept.
 
     Raises
     ------
     BlockError
-        if it is no such block, damaged, or of another version.
+        if the message is not a block of samples, is damaged, or has another version.
     """
     head, batch = read(message, _SAMPLES)
     column = batch_column(batch, "valve", _VALVE)
@@ -124,7 +124,7 @@ def read_samples(message: bytes) -> SamplesBlock:
 
 
 def renumbered(samples: ByValve, numbers: NDArray[np.int64]) -> ByValve:
-    """The same, each valve under another number, in their order; those below 0 are left out.
+    """Renumber and sort the valves; valves with a negative number are dropped.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def some(samples: ByValve, rows: NDArray[np.bool_]) -> ByValve:
 
 
 def write(head: Head, columns: Mapping[str, pa.Array]) -> bytes:
-    """Pack columns of equal length under a head."""
+    """Encode a head and columns of equal length."""
     said = {"block": head.kind, "version": VERSION, "group": head.group, "number": head.number}
     metadata = {_PREFIX + key: json.dumps(value) for key, value in {**said, **head.more}.items()}
     schema = pa.schema(
@@ -176,7 +176,7 @@ def write(head: Head, columns: Mapping[str, pa.Array]) -> bytes:
 
 
 def read(message: bytes, kind: str) -> tuple[Head, pa.RecordBatch]:
-    """Unpack a block of a kind: its head, and its columns as they came.
+    """Decode a block of a kind: its head and its columns.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def read(message: bytes, kind: str) -> tuple[Head, pa.RecordBatch]:
 
 
 def batch_column(batch: pa.RecordBatch, name: str, kind: pa.DataType) -> pa.Array:
-    """One column, of the type that the schema wants, without nulls.
+    """Return a column of the schema's type without nulls.
 
     Raises
     ------
@@ -213,12 +213,12 @@ def batch_column(batch: pa.RecordBatch, name: str, kind: pa.DataType) -> pa.Arra
 
 
 def times(t: NDArray[np.int64]) -> pa.Array:
-    """UTC ns as a column."""
+    """UTC ns as an Arrow column."""
     return pa.array(np.ascontiguousarray(t), pa.int64()).cast(TIME)
 
 
 def numpy_of(column: pa.Array, kind: pa.DataType) -> NDArray[Any]:
-    """A column's numbers in an array of their own: kernels are compiled for such alone."""
+    """A column as a contiguous NumPy array that owns its data, as the compiled kernels require."""
     if kind == TIME:
         column = column.cast(pa.int64())
     return np.array(column.to_numpy(zero_copy_only=False))
@@ -236,7 +236,7 @@ def _head(metadata: Mapping[bytes, bytes], kind: str) -> Head:
         raise BlockError(f"a block of version {said['version']!r:.40}, this one knows {VERSION}")
     if said["block"] != kind:
         raise BlockError(f"a block of {said['block']!s:.40}, not of {kind}")
-    least = 1 if kind == _SAMPLES else 0  # results may come of a command, before the first block
+    least = 1 if kind == _SAMPLES else 0  # a command may cause results before the first block
     try:
         group = text("group", said.pop("group", None))
         number = whole("number", said.pop("number", None), least)
@@ -257,7 +257,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def names_of(said: Any, what: str) -> Sequence[str]:  # noqa: ANN401 - JSON
-    """A list of names in a head.
+    """Return a list of names in the metadata.
 
     Raises
     ------

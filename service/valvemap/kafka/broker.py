@@ -1,4 +1,4 @@
-"""How Kafka's clients are set up, and what they raise, as one line."""
+"""Settings of all Kafka clients, and their errors as one line."""
 
 import logging
 from collections.abc import Iterator
@@ -13,12 +13,12 @@ from valvemap.kafka.settings import BrokerConfig
 
 
 def client_settings(broker: BrokerConfig) -> dict[str, Any]:
-    """What every client of ours says to librdkafka.
+    """Return the librdkafka settings that all clients share.
 
     Raises
     ------
     ConfigurationError
-        if a file of certificates, keys or passwords cannot be read: names it.
+        if a file of certificates, keys or passwords cannot be read; names the file.
 
     Examples
     --------
@@ -49,7 +49,7 @@ def client_settings(broker: BrokerConfig) -> dict[str, Any]:
 
 
 def silent() -> logging.Logger:
-    """A logger for clients whose lines are all raised, or handed to callbacks, too."""
+    """Logger for clients whose messages also arrive as exceptions or callbacks: it drops them."""
     quiet = logging.getLogger("valvemap.kafka")
     if not quiet.handlers:
         quiet.addHandler(logging.NullHandler())
@@ -66,7 +66,7 @@ _FIELDS = {
 
 @contextmanager
 def speaking_to(broker: BrokerConfig) -> Iterator[None]:
-    """Turn what librdkafka raises into one line that names the brokers."""
+    """Convert exceptions of librdkafka to one line that names the brokers."""
     try:
         yield
     except KafkaException as error:
@@ -75,7 +75,7 @@ def speaking_to(broker: BrokerConfig) -> Iterator[None]:
 
 
 def reason(error: KafkaException) -> str:
-    """What Kafka says, in a few words."""
+    """Short text of a Kafka error."""
     kafka = error.args[0] if error.args else error
     text = kafka.str() if hasattr(kafka, "str") else str(kafka)
     name = _name(error)

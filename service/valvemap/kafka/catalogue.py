@@ -1,4 +1,4 @@
-"""Which valves there are, in which groups: from the services' own configurations."""
+"""Catalogue of valves and groups, from the configurations of the services."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ NO_SITES: Final = "catalogue.sites: at least one is needed, e.g. { north = 'nort
 
 @dataclass(frozen=True)
 class GroupPlan:
-    """Valves that travel together, and what is done with each."""
+    """Valves of one group, which share a partition key, and their configuration."""
 
     name: str
     plans: tuple[ValvePlan, ...]
@@ -24,7 +24,7 @@ class GroupPlan:
 
 @dataclass(frozen=True)
 class Catalogue:
-    """All groups, by name, under one version; ``sites`` are the configurations behind them."""
+    """All groups by name, with a version; ``sites`` holds the configurations they are made of."""
 
     version: int
     groups: Mapping[str, GroupPlan]
@@ -37,7 +37,7 @@ def load_catalogue(config: CatalogueConfig) -> Catalogue:
     Raises
     ------
     ConfigurationError
-        if there is no site, or one of them is wrong.
+        if there is no site, or a configuration is invalid.
     """
     if not config.sites:
         raise ConfigurationError(NO_SITES)
@@ -51,7 +51,7 @@ def load_catalogue(config: CatalogueConfig) -> Catalogue:
 def catalogue_of(
     sites: Mapping[str, Config], version: int = 1, valves_per_group: int = 50
 ) -> Catalogue:
-    """Deal the valves of each site out to groups ``<site>.0``, ``<site>.1`` …, in their order.
+    """Split the valves of each site into groups ``<site>.0``, ``<site>.1`` …, in order.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""``valvemap fleet collect``: one site's sources, aligned, as blocks of samples."""
+"""``valvemap fleet collect``: one site's sources, aligned and published as blocks of samples."""
 
 import asyncio
 import json
@@ -27,19 +27,19 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.sources import Sources, supervise_all
 
-_LONGEST_TICK_S: Final = 0.5  # of more, the rest was our own standstill
-_UNSAVED: Final = 64_000_000  # bytes that are held where the disk takes nothing; the oldest go
+_LONGEST_TICK_S: Final = 0.5  # s; the time by which a tick is longer does not count as waiting
+_UNSAVED: Final = 64_000_000  # bytes; limit of the buffer while the disk fails; drops the oldest
 
 log = structlog.get_logger(__name__)
 
 
 async def collect(config: FleetConfig, site: str | None, stop: asyncio.Event) -> None:
-    """Collect the samples of a site until ``stop`` is set; without a name, of the only one.
+    """Collect the samples of a site until ``stop`` is set; without a name, of the only site.
 
     Raises
     ------
     ConfigurationError, FleetError, SourceError, StorageError
-        at the start; a broker that is away is waited for.
+        at the start; an unreachable broker is retried.
     """
     catalogue = load_catalogue(config.catalogue)
     name = site_of(catalogue, site)
@@ -64,12 +64,12 @@ async def collect(config: FleetConfig, site: str | None, stop: asyncio.Event) ->
 
 
 def site_of(catalogue: Catalogue, site: str | None) -> str:
-    """The site that is meant.
+    """Return the named site, or the only one.
 
     Raises
     ------
     ConfigurationError
-        if there is no such one, or there are several.
+        if the site does not exist, or no name is given and there are several.
     """
     names = ", ".join(catalogue.sites)
     if site is None and len(catalogue.sites) > 1:
@@ -81,7 +81,7 @@ def site_of(catalogue: Catalogue, site: str | None) -> str:
 
 @dataclass(frozen=True)
 class _Taken:
-    """What belongs together: blocks, and how far the sources were read for them."""
+    """Blocks, and the source position after them."""
 
     blocks: list[SamplesBlock]
     kept: Mapping[str, bytes]
@@ -89,21 +89,21 @@ class _Taken:
 
 
 class Collector:
-    """Fulfils :class:`valvemap.runtime.supervisor.Consumer`.
+    """Implements :class:`valvemap.runtime.supervisor.Consumer`.
 
-    How far the sources were read, what is on its way into samples, the blocks' numbers and the
-    blocks are saved together: whoever goes on from there loses no sample and sends none in two.
+    The source position, the alignment buffers, the block numbers and the blocks are saved in one
+    transaction. After a restart, no sample is lost and none is in two blocks.
 
     Parameters
     ----------
     catalogue, site
-        All groups, and whose sources these are.
+        All groups, and the site of the sources.
     config
-        How often, and how large, blocks are.
+        Interval and size of the blocks.
     sources, spool
-        From where, and where to.
+        Source of the samples, and queue of the blocks.
     clock
-        The machine's, if None.
+        The system clock if None.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Collector:
         )
         self._reorder_s = site_config.alignment.reorder_ms * 1e-3
         self._numbers = {group.name: 0 for group in self._groups}
-        self._given_up = 0  # samples, since the first start
+        self._given_up = 0  # samples dropped since the first start
         self._parts: list[ByValve] = []
         self._has_new_data = False
         self._unsaved: list[Packed] = []
@@ -144,7 +144,7 @@ class Collector:
         self._held_s = np.zeros(len(valves))
 
     def resume(self) -> None:
-        """Go on from what was saved, as far as the configuration is the same."""
+        """Resume from the saved state, as far as the configuration is unchanged."""
         kept = self._spool.kept()
         if kept:
             said = json.loads(kept[_NUMBERS])
@@ -160,7 +160,7 @@ class Collector:
         self._sources.hold_back()
 
     async def connected(self, source_started: int, valves: Times | None = None) -> None:
-        """A source is there; if it was restarted, its samples are counted anew."""
+        """Note the start of a source; if it was restarted, reset its sample counting."""
         own = self._own(valves)
         before = self._started[own]
         self._started[own] = source_started
@@ -169,7 +169,7 @@ class Collector:
             self._use(self._arrivals.begin_source_anew(own))
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
-        """Make samples; save them when it is time."""
+        """Align changes to samples; save them if a save is due."""
         own = self._own(valves)
         self._connected[own] = True
         self._has_new_data = True
@@ -177,7 +177,7 @@ class Collector:
         self._save_in_time()
 
     async def tick(self, valves: Times | None = None) -> None:  # noqa: ARG002 - all are looked at
-        """Look after what is due by the clock."""
+        """Flush overdue samples; save if a save is due."""
         self._wait_no_longer(self._clock.monotonic())
         self._save_in_time()
 
@@ -186,11 +186,11 @@ class Collector:
         reason: SourceError,  # noqa: ARG002 - the supervisor logs it
         valves: Times | None = None,
     ) -> None:
-        """There is no connection to the source of these valves."""
+        """Mark the valves' source as disconnected."""
         self._connected[self._own(valves)] = False
 
     async def finish(self) -> None:
-        """Save all that came.
+        """Save all pending samples.
 
         Raises
         ------
@@ -211,9 +211,9 @@ class Collector:
             self._parts.append(samples)
 
     def _wait_no_longer(self, now: float) -> None:
-        """Go on without what samples wait for, where nothing has left for too long.
+        """Flush the reorder buffer of valves without a sample for longer than ``reorder_ms``.
 
-        Time counts only while there is a connection, and our own standstills do not.
+        Time counts only while the source is connected, and at most ``_LONGEST_TICK_S`` a tick.
         """
         passed, self._held_until = now - self._held_until, now
         if not self._connected.any():
@@ -233,7 +233,7 @@ class Collector:
         self._saving = asyncio.create_task(self._save(self._taken()))
 
     def _taken(self) -> _Taken:
-        """What has come since the last time, as it stands now."""
+        """Return the pending blocks with the current source position."""
         blocks = list(self._cut())
         self._parts, self._has_new_data = [], False
         mark = self._sources.mark
@@ -246,7 +246,7 @@ class Collector:
         return _Taken(blocks, kept, mark)
 
     def _cut(self) -> Sequence[SamplesBlock]:
-        """All that came, by group, none larger than a message may be."""
+        """Return the pending samples as blocks by group, split at the largest message size."""
         if not self._parts:
             return []
         whole = Samples.concatenate([part.samples for part in self._parts])
@@ -276,7 +276,7 @@ class Collector:
         )
 
     async def _save(self, taken: _Taken) -> None:
-        """The disk may be slow, or full: what comes meanwhile is held."""
+        """Save in a thread; if the disk fails, keep the blocks in memory."""
         try:
             given_up = await asyncio.to_thread(self._put_down, taken)
         except StorageError as error:
@@ -312,7 +312,7 @@ class Collector:
         return sum(one.samples for one in self._unsaved)
 
     def _say(self, what: str, **more: object) -> None:
-        """Say it, once in a while."""
+        """Log a warning, at most once in an interval."""
         if self._clock.monotonic() - self._said >= SAID_AGAIN_S:
             self._said = self._clock.monotonic()
             log.warning(what, file=str(self._spool.path), **more)
@@ -324,7 +324,7 @@ _POSITION: Final = "position"
 
 
 def groups_of(catalogue: Catalogue, site: str) -> list[GroupPlan]:
-    """The groups of a site, in the order of its valves."""
+    """Return the groups of a site, in the order of its valves."""
     own = [g for name, g in catalogue.groups.items() if name.rpartition(".")[0] == site]
     return sorted(own, key=lambda group: int(group.name.rpartition(".")[2]))
 

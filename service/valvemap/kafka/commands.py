@@ -1,4 +1,4 @@
-"""What operators ask for, and what became of it, as messages: JSON, for people may look at them."""
+"""Commands of operators and their replies, as human-readable JSON messages."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -28,23 +28,23 @@ _REPLY: Final = "reply"
 
 @dataclass(frozen=True)
 class Command:
-    """One thing to be done with a valve.
+    """A command for one valve.
 
     Attributes
     ----------
     id
-        By which the reply is known.
+        Identifies the reply.
     group, valve
-        Whose.
+        Addressed group and valve.
     action
         One of ``ACTIONS``.
     estimator
-        Where the action is on one of them; the alarm, where it is on an alarm; else empty.
+        Name of the estimator or alarm that the action is on; else empty.
     values
-        What the action needs: a forgetting factor; a flow and a pressure drop; U, dp and T; the
+        Arguments of the action: a forgetting factor; a flow and a pressure drop; U, dp and T; the
         time, UTC ns. None stands for NaN.
     comment, by
-        What is said of an alarm, and who says it.
+        Comment on an alarm, and its author.
     """
 
     id: str
@@ -59,9 +59,9 @@ class Command:
 
 @dataclass(frozen=True)
 class Reply:
-    """What became of a command: done after block ``number`` of its group, or why not.
+    """Result of a command: executed after block ``number`` of its group, or a reason.
 
-    ``values`` are the answer to a question; None stands for NaN.
+    ``values`` are the answer to a query; None stands for NaN.
     """
 
     id: str
@@ -76,7 +76,7 @@ NOTHING: Final = ""
 ESTIMATOR: Final = "estimator"
 ALARM: Final = "alarm"
 
-# Each action, what it is on beside the valve, and how many values it takes.
+# Each action: its object beside the valve, and its number of values.
 ACTIONS: Final = {
     "reset": (ESTIMATOR, 0),
     "freeze": (ESTIMATOR, 0),
@@ -94,22 +94,22 @@ ACTIONS: Final = {
     "invert": (NOTHING, 3),
     "compare": (ESTIMATOR, 0),
 }
-_TEXTS: Final = {  # of a command, and how many characters each may have
+_TEXTS: Final = {  # text fields of a command: maximum length, characters
     **dict.fromkeys(("id", "group", "valve", "action", "estimator"), MOST_NAME),
     **dict.fromkeys(("comment", "by"), MOST_TEXT),
 }
 ANSWERS: Final = {"predict": 3, "predict_measurement": 4, "invert": 4, "compare": 5}
-QUESTIONS: Final = tuple(ANSWERS)  # each, and how many values its answer has
-_MOST_VALUES: Final = max(ANSWERS.values())  # of a command or a reply
+QUESTIONS: Final = tuple(ANSWERS)  # name: number of values in the answer
+_MOST_VALUES: Final = max(ANSWERS.values())  # values in a command or a reply
 
 
 def carry_out(command: Command, operator: Identification) -> tuple[float | None, ...]:
-    """Do what is asked for, and return the answer, if it is a question.
+    """Execute a command; return the answer if it is a query.
 
     Raises
     ------
     CommandRejected
-        saying why not; nothing is changed then.
+        with the reason; nothing is changed.
     """
     on, n = ACTIONS.get(command.action, (NOTHING, -1))
     if n != len(command.values):
@@ -141,7 +141,7 @@ def _numbers(action: str, found: Any) -> tuple[float | None, ...]:  # noqa: ANN4
 
 
 def write_message(message: Command | Reply) -> bytes:
-    """Pack a command or a reply.
+    """Encode a command or a reply.
 
     >>> read_reply(write_message(Reply("7", "north.0", 12, done=True))).number
     12
@@ -151,17 +151,17 @@ def write_message(message: Command | Reply) -> bytes:
 
 
 def is_reply(message: bytes) -> bool:
-    """Whether a message of the results is a reply rather than a block."""
+    """Whether a message on the results topic is a reply rather than a block."""
     return message.startswith(b"{")
 
 
 def read_command(message: bytes) -> Command:
-    """Unpack a command.
+    """Decode a command.
 
     Raises
     ------
     BlockError
-        if it is none, or of another version.
+        if it is invalid or has another version.
     """
     said = _read(message, _COMMAND)
     texts = {name: text(name, said.pop(name, ""), most) for name, most in _TEXTS.items()}
@@ -175,12 +175,12 @@ def read_command(message: bytes) -> Command:
 
 
 def read_reply(message: bytes) -> Reply:
-    """Unpack a reply.
+    """Decode a reply.
 
     Raises
     ------
     BlockError
-        if it is none, or of another version.
+        if it is invalid or has another version.
     """
     said = _read(message, _REPLY)
     done = said.pop("done", None)

@@ -1,7 +1,7 @@
-"""Messages that were rejected, as they go to their own topic: the reason, and where the whole lies.
+"""Dead letters: rejected messages with the reason and their offset.
 
-The payload's beginning is kept, and its length; the whole message stays at its place in its topic
-for as long as that keeps it.
+A dead letter holds the beginning of the payload and its length. The whole message stays in its
+topic until its retention time ends.
 """
 
 from collections.abc import Callable
@@ -15,19 +15,19 @@ from valvemap.kafka.broker import client_settings, reason, silent
 from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.topics import REJECTED, topic_name
 
-MOST_PAYLOAD: Final = 65_536  # bytes; enough to inspect a message, and the whole of a command
-_MOST_KEY: Final = 1_024  # bytes; a group's name is shorter
+MOST_PAYLOAD: Final = 65_536  # bytes; enough to inspect a message, and all of a command
+_MOST_KEY: Final = 1_024  # bytes; longer than any group name
 _MOST_REASON: Final = 1_000  # characters
-_LINES_PER_S: Final = 0.1  # of the log: a flood of messages shall not flood it, too
+_LINES_PER_S: Final = 0.1  # log lines a second, so that rejected messages cannot flood the log
 _LINES_AT_ONCE: Final = 20
-_QUEUED_KB: Final = 16_000  # that wait for the broker; further dead letters are counted as lost
+_QUEUED_KB: Final = 16_000  # kB in the producer's queue; further dead letters are counted as lost
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a message lies."""
+    """Topic, partition and offset of a message."""
 
     topic: str
     partition: int
@@ -36,7 +36,7 @@ class Place:
 
 @dataclass(frozen=True)
 class DeadLetter:
-    """A message that was rejected; ``payload`` is its beginning, ``size`` all its bytes."""
+    """A rejected message; ``payload`` is its beginning, ``size`` its length in bytes."""
 
     key: bytes
     payload: bytes
@@ -45,7 +45,7 @@ class DeadLetter:
 
     @classmethod
     def of(cls, key: bytes | None, message: bytes, why: str) -> "DeadLetter":
-        """Make the dead letter of a message.
+        """Return the dead letter of a message.
 
         >>> len(DeadLetter.of(b"north.0", bytes(100_000), "too large").payload)
         65536
@@ -54,7 +54,7 @@ class DeadLetter:
         return cls((key or b"")[:_MOST_KEY], message[:MOST_PAYLOAD], len(message), short)
 
     def headers(self, place: Place | None) -> list[tuple[str, bytes]]:
-        """Kafka's headers: topic, partition, offset, size and reason."""
+        """Kafka headers: topic, partition, offset, size and reason."""
         said: dict[str, object] = {"size": self.size, "reason": self.reason}
         if place is not None:
             said = {
@@ -66,9 +66,9 @@ class DeadLetter:
 
 
 class RejectionLog:
-    """A warning for each rejected message, but no more than a few at once; all are counted.
+    """Logs rejected messages at a limited rate; all are counted.
 
-    ``clock`` gives monotonic seconds.
+    ``clock`` returns monotonic seconds.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -78,7 +78,7 @@ class RejectionLog:
         self._unsaid = 0
 
     def note(self, key: bytes | None, why: str) -> None:
-        """Count it, and log it, if there is room."""
+        """Count a rejection, and log it within the rate limit."""
         self.count += 1
         now = self._clock()
         self._room = min(_LINES_AT_ONCE, self._room + (now - self._at) * _LINES_PER_S)
@@ -94,7 +94,7 @@ class RejectionLog:
 
 
 class DeadLetterPost:
-    """Sends dead letters outside of a transaction: for readers that commit nothing."""
+    """Sends dead letters outside of transactions, for readers without a transactional producer."""
 
     def __init__(self, config: FleetConfig) -> None:
         self._topic = topic_name(config.topics, REJECTED)
@@ -109,7 +109,7 @@ class DeadLetterPost:
         self.lost = 0
 
     def send(self, letter: DeadLetter, place: Place) -> None:
-        """Send it; never waits."""
+        """Queue a dead letter; never blocks."""
         try:
             self._producer.produce(
                 self._topic,

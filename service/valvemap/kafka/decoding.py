@@ -1,7 +1,7 @@
-"""Decode and check messages: a value, or the reason of the rejection. One decoder for all kinds.
+"""Decodes and validates messages: returns a value, or the reason of the rejection.
 
-Every reader of messages goes through `Decoder`: workers, the results server and its mirror, the
-status. Limits follow from the configuration; they are compared before anything is decompressed.
+Workers, results server, mirror and status all decode messages with `Decoder`. Limits follow from
+the configuration and are checked before decompression.
 """
 
 import traceback
@@ -24,9 +24,9 @@ from valvemap.kafka.settings import TopicsConfig
 from valvemap.pipeline.ports import ValveDescription
 from valvemap.pipeline.result_tables import descriptions
 
-ROW_BYTES: Final = 8 * 6 + 1 + 4  # of a sample as it travels, unpacked
-SHARE: Final = 0.5  # of the largest message that a block of samples may fill, before it is packed
-_MOST_TRACEBACKS: Final = 100  # places that are remembered, so that each is logged once
+ROW_BYTES: Final = 8 * 6 + 1 + 4  # bytes of an uncompressed sample in a block
+SHARE: Final = 0.5  # maximum size of a block of samples before compression, per largest message
+_MOST_TRACEBACKS: Final = 100  # locations remembered, so that each traceback is logged once
 
 T = TypeVar("T")
 log = structlog.get_logger(__name__)
@@ -34,13 +34,13 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Rejected:
-    """A message without effect, and the reason in one line."""
+    """A rejected message, with the reason in one line."""
 
     reason: str
 
 
 class Decoder:
-    """Reads messages of the groups of a catalogue.
+    """Decodes messages of the groups of a catalogue.
 
     Parameters
     ----------
@@ -55,13 +55,13 @@ class Decoder:
         self._tracebacks = Tracebacks()
         largest = round((topics or TopicsConfig()).message_mb * 1e6)
         valves = max((len(one.plans) for one in catalogue.groups.values()), default=0)
-        # `collect` cuts blocks so that they fill SHARE of a message before they are packed.
+        # `collect` limits blocks to SHARE of a message before compression.
         self._samples = Limits(largest, most_rows(largest), largest, valves)
-        # Results are smaller than the memory behind them, which must fit into a message.
+        # Results are smaller than the group's checkpoint, which must fit into a message.
         self._results = Limits(largest, valves, largest, valves)
 
     def samples(self, key: bytes | None, message: bytes) -> SamplesBlock | Rejected:
-        """A block of samples of a group of the catalogue, by valves of it."""
+        """Decode a block of samples; its group and valves must be in the catalogue."""
 
         def read() -> SamplesBlock:
             group = self._group(key)
@@ -83,7 +83,7 @@ class Decoder:
         return self._read(read)
 
     def command(self, key: bytes | None, message: bytes) -> Command | Rejected:
-        """A command to a group of the catalogue."""
+        """Decode a command; its group must be in the catalogue."""
 
         def read() -> Command:
             group = self._group(key)
@@ -94,7 +94,7 @@ class Decoder:
         return self._read(read)
 
     def published(self, key: bytes | None, message: bytes) -> ResultsBlock | Reply | Rejected:
-        """Results of a group of the catalogue, or a reply."""
+        """Decode results or a reply; the group must be in the catalogue."""
 
         def read() -> ResultsBlock | Reply:
             group = self._group(key)
@@ -111,7 +111,7 @@ class Decoder:
         return self._read(read)
 
     def memory(self, packed: bytes) -> Memory | Rejected:
-        """What a group remembers."""
+        """Decode a group's checkpoint."""
         return self._read(lambda: read_memory(packed))
 
     def _group(self, key: bytes | None) -> str:
@@ -137,13 +137,13 @@ class Decoder:
 
 
 class Tracebacks:
-    """Unexpected exceptions: the traceback of each place is logged once."""
+    """Logs the traceback of unexpected exceptions, once for each location."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, int, str]] = set()
 
     def note(self, error: Exception) -> str:
-        """Log it, if it is new; return it as one line."""
+        """Log the traceback if its location is new; return the exception as one line."""
         *_, last = traceback.extract_tb(error.__traceback__) or [None]
         kind = type(error).__name__
         place = ("", 0, kind) if last is None else (last.filename, last.lineno or 0, kind)
@@ -155,7 +155,7 @@ class Tracebacks:
 
 
 def most_rows(largest: int) -> int:
-    """Rows that a block of samples may have, by the bytes of the largest message.
+    """Maximum number of rows in a block of samples, from the largest message, bytes.
 
     >>> most_rows(16_000_000)
     150943

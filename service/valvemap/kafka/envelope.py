@@ -1,8 +1,9 @@
-"""What an Arrow IPC stream says of itself, read before anything of it is decompressed.
+"""Checks the metadata of an Arrow IPC stream before decompression.
 
-A block names its record batches' rows, codec and buffers in flatbuffers; each compressed buffer
-begins with its uncompressed size (8 bytes, little endian; -1: not compressed). `check` compares
-them with limits. So a message of a few kB that would unpack to GB costs microseconds.
+The metadata state the rows, codec and buffers of each record batch in flatbuffers; each compressed
+buffer begins with its uncompressed size (8 bytes, little endian; -1: not compressed). `check`
+compares them with limits. A message of a few kB that would decompress to GB is therefore rejected
+within microseconds.
 
 Source: https://arrow.apache.org/docs/format/Columnar.html, `Message.fbs`.
 """
@@ -16,26 +17,26 @@ import pyarrow as pa
 from valvemap.errors import BlockError
 
 _BATCH, _DICTIONARY, _SCHEMA = "record batch", "dictionary", "schema"
-_LZ4_FRAME: Final = 0  # `CompressionType` of what `blocks.write` compresses with
-_SIZE_BYTES: Final = 8  # before a compressed buffer: its size
+_LZ4_FRAME: Final = 0  # `CompressionType` that `blocks.write` uses
+_SIZE_BYTES: Final = 8  # size field before a compressed buffer
 _MOST_MESSAGES: Final = (
-    8  # of a stream: a schema, a dictionary, a batch, and room for other writers
+    8  # messages in a stream: schema, dictionary, batch, and a reserve for other writers
 )
 _MOST_NODES: Final = 4_096  # arrays of a batch, children included: 60 for each estimator of a block
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a block may be.
+    """Limits of a block.
 
     Attributes
     ----------
     packed
-        Bytes of the message: no broker takes a larger one (`topics.message_mb`).
+        Bytes of the message; brokers reject larger ones (`topics.message_mb`).
     rows
         Rows of the batch.
     unpacked
-        Bytes of all its buffers once they are decompressed.
+        Bytes of all its buffers after decompression.
     names
         Rows of a dictionary: the valves of a group.
     """
@@ -47,7 +48,7 @@ class Limits:
 
 
 def check(message: bytes, limits: Limits) -> None:
-    """Make sure that a stream is within its limits, and decompress nothing.
+    """Check that a stream is within its limits, without decompression.
 
     Raises
     ------
@@ -86,13 +87,13 @@ def _check_messages(message: bytes, limits: Limits) -> None:
 
 
 def _unpacked(batch: "_Table", body: pa.Buffer | None, rows: int, room: int) -> int:
-    """Bytes of a batch's buffers once they are decompressed."""
+    """Bytes of a batch's buffers after decompression."""
     if not 0 <= batch.int64(_LENGTH) <= rows:
         raise BlockError(f"{batch.int64(_LENGTH)} rows: at most {rows} are allowed")
     nodes, buffers = batch.vector(_NODES, 2), batch.vector(_BUFFERS, 2)
     if len(nodes) > _MOST_NODES or len(buffers) > 4 * _MOST_NODES:
         raise BlockError(f"{len(nodes)} arrays in a batch: at most {_MOST_NODES} are allowed")
-    # An element may take one bit.
+    # An element takes at least one bit.
     if any(not 0 <= length <= max(rows, 8 * room) for length, _ in nodes):
         raise BlockError("an array is longer than a block can be")
     packing = batch.table(_COMPRESSION)
@@ -120,7 +121,7 @@ def _size(body: pa.Buffer | None, at: int, length: int, *, is_packed: bool) -> i
     return length - _SIZE_BYTES if size == -1 else size
 
 
-# Fields of the tables of `Message.fbs`, by their order.
+# Field numbers of the tables in `Message.fbs`.
 _HEADER: Final = 2  # of Message; the union's type is the field before it
 _DATA: Final = 1  # of DictionaryBatch
 _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3  # of RecordBatch
@@ -128,7 +129,7 @@ _CODEC: Final = 0  # of BodyCompression
 
 
 class _Table:
-    """A table of a flatbuffer: an offset back to its list of fields, which gives their places."""
+    """A flatbuffer table: it begins with an offset to its vtable, which holds the field offsets."""
 
     def __init__(self, data: bytes, at: int) -> None:
         self._data, self._at = data, at
@@ -152,7 +153,7 @@ class _Table:
         return None if at is None else _Table(self._data, at + _read("<I", self._data, at))
 
     def vector(self, field: int, width: int) -> list[tuple[int, ...]]:
-        """A list of structs of that many int64."""
+        """Return a vector of structs with ``width`` int64 each."""
         at = self._place(field)
         if at is None:
             return []

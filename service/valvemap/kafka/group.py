@@ -1,7 +1,7 @@
-"""One group of valves: blocks and commands in, results and replies out. Pure.
+"""One group of valves: consumes blocks and commands, produces results and replies. Pure.
 
-What comes out follows from what went in and its order alone: not from how it was cut into
-messages per call, not from the clock, not from the machine.
+The output depends only on the input and its order: not on the batching of messages, the clock
+or the machine.
 """
 
 from collections.abc import Iterator
@@ -33,44 +33,44 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Step
 from valvemap.pipeline.ports import Results
 
-REPEATED: Final = "repeated"  # blocks that had come before
-MISSING: Final = "missing"  # blocks that never came
-BEGUN_ANEW: Final = "begun_anew"  # times that the numbers began anew
-REFUSED: Final = "refused"  # messages that could not be read
-AHEAD: Final = "ahead"  # samples that were dated far ahead of the group's clock
+REPEATED: Final = "repeated"  # blocks received before
+MISSING: Final = "missing"  # blocks never received
+BEGUN_ANEW: Final = "begun_anew"  # restarts of the block numbers
+REFUSED: Final = "refused"  # messages that could not be decoded
+AHEAD: Final = "ahead"  # samples dated far ahead of the group's clock
 COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED, AHEAD)
 _RESULTS: Final = "results"
 _MAPS: Final = "maps"
 _NO_TABLE: Final = np.empty((0, 0))
-_REPLIES: Final = 100  # kept of a group: a command that is sent twice is so within seconds
+_REPLIES: Final = 100  # replies kept of a group; a command is resent within seconds
 
 
 @dataclass(frozen=True)
 class Rhythm:
-    """How often things are published, in source time, ns; 0 is with every block."""
+    """Publishing intervals in source time, ns; 0 publishes with every block."""
 
     results_ns: int = 1_000_000_000
     maps_ns: int = 60_000_000_000
 
 
 class Group:
-    """The pipeline of one group; what it remembers can be taken over to the bit.
+    """The pipeline of one group; its checkpoints restore it bit-identically.
 
     Parameters
     ----------
     plan
         Its valves.
     catalogue
-        Version of the catalogue that the plan is from.
+        Version of the plan's catalogue.
     rhythm
-        When results, tables and surveys are due.
+        Publishing intervals of results, tables and surveys.
     """
 
     def __init__(self, plan: GroupPlan, catalogue: int, rhythm: Rhythm | None = None) -> None:
         self.plan = plan
         self._catalogue = catalogue
         self._rhythm = rhythm or Rhythm()
-        alignment = Alignment(AlignmentSettings(), (True,) * len(plan.plans))  # collect has done it
+        alignment = Alignment(AlignmentSettings(), (True,) * len(plan.plans))  # done by collect
         self.identification = Identification(plan.plans, alignment)
         self.number = 0
         self.counts = dict.fromkeys(COUNTS, 0)
@@ -80,14 +80,14 @@ class Group:
         self._numbers = {one.name: number for number, one in enumerate(plan.plans)}
 
     def take(self, block: SamplesBlock, sent: int | None = None) -> Iterator[ResultsBlock]:
-        """Learn from a block; repeated blocks and samples far off the clock are rejected.
+        """Process a block; repeated blocks and samples far ahead of the clock are rejected.
 
-        ``sent`` is the message's time in Kafka, UTC ns, if it is known.
+        ``sent`` is the message's Kafka timestamp, UTC ns, if known.
 
         Raises
         ------
         BlockError
-            if it is of other valves, or all of it is dated far ahead; nothing is learnt then.
+            if it has unknown valves, or all its samples are dated far ahead; no estimator changes.
         """
         samples = self._without_ahead(self._own(block), block.number, sent)
         newest = int(samples.samples.t.max(initial=0))
@@ -105,9 +105,9 @@ class Group:
         yield from self._results_due(newest)
 
     def do(self, command: Command) -> Iterator[ResultsBlock | Reply]:
-        """Do what is asked for, between two blocks; the results show it at once.
+        """Execute a command between two blocks; yield the changed results and the reply.
 
-        A command that comes again, by its id, is answered as before, and not done again.
+        A repeated command, known by its id, gets the first reply and is not executed again.
         """
         before = self._replies.get(command.id)
         if before is not None:
@@ -135,19 +135,19 @@ class Group:
         yield reply
 
     def everything(self) -> Iterator[ResultsBlock]:
-        """All that is known, tables and surveys made anew."""
+        """Yield results of all valves, with new tables and surveys."""
         self.identification.refresh_all_maps()
         for results in self.identification.results(range(len(self.plan.plans))):
             yield self._block(results)
 
     def alone(self, results: Results) -> Iterator[ResultsBlock]:
-        """Make the results of each of these valves again, a block for each."""
+        """Yield the results of each of these valves again, as separate blocks."""
         for valve in results.valves.tolist():
             for one in self.identification.results([valve]):
                 yield self._block(_without_tables(one))
 
     def stop(self, results: Results, error: Exception) -> ResultsBlock:
-        """Stop the one valve whose results cannot be packed; return Bad results of it."""
+        """Stop a valve whose results cannot be encoded; return its results with quality Bad."""
         (valve,) = results.valves.tolist()
         self.identification.stop(valve, Step.PUBLICATION, error)
         return self._block(self.identification.unknown(valve))
@@ -158,11 +158,11 @@ class Group:
             del self._replies[next(iter(self._replies))]
 
     def refuse(self) -> None:
-        """Count a message that could not be read."""
+        """Count a message that could not be decoded."""
         self.counts[REFUSED] += 1
 
     def to_bytes(self) -> bytes:
-        """All that is remembered."""
+        """Return a checkpoint of the group."""
         own = self.identification
         return write_memory(
             Memory(
@@ -178,12 +178,13 @@ class Group:
         )
 
     def remember(self, packed: bytes) -> list[str]:
-        """Go on from what is remembered; return ``<Valve>: <what>`` for what starts afresh.
+        """Restore a checkpoint; return ``<Valve>: <what>`` for each part that was reset.
 
         Raises
         ------
         FleetError
-            if it is no memory, of a newer catalogue, or of another catalogue of this version.
+            if the checkpoint is invalid, of a newer catalogue, or of a different catalogue with the
+            same version.
         """
         try:
             memory = read_memory(packed)
@@ -217,7 +218,7 @@ class Group:
             )
 
     def _own(self, block: SamplesBlock) -> ByValve:
-        """The samples, under our numbers of the valves."""
+        """Return the samples with the group's valve numbers."""
         if block.group != self.plan.name:
             raise BlockError(f"a block of group {block.group} under the key {self.plan.name}")
         names = [block.valves[member] for member in block.samples.segments.members]
@@ -229,7 +230,7 @@ class Group:
         )
 
     def _without_ahead(self, samples: ByValve, number: int, sent: int | None) -> ByValve:
-        """The samples that are not dated far ahead of the group's clock."""
+        """Return the samples that are not dated far ahead of the group's clock."""
         t, newest = samples.samples.t, self._newest()
         taken, self._ahead = plausible(t, number, newest, sent, self._ahead)
         if taken.all():
@@ -258,7 +259,7 @@ class Group:
             yield self._block(results if with_tables else _without_tables(results))
 
     def _is_due(self, name: str, newest: int, interval_ns: int) -> bool:
-        """Whether source time has come to the next turn, or stepped back from the last one."""
+        """Whether source time has reached the next due time, or has stepped back."""
         due = self._due.get(name, 0)
         if due - interval_ns <= newest < due:
             return False
@@ -271,7 +272,7 @@ class Group:
 
 
 def _without_tables(results: Results) -> Results:
-    """The same without what is no newer than before."""
+    """Return the results without tables and surveys."""
     M = len(results.valves)
     return replace(
         results,

@@ -1,15 +1,16 @@
-"""Which samples are dated far ahead of their group's clock. Pure, and the same at a redelivery.
+"""Plausibility of sample times against the group's clock. Pure, and reproducible on redelivery.
 
-A single sample of the year 2116 would make all later samples of its valve late. The group's clock
-is made of messages alone, never of the worker's clock:
+A single sample dated 2116 would make all later samples of its valve late. The group's clock
+depends on the messages alone, never on the worker's clock:
 
-- a sample that is no later than the message's own time in Kafka (plus ``AHEAD_NS``) is plausible:
-  recordings may be sent years later, and sources may have been off for years;
-- where the source's clock runs ahead of Kafka's, or Kafka's time is unknown, the clock is the
-  newest sample that was taken, and a sample may be ``GAP_NS`` ahead of it; the first block of a
-  group sets it, by the median of its samples, to at most ``UNSET_NS`` ahead of Kafka's time;
-- where the medians of ``CONFIRMED`` blocks in a row are ahead, and agree, the source has been off
-  for longer than that, or its clock was set: the last of them is taken, and the clock with it.
+- A sample dated no later than the message's Kafka timestamp plus ``AHEAD_NS`` is plausible:
+  recordings may be sent years later, and sources may have been off for years.
+- If the source's clock is ahead of Kafka's, or Kafka's time is unknown, the clock is the newest
+  accepted sample, and a sample may be up to ``GAP_NS`` ahead of it. The first block of a group
+  sets the clock to the median of its samples, at most ``UNSET_NS`` ahead of Kafka's time.
+- If the medians of ``CONFIRMED`` consecutive blocks are ahead and agree, the source was off for
+  longer than ``GAP_NS``, or its clock was set. The last of these blocks is accepted and sets the
+  clock.
 """
 
 from typing import Final
@@ -19,32 +20,32 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
 
-AHEAD_NS: Final = 60_000_000_000  # ns; clocks of source and sender differ by less, or are not set
-GAP_NS: Final = 3_600_000_000_000  # ns; no sample is lost by a pause that lasts less than an hour
-UNSET_NS: Final = 366 * 86_400_000_000_000  # ns; clocks that were set, but not well, err by less
-CONFIRMED: Final = 3  # blocks in a row; two may be a coincidence
-LATEST_NS: Final = 2**62  # UTC ns; the difference of any two times still fits into 64 bits
+AHEAD_NS: Final = 60_000_000_000  # ns; clocks of source and sender that are set differ by less
+GAP_NS: Final = 3_600_000_000_000  # ns; no sample is rejected after a pause of less than an hour
+UNSET_NS: Final = 366 * 86_400_000_000_000  # ns; more than the error of a badly set clock
+CONFIRMED: Final = 3  # consecutive blocks; two may be a coincidence
+LATEST_NS: Final = 2**62  # UTC ns; the difference of any two times fits into 64 bits
 
-Ahead = tuple[tuple[int, int], ...]  # of blocks that were ahead: number and median, UTC ns
+Ahead = tuple[tuple[int, int], ...]  # blocks dated ahead: number and median, UTC ns
 
 
 def plausible(
     t: Times, number: int, newest: int, sent: int | None, ahead: Ahead
 ) -> tuple[NDArray[np.bool_], Ahead]:
-    """Return which samples of a block are not ahead, and the blocks in a row that were.
+    """Return a mask of the plausible samples, and the consecutive blocks dated ahead.
 
     Parameters
     ----------
     t
-        Of all samples of a block, UTC ns, (n,).
+        Times of a block's samples, UTC ns, (n,).
     number
-        Of the block: a repeated block confirms nothing.
+        Number of the block; a repeated block confirms nothing.
     newest
-        Of the samples that were taken before, UTC ns; 0: none.
+        Time of the newest accepted sample, UTC ns; 0: none.
     sent
-        Time of the message in Kafka, UTC ns; None: unknown.
+        Kafka timestamp of the message, UTC ns; None: unknown.
     ahead
-        As it was returned for the block before.
+        Returned for the previous block.
 
     Examples
     --------
@@ -75,7 +76,7 @@ def _limit(median: int, newest: int, sent: int | None) -> int:
 
 
 def _with(ahead: Ahead, number: int, median: int) -> Ahead:
-    """With one block more; without those that it does not agree with, or that it repeats."""
+    """Append a block, unless it is repeated; start a new list if its median disagrees."""
     if ahead and not 0 <= median - ahead[-1][1] <= GAP_NS:
         return ((number, median),)
     return ahead if any(number <= known for known, _ in ahead) else (*ahead, (number, median))

@@ -1,4 +1,4 @@
-"""JSON that comes from a topic: strict, and every value of a kind and size that is allowed."""
+"""Strict JSON of messages: every value is checked for its type and size."""
 
 import json
 import math
@@ -6,20 +6,20 @@ from typing import Any, Final
 
 from valvemap.errors import BlockError
 
-MOST_BYTES: Final = 65_536  # of a command or a reply: both its texts, each character escaped
-MOST_NAME: Final = 1_024  # characters of an id, or of a name: a NodeId's are no longer
-MOST_TEXT: Final = 4_096  # characters of a comment, or of a reason
-LATEST: Final = 2**62  # UTC ns, the year 2116: twice a time still fits into 64 bits
-LARGEST: Final = 2**63 - 1  # of a whole number: what follows holds 64 bits
+MOST_BYTES: Final = 65_536  # bytes of a command or a reply: both texts with all characters escaped
+MOST_NAME: Final = 1_024  # characters of an id or a name: the limit of a NodeId
+MOST_TEXT: Final = 4_096  # characters of a comment or a reason
+LATEST: Final = 2**62  # UTC ns, the year 2116: twice a time fits into 64 bits
+LARGEST: Final = 2**63 - 1  # of an integer: it is stored in 64 bits
 
 
 def loads(message: str | bytes) -> Any:  # noqa: ANN401 - JSON
-    """Parse JSON; NaN and Infinity are none.
+    """Parse JSON; NaN and Infinity are invalid.
 
     Raises
     ------
     BlockError
-        if it is none, or nested too deeply.
+        if it is invalid, or nested too deeply.
     """
     try:
         return json.loads(message, parse_constant=_no_constant)
@@ -28,7 +28,7 @@ def loads(message: str | bytes) -> Any:  # noqa: ANN401 - JSON
 
 
 def text(name: str, value: object, most: int = MOST_NAME) -> str:
-    """A text that can be sent on.
+    """Check a string that can be encoded in messages.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def text(name: str, value: object, most: int = MOST_NAME) -> str:
 
 
 def whole(name: str, value: object, least: int = 0, most: int = LARGEST) -> int:
-    """A whole number within bounds.
+    """Check an integer within bounds.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def whole(name: str, value: object, least: int = 0, most: int = LARGEST) -> int:
 
 
 def numbers(values: object, most: int) -> tuple[float | None, ...]:
-    """A list of finite numbers, and None where there is none.
+    """Check a list of finite numbers or None.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def _is_number(value: object) -> bool:
         return False
     try:
         return math.isfinite(value)
-    except OverflowError:  # a whole number beyond all floats
+    except OverflowError:  # an integer beyond the range of float
         return False
 
 

@@ -1,9 +1,9 @@
-"""All that a group remembers, as bytes: what a worker takes over from another.
+"""Checkpoint of a group as bytes, which another worker can restore.
 
-A head in JSON says the format, the catalogue's version, the block and what columns follow; then the
-columns themselves, one after the other, and the baselines. Columns of counts without a sign are
-compressed to half and less, those alike as what they differ by: a valve's estimators learn from
-nearly the same samples. Columns of other numbers would hardly shrink, and take longer.
+A JSON head states the format, the catalogue's version, the block number and the columns. The
+columns and the baselines follow it. Columns of unsigned integers are compressed to half or less;
+columns of equal type and shape are stored as differences, because a valve's estimators process
+nearly the same samples. Other columns hardly compress, and compression takes longer.
 """
 
 import json
@@ -22,39 +22,40 @@ from valvemap.pipeline.valve_columns import Columns
 
 MAGIC: Final = b"valvemap memory\n"
 FORMAT: Final = 2
-READABLE: Final = (1, 2)  # 1 compressed nothing
+READABLE: Final = (1, 2)  # format 1 is uncompressed
 _SIZE: Final = struct.Struct("<Q")
 _CODEC: Final = pa.Codec("lz4_raw")
-_DENSEST: Final = 255  # bytes that one of LZ4's can stand for
-_ROOM: Final = 64_000_000  # bytes; of memories that hold little but zeros yet
-_DENSE: Final = 32  # unpacked bytes for each packed one, at most; those that learnt have 2 to 4
+_DENSEST: Final = 255  # bytes that one byte of LZ4 can encode
+_ROOM: Final = 64_000_000  # bytes; for checkpoints that are mostly zeros
+_DENSE: Final = 32  # maximum ratio of unpacked to packed bytes; trained estimators have 2 to 4
 _COUNTS: Final = "u"
 
-_Alike = dict[tuple[str, tuple[int, ...]], NDArray[Any]]  # by type and shape the last column
+_Alike = dict[tuple[str, tuple[int, ...]], NDArray[Any]]  # last column by type and shape
 
 
 @dataclass(frozen=True)
 class Memory:
-    """A group as it stands after a block.
+    """Checkpoint of a group after a block.
 
     Attributes
     ----------
     catalogue
-        Version of the catalogue that it was learnt under.
+        Version of the catalogue.
     number
-        The last block that was learnt from.
+        Number of the last block processed.
     due
-        By name: the source time, UTC ns, at which something is to be done next.
+        Next due time by name, source time, UTC ns.
     counts
-        By name: what came of the group's blocks.
+        Counters of the group's blocks by name.
     columns
-        What the valves remember.
+        State of the estimators.
     baselines
-        By valve: its approved map, packed.
+        Encoded approved map by valve.
     replies
-        To the last commands, packed, the oldest first: one that comes again is not done again.
+        Encoded replies to the last commands, oldest first; a repeated command is not executed
+        again.
     ahead
-        Of the last blocks, those that were dated far ahead: number and median of their times.
+        Consecutive last blocks dated far ahead: number and median of their times.
     """
 
     catalogue: int
@@ -68,7 +69,7 @@ class Memory:
 
 
 def write_memory(memory: Memory) -> bytes:
-    """Pack it.
+    """Encode a checkpoint.
 
     Examples
     --------
@@ -101,12 +102,12 @@ def write_memory(memory: Memory) -> bytes:
 
 
 def read_memory(packed: bytes) -> Memory:
-    """Unpack it; the columns are views that cannot be written to.
+    """Decode a checkpoint; the columns are read-only views.
 
     Raises
     ------
     FleetError
-        if it is none, damaged, or of another format.
+        if it is invalid, damaged, or in another format.
     """
     start = len(MAGIC) + _SIZE.size
     if not packed.startswith(MAGIC) or len(packed) < start:
@@ -128,7 +129,7 @@ _DAMAGE: Final = (
     MemoryError,
     OSError,
     RecursionError,
-    SyntaxError,  # of a column's type
+    SyntaxError,  # invalid dtype of a column
     TypeError,
     ValueError,
 )
@@ -172,7 +173,7 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
 
 
 def _packed(array: NDArray[Any], alike: _Alike) -> tuple[bytes | memoryview, list[int]]:
-    """An array as bytes, and how many they are if they are compressed."""
+    """Return an array as bytes, and their number if they are compressed."""
     whole = np.ascontiguousarray(array)
     if array.dtype.kind != _COUNTS or not array.size:
         return whole.reshape(-1).view(np.uint8).data, []

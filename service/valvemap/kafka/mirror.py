@@ -1,4 +1,4 @@
-"""What is known of a site's valves from the results that came: the newest of all. Pure."""
+"""Newest results of all valves of a site, collected from the results topic. Pure."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -19,19 +19,19 @@ _NO_REPORTS: Final[tuple[AlarmReport, ...]] = ()
 
 @dataclass(frozen=True)
 class _Row:
-    """Where the newest of a valve is."""
+    """Row of a valve's newest results."""
 
     results: Results
     m: int
 
 
 class Mirror:
-    """The newest results of all valves of a site, by its own numbers.
+    """The newest results of all valves of a site, by the site's valve numbers.
 
     Parameters
     ----------
     names
-        Of the valves, in the order of the site's configuration.
+        Names of the valves, in the order of the site's configuration.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -42,9 +42,9 @@ class Mirror:
         self.newest: Times = np.zeros(len(names), np.int64)
 
     def take(self, block: ResultsBlock) -> Results:
-        """Take a block in; return it with what is no newer in it from those before.
+        """Store a block; return its results, completed with the newest tables and surveys.
 
-        What it says of valves that the site has not is left aside.
+        Results of valves that the site does not have are dropped.
         """
         names = [block.valves[valve] for valve in block.results.valves]
         known = np.array([name in self._numbers for name in names], np.bool_)
@@ -67,7 +67,7 @@ class Mirror:
                 del self._surveys[key]
 
     def again(self, valves: Sequence[int], at_best: int) -> Iterator[Results]:
-        """The newest of some valves once more, of no better quality than that."""
+        """Yield the newest results of the given valves, with quality limited to ``at_best``."""
         together: dict[int, tuple[Results, list[int]]] = {}
         for valve in valves:
             if valve in self._rows:
@@ -77,19 +77,19 @@ class Mirror:
             yield _at_best(rows_of(results, np.array(rows, np.int64)), at_best)
 
     def reports(self, valve: int) -> Sequence[AlarmReport]:
-        """How a valve's alarms stand, as far as any ever came."""
+        """Return the states of a valve's alarms; empty before the first alarm."""
         row = self._rows.get(valve)
         if row is None or row.results.alarms is None:
             return _NO_REPORTS
         return row.results.alarms.reports(row.m)
 
     def baseline(self, valve: int) -> Version | None:
-        """The approved map of a valve, as results name it."""
+        """Return the approved map of a valve, from its newest results."""
         row = self._rows.get(valve)
         return None if row is None else row.results.baselines[row.m]
 
     def _completed(self, found: Results) -> Results:
-        """With the newest table and survey of each valve, where none is newer."""
+        """Fill in the newest table and survey of each valve where the results have none."""
         maps, valves = list(found.inverse.map_U), found.valves.tolist()
         for m, valve in enumerate(valves):
             if maps[m].size:
@@ -108,7 +108,7 @@ class Mirror:
 
 
 def rows_of(results: Results, rows: NDArray[np.int64]) -> Results:
-    """The same of some of the valves."""
+    """Select rows of results."""
     alarms, signals = results.alarms, results.signals
     return replace(
         results,
@@ -127,7 +127,7 @@ def rows_of(results: Results, rows: NDArray[np.int64]) -> Results:
 
 
 def _some(columns: R, rows: NDArray[np.int64]) -> R:
-    """Some rows of a dataclass of columns."""
+    """Select rows of a dataclass of columns."""
     chosen: Mapping[str, Any] = {
         f.name: _chosen(getattr(columns, f.name), rows)
         for f in fields(columns)  # type: ignore[arg-type]

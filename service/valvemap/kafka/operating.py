@@ -1,4 +1,4 @@
-"""What operators do and ask at the results server of a fleet: commands to the workers."""
+"""Operator interface of a fleet's results server: sends commands to the workers."""
 
 import asyncio
 import math
@@ -20,18 +20,18 @@ from valvemap.vocabulary.statuses import InverseStatus, Status
 
 
 class Post(Protocol):
-    """By which commands go out."""
+    """Sends commands."""
 
     def send(self, command: Command, refused: Callable[[str], None]) -> None:
-        """Send it; ``refused`` hears, in any thread, why it could not be."""
+        """Send a command; on failure, call ``refused`` with the reason, from any thread."""
 
     def tend(self) -> None:
-        """Hear what became of what was sent; to be called now and then."""
+        """Process delivery reports; to be called regularly."""
 
 
 @dataclass(frozen=True)
 class _Moved:
-    """A map against the approved one; see `valvemap.pipeline.ports.Compared`."""
+    """Deviation of a map from the approved one; see `valvemap.pipeline.ports.Compared`."""
 
     mean: float
     largest: float
@@ -41,22 +41,22 @@ class _Moved:
 
 
 class FleetOperator:
-    """Fulfils :class:`valvemap.pipeline.ports.Operator`: each answer comes from a worker.
+    """Implements :class:`valvemap.pipeline.ports.Operator`; a worker answers each command.
 
     Parameters
     ----------
     groups
-        The group of each valve, by name.
+        Group of each valve, by name.
     numbers
-        The number of each valve.
+        Number of each valve, by name.
     mirror
-        What is known of the valves.
+        Newest results of the valves.
     post
-        By which commands go out.
+        Sends the commands.
     answer_s
-        Longest wait for an answer.
+        Timeout of an answer.
     quiet
-        The alarms of each valve before any has come.
+        Initial alarms of each valve.
     """
 
     def __init__(
@@ -75,13 +75,13 @@ class FleetOperator:
         self.service_alarms = ServiceAlarms(SERVICE_RULES)
 
     def take(self, reply: Reply) -> None:
-        """An answer has come; to whom asked somebody else, perhaps."""
+        """Resolve the command that a reply answers; ignore replies to other servers."""
         asked = self._asked.get(reply.id)
         if asked is not None and not asked.done():
             asked.set_result(reply)
 
     async def reset(self, valve: str, estimator: str) -> None:
-        """Forget all samples."""
+        """Reset an estimator."""
         await self._ask(valve, "reset", estimator)
 
     async def freeze(self, valve: str, estimator: str) -> None:
@@ -89,69 +89,69 @@ class FleetOperator:
         await self._ask(valve, "freeze", estimator)
 
     async def resume(self, valve: str, estimator: str) -> None:
-        """Adapt again."""
+        """Resume adaptation."""
         await self._ask(valve, "resume", estimator)
 
     async def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
-        """Use another forgetting factor from the next sample on."""
+        """Change the forgetting factor from the next sample on."""
         await self._ask(valve, "set_forgetting_factor", estimator, lam)
 
     async def demand(self, valve: str, Q: float, dp: float) -> None:
-        """Set the standing demand; NaN takes it back."""
+        """Set the standing demand; NaN clears it."""
         await self._ask(valve, "demand", "", Q, dp)
 
     async def approve(self, valve: str) -> None:
-        """Keep what is known of a valve as its map when new."""
+        """Store the current map as the baseline, the map of the valve when new."""
         await self._ask(valve, "approve")
 
     async def roll_back(self, valve: str) -> None:
-        """Go back to the baseline."""
+        """Restore the baseline."""
         await self._ask(valve, "roll_back")
 
     async def replace_valve(self, valve: str) -> None:
-        """Another valve is there."""
+        """Note that the valve was replaced."""
         await self._ask(valve, "replace_valve")
 
     async def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
-        """Q (l/min), its standard deviation and the estimator's status."""
+        """Return Q (l/min), its standard deviation and the estimator's status."""
         Q, std, status = await self._ask(valve, "predict", estimator, U, dp, T)
         return Q, std, _status(status)
 
     async def predict_measurement(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, float, Status]:
-        """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
+        """Return Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
         answer = await self._ask(valve, "predict_measurement", estimator, U, dp, T)
         Q, lower, upper, status = answer
         return Q, lower, upper, _status(status)
 
     async def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
-        """U for a demanded flow at a pressure drop."""
+        """Return U for a demanded flow at a pressure drop."""
         U, lower, upper, status = await self._ask(valve, "invert", "", Q, dp, T)
         code = np.array([_code(status, InverseStatus)], np.uint8)
         return Inversion(np.array([U]), np.array([lower]), np.array([upper]), code)
 
     async def compare(self, valve: str, estimator: str) -> _Moved:
-        """By how much an estimator's map has moved away from the baseline."""
+        """Return the deviation of an estimator's map from the baseline."""
         mean, largest, U, dp, points = await self._ask(valve, "compare", estimator)
         return _Moved(mean, largest, U, dp, 0 if math.isnan(points) else int(points))
 
     def baseline(self, valve: int) -> Version | None:
-        """The baseline of a valve, by its number."""
+        """Return the baseline of a valve, by its number."""
         return self._mirror.baseline(valve)
 
     def arm(self, valve: str) -> None:
-        """Nothing of a fleet writes to valves."""
+        """Reject the command: a fleet does not write to valves."""
         raise CommandRejected(f"{valve}: {NO_FEED_FORWARD}")
 
     def disarm(self, valve: str) -> None:
-        """Nothing of a fleet writes to valves."""
+        """Reject the command: a fleet does not write to valves."""
         raise CommandRejected(f"{valve}: {NO_FEED_FORWARD}")
 
     def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Note that somebody has seen an alarm, of a valve or (None) of the service."""
+        """Acknowledge an alarm of a valve, or (None) of the service."""
         if valve is not None:
             return self._say("acknowledge", valve, alarm, remark)
         if not self.service_alarms.acknowledge(_of_service(alarm), remark):
@@ -159,7 +159,7 @@ class FleetOperator:
         return None
 
     def confirm(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Note that an alarm that was acknowledged was dealt with."""
+        """Confirm an acknowledged alarm."""
         if valve is not None:
             return self._say("confirm", valve, alarm, remark)
         if not self.service_alarms.confirm(_of_service(alarm), remark):
@@ -167,18 +167,18 @@ class FleetOperator:
         return None
 
     def remark(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Note what somebody said of an alarm."""
+        """Comment on an alarm."""
         if valve is not None:
             return self._say("remark", valve, alarm, remark)
         self.service_alarms.remark(_of_service(alarm), remark)
         return None
 
     def alarmed(self) -> Iterable[str]:
-        """The valves of which any alarm ever came."""
+        """Valves with at least one alarm so far."""
         return [name for name, number in self._numbers.items() if self._mirror.reports(number)]
 
     def alarms(self, valve: str | None) -> Sequence[AlarmReport]:
-        """How all alarms of a valve, or (None) of the service, stand."""
+        """Return the states of all alarms of a valve, or (None) of the service."""
         if valve is None:
             return self.service_alarms.reports()
         return self._mirror.reports(self._numbers[valve]) or self._quiet[valve]
@@ -194,7 +194,7 @@ class FleetOperator:
         *values: float,
         remark: Remark | None = None,
     ) -> Any:  # noqa: ANN401
-        """Send a command and wait for what became of it; return the answer's numbers."""
+        """Send a command and wait for the reply; return its values."""
         loop, answer = asyncio.get_running_loop(), asyncio.Future[Reply]()
         command = Command(
             uuid.uuid4().hex,
@@ -239,7 +239,7 @@ def _status(value: float) -> Status:
 
 
 def _code(value: float, allowed: type[IntEnum]) -> int:
-    """A code that a worker answered with; it may be of another version."""
+    """Decode a code from a worker, which may have another version."""
     if value not in [int(one) for one in allowed]:
         raise CommandRejected(_NO_ANSWER)
     return int(value)

@@ -1,4 +1,4 @@
-"""Results off their topic, and commands onto theirs: what `serve` asks of Kafka's clients."""
+"""Kafka clients of `serve`: a consumer of results, a producer of commands."""
 
 import time
 from collections.abc import Callable, Collection, Mapping
@@ -27,7 +27,7 @@ from valvemap.kafka.topics import (
     topic_name,
 )
 
-_AT_ONCE: Final = 200  # messages
+_AT_ONCE: Final = 200  # messages of one poll
 _WAIT_S: Final = 0.05
 _SAID_AGAIN_S: Final = 60.0
 
@@ -36,7 +36,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class Heard:
-    """What came: what is to be shown, what is older than what was shown first, and the rest."""
+    """Messages of one poll: new results, results older than the start, replies and samples."""
 
     results: list[ResultsBlock] = field(default_factory=list)
     earlier: list[ResultsBlock] = field(default_factory=list)
@@ -45,20 +45,20 @@ class Heard:
 
 
 class ResultsReader:
-    """Reads the results of some groups; its methods block, by one thread at a time.
+    """Consumes the results of the given groups; its methods block, and are not thread-safe.
 
     Parameters
     ----------
     config
         Broker and topics.
     name
-        Under which the brokers keep how far was read.
+        Name of the consumer group, for committed offsets.
     groups
-        Whose results.
+        Names of the groups.
     decoder
-        Reads them.
+        Decodes the messages.
     keeps_history
-        Whether all is to be heard that came since the last `commit`, and the samples, too.
+        Whether to resume at the last `commit` and to read the samples, too.
     """
 
     def __init__(
@@ -96,9 +96,9 @@ class ResultsReader:
         self._said = -_SAID_AGAIN_S
 
     def begin(self) -> Mapping[str, bytes]:
-        """Find where to go on; return the newest memory of each group.
+        """Assign the start offsets; return the newest checkpoint of each group.
 
-        Whatever is in a memory came before what `read` calls results.
+        A checkpoint is older than all messages that `read` returns as results.
 
         Raises
         ------
@@ -114,7 +114,7 @@ class ResultsReader:
         return kept
 
     def read(self) -> Heard:
-        """What has come; waits a moment for it.
+        """Poll with a short timeout.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class ResultsReader:
         return heard
 
     def commit(self) -> None:
-        """All that was read is safe."""
+        """Commit the offsets of all messages read."""
         places = [
             place
             for place in self._consumer.position(self._consumer.assignment())
@@ -145,7 +145,7 @@ class ResultsReader:
             self._consumer.commit(offsets=places, asynchronous=True)
 
     def close(self) -> None:
-        """Leave."""
+        """Close the consumer."""
         self._consumer.close()
         self._dead_letters.close()
 
@@ -154,7 +154,7 @@ class ResultsReader:
         return [TopicPartition(topic, p) for topic in self._topics for p in partitions]
 
     def _start(self, place: TopicPartition) -> TopicPartition:
-        """Where to go on: at the end, or, for the history, where we stopped."""
+        """Return the start offset: the end or, with history, the committed offset."""
         timeout_s = self._config.broker.timeout_s
         low, high = self._consumer.get_watermark_offsets(place, timeout=timeout_s)
         self._ends[place.topic, place.partition] = high
@@ -169,7 +169,7 @@ class ResultsReader:
         new = message.offset() >= self._ends[topic, message.partition()]
         if self._topics[topic] == SAMPLES:
             samples = self._decoder.samples(key, packed)
-            if not isinstance(samples, Rejected):  # else a worker makes a dead letter of it
+            if not isinstance(samples, Rejected):  # the worker sends the dead letter
                 heard.samples.append(samples)
             return
         match self._decoder.published(key, packed):
@@ -195,7 +195,7 @@ _PASSING: Final = {"_ALL_BROKERS_DOWN", "_TRANSPORT", "_TIMED_OUT", "_RESOLVE", 
 
 
 class CommandPost:
-    """Fulfils :class:`valvemap.kafka.operating.Post`."""
+    """Implements :class:`valvemap.kafka.operating.Post`."""
 
     def __init__(self, config: FleetConfig) -> None:
         self._topic = topic_name(config.topics, COMMANDS)
@@ -211,7 +211,7 @@ class CommandPost:
         )
 
     def send(self, command: Command, refused: Callable[[str], None]) -> None:
-        """Send it."""
+        """Send a command."""
 
         def delivered(error: KafkaError | None, _message: Any) -> None:  # noqa: ANN401
             if error is not None:
@@ -223,9 +223,9 @@ class CommandPost:
         self._producer.poll(0)
 
     def tend(self) -> None:
-        """Hear what became of what was sent; to be called now and then."""
+        """Process delivery reports; to be called regularly."""
         self._producer.poll(0)
 
     def close(self) -> None:
-        """Wait a little for what is on its way."""
+        """Flush the queue, for at most 1 s."""
         self._producer.flush(1.0)

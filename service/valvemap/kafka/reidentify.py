@@ -1,7 +1,7 @@
-"""``valvemap fleet reidentify``: months of recordings on many processes, valve by valve.
+"""``valvemap fleet reidentify``: months of recordings, distributed over processes by valve.
 
-Valves are independent of each other, so each is learnt by itself, as `replay` learns it, to the
-bit. What is done is noted beside the models: who is killed goes on with the rest.
+Valves are independent, so that the results equal those of `replay` bit by bit. Completed valves
+are recorded beside the models; after an interruption, only the remaining ones are processed.
 """
 
 import gc
@@ -21,13 +21,13 @@ from dask.distributed import Client, LocalCluster, as_completed
 from valvemap.config.models import Config
 from valvemap.errors import FleetError, RecordingError, StorageError, ValvemapError
 
-AT_ONCE: Final = 8  # valves of the same files in one task: a file is read once for all of them
-NOTES: Final = "done"  # folder of what was done, a file for each valve
+AT_ONCE: Final = 8  # valves with the same files in one task: a file is read once for all of them
+NOTES: Final = "done"  # folder of completion records, one file for each valve
 _JSON: Final = "models.json"
 
-# Arrays of a chunk are freed and made anew: memory that goes back to the system each time costs as
-# much as learning does, and Dask would have it so. Nor need anybody see what workers do, 100 times
-# a second.
+# Dask sets MALLOC_TRIM_THRESHOLD_: returning the arrays of each chunk to the system and allocating
+# them again takes as long as the estimation. Its profiler is not needed either, and would sample
+# each worker 100 times a second.
 _OF_WORKERS: Final = {
     "distributed.nanny.pre-spawn-environ": {
         "MALLOC_TRIM_THRESHOLD_": 1 << 28,
@@ -36,12 +36,12 @@ _OF_WORKERS: Final = {
     "distributed.worker.profile.enabled": False,
 }
 
-Progress = Callable[[int, int], None]  # valves that are done, of how many
+Progress = Callable[[int, int], None]  # completed valves, all valves
 
 
 @dataclass(frozen=True)
 class Task:
-    """Some valves, and the files that they are in, in the order of their times."""
+    """Valves, and the files that contain them, in order of time."""
 
     valves: tuple[str, ...]
     files: tuple[Path, ...]
@@ -53,7 +53,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How many valves came of it, how many were there already, and what went wrong."""
+    """Number of valves completed, number completed before, and errors."""
 
     valves: int
     known: int
@@ -70,7 +70,7 @@ def reidentify(
     insist: bool = False,
     progress: Progress = lambda _done, _of: None,
 ) -> Outcome:
-    """Learn all valves of some recordings anew, and save their maps in a folder.
+    """Identify all valves of the given recordings, and save their maps in a folder.
 
     The folder gets ``<Valve>.<Estimator>.json``, as ``replay --save`` writes them, and
     ``models.json``, as ``replay --json``.
@@ -78,26 +78,26 @@ def reidentify(
     Parameters
     ----------
     files
-        Recordings, in the order of their time.
+        Recordings, in order of time.
     target
         The folder.
     config
         As of `replay`.
     processes
-        How many learn side by side, where there is no ``scheduler``.
+        Number of worker processes, without a ``scheduler``.
     scheduler
-        Address of a Dask cluster, whose workers see the same files under the same names.
+        Address of a Dask cluster, whose workers have the same files at the same paths.
     insist
         As of `replay`.
     progress
-        Hears how many valves are done.
+        Called with the number of completed valves.
 
     Raises
     ------
     RecordingError, StorageError, ConfigurationError
-        if nothing can be begun; what is wrong with single valves is in the outcome.
+        if the run cannot start; errors of single valves are in the outcome.
     FleetError
-        if the cluster cannot be reached, or goes away.
+        if the cluster cannot be reached, or the connection is lost.
     """
     _make(target / NOTES)
     with _cluster(processes, scheduler) as client:
@@ -116,8 +116,8 @@ def reidentify(
 
 
 def learn(task: Task) -> list[str]:
-    """Learn some valves, save what came of each, and note that; return what went wrong."""
-    # The workers alone import what learns: who hands out tasks would be a second late with them.
+    """Identify valves, save their maps, and record their completion; return errors."""
+    # Imported by workers only: the import would delay the process that distributes tasks by 1 s.
     from valvemap.app.models import save_models  # noqa: PLC0415
     from valvemap.app.replay import as_json, replay  # noqa: PLC0415
 
@@ -148,7 +148,7 @@ def _one_by_one(task: Task) -> Iterator[Task]:
 def _tasks(
     where: Mapping[str, tuple[Path, ...]], target: Path, config: Config | None, *, insist: bool
 ) -> tuple[list[Task], int, dict[str, str]]:
-    """What is to be done, how many valves are done, and what each is to be learnt from."""
+    """Return the remaining tasks, the number of completed valves, and the input digest of each."""
     by_files: dict[tuple[Path, ...], list[str]] = {}
     for valve, own in where.items():
         by_files.setdefault(own, []).append(valve)
@@ -167,7 +167,7 @@ def _tasks(
 
 
 def _valves_in(file: Path, config: Config | None) -> list[str] | str:
-    """The valves in a file that are wanted; or why it cannot be read."""
+    """Return the configured valves in a file; or the reason why it cannot be read."""
     from valvemap.app.build import build_layout  # noqa: PLC0415 - as in `learn`
     from valvemap.storage.recordings import read_recording  # noqa: PLC0415
 
@@ -182,7 +182,7 @@ def _valves_in(file: Path, config: Config | None) -> list[str] | str:
 
 
 def _where(files: Sequence[Path], valves: Sequence[list[str] | str]) -> dict[str, tuple[Path, ...]]:
-    """The files that each valve is in."""
+    """Return the files that contain each valve."""
     found: dict[str, list[Path]] = {}
     for file, names in zip(files, valves, strict=True):
         if isinstance(names, str):
@@ -195,7 +195,7 @@ def _where(files: Sequence[Path], valves: Sequence[list[str] | str]) -> dict[str
 
 
 def _stamp(files: Sequence[Path], *, insist: bool) -> str:
-    """What would change what is learnt: the files, and who learns."""
+    """Fingerprint of everything that determines the result: files, version, options."""
     said = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
     return json.dumps([version("valvemap"), insist, said])
 
@@ -225,7 +225,7 @@ def _read_note(target: Path, valve: str) -> Mapping[str, Any]:
 
 
 def _write_all(target: Path, digests: Mapping[str, str]) -> None:
-    """The figures of all valves that are done, in one file."""
+    """Write the figures of all completed valves to one file."""
     notes = {valve: _read_note(target, valve) for valve in digests}
     figures = {
         valve: note["figures"] for valve, note in notes.items() if note.get("of") == digests[valve]
@@ -234,7 +234,7 @@ def _write_all(target: Path, digests: Mapping[str, str]) -> None:
 
 
 def _write(file: Path, content: object) -> None:
-    """Whole or not at all."""
+    """Write atomically."""
     part = file.with_name(f"{file.name}.part")
     try:
         text = json.dumps(content, indent=2, allow_nan=False) + "\n"
@@ -279,9 +279,9 @@ def _cluster(processes: int, scheduler: str | None) -> Iterator[Client]:
             ) as cluster,
             Client(cluster) as client,  # type: ignore[no-untyped-call]
         ):
-            client.run(gc.set_threshold, 50_000, 20, 20)  # what is imported is no garbage
+            client.run(gc.set_threshold, 50_000, 20, 20)  # imported modules are no garbage
             yield client
-            client.run(gc.freeze)  # nor need it be looked through at the end
+            client.run(gc.freeze)  # skip their collection at exit
     except OSError as error:
         where = scheduler or "127.0.0.1"
         raise FleetError(f"{where}: no Dask cluster: {_first_line(error)}") from None

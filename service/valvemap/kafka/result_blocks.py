@@ -1,6 +1,6 @@
-"""What is published of a group, as blocks: one row a valve; `docs/fleet.md` has the schema.
+"""Results of a group as blocks: one row a valve; `docs/fleet.md` defines the schema.
 
-Tables of the inverse and surveys are large and made in turns: a block holds those that are new.
+Tables of the inverse map and surveys are large and computed in turns: a block holds the new ones.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -57,21 +57,21 @@ _ALARMS: Final = pa.list_(
     )
 )
 _NO_TABLE: Final = np.empty((0, 0))
-_MOST_OF_TABLE: Final = 1_000  # rows or columns of the inverse's table: 21 by default
+_MOST_OF_TABLE: Final = 1_000  # rows or columns of the inverse map's table: 21 by default
 
 
 @dataclass(frozen=True)
 class ResultsBlock:
-    """Results of valves of one group that are treated alike, after a block of its samples.
+    """Results of valves of one group with equal configuration, after a block of samples.
 
     Attributes
     ----------
     group, number
-        Whose, and which block of samples was the last behind them.
+        Group, and number of the last block of samples processed.
     valves
         Names; ``results.valves`` are numbers in this list.
     results
-        ``inverse.map_U`` is (0, 0) and ``survey`` None where they are no newer than before.
+        ``inverse.map_U`` is (0, 0) and ``survey`` None unless they are new.
     """
 
     group: str
@@ -81,7 +81,7 @@ class ResultsBlock:
 
 
 class KnownVersion(NamedTuple):
-    """An approved map as results name it."""
+    """Identification of an approved map in results."""
 
     version: str
     t: int
@@ -89,7 +89,7 @@ class KnownVersion(NamedTuple):
 
 
 def write_results(block: ResultsBlock) -> bytes:
-    """Pack results."""
+    """Encode results."""
     found = block.results
     M, signals = len(found.valves), found.signals
     columns = {"valve": pa.array([block.valves[valve] for valve in found.valves], pa.string())}
@@ -120,12 +120,12 @@ def write_results(block: ResultsBlock) -> bytes:
 
 
 def read_results(message: bytes) -> ResultsBlock:
-    """Unpack results.
+    """Decode results.
 
     Raises
     ------
     BlockError
-        if it is no such block, damaged, or of another version.
+        if the message is not a block of results, is damaged, or has another version.
     """
     head, batch = read(message, _RESULTS)
     try:
@@ -186,7 +186,7 @@ def _signals(batch: pa.RecordBatch) -> SignalResults | None:
 
 
 def _reports(alarms: AlarmResults) -> pa.Array:
-    """Of valves at which any alarm ever came; of others there is nothing to say."""
+    """Alarms of the valves that have had any; null for the others."""
     rows = [
         [vars(report) for report in alarms.reports(m)] if version else None
         for m, version in enumerate(alarms.version.tolist())
@@ -205,7 +205,7 @@ def _alarms(batch: pa.RecordBatch) -> AlarmResults | None:
 
 
 class _Form(NamedTuple):
-    """How a field of M valves becomes a column, and back."""
+    """Conversion of a field of M valves to a column, and back."""
 
     column: Callable[[Any], pa.Array]
     values: Callable[[pa.RecordBatch, str], Any]
@@ -311,7 +311,7 @@ def _version(row: Mapping[str, Any] | None) -> KnownVersion | None:
 
 
 def _objects(batch: pa.RecordBatch, name: str, kind: pa.DataType) -> list[Any]:
-    """A column whose rows may be null."""
+    """Return a nullable column as a list."""
     where = batch.schema.get_all_field_indices(name)
     if len(where) != 1 or batch.column(where[0]).type != kind:
         raise BlockError(f"column {name}, of type {kind}, is needed once")

@@ -1,4 +1,4 @@
-"""Whether results can be those of a group's valves: names, shapes and codes."""
+"""Validation of results against the group's valves: names, shapes and codes."""
 
 from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum
@@ -21,12 +21,12 @@ from valvemap.vocabulary.statuses import (
     Status,
 )
 
-_SEVEREST: Final = 1_000  # of an alarm: OPC UA's
-_MOST_LINES: Final = 100  # reasons why nothing is learnt, or how signals come, of a valve
+_SEVEREST: Final = 1_000  # alarm severity, limit of OPC UA
+_MOST_LINES: Final = 100  # lines of a valve: reasons against adaptation, or timing of the signals
 
 
 def check_results(block: ResultsBlock, valves: Mapping[str, ValveDescription]) -> None:
-    """Make sure that a block can be shown.
+    """Check that a block can be published.
 
     Raises
     ------

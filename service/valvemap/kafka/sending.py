@@ -1,4 +1,4 @@
-"""From the spool to the broker, in a thread of its own: in order, until it is there, for ever."""
+"""Sends the spool to the broker in a separate thread: in order, until acknowledged."""
 
 import threading
 import time
@@ -17,34 +17,33 @@ from valvemap.kafka.topics import SAMPLES, check_partitions, topic_name
 from valvemap.runtime.backoff import backoff
 
 _POLL_S: Final = 0.02
-_UNDER_WAY: Final = 16_000_000  # bytes that may be on their way to the brokers: a second's or so
-_LOOK_S: Final = 60.0  # now and then it is looked whether the topic is still what it was
-_FAREWELL_S: Final = 5.0  # longest that an end waits for what is on its way
+_UNDER_WAY: Final = 16_000_000  # bytes in flight: about one second
+_LOOK_S: Final = 60.0  # s; interval of checks of the topic
+_FAREWELL_S: Final = 5.0  # s; timeout for messages in flight at the end
 SAID_AGAIN_S: Final = 60.0
 
 log = structlog.get_logger(__name__)
 
 
 class Sender(threading.Thread):
-    """Sends what is in a spool, and has it forgotten once the brokers have it.
+    """Sends blocks from a spool; deletes each once the brokers have acknowledged it.
 
-    Each block goes to the partition of its group, after those before it: the producer is
-    idempotent, its own tries never give up, and where it must be given up the oldest block that is
-    not acknowledged is sent first, again.
+    A block is sent to the partition of its group, in order. The producer is idempotent and retries
+    without limit. If it must be replaced, sending resumes at the oldest unacknowledged block.
 
     Parameters
     ----------
     config
         Broker and topics.
     spool
-        What there is to send.
+        Queue of blocks.
     on_hopeless
-        Called, once, if the topic that was found first is not as configured.
+        Called once if the topic does not match the configuration at the start.
 
     Attributes
     ----------
     hopeless : FleetError or None
-        Why nothing will ever be sent.
+        Permanent error that stopped the thread.
     """
 
     def __init__(self, config: FleetConfig, spool: Spool, on_hopeless: Callable[[], Any]) -> None:
@@ -54,16 +53,16 @@ class Sender(threading.Thread):
         self._topic = topic_name(config.topics, SAMPLES)
         self._on_hopeless = on_hopeless
         self.hopeless: FleetError | None = None
-        self._found = False  # the topic, as it should be
+        self._found = False  # whether the topic has passed the check
         self._ended = threading.Event()
         self._sent: list[int] = []
-        self._under_way: dict[int, int] = {}  # bytes by block
+        self._under_way: dict[int, int] = {}  # bytes by block id
         self._refused: KafkaError | None = None
         self._away = False
         self._said = -SAID_AGAIN_S
 
     def run(self) -> None:
-        """Send until `stop`."""
+        """Send until `stop` is called."""
         pauses = backoff()
         while not self._ended.is_set():
             try:
@@ -80,13 +79,13 @@ class Sender(threading.Thread):
                 self._ended.wait(next(pauses))
 
     def stop(self) -> None:
-        """Wait a while for what is on its way; the rest stays on disk."""
+        """Wait up to 10 s for messages in flight; the rest stays on disk."""
         self._ended.set()
         if self.is_alive():
             self.join(2.0 * _FAREWELL_S)
 
     def _send(self) -> None:
-        """Send with one producer, until it fails."""
+        """Send with one producer until it fails."""
         check_partitions(self._config, SAMPLES)
         self._found = True
         producer = self._producer()
@@ -121,11 +120,11 @@ class Sender(threading.Thread):
         largest = round(self._config.topics.message_mb * 1e6)
         said: dict[str, Any] = {
             **client_settings(self._config.broker),
-            "enable.idempotence": True,  # in order, and once
-            "partitioner": "murmur2_random",  # as all of Kafka's own clients deal keys out
-            "compression.type": "none",  # blocks are packed
+            "enable.idempotence": True,  # in order, exactly once
+            "partitioner": "murmur2_random",  # default of the Java client
+            "compression.type": "none",  # blocks are compressed
             "message.max.bytes": largest,
-            "message.timeout.ms": 0,  # never given up
+            "message.timeout.ms": 0,  # retry without limit
             "linger.ms": 5,
             "error_cb": self._noted,
         }
@@ -159,7 +158,7 @@ class Sender(threading.Thread):
         self._say("broker cannot be reached, samples are kept on disk", addresses=addresses)
 
     def _say(self, what: str, **more: str) -> None:
-        """Say it, once in a while."""
+        """Log a warning, at most once in an interval."""
         if time.monotonic() - self._said >= SAID_AGAIN_S:
             self._said = time.monotonic()
             waiting = f"{self._spool.bytes / 1e6:.1f} MB"

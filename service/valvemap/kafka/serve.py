@@ -1,4 +1,4 @@
-"""``valvemap fleet serve``: one site's results, for any OPC UA client, from their topic."""
+"""``valvemap fleet serve``: an OPC UA server with one site's results, read from their topic."""
 
 import asyncio
 from collections.abc import Iterator, Sequence
@@ -37,8 +37,8 @@ from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S
 from valvemap.runtime.past import PastKeeper
 from valvemap.vocabulary.statuses import Quality
 
-_VALVES_AT_ONCE: Final = 32  # published before others have their turn
-_COMMIT_EVERY_S: Final = 5.0  # how far was read, once the history has it
+_VALVES_AT_ONCE: Final = 32  # valves published before yielding to other tasks
+_COMMIT_EVERY_S: Final = 5.0  # s; interval of offset commits, after a flush of the history
 
 log = structlog.get_logger(__name__)
 
@@ -49,9 +49,9 @@ async def serve(
     stop: asyncio.Event,
     server_settings: ServerSettings | None = None,
 ) -> None:
-    """Show the results of a site until ``stop`` is set; without a name, of the only one.
+    """Publish the results of a site until ``stop`` is set; without a name, of the only site.
 
-    ``server_settings`` are in place of what the site's configuration says.
+    ``server_settings`` override the site's configuration.
 
     Raises
     ------
@@ -100,7 +100,7 @@ async def serve(
 
 
 async def _begun(reader: ResultsReader, stop: asyncio.Event) -> dict[str, bytes] | None:
-    """The newest memories, once there is a broker; None: ``stop`` came first."""
+    """Return the newest checkpoints, once the broker is reachable; None if ``stop`` is set."""
     for pause in backoff():
         try:
             return dict(await asyncio.to_thread(reader.begin))
@@ -116,7 +116,7 @@ async def _begun(reader: ResultsReader, stop: asyncio.Event) -> dict[str, bytes]
 
 
 def _everything(groups: dict[str, Group], kept: dict[str, bytes]) -> list[ResultsBlock]:
-    """What follows from the memories of all groups; they are let go of."""
+    """Restore all checkpoints and return their results; clears ``groups``."""
     blocks: list[ResultsBlock] = []
     for name, group in groups.items():
         if name not in kept:
@@ -132,17 +132,17 @@ def _everything(groups: dict[str, Group], kept: dict[str, bytes]) -> list[Result
 
 
 class Reader(Protocol):
-    """What `ResultsReader` offers to who goes on with it."""
+    """The methods of `ResultsReader` that `Show` uses."""
 
     def read(self) -> Heard:
-        """What has come; waits a moment for it."""
+        """Poll with a short timeout."""
 
     def commit(self) -> None:
-        """All that was read is safe."""
+        """Commit the offsets of all messages read."""
 
 
 class Show:
-    """What is between the results' topic and the results server."""
+    """Publishes the results of the topic on the results server."""
 
     def __init__(
         self,
@@ -174,26 +174,26 @@ class Show:
         )
         self._past = None if past is None else PastKeeper(past, names)
         self.certificate_until_ns = 0
-        self.failed = 0  # messages that passed all checks, and could not be shown
+        self.failed = 0  # valid messages that raised an unexpected exception
         self._tracebacks = Tracebacks()
         now = self._clock.monotonic()
         self._heard_at = np.full(len(names), now)
-        self._standing = np.full(len(names), int(Quality.BAD))  # nothing is known of the present
+        self._standing = np.full(len(names), int(Quality.BAD))  # until the first current results
         self._health_due = self._commit_due = now
 
     def keep(self, change: AlarmChange) -> None:
-        """Have the history keep a change of an alarm."""
+        """Store an alarm change in the history."""
         if self._past is not None:
             self._past.note_alarm(change)
 
     async def first(self, server: ResultsServer, blocks: Sequence[ResultsBlock]) -> None:
-        """Show what was known before: nothing is known of the present yet."""
+        """Publish the checkpoints' results with quality Bad: the present state is unknown."""
         for block in blocks:
             self.mirror.take(block)
         await self._again(server, range(len(self._numbers)), Quality.BAD)
 
     async def run(self, server: ResultsServer, reader: Reader, stop: asyncio.Event) -> None:
-        """Show what comes until ``stop`` is set."""
+        """Publish results until ``stop`` is set."""
         try:
             while not stop.is_set():
                 await self._take(server, await asyncio.to_thread(reader.read))
@@ -229,7 +229,7 @@ class Show:
         found = self.mirror.take(block)
         if not len(found.valves):
             return
-        # Not "later than": results of a wrong time shall not make those that follow old.
+        # Not "later than": after results with a wrong time, the next ones must count as new.
         newer = found.valves[self.mirror.newest[found.valves] != before[found.valves]]
         self._heard_at[newer], self._standing[newer] = now, int(Quality.GOOD)
         for results in self._as_they_stand(found.valves):
@@ -239,7 +239,7 @@ class Show:
 
     @contextmanager
     def _bulkhead(self, group: str) -> Iterator[None]:
-        """One message ends no server."""
+        """Log unexpected exceptions: one message must not stop the server."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 - bulkhead
@@ -256,7 +256,7 @@ class Show:
             yield from self.mirror.again(some, quality)
 
     async def _doubt(self, server: ResultsServer) -> None:
-        """Call old what nothing newer came of."""
+        """Lower the quality of valves without newer results."""
         silent = self._clock.monotonic() - self._heard_at
         now_at = np.where(silent > 2.0 * self._stale_s, int(Quality.BAD), int(Quality.GOOD))
         now_at[(silent > self._stale_s) & (silent <= 2.0 * self._stale_s)] = int(Quality.UNCERTAIN)
@@ -304,7 +304,7 @@ class Show:
         )
 
     def _own(self, block: SamplesBlock) -> ByValve:
-        """The samples, under the site's numbers of the valves."""
+        """Return the samples with the site's valve numbers."""
         members = block.samples.segments.members
         own = [self._numbers.get(block.valves[member], -1) for member in members]
         return renumbered(block.samples, np.array(own, np.int64))

@@ -1,4 +1,4 @@
-"""The configuration of a fleet, ``config/fleet.toml``; `docs/fleet.md` lists its fields."""
+"""Configuration of a fleet, ``config/fleet.toml``; `docs/fleet.md` lists its fields."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -143,7 +143,7 @@ class FleetConfig(SettingsFile):
 
 
 def load_fleet(file: Path) -> FleetConfig:
-    """Read a fleet's configuration; paths in it are seen from its folder.
+    """Read a fleet's configuration; relative paths are resolved against its folder.
 
     Raises
     ------

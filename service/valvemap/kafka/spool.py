@@ -1,7 +1,7 @@
-"""What was collected and is not with the broker yet, on disk, with how far the source was read.
+"""Persistent queue of blocks not acknowledged by the broker yet, with the source position.
 
-Both are written in one transaction. So whatever is killed, each sample is in one block, and each
-block is sent; one that is sent twice is known by its number.
+Blocks and position are written in one transaction. After a crash, each sample is in exactly one
+block, and each block is sent at least once; consumers detect duplicates by the block number.
 """
 
 import sqlite3
@@ -31,12 +31,12 @@ _SCHEMA: Final = (
     f"PRAGMA application_id = {APPLICATION_ID}",
     f"PRAGMA user_version = {SCHEMA_VERSION}",
 )
-_AT_ONCE: Final = 100  # blocks that are read in one go
+_AT_ONCE: Final = 100  # blocks of one read
 
 
 @dataclass(frozen=True)
 class Packed:
-    """A block of a group as it travels, its number, and how many samples are in it."""
+    """An encoded block of a group, its number, and its number of samples."""
 
     group: str
     number: int
@@ -45,7 +45,7 @@ class Packed:
 
 
 class Waiting(NamedTuple):
-    """A block that waits to be sent."""
+    """A block in the queue."""
 
     id: int
     group: str
@@ -53,21 +53,21 @@ class Waiting(NamedTuple):
 
 
 class GivenUp(NamedTuple):
-    """What a save had to drop for want of room."""
+    """Blocks and samples dropped by a save."""
 
     blocks: int = 0
     samples: int = 0
 
 
 class Spool(Closing):
-    """Blocks in the order in which they were made; may be used from any thread.
+    """Blocks in order of creation; thread-safe.
 
     Parameters
     ----------
     path
-        The file; it and its folder are made if missing. One process at a time may have it.
+        The file; it and its folder are created if missing. Only one process can open it.
     most_bytes
-        So much may wait. The oldest go first, but for those that are being sent.
+        Capacity. On overflow, the oldest blocks are dropped, except those in flight.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class Spool(Closing):
         self.path = path
         self._most = most_bytes
         self._lock = Lock()
-        self._taken = 0  # the last block that is being sent
+        self._taken = 0  # id of the last block in flight
         with naming(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._connection = _open(path)
@@ -97,14 +97,14 @@ class Spool(Closing):
             self.blocks, self.bytes = found.fetchone()
 
     def save(self, blocks: Sequence[Packed], kept: Mapping[str, bytes]) -> GivenUp:
-        """Add blocks, with what is kept beside them: all or none; they are on the disk then.
+        """Add blocks and the source state in one durable transaction.
 
-        Returns what had to be dropped for it.
+        Returns the blocks dropped on overflow.
         """
         with self._lock, naming(self.path):
             before = self.blocks, self.bytes
             try:
-                self._connection.execute("PRAGMA synchronous = FULL")  # what is sent must be known
+                self._connection.execute("PRAGMA synchronous = FULL")  # durable before it is sent
                 with transaction(self._connection):
                     self._insert(blocks)
                     self._connection.executemany(
@@ -117,12 +117,12 @@ class Spool(Closing):
             return given_up
 
     def kept(self) -> dict[str, bytes]:
-        """What was kept beside the blocks when they were last saved."""
+        """Return the source state of the last save."""
         with self._lock, naming(self.path):
             return dict(self._connection.execute("SELECT name, data FROM kept").fetchall())
 
     def take(self, most_bytes: int) -> list[Waiting]:
-        """The next blocks to be sent, about so many bytes of them."""
+        """Take the next blocks to send, about ``most_bytes`` in total."""
         found, left = [], most_bytes
         with self._lock, naming(self.path):
             rows = self._connection.execute(
@@ -140,12 +140,12 @@ class Spool(Closing):
         return found
 
     def take_again(self) -> None:
-        """Begin with the oldest block that is still there."""
+        """Restart at the oldest block in the queue."""
         with self._lock:
             self._taken = 0
 
     def note_sent(self, ids: Sequence[int]) -> None:
-        """Forget blocks that the brokers have; the disk is not waited for."""
+        """Delete acknowledged blocks, without waiting for the disk."""
         with self._lock, naming(self.path):
             self._connection.execute("PRAGMA synchronous = NORMAL")
             with transaction(self._connection):
@@ -156,7 +156,7 @@ class Spool(Closing):
                         self.blocks, self.bytes = self.blocks - 1, self.bytes - size
 
     def close(self) -> None:
-        """Close the file; safe to call twice."""
+        """Close the file; idempotent."""
         with self._lock, naming(self.path):
             self._connection.close()
 
@@ -189,10 +189,10 @@ class Spool(Closing):
 def _open(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
     try:
-        connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # a second collector would send twice
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # no second collector
         connection.execute("PRAGMA journal_mode = WAL")
         new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION)
-        with transaction(connection):  # which locks the file
+        with transaction(connection):  # locks the file
             for statement in _SCHEMA if new else ():
                 connection.execute(statement)
     except BaseException:

@@ -1,4 +1,4 @@
-"""The state topic: what workers keep of each group, as anybody may read it."""
+"""The state topic: checkpoints of each group, readable by any consumer."""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.topics import STATE, topic_name
 
 _POLL_S: Final = 1.0
-_SEPARATOR: Final = b"|"  # Quix Streams', between a message's key and the state's
-_PREFIX_BYTES: Final = 16  # before a value, at most: Quix Streams' stamp of its expiry
+_SEPARATOR: Final = b"|"  # Quix Streams' separator between message key and state key
+_PREFIX_BYTES: Final = 16  # bytes; Quix Streams' expiry timestamp before a value
 
 
 @dataclass(frozen=True)
 class Kept:
-    """A memory of a group in the state topic, and where it lies."""
+    """A group's checkpoint in the state topic, and its offset."""
 
     partition: int
     packed: bytes
@@ -28,7 +28,7 @@ class Kept:
 def memories(
     reader: Consumer, config: FleetConfig, groups: Collection[str]
 ) -> Iterator[tuple[str, Kept]]:
-    """Read the whole topic, which holds little but the newest memory of each group: the last wins.
+    """Read the whole topic, which is compacted: the last checkpoint of a group is the current one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a fleet stands, group by group: who learns it, how far behind, what came of its blocks."""
+"""Status of a fleet by group: its worker, lag and block counters."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -26,17 +26,17 @@ class GroupStatus:
     name
         Its name.
     partition
-        Where its messages are; None before the first block was learnt from.
+        Partition of its messages; None before the first block was processed.
     owner
-        The worker that learns it, ``client@host``; empty: nobody.
+        The assigned worker, ``client@host``; empty without one.
     lag
-        Messages of its partition, other groups' included, that wait.
+        Unprocessed messages of its partition, including those of other groups.
     memory
-        What is kept of it.
+        Its checkpoint.
     size
-        Bytes of that.
+        Size of the checkpoint, bytes.
     fault
-        Why it cannot be read, if it cannot.
+        Reason why the checkpoint cannot be decoded, if so.
     """
 
     name: str
@@ -49,14 +49,14 @@ class GroupStatus:
 
     @property
     def newest(self) -> int:
-        """Source time of its newest sample, UTC ns; 0: there is none."""
+        """Source time of its newest sample, UTC ns; 0 without one."""
         columns = () if self.memory is None else self.memory.columns
         signals = (one.arrays["newest_t"] for one in columns if "newest_t" in one.arrays)
         return int(max((t.max(initial=0) for t in signals), default=np.int64(0)))
 
 
 def status(config: FleetConfig) -> list[GroupStatus]:
-    """Look at all groups of the catalogue.
+    """Return the status of all groups of the catalogue.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def status(config: FleetConfig) -> list[GroupStatus]:
 
 
 def lines(found: list[GroupStatus], now: int) -> Iterator[str]:
-    r"""The same as a table; ``now`` is UTC ns.
+    r"""Format as a table; ``now`` is UTC ns.
 
     >>> print(*lines([GroupStatus("north.0", None)], 0), sep="\n")
     group    partition  lag  block  age s  kB  owner
@@ -105,7 +105,7 @@ def lines(found: list[GroupStatus], now: int) -> Iterator[str]:
             yield f"group {one.name}: {one.fault}"
 
 
-_ODD = COUNTS  # columns that are left out where there is nothing to say
+_ODD = COUNTS  # columns omitted while all zero
 
 
 def _row(one: GroupStatus, now: int) -> tuple[str, ...]:

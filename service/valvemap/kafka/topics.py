@@ -1,4 +1,4 @@
-"""The fleet's topics: made where they are missing, checked where they are there."""
+"""The fleet's topics: created if missing, else checked."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -17,15 +17,15 @@ COMMANDS: Final = "commands"
 RESULTS: Final = "results"
 REJECTED: Final = "rejected"  # dead letters
 STATE: Final = "state"  # Quix Streams' changelog
-WORKERS: Final = "work"  # the workers' consumer group, named after the prefix, too
+WORKERS: Final = "work"  # the workers' consumer group, after the prefix
 _MS_PER_H: Final = 3_600_000
 _LOOK_AGAIN_S: Final = 0.1
-_SMALLEST_SEGMENT: Final = 16_000_000  # bytes: what is compacted is so in pieces of that size
+_SMALLEST_SEGMENT: Final = 16_000_000  # bytes; unit of compaction
 
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic as it should be; ``settings`` are Kafka's own."""
+    """Expected properties of one topic; ``settings`` are Kafka's own."""
 
     name: str
     partitions: int
@@ -43,7 +43,7 @@ def topic_name(topics: TopicsConfig, kind: str) -> str:
 
 
 def wanted(topics: TopicsConfig) -> list[Topic]:
-    """All topics; those that meet in a worker have equal numbers of partitions."""
+    """Return all topics; those a worker consumes together have equal numbers of partitions."""
     largest = str(round(topics.message_mb * 1e6))
     kept = {
         SAMPLES: {"cleanup.policy": "delete", "retention.ms": _ms(topics.samples_h)},
@@ -68,7 +68,7 @@ def wanted(topics: TopicsConfig) -> list[Topic]:
 
 
 def create_or_check(config: FleetConfig) -> Iterator[str]:
-    """Make what is missing and compare what is there; a line for each topic.
+    """Create missing topics and check existing ones; yield a line for each.
 
     Raises
     ------
@@ -98,12 +98,12 @@ def create_or_check(config: FleetConfig) -> Iterator[str]:
 
 
 def check_partitions(config: FleetConfig, *kinds: str) -> None:
-    """Make sure that topics are there and have the partitions that keys were dealt out to.
+    """Check that topics exist and have the configured number of partitions.
 
     Raises
     ------
     FleetError
-        a line for each that has not.
+        with a line for each that does not.
     """
     broker = config.broker
     with speaking_to(broker):
@@ -120,7 +120,7 @@ def check_partitions(config: FleetConfig, *kinds: str) -> None:
 
 
 def contradictions(topic: Topic, found: Topic) -> list[str]:
-    """What of a topic is not as it should be, each in one line.
+    """Return the differences between a topic and its configuration, a line for each.
 
     >>> one = Topic("t", 12, 3, {"retention.ms": "100"})
     >>> contradictions(one, Topic("t", 12, 1, {"retention.ms": "50"}))
@@ -158,7 +158,7 @@ def _admin(broker: BrokerConfig) -> AdminClient:
 
 
 def _create(admin: AdminClient, topic: Topic, broker: BrokerConfig) -> bool:
-    """Make a topic; False if somebody has made it meanwhile."""
+    """Create a topic; return False if another client has created it first."""
     new = NewTopic(
         topic.name,
         num_partitions=topic.partitions,
@@ -176,7 +176,7 @@ def _create(admin: AdminClient, topic: Topic, broker: BrokerConfig) -> bool:
 
 
 def _all_there(admin: AdminClient, topics: list[Topic], broker: BrokerConfig) -> dict[str, Any]:
-    """All topics, once the brokers know of those that were made."""
+    """Return all topics, once the brokers list those just created."""
     end = time.monotonic() + broker.timeout_s
     while True:
         with speaking_to(broker):

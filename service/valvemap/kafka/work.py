@@ -31,7 +31,7 @@ from valvemap.kafka.topics import (
 from valvemap.kafka.worker import Worker
 from valvemap.runtime.backoff import backoff
 
-with warnings.catch_warnings(record=True):  # of what Quix brings along, which insists on them
+with warnings.catch_warnings(record=True):  # Quix Streams' dependencies warn on import
     from quixstreams import Application, message_context
     from quixstreams.exceptions import QuixException
     from quixstreams.kafka import ConnectionConfig
@@ -44,10 +44,10 @@ with warnings.catch_warnings(record=True):  # of what Quix brings along, which i
     from quixstreams.sinks import BaseSink
     from quixstreams.state.exceptions import StateError, StateRecoveryOffsetOutOfRange
 
-_BUFFERED: Final = 100  # messages of a partition: what is waited with to keep their order
-_POLL_S: Final = 0.01  # what has come is taken then, be it less than _BUFFERED
-_FETCH_WAIT_MS: Final = 50  # all else that is asked of the broker waits so long behind a fetch
-_HEARTBEATS: Final = 4  # in the time after which a worker counts as lost
+_BUFFERED: Final = 100  # messages of a partition, buffered to merge topics by time
+_POLL_S: Final = 0.01  # s; longest wait for a full buffer
+_FETCH_WAIT_MS: Final = 50  # ms; a long fetch delays other requests to the broker
+_HEARTBEATS: Final = 4  # heartbeats in the session timeout
 _ANOTHER_TRY_HELPS_NOT: Final = (
     TopicConfigurationMismatch,
     TopicNotFoundError,
@@ -60,12 +60,12 @@ log = structlog.get_logger(__name__)
 
 
 def work(config: FleetConfig) -> None:
-    """Learn until SIGINT or SIGTERM; where the broker goes away, wait and go on.
+    """Process messages until SIGINT or SIGTERM; retry if the broker is lost.
 
     Raises
     ------
     ConfigurationError, FleetError
-        if another try would not help: topics, catalogue, state.
+        if a retry cannot succeed: topics, catalogue, state.
     """
     catalogue = load_catalogue(config.catalogue)
     check_partitions(config, SAMPLES, COMMANDS, RESULTS, REJECTED, STATE)
@@ -90,7 +90,7 @@ def work(config: FleetConfig) -> None:
             return
 
 
-_LONG_ENOUGH_S: Final = 60.0  # a run that lasted so long was a good one
+_LONG_ENOUGH_S: Final = 60.0  # s; a run of this length resets the retry pause
 
 
 def _run(config: FleetConfig, catalogue: Catalogue) -> None:
@@ -115,22 +115,22 @@ def _run(config: FleetConfig, catalogue: Catalogue) -> None:
 
 
 class _Keeper(BaseSink):
-    """Has what is remembered written before each commit, in its transaction."""
+    """Writes the checkpoints before each commit, in its transaction."""
 
     def __init__(self, worker: Worker) -> None:
         super().__init__()
         self._worker = worker
 
     def add(self, *_row: Any, **_place: Any) -> None:  # noqa: ANN401
-        """Results go to their topic."""
+        """Do nothing: results are sent to their topic."""
 
     def flush(self) -> None:
-        """Called by the engine before it commits."""
+        """Write the checkpoints; called by the engine before it commits."""
         self._worker.keep()
 
 
 class _AwayInOneLine(logging.Handler):
-    """Of all that Kafka's clients say, that no broker can be reached, now and then."""
+    """Reduces the log of Kafka's clients to one message: no broker can be reached."""
 
     def __init__(self, addresses: str) -> None:
         super().__init__()
@@ -138,7 +138,7 @@ class _AwayInOneLine(logging.Handler):
         self._due = 0.0
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Say it, once in a while."""
+        """Log the message, at most once a minute."""
         now = time.monotonic()
         if _ALL_DOWN in record.getMessage() and now >= self._due:
             self._due = now + _AGAIN_S
@@ -150,7 +150,7 @@ _AGAIN_S: Final = 60.0
 
 
 def _say_little(config: FleetConfig) -> None:
-    """Raised errors tell what ended a run; librdkafka's own lines would be a dozen for each."""
+    """Silence librdkafka's log: exceptions carry the reasons."""
     quix = logging.getLogger("quixstreams")
     quix.handlers = [_AwayInOneLine(",".join(config.broker.addresses))]
     quix.setLevel(logging.ERROR)
@@ -201,7 +201,7 @@ def _payload_of(letter: DeadLetter) -> bytes:
 
 
 class _OwnNames(TopicManager):
-    """Quix Streams' topics; the changelog is called as the configuration says."""
+    """Quix Streams' topics, with the configured name of the changelog."""
 
     def __init__(self, changelog: str, **more: Any) -> None:  # noqa: ANN401
         super().__init__(**more)
@@ -251,13 +251,13 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
             "receive.message.max.bytes": 8 * largest,
         },
         producer_extra_config={
-            "transactional.id": f"{group}.{uuid.uuid4()}",  # by its beginning it is allowed
-            "compression.type": "none",  # results are packed; of memories it saves no half
+            "transactional.id": f"{group}.{uuid.uuid4()}",  # ACLs allow the prefix
+            "compression.type": "none",  # results are compressed; checkpoints hardly shrink
             "message.max.bytes": largest,
-            # It begins with what is sent first after a commit: a broker must not end it before.
+            # It begins with the first message after a commit and must outlast the commit interval.
             "transaction.timeout.ms": commit_ms + takeover_ms,
-            # A commit sends what waits, and nobody sees it before. Sent in dribs and drabs to a
-            # broker that answers slowly, librdkafka would wait in a loop that takes half a core.
+            # Messages are sent at the commit, and invisible before it. With a short linger and a
+            # slow broker, librdkafka would busy-wait and take half a core.
             "linger.ms": min(commit_ms, takeover_ms // 2),
         },
     )

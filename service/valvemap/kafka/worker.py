@@ -1,9 +1,9 @@
-"""What a worker does with each message: pure but for the store that its engine hands in.
+"""Processes messages of a worker: pure, except for the store passed in by the engine.
 
-The engine (Quix Streams) commits what is stored, what comes out and how far was read together, or
-none of it. So what is stored may be older than what this process knows of a group, after a
-transaction that failed or a rebalancing: a mark, new with every message, tells. The memory itself
-is packed once for each commit: `Worker.keep`, which the engine calls before it commits.
+The engine (Quix Streams) commits the store, the output and the offsets in one transaction. After
+a failed transaction or a rebalancing, the store may therefore be older than the group in memory.
+A mark, renewed with every message, detects that. The checkpoint itself is encoded once for each
+commit by `Worker.keep`, which the engine calls before it commits.
 """
 
 import os
@@ -32,20 +32,20 @@ log = structlog.get_logger(__name__)
 
 
 class Store(Protocol):
-    """What is kept of one group, within the engine's transaction."""
+    """State store of one group, within the engine's transaction."""
 
     def get_bytes(self, key: str) -> bytes | None:
-        """What is kept under a key, if anything."""
+        """Return the value of a key, None if missing."""
 
     def set_bytes(self, key: str, value: bytes) -> None:
-        """Keep it from now on."""
+        """Store a value."""
 
 
 T = TypeVar("T")
 
 
 class _Step(NamedTuple):
-    """One message's effect on its group, and the bytes that it takes to hold it."""
+    """One message's effect on its group, and its size in memory, bytes."""
 
     take: Callable[[Group], Iterator[ResultsBlock | Reply]]
     size: int = 0
@@ -53,7 +53,7 @@ class _Step(NamedTuple):
 
 @dataclass
 class _Held:
-    """A group, and its steps since its memory was stored."""
+    """A group, and the steps since its last checkpoint."""
 
     group: Group
     mark: bytes = b""
@@ -61,18 +61,18 @@ class _Held:
 
 
 class Worker:
-    """Takes messages of any groups; `samples` and `command` return what goes to the results.
+    """Processes messages of any group; `samples` and `command` return messages to publish.
 
-    Nothing may be committed before `keep`. Messages that nothing can be done with are in
-    `rejected` after each call, and belong into the same transaction. One whose processing raises
-    is rejected, too: its group is as it was before, from its memory and the messages since.
+    `keep` must be called before each commit. `rejected` returns the dead letters since its last
+    call, which belong into the same transaction. A message whose processing raises is rejected,
+    too, and its group is restored from its checkpoint and the steps since.
 
     Parameters
     ----------
     catalogue
         All groups.
     rhythm
-        When results are due.
+        Publishing intervals.
     topics
         Largest message.
     """
@@ -94,12 +94,12 @@ class Worker:
     def samples(
         self, key: bytes | None, message: bytes, store: Store, sent: int | None = None
     ) -> list[bytes]:
-        """Learn from a block of samples; ``sent`` is its time in Kafka, UTC ns, if it is known.
+        """Process a block of samples; ``sent`` is its Kafka timestamp, UTC ns, if known.
 
         Raises
         ------
         FleetError
-            if the group's memory cannot be used: nothing is changed then.
+            if the group's checkpoint is invalid; nothing is changed.
         """
 
         def learn(block: SamplesBlock) -> _Step:
@@ -108,7 +108,7 @@ class Worker:
         return self._do(key, message, store, self._decoder.samples, learn)
 
     def command(self, key: bytes | None, message: bytes, store: Store) -> list[bytes]:
-        """Do what an operator asks for.
+        """Execute a command of an operator.
 
         Raises
         ------
@@ -127,10 +127,10 @@ class Worker:
         return found
 
     def keep(self) -> None:
-        """Write what is remembered of the groups that had messages since."""
+        """Write the checkpoints of the groups that had messages since the last call."""
         for name, store in self._unkept.items():
             held = self._held[name]
-            if store.get_bytes(MARK) == held.mark:  # else it was rolled back since
+            if store.get_bytes(MARK) == held.mark:  # else it was rolled back
                 store.set_bytes(MEMORY, held.group.to_bytes())
                 held.steps = []
         self._unkept.clear()
@@ -167,7 +167,7 @@ class Worker:
         return out
 
     def _step(self, name: str, store: Store, held: _Held, step: _Step) -> tuple[str, list[bytes]]:
-        """Take one step; return the reason, if the message was rejected, and the results."""
+        """Apply one step; return the reason, if the message was rejected, and the results."""
         before, out = held.group.counts[AHEAD], list[bytes]()
         held.steps.append(step)
         try:
@@ -185,7 +185,7 @@ class Worker:
         return (f"{ahead} samples are dated far off the group's clock" if ahead else ""), out
 
     def _before(self, name: str, store: Store, steps: list[_Step]) -> Group:
-        """Rebuild a group, to the bit: from its memory, and its steps since."""
+        """Rebuild a group bit-identically from its checkpoint and the steps since."""
         group = self._kept(name, store)
         for step in steps:
             try:
@@ -196,7 +196,7 @@ class Worker:
         return group
 
     def _hold(self, name: str, store: Store) -> _Held:
-        """The group as it is kept: as we know it, if we were the last to keep it."""
+        """Return the group in memory if the store has its mark, else restore its checkpoint."""
         held, mark = self._held.get(name), store.get_bytes(MARK)
         if held is not None and mark == held.mark:
             return held
@@ -227,7 +227,7 @@ class Worker:
         self._log.note(key, why)
 
 
-_MOST_STEPS: Final = 1_000  # of a group between two commits, that are held to be taken again
+_MOST_STEPS: Final = 1_000  # steps of a group kept between two commits
 
 
 def _refuse(group: Group) -> Iterator[ResultsBlock | Reply]:
@@ -239,7 +239,7 @@ _REFUSED: Final = _Step(_refuse)
 
 
 def _packed(group: Group, one: ResultsBlock | Reply) -> list[bytes]:
-    """A message, or one for each valve where the results of one of them cannot be packed."""
+    """Encode a message; if that fails, encode the results of each valve separately."""
     if isinstance(one, Reply):
         return [write_message(one)]
     try:

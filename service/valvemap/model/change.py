@@ -1,4 +1,4 @@
-"""A change of the plant, as an estimator found it."""
+"""Abrupt changes of the plant, as detected by an estimator."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -13,7 +13,7 @@ class Change:
     Attributes
     ----------
     count : int
-        How many changes were found so far, this one included.
+        Number of changes detected so far, including this one.
     sample : int
         Number of the first sample (of those used, from 0) after the change, as estimated.
     t : int
@@ -30,10 +30,10 @@ class Change:
 
 @runtime_checkable
 class FindsChanges(Protocol):
-    """An estimator that may look for abrupt changes of the plant."""
+    """An estimator with detection of abrupt plant changes."""
 
     def change_counts(self, states: Any) -> Times:  # noqa: ANN401 - its own states
-        """How many changes were found of each of M plants (M,)."""
+        """Return the number of changes of each of M plants (M,)."""
 
     def last_change(self, state: Any) -> Change | None:  # noqa: ANN401 - its own state
-        """Return the last change of one plant that was found, None if there was none."""
+        """Return the last detected change of one plant, None if there was none."""

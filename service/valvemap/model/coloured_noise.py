@@ -1,4 +1,4 @@
-"""Coloured noise: how much less samples are worth that say the same again."""
+"""Coloured noise: effective weight of correlated samples."""
 
 from typing import Final
 
@@ -9,14 +9,14 @@ from valvemap.model.kernels import cells as memory
 from valvemap.model.kernels.grid import WEIGHT
 from valvemap.model.samples import Floats
 
-COLOURED: Final = 0.5  # correlation from which on neighbouring cells share their noise
-ENOUGH: Final = 100.0  # samples from which on a correlation is believed
+COLOURED: Final = 0.5  # correlation from which neighbouring cells share their noise
+ENOUGH: Final = 100.0  # samples from which the estimated correlation is used
 
 
 def reckon(cells: NDArray[np.float32], scalars: Floats) -> None:
-    """Have the cells' weights stand for the correlation as it is known now; they are written.
+    """Rescale the cells' weights, in place, to the current estimate of the correlation.
 
-    Before it was known, every sample counted as one of white noise.
+    Before the first estimate, samples are weighted as in white noise.
     """
     if scalars[memory.COLOUR_WEIGHT] < ENOUGH:
         return
@@ -26,7 +26,7 @@ def reckon(cells: NDArray[np.float32], scalars: Floats) -> None:
 
 
 def least_variance(scalars: Floats) -> float:
-    """Variance of noise that neighbouring cells share, (l/min)²; 0 where they do not."""
+    """Variance of the noise that neighbouring cells share, (l/min)²; 0 if it is not shared."""
     return float(scalars[memory.POWER]) if scalars[memory.RECKONED] > COLOURED else 0.0
 
 

@@ -1,4 +1,4 @@
-"""What the arrays of a state may hold, place by place: what was kept is believed no further."""
+"""Valid values of a state's arrays, by index: checkpoints are validated before the restoration."""
 
 from types import EllipsisType
 from typing import Any, Final
@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_COUNTED: Final = 10**15  # of anything: 30,000 years at 1 kHz
+MOST_COUNTED: Final = 10**15  # largest count: 30,000 years at 1 kHz
 _INTEGERS: Final = "iu"
 
 Places = int | slice | list[int] | NDArray[Any]
@@ -14,10 +14,9 @@ Where = EllipsisType | Places | tuple[Places, ...]
 
 
 class Contents:
-    """What may stand in an array that is like another one.
+    """Valid values of an array with the shape and type of a template.
 
-    Where nothing else is said, numbers with a point are finite and whole ones are counts, from 0 to
-    10¹⁵.
+    By default, floats are finite, and integers are counts from 0 to 10¹⁵.
 
     Examples
     --------
@@ -39,19 +38,19 @@ class Contents:
         self._inf = np.zeros(like.shape, np.bool_)
 
     def within(self, low: float, high: float = np.inf, where: Where = ...) -> "Contents":
-        """Allow nothing beyond these two; a count without the second stays below its limit."""
+        """Restrict values to this range; without ``high``, counts keep their limit."""
         self._low[where] = low
         self._high[where] = MOST_COUNTED if self._counts and high == np.inf else high
         return self
 
     def any_time(self, where: Where = ...) -> "Contents":
-        """Allow any whole number: a time, UTC ns."""
+        """Allow any integer: a time, UTC ns."""
         limits = np.iinfo(np.int64)
         self._low[where], self._high[where] = limits.min, limits.max
         return self
 
     def or_nan(self, where: Where = ..., *, allowed: bool = True) -> "Contents":
-        """Allow what is not known."""
+        """Allow NaN, for unknown values."""
         self._nan[where] = allowed
         return self
 
@@ -61,7 +60,7 @@ class Contents:
         return self
 
     def wrong_in(self, array: NDArray[Any]) -> str | None:
-        """Say what is wrong with an array, first of all; None where nothing is."""
+        """Return a description of the first invalid value, None if all are valid."""
         like = self._like
         if array.shape != like.shape or array.dtype != like.dtype:
             ours, other = (f"{a.shape} and {a.dtype}" for a in (like, array))

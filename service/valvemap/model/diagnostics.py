@@ -1,4 +1,4 @@
-"""How far samples, innovations and a state can be trusted; pure functions on arrays.
+"""Diagnostics of samples, innovations and states; pure functions on arrays.
 
 Change detection is part of the recursion, see
 :class:`~valvemap.model.forgetting.Adaptive`.
@@ -17,7 +17,7 @@ from valvemap.vocabulary.statuses import Quality
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Whether innovations are white: what they leave unexplained has no memory.
+    """Test whether innovations are white.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Whiteness:
     statistic : float
         Ljung and Box: N·(N + 2)·Σ ρ²(k)/(N - k), χ² with as many degrees of freedom as lags.
     p_value : float
-        Probability of so large a statistic if the innovations are white.
+        Probability of a statistic at least this large if the innovations are white.
     """
 
     correlations: Floats
@@ -35,10 +35,10 @@ class Whiteness:
 
 
 def whiteness(innovations: ArrayLike, lags: int = 20) -> Whiteness:
-    """Test innovations (N,) for whiteness; NaN (samples not used) are left out.
+    """Test innovations (N,) for whiteness; NaN (samples not used) are omitted.
 
-    Low p-values say that the structure does not fit, that there are dynamics it does not know, or
-    that the noise is coloured (then recursive maximum likelihood is the better method).
+    A low p-value indicates structural misfit, unmodelled dynamics or coloured noise (for which
+    recursive maximum likelihood is the better method).
 
     Raises
     ------
@@ -74,15 +74,16 @@ def whiteness(innovations: ArrayLike, lags: int = 20) -> Whiteness:
 
 @dataclass(frozen=True)
 class Excitation:
-    """What samples can determine, in units of the regressors' scales.
+    """Excitation by the samples, in units of the regressors' scales.
 
     Attributes
     ----------
     rank : int
-        How many combinations of the n parameters the samples determine.
+        Number of parameter combinations that the samples determine, out of n.
     condition : float
-        Largest over smallest singular value of the scaled regressors; inf if rank < n. Of the noise
-        of one sample about condition/√N appears in the weakest combination.
+        Largest over smallest singular value of the scaled regressors; inf if rank < n. The
+        standard deviation of the weakest combination is about condition/√N times that of one
+        sample's noise.
     weakest : (n,)
         That combination, in scaled parameters, of length 1.
     """
@@ -93,7 +94,7 @@ class Excitation:
 
 
 def excitation(X: ArrayLike) -> Excitation:
-    """Excitation by N rows of regressors (N, n); rows that are not finite are left out.
+    """Return the excitation by N rows of regressors (N, n); rows that are not finite are omitted.
 
     Examples
     --------
@@ -114,9 +115,10 @@ def excitation(X: ArrayLike) -> Excitation:
 
 
 def conditioning(state: RlsState) -> float:
-    """Condition number of P in units of the regressors' scales; inf while theta is open.
+    """Condition number of P in units of the regressors' scales; inf while not determined.
 
-    Its root is how much better the best known combination of parameters is known than the worst.
+    Its square root is the ratio of the largest to the smallest standard deviation of parameter
+    combinations.
     """
     scaled = matrix_P(state) * np.outer(state.scale, state.scale)
     if np.isnan(scaled).any():
@@ -127,14 +129,14 @@ def conditioning(state: RlsState) -> float:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Where on the map there were samples.
+    """Distribution of the samples over the map.
 
     Attributes
     ----------
     counts : (cells_U, cells_dp)
-        Samples in each cell; those outside the ranges are in none.
+        Samples in each cell; those outside the ranges are ignored.
     share : float
-        Part of the cells with any.
+        Share of the cells with samples.
     """
 
     counts: NDArray[np.int64]

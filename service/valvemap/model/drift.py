@@ -1,4 +1,4 @@
-"""Drift: a gain that moves slowly, and takes with it what was learnt some time ago."""
+"""Drift: a slow change of the gain, which also affects earlier samples in the memory."""
 
 from typing import Final
 
@@ -9,20 +9,20 @@ from valvemap.model.kernels import cells as memory
 from valvemap.model.kernels.grid import MEAN_Q, MEAN_TIME, WEIGHT
 from valvemap.model.samples import Floats
 
-CLEAR: Final = 4.0  # standard deviations from which on a gain moves
-SURE: Final = 12.0  # ... and from which on it moves all the time: the map is made for later
-LASTING: Final = 2.0  # s that a rate lasts before it is another one
-LONGEST_AHEAD: Final = 30.0  # s for which a map is made for later, at most
-MOST: Final = 1e-3  # 1/s: faster is a change, not a drift
+CLEAR: Final = 4.0  # standard deviations from which a gain is drifting
+SURE: Final = 12.0  # standard deviations from which the drift is steady, so that the map leads it
+LASTING: Final = 2.0  # s; correlation time of the rate
+LONGEST_AHEAD: Final = 30.0  # s; longest extrapolation in time
+MOST: Final = 1e-3  # 1/s; faster changes are abrupt
 
 
 def rate(scalars: Floats) -> tuple[float, float]:
-    """Share of the flow by which the map moves in a second, and its variance.
+    """Relative rate of the flow, 1/s, and its variance.
 
-    ``β = Σ e·a·Q̂ / Σ (a·Q̂)²`` over the last samples, with e what the meter shows beyond what the
-    sample's own cell remembers, and a how long ago that was, s: a misfit is the same whenever it
-    comes back to its place. The variance is that of coloured noise, (1 + ρ)/(1 - ρ) times the
-    white one's.
+    ``β = Σ e·a·Q̂ / Σ (a·Q̂)²`` over the last samples, with e the difference between the measured
+    flow and the memory of the sample's cell, and a the age of that memory, s. A structural misfit
+    cancels, since it is the same at each visit of a cell. The variance is that of white noise times
+    (1 + ρ)/(1 - ρ) for coloured noise.
     """
     squares = float(scalars[memory.SQUARE_Q])
     if not squares > 0.0:
@@ -35,10 +35,10 @@ def rate(scalars: Floats) -> tuple[float, float]:
 
 
 def set_clock(cells: NDArray[np.float32], scalars: Floats, by: float) -> float:
-    """Have the cells' times count from ``by`` s later on, and take the drift for what it is now.
+    """Move the cells' time origin ``by`` s later, and set the current drift; return the lead, s.
 
-    A map stands still until the next fit, in about ``by`` s: where it surely drifts it is made for
-    the middle of that. Returned is how much later that is, s.
+    A map is constant until the next fit, in about ``by`` s. If it drifts steadily, it is fitted for
+    the middle of that time, which is the lead.
     """
     cells[cells[:, WEIGHT] > 0.0, MEAN_TIME] -= by
     scalars[memory.REFERENCE + MEAN_TIME] -= by
@@ -47,22 +47,22 @@ def set_clock(cells: NDArray[np.float32], scalars: Floats, by: float) -> float:
     scalars[memory.RATE] = found if is_clear else 0.0
     ahead = min(by, LONGEST_AHEAD) / 2.0 if is_sure(scalars) else 0.0
     ages = _ages(cells.astype(np.float64))
-    doubt = variance if is_clear else max(found**2 - variance, 0.0)  # what noise does not make
+    doubt = variance if is_clear else max(found**2 - variance, 0.0)  # squared rate beyond the noise
     weight = cells[:, WEIGHT] / max(float(cells[:, WEIGHT].sum()), 1e-30)
     scalars[memory.GAIN_VARIANCE] = doubt * float(weight @ ages**2) + (found * ahead) ** 2 / 3.0
     return ahead
 
 
 def is_sure(scalars: Floats) -> bool:
-    """Whether the map surely drifts, so that it must not stand still for long."""
+    """Whether the map drifts steadily, so that it must be refitted soon."""
     found, variance = rate(scalars)
     return bool(found**2 > SURE**2 * variance > 0.0)
 
 
 def carried(points: Floats, scalars: Floats, ahead: float) -> Floats:
-    """Points of the memory as they would be measured in ``ahead`` s, the older the more in doubt.
+    """Return the memory's points as expected in ``ahead`` s, with variances that grow with age.
 
-    A rate that is found now may have been another one before: a walk of steps of LASTING s.
+    The rate may have been different before: it is taken for a random walk with steps of LASTING s.
     """
     rate_now = scalars[memory.RATE]
     if not rate_now:

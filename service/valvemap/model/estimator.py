@@ -1,4 +1,4 @@
-"""What every estimator offers, and how its state becomes bytes and back."""
+"""Interface of all estimators, and serialization of their states."""
 
 import hashlib
 import io
@@ -26,15 +26,15 @@ class StateMismatchError(ValueError):
 class State:
     """Base of all estimator states: a frozen dataclass whose fields are arrays.
 
-    Scalars are arrays of shape (): the bytes are one record in a ``.npy``, readable for ever by
-    numpy alone. Where what its arrays mean changes, its ``state_version`` goes up: those of before
-    are a fresh start.
+    Scalars are arrays of shape (): the bytes are one record in a ``.npy``, which numpy can read.
+    ``state_version`` increases when the meaning of an array changes; states of other versions are
+    rejected.
     """
 
     state_version: ClassVar[int] = 2
 
     def to_bytes(self, key: str) -> bytes:
-        """Pack the state; ``key`` names the hyper-parameters it belongs to."""
+        """Serialize the state; ``key`` identifies the hyper-parameters."""
         arrays: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
         arrays["header_"] = np.array([str(self.state_version), type(self).__name__, key])
         layout = tuple((name, array.dtype.str, array.shape) for name, array in arrays.items())
@@ -42,7 +42,7 @@ class State:
 
     @classmethod
     def from_bytes(cls, data: bytes, key: str) -> Self:
-        """Unpack a state.
+        """Deserialize a state.
 
         Raises
         ------
@@ -63,35 +63,35 @@ class State:
         return cls(**arrays)
 
     def contents(self) -> Mapping[str, Contents]:
-        """What arrays like these may hold, by name; of those not named see `Contents`."""
+        """Valid values of the arrays by name; for arrays not named see `Contents`."""
         return {}
 
     def check(self, like: Self) -> None:
-        """Refuse what cannot have been learnt: a valid digest only says that it was written.
+        """Reject invalid values: a valid digest does not imply a valid state.
 
         Raises
         ------
         StateMismatchError
-            naming the first array that is not of the shape and type of the one in ``like``, a state
-            of the same estimator, or holds what it may not.
+            naming the first array that differs in shape or type from the one in ``like``, a state
+            of the same estimator, or has an invalid value.
         """
         Template(like).check(self)
 
     def is_coherent(self) -> bool:
-        """Whether arrays fit together that may each hold what they do."""
+        """Whether the arrays, each valid, are consistent with each other."""
         return True
 
 
 @lru_cache(maxsize=256)
 def _npy_head(layout: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
-    """What numpy writes in front of a record of such arrays: it takes longer than the arrays."""
+    """Return numpy's header of such a record; cached, since it takes longer than the arrays."""
     record, buffer = np.zeros((), list(layout)), io.BytesIO()
     np.save(buffer, record, allow_pickle=False)
     return buffer.getvalue()[: -record.nbytes]
 
 
 class Template:
-    """By which many states of one estimator are judged; ``like`` is one of them."""
+    """Checks many states of one estimator against ``like``, one of them."""
 
     def __init__(self, like: State) -> None:
         said = like.contents()
@@ -111,7 +111,7 @@ class Template:
 
 
 def _check_texts(record: NDArray[Any]) -> None:
-    """Refuse code points that no text has: numpy raises SystemError when it makes a str of them."""
+    """Reject invalid code points: numpy raises SystemError when it converts them to str."""
     for name in record.dtype.names or ():
         kind = record.dtype[name].base
         if kind.kind == "U":
@@ -122,9 +122,9 @@ def _check_texts(record: NDArray[Any]) -> None:
                 raise ValueError(f"{name} is no text")
 
 
-_HEADER_BYTES = 4_096  # numpy parses a header as Python; ours have half of that at most
+_HEADER_BYTES = 4_096  # numpy parses a header as Python; ours have at most half of that
 
-_UNREADABLE = (  # what numpy makes of bytes that are no record of arrays
+_UNREADABLE = (  # exceptions of numpy on bytes that are no record of arrays
     *(ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError),
     *(OSError, EOFError, SyntaxError, TokenError),
 )
@@ -133,12 +133,12 @@ S = TypeVar("S", bound=State)
 
 
 class Estimator(Protocol[S]):
-    """A frozen dataclass of hyper-parameters with pure methods; the state goes in and comes out.
+    """A frozen dataclass of hyper-parameters with pure methods that take and return the state.
 
-    Every estimator obeys: no method changes its arguments; a stream cut into other batches gives
-    the same bits; whatever the samples hold (NaN, inf, 1e308, zeros), nothing is raised, no
-    warning is printed, the state stays finite and of constant size; samples whose quality is BAD
-    or that are not finite leave the state untouched.
+    Invariants of every estimator: no method changes its arguments. The result does not depend on
+    the batching of a stream, bit by bit. For any samples (NaN, inf, 1e308, zeros), no exception is
+    raised, no warning is issued, and the state stays finite and of constant size. Samples whose
+    quality is BAD or that are not finite do not change the state.
     """
 
     @property
@@ -149,7 +149,7 @@ class Estimator(Protocol[S]):
         """State before the first sample."""
 
     def update(self, state: S, samples: Samples) -> tuple[S, Trace]:
-        """Take N samples in, one after another."""
+        """Update with N samples in sequence."""
 
     def predict(self, state: S, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min, at N points; NaN if unknown."""
@@ -158,7 +158,7 @@ class Estimator(Protocol[S]):
         """Theta (n,) in physical units and its standard deviations (n,); NaN if unknown."""
 
     def adaptation(self, state: S) -> Adaptation:
-        """What the estimator makes of its residuals by now."""
+        """Return the assessment of the recent residuals."""
 
 
 def key_of(estimator: object) -> str:

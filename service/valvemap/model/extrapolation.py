@@ -1,4 +1,4 @@
-"""How far a map may be trusted at a point: the std of its flow there, and whether it is a guess."""
+"""Validity of a map at a point: the standard deviation of its flow, and whether it extrapolates."""
 
 from typing import Any, Final, Protocol, runtime_checkable
 
@@ -12,22 +12,22 @@ from valvemap.model.support import Support
 
 EQ_7: Final = frozenset({"1", "U", "s", "U*s", "dp"})
 
-ONE_EDGE: Final = (0.0, 100.0)  # %: eq. (7) and the splines of `Auto` know no second edge
+ONE_EDGE: Final = (0.0, 100.0)  # %: eq. (7) and the splines of `Auto` describe one metering edge
 
-SURE: Final = 0.7  # share of the way to the border of *inside* where the interval begins to grow
-TOGETHER: Final = 1.5  # widens eq. (7) beyond: there all points err together, and 99 % must hold
-NARROW: Final = 0.02  # of the largest flow: half an interval below it is of use
-HIDDEN: Final = 0.15  # of the largest flow: what a bend that cannot be seen may come to
-PER_DISTANCE: Final = 0.04  # of the largest flow, per 5 % of U or 5 bar: as far as flows may bend
-PER_WARMTH: Final = 0.015  # of the flow, per 5 °C: as much as oil and clearances make of it
+SURE: Final = 0.7  # distance at which the interval starts to grow; 1 at the border of *inside*
+TOGETHER: Final = 1.5  # factor on eq. (7)'s std outside, where all points share their error
+NARROW: Final = 0.02  # of the largest flow: upper limit of a useful half interval
+HIDDEN: Final = 0.15  # of the largest flow: upper limit of undetectable curvature
+PER_DISTANCE: Final = 0.04  # of the largest flow, per 5 % of U or 5 bar: assumed curvature
+PER_WARMTH: Final = 0.015  # of the flow, per 5 °C: effect of viscosity and clearances
 
 
 @runtime_checkable
 class ChoosesStructure(Protocol):
-    """An estimator whose structure is chosen by the samples."""
+    """An estimator that selects its structure from the samples."""
 
     def structure_now(self, state: Any) -> Structure | None:  # noqa: ANN401 - its own state
-        """The structure that speaks now; None for one that is only known where samples were."""
+        """Return the current structure; None if it is valid only where samples were."""
 
 
 def trusted(
@@ -38,24 +38,24 @@ def trusted(
     Q: Floats,
     std: Floats,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Standard deviation of the flow, and whether it is extrapolated, at N points.
+    """Return the standard deviation of the flow, and whether it is extrapolated, at N points.
 
-    Inside, and some way towards its border, the map's own std holds. Beyond, a map of the structure
-    of eq. (7) that sufficed for its samples keeps the std that its parameters give, half as much
-    again, as long as the interval stays narrow: that is no extrapolation in our sense. Any other
-    map is extrapolated, and its std grows with the distance from the samples. Of a map of eq. (7)
-    that is refuted the misfit is in its std, too, wherever it is asked.
+    Inside, up to a margin at the border, the map's std is returned. Outside, a map of eq. (7) that
+    has passed the lack-of-fit test keeps the std of its parameters, increased by half, while the
+    interval is narrow; this does not count as extrapolation. Any other map is extrapolated, and its
+    std grows with the distance from the samples. If eq. (7) is rejected, its std includes the
+    misfit everywhere.
 
     Parameters
     ----------
     estimator, state
-        Whose map.
+        Estimator and state of the map.
     support
-        What it rests on.
+        Region of the samples, and the lack-of-fit test.
     points
-        U (%), dp (bar) and T (°C, NaN where unknown), each (N,).
+        U (%), dp (bar) and T (°C, NaN if unknown), each (N,).
     Q, std
-        What the map says there, l/min, each (N,).
+        Flow of the map and its std, l/min, each (N,).
     """
     U, dp, T = points
     far, level, warmth = support.distances(U, dp, T)
@@ -80,7 +80,7 @@ def trusted(
 
 
 def U_range_of(estimator: Any) -> tuple[float, float]:  # noqa: ANN401 - any estimator
-    """Which U (%) an estimator can describe: one metering edge, unless a network has another range.
+    """Range of U (%) of an estimator: one metering edge, unless a network has another range.
 
     >>> from valvemap.model.rbf_network import RbfNetwork
     >>> U_range_of(RbfNetwork(U_range=(-100.0, 100.0)))
@@ -91,7 +91,7 @@ def U_range_of(estimator: Any) -> tuple[float, float]:  # noqa: ANN401 - any est
 
 
 def is_eq7(estimator: Any, state: Any) -> bool:  # noqa: ANN401 - any estimator and its state
-    """Whether a map has the structure of eq. (7), which can be held against its samples."""
+    """Whether a map has the structure of eq. (7), so that its lack of fit can be tested."""
     if isinstance(estimator, ChoosesStructure):
         structure = estimator.structure_now(state)
     else:

@@ -1,7 +1,7 @@
-"""The budget of `Auto`: when a valve's map is fitted anew, and how much may be tried then.
+"""The budget of `Auto`: when a valve's map is refitted, and how many shapes may be tried.
 
-Everything is counted in the valve's own samples since it was new or last changed, and in a model of
-what a fit costs, never in time that passed: the same samples lead to the same map anywhere.
+The budget counts a valve's samples since its start or last change, and a model of a fit's cost. It
+never uses elapsed time: the same samples lead to the same map on any machine.
 """
 
 from typing import Final
@@ -12,30 +12,30 @@ from valvemap.model.kernels import cells as memory
 
 Counts = np.ndarray
 
-YOUNG: Final = 1_500  # samples for which a map counts as young
-YOUNG_NS: Final = 40_000  # ns of fits per sample of a young map: all valves begin together
-CHANGED_NS: Final = 60_000  # ... of one that begins anew: few do together, and soon it is needed
-SETTLED_NS: Final = 7_000  # the same later: with the cells, less than 10 µs per sample
-FIT_NS: Final = 40_000  # ns of a fit, whatever its size
-POINT_NS: Final = 180  # ... for each cell
-BAND_NS: Final = 1.0  # ... for each parameter, times the bandwidth squared
-OVERHEAD: Final = 3  # fits that a climb needs besides its steps
+YOUNG: Final = 1_500  # samples below which a map is young
+YOUNG_NS: Final = 40_000  # ns of fits per sample of a young map: all valves start together
+CHANGED_NS: Final = 60_000  # ns per sample after a change: changes are rare and need a new map soon
+SETTLED_NS: Final = 7_000  # ns per sample later: with the cells, less than 10 µs per sample
+FIT_NS: Final = 40_000  # ns of any fit
+POINT_NS: Final = 180  # ns of a fit per cell
+BAND_NS: Final = 1.0  # ns of a fit per parameter times the squared bandwidth
+OVERHEAD: Final = 3  # fits of a climb besides its steps
 FIRST_FIT: Final = 8  # samples before the first fit
-SHORTEST: Final = 16  # samples between fits, at least
-SHARE: Final = 8  # a fit is due when the samples grew by 1/8
-TRIAL: Final = 512  # samples between fits at most while shapes compete
-LONGEST: Final = 2_048  # the same at rest: 20 s at 100 Hz, in which a map that drifts stands still
-REPAIR_NS: Final = 500_000  # ns that must be left for residuals to ask for a fit
-REPAIR_SHARE: Final = 64  # ... and the samples must have grown by that share
-ON_CREDIT: Final = 3  # steps that a poor map may try though nothing is left for them ...
-DEBT: Final = 2_000_000  # ... while it owes less than that, ns: 3 s of 100 Hz
-PARTS: Final = 64  # in which samples are cut, see `scattered`
-FEWEST_NEW: Final = 8  # new cells that call for a fit ...
-NEW_SHARE: Final = 16  # ... or that share of those known
+SHORTEST: Final = 16  # minimum of samples between fits
+SHARE: Final = 8  # a fit is due when the samples have grown by 1/8
+TRIAL: Final = 512  # maximum of samples between fits while shapes compete
+LONGEST: Final = 2_048  # maximum at rest: 20 s at 100 Hz, in which a drifting map is constant
+REPAIR_NS: Final = 500_000  # ns of budget required for a fit on account of residuals
+REPAIR_SHARE: Final = 64  # minimum growth of the samples before such a fit, 1/64
+ON_CREDIT: Final = 3  # steps of a poor map that may exceed the budget ...
+DEBT: Final = 2_000_000  # ns; ... up to this debt: 3 s at 100 Hz
+PARTS: Final = 64  # number of phases that spread the fits, see `scattered`
+FEWEST_NEW: Final = 8  # new cells that require a fit ...
+NEW_SHARE: Final = 16  # ... or that share of the known cells, 1/16
 
 
 def next_fit(counters: Counts, points: int, *, at_rest: bool) -> None:
-    """Set after how many samples, or new cells, the next fit is due."""
+    """Set the number of samples, or of new cells, at which the next fit is due."""
     since = _since(counters)
     longest = LONGEST if at_rest else TRIAL
     counters[memory.NEXT_FIT] = counters[memory.USED] + min(max(since // SHARE, SHORTEST), longest)
@@ -47,12 +47,12 @@ def next_fit(counters: Counts, points: int, *, at_rest: bool) -> None:
 
 
 def cost(points: int, n: int, band: int) -> int:
-    """What a fit costs, ns."""
+    """Return the model cost of a fit, ns."""
     return int(FIT_NS + POINT_NS * points + BAND_NS * n * band**2)
 
 
 def left(counters: Counts) -> int:
-    """What may be spent now, ns."""
+    """Return the available budget, ns."""
     since = _since(counters)
     young_ns = CHANGED_NS if counters[memory.OPENED] else YOUNG_NS
     granted = young_ns * min(since, YOUNG) + SETTLED_NS * max(since - YOUNG, 0)
@@ -60,21 +60,21 @@ def left(counters: Counts) -> int:
 
 
 def steps(counters: Counts, each: int, most: int, *, poor: bool) -> int:
-    """How many steps of the ladder may be tried now; where the map is poor, some on credit."""
+    """Return the number of shapes that may be tried now; a poor map may exceed the budget."""
     spare = left(counters)
     owed = ON_CREDIT if poor and spare > -DEBT else 0
     return int(min(most, max(spare // each - OVERHEAD, owed)))
 
 
 def spend(counters: Counts, ns: int) -> None:
-    """Note what was spent."""
+    """Add a cost to the spent budget."""
     counters[memory.SPENT] += ns
 
 
 def scattered(counters: Counts, samples: int) -> int:
-    """Some of so many samples, more or fewer by what was spent on this valve so far.
+    """Vary a number of samples deterministically, depending on the valve's spent budget.
 
-    Valves that began together would all be due at one sample otherwise, seconds of work at once.
+    Otherwise valves that started together would all refit at the same sample, which takes seconds.
     """
     return int(samples * (counters[memory.SPENT] % PARTS) // PARTS)
 

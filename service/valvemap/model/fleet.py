@@ -13,7 +13,7 @@ from valvemap.model.least_squares_state import RlsState, batch_of, learn_segment
 from valvemap.model.place_grid import Grid
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 
-UNREAD = frozenset(  # arrays of a state that results are not made of
+UNREAD = frozenset(  # arrays of a state that no result depends on
     {"flows", "places", "visits", "window", "cells", "slots", "recent"}
 )
 
@@ -23,27 +23,27 @@ In_contra = TypeVar("In_contra", bound=State, contravariant=True)
 
 @runtime_checkable
 class ManyModels(Protocol[In_contra]):
-    """An estimator that takes in the samples of many models of its kind in one call."""
+    """An estimator that can update many models in one call."""
 
     def initial_state(self) -> Any:  # noqa: ANN401 - of its own kind
         """State of one model before the first sample."""
 
     def update_many(self, states: In_contra, samples: Samples, segments: Segments) -> Trace:
-        """Take N samples in; ``states`` have a leading axis M and are written in place.
+        """Update with N samples; ``states`` have a leading axis M and are written in place.
 
-        Bit for bit what ``update`` gives model by model. What the trace says of rows outside of
-        the segments means nothing.
+        The result equals that of ``update`` for each model, bit by bit. Rows of the trace outside
+        the segments are undefined.
         """
 
     def parameters_many(self, states: In_contra) -> tuple[Floats, Floats]:
-        """What ``parameters`` gives model by model, both (M, n)."""
+        """Return ``parameters`` of each model, both (M, n)."""
 
     def adaptation_many(self, states: In_contra) -> Codes:
-        """What ``adaptation`` gives model by model (M,)."""
+        """Return ``adaptation`` of each model (M,)."""
 
 
 def stack(states: Sequence[S]) -> S:
-    """One state whose arrays have a leading axis M from the states of M models of equal n."""
+    """Stack the states of M models of equal n; arrays get a leading axis M."""
     kind = type(states[0])
     return kind(
         **{f.name: np.stack([getattr(state, f.name) for state in states]) for f in fields(kind)}
@@ -51,34 +51,34 @@ def stack(states: Sequence[S]) -> S:
 
 
 def repeated(state: S, M: int) -> S:
-    """One state whose arrays have a leading axis M, every model in the same state."""
+    """Repeat a state M times; arrays get a leading axis M."""
     kind = type(state)
     arrays = {f.name: np.asarray(getattr(state, f.name)) for f in fields(kind)}
     return kind(**{name: np.tile(a, (M,) + (1,) * a.ndim) for name, a in arrays.items()})
 
 
 def alone(state: S) -> S:
-    """A fleet of this one model: views, not copies."""
+    """Return a fleet of one model: views, not copies."""
     kind = type(state)
     return kind(**{f.name: np.asarray(getattr(state, f.name))[None] for f in fields(kind)})
 
 
 def member(fleet: S, m: int) -> S:
-    """State of model m: views, not copies."""
+    """Return the state of model m: views, not copies."""
     kind = type(fleet)
     return kind(**{f.name: getattr(fleet, f.name)[m] for f in fields(kind)})
 
 
 def copied(state: S) -> S:
-    """The same state in arrays of its own."""
+    """Return a copy of a state."""
     kind = type(state)
     return kind(**{f.name: np.array(getattr(state, f.name)) for f in fields(kind)})
 
 
 def members(fleet: S, chosen: Times) -> S:
-    """States of some models, with a leading axis of their own: copies.
+    """Return copies of the states of the chosen models, with a leading axis.
 
-    But for what no result is read from: of memories of places, windows and cells there is none.
+    Arrays that no result depends on (memories of places, windows, cells) are empty.
     """
     kind, nothing = type(fleet), np.empty((len(chosen), 0))
     arrays = {f.name: getattr(fleet, f.name) for f in fields(kind)}
@@ -86,7 +86,7 @@ def members(fleet: S, chosen: Times) -> S:
 
 
 def update_one(estimator: ManyModels[S], state: S, samples: Samples) -> tuple[S, Trace]:
-    """Many models, of which there is one; ``state`` stays as it is."""
+    """Update a single model with ``update_many``; ``state`` is not changed."""
     fleet = repeated(state, 1)
     trace = estimator.update_many(fleet, samples, Segments.one(len(samples)))
     return member(fleet, 0), trace
@@ -102,7 +102,7 @@ def learn_many(
     segments: Segments,
     grid: Grid | None = None,
 ) -> Trace:
-    """Take samples in as `learn_fleet` does, writing into the arrays of ``fleet``."""
+    """Update with samples as `learn_fleet` does, writing into the arrays of ``fleet``."""
     batch = batch_of(X, y, t, usable, grid=grid)
     learn_segments(fleet, forgetting, batch, segments)
     return Trace(batch.predicted, batch.residual, batch.early, batch.status)
@@ -117,9 +117,10 @@ def learn_fleet(
     usable: Codes,
     offsets: ArrayLike,
 ) -> tuple[RlsState, Trace]:
-    """Take samples in: model m those from ``offsets[m]`` to ``offsets[m + 1] - 1``.
+    """Update model m with the samples ``offsets[m]`` to ``offsets[m + 1] - 1``.
 
-    Bit for bit what :func:`~valvemap.model.least_squares_state.learn` gives model by model.
+    The result equals that of :func:`~valvemap.model.least_squares_state.learn` for each model, bit
+    by bit.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""How recursive least squares lets go of the past: one frozen dataclass per rule.
+"""Forgetting rules of recursive least squares: one frozen dataclass per rule.
 
 All rules share eq. (23), theta(t) = theta(t-1) + P(t)·X(t)·(Q(t) - Xᵀ(t)·theta(t-1)). They differ
-in what becomes of the information P⁻¹; r means XᵀPX, `lam` the forgetting factor λ, 0 < λ ≤ 1.
+in the update of the information P⁻¹; r denotes XᵀPX, `lam` the forgetting factor λ, 0 < λ ≤ 1.
 
-A memory of 1/(1 - λ) samples must hold as many samples as there are numbers estimated from it, see
+A memory of 1/(1 - λ) samples must hold as many samples as parameters estimated from it, see
 `least_lam`: below, P is singular and theta follows the noise of single samples.
 """
 
@@ -15,8 +15,8 @@ from typing import assert_never
 class Exponential:
     """P⁻¹ ← λP⁻¹ + X·Xᵀ, eqs. (26)-(28): weights λ^(N-i); λ = 1 is eq. (25).
 
-    Where nothing excites a direction, P would grow there for ever: far beyond any use it is held,
-    and λ forgets along X alone (status UNEXCITED).
+    Without excitation of a direction, P would grow there without bound. Beyond a limit it is held,
+    and λ forgets along X only (status UNEXCITED).
     """
 
     lam: float = 1.0
@@ -43,10 +43,10 @@ class Variable:
 
 @dataclass(frozen=True)
 class Resetting:
-    """Exponential, and a little information about one parameter after the other is put back.
+    """Exponential, with a small information added to each parameter in turn.
 
-    P⁻¹ is drawn to `information` of one sample (in the columns' scales) about each parameter
-    instead of to 0, so that P is bounded by itself. Salgado, Goodwin, Middleton: Modified least
+    P⁻¹ decays to `information` of one sample (in the columns' scales) about each parameter
+    instead of to 0, so that P is bounded. Salgado, Goodwin, Middleton: Modified least
     squares algorithm incorporating exponential resetting and forgetting, Int. J. Control 47 (1988);
     cyclic as in Lai, Bernstein: Exponential resetting and cyclic resetting RLS, L-CSS 7 (2023).
     """
@@ -62,7 +62,7 @@ class Resetting:
 
 @dataclass(frozen=True)
 class Directional:
-    """P⁻¹ ← P⁻¹ + (1 - (1 - λ)/r)·X·Xᵀ: forgets along X alone; what is not excited is kept.
+    """P⁻¹ ← P⁻¹ + (1 - (1 - λ)/r)·X·Xᵀ: forgets along X only, keeps unexcited directions.
 
     Kulhavý: Restricted exponential forgetting in real-time identification, Automatica 23 (1987).
     For one parameter it is exponential forgetting.
@@ -100,23 +100,23 @@ class SlidingWindow:
 
     @property
     def lam(self) -> float:
-        """λ of about the same memory."""
+        """λ of an equivalent exponential memory."""
         return 1.0 - 1.0 / self.length
 
 
 @dataclass(frozen=True)
 class Adaptive:
-    """Nothing, until places seen again show another flow than before: the default.
+    """No forgetting until the flow at revisited places changes: the default.
 
-    A memory of places (:mod:`valvemap.model.kernels.places`) tells misfit, which comes back
-    at the same place, from drift, which moves with time. Misfit is let be. Where places drift,
-    theta is fitted anew to what each of them showed last, the older the less; no place is lost.
-    An abrupt change shows in what is new of the residuals
-    (:mod:`valvemap.model.kernels.change_detection`); then what was learnt weighs a tenth of
-    a sample, and is soon replaced where there are new ones.
+    A memory of places (:mod:`valvemap.model.kernels.places`) separates structural misfit, which
+    repeats at the same place, from drift, which depends on time. Misfit causes no adaptation. If
+    places drift, theta is refitted to the last measurement of each place, weighted by age; no place
+    is dropped. An abrupt change is detected in the part of the residuals that is new
+    (:mod:`valvemap.model.kernels.change_detection`). All earlier samples then get the weight of a
+    tenth of a sample, so that new samples replace them quickly.
 
-    With `lam` < 1 the plant is known to drift: `Subspace`, on one sample of eight with λ⁸, and
-    faster as long as innovations stay coloured; misfit would be taken for drift.
+    With `lam` < 1 the plant is known to drift: `Subspace` is applied to one sample of eight with
+    λ⁸, and faster while innovations are coloured. Misfit would then be taken for drift.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Adaptive:
     least : float
         Smallest λ.
     threshold : float
-        Standard deviations of the scores that mean a change.
+        Threshold of the change scores, in standard deviations.
     """
 
     lam: float = 1.0
@@ -143,7 +143,7 @@ Forgetting = Exponential | Variable | Resetting | Directional | Subspace | Slidi
 
 
 def with_lam(forgetting: Forgetting, lam: float) -> Forgetting:
-    """Use the same rule with another λ.
+    """Return the same rule with another λ.
 
     Raises
     ------
@@ -165,12 +165,12 @@ def with_lam(forgetting: Forgetting, lam: float) -> Forgetting:
 
 
 def least_lam(forgetting: Forgetting, n: int) -> float:
-    """Smallest λ for theta (n,), the parameters that one sample bears on.
+    """Return the smallest λ for theta (n,), the parameters that one sample depends on.
 
-    `Exponential`, `Variable` and `Adaptive` forget everything at each sample: theta (n,) and σ² are
-    estimated from one memory, 1/(1 - λ) ≥ n + 1. `Directional` and `Subspace` forget along X alone,
-    and `Resetting` keeps information about each parameter: each direction has a memory of its own,
-    from which its parameter and σ² are estimated, 1/(1 - λ) ≥ 2.
+    `Exponential`, `Variable` and `Adaptive` forget in all directions at each sample: theta (n,) and
+    σ² are estimated from one memory, 1/(1 - λ) ≥ n + 1. `Directional` and `Subspace` forget along X
+    only, and `Resetting` keeps information about each parameter: each direction has a separate
+    memory, from which its parameter and σ² are estimated, 1/(1 - λ) ≥ 2.
 
     Raises
     ------
@@ -194,12 +194,12 @@ def least_lam(forgetting: Forgetting, n: int) -> float:
 
 
 def lam_of_memory(samples: int) -> float:
-    """λ whose memory 1/(1 - λ) is that many samples."""
+    """Return λ whose memory 1/(1 - λ) is ``samples``."""
     return 1.0 - 1.0 / samples
 
 
 def check_lam(lam: float, least: float) -> None:
-    """Refuse a forgetting factor that is out of range.
+    """Check a forgetting factor.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """The inverse map U = f(Q, dp[, T]): closed form for eq. (7), a safeguarded search otherwise.
 
-The printed inverse of eq. (7), U = (Q - a1 - a3·s - a5·s²)/(a2 + a4·s), is singular at s = -a2/a4
-and turns round behind it; here a status says so, and U never leaves [0, 100] %.
+The published inverse of eq. (7), U = (Q - a1 - a3·s - a5·s²)/(a2 + a4·s), is singular at
+s = -a2/a4 and has the wrong sign beyond. Here a status reports that, and U stays within [0, 100] %.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ from valvemap.vocabulary.statuses import InverseStatus
 U_MAX: Final = 100.0
 TWO_SIDED_95: Final = 1.959963984540054
 ROUNDING: Final = 1e-12
-LEVELS, CHUNK = 41, 256  # of U, where an answer is in doubt; answers at once
+LEVELS, CHUNK = 41, 256  # levels of U for an uncertain answer; answers processed together
 
 S = TypeVar("S", bound=State)
 
@@ -37,7 +37,7 @@ class HasSurface(Protocol):
     """An estimator whose map is a cubic tensor spline."""
 
     def surface(self, state: Any) -> Surface:  # noqa: ANN401 - the estimator's own state
-        """Knots, nodes and coefficients."""
+        """Return knots, nodes and coefficients."""
 
 
 def invert(
@@ -50,24 +50,24 @@ def invert(
     support: Support | None = None,
     accuracy: SensorAccuracy = EXACT,
 ) -> Inversion:
-    """Control voltage that delivers the demanded flow, at N points at once.
+    """Return the control voltage that delivers the demanded flow, at N points.
 
     Parameters
     ----------
     estimator, state
-        Whose map is inverted. Eq. (7), and any polynomial of first order in U, has a closed form;
-        a spline is solved cubic by cubic; any other map is searched through ``predict``.
+        Estimator and state of the map. Eq. (7), and any polynomial of first order in U, has a
+        closed form; a spline is solved cubic by cubic; any other map is searched with ``predict``.
     Q, dp, T : (N,) or scalar
-        Demanded flow in l/min, pressure drop in bar, oil temperature in °C (NaN where unknown:
-        harmless to a map that does not depend on it).
+        Demanded flow in l/min, pressure drop in bar, oil temperature in °C (NaN if unknown, which
+        has no effect on a map without T).
     direction : (N,) or scalar
-        Where U comes from, if the map has a hysteresis: 1 from below, -1 from above, 0 in the
-        middle of the loop. Other maps do not mind.
+        Direction of U's approach, if the map has a hysteresis: 1 from below, -1 from above, 0 in
+        the middle of the loop. Other maps ignore it.
     support
-        What the map rests on: where it is a guess, the interval grows with the distance from the
-        samples, and the status is EXTRAPOLATING. None: the map is taken at its word.
+        Region of the samples. Outside it, the interval grows with the distance from the samples,
+        and the status is EXTRAPOLATING. None: no extrapolation check.
     accuracy
-        Of the sensors that the map was learnt from: what they may be off by is in the interval.
+        Systematic errors of the sensors, which are part of the interval.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def invert(
         std, guessed = trusted(estimator, state, support, points, demand, std)
         unknown = guessed & np.isinf(std)
         if unknown.any() and np.isfinite(estimator.parameters(state)[0]).any():
-            std = np.where(unknown, support.Q_max, std)  # nothing is known here, elsewhere it is
+            std = np.where(unknown, support.Q_max, std)  # unknown here, known elsewhere
         std = np.hypot(std, off)
         answer = _answer(found, std, finite & ~lacking, U_range_of(estimator))
         has_U = answer.status <= InverseStatus.BELOW_REACH
@@ -141,7 +141,7 @@ class _Found:
 
 
 def _theta_of(estimator: Estimator[S], state: S, structure: Structure) -> Floats:
-    """Pick the structure's own parameters: an estimator may have more (a noise model)."""
+    """Return the structure's parameters: an estimator may have more (a noise model)."""
     theta = np.asarray(estimator.parameters(state)[0], np.float64)
     names = {name: place for place, name in enumerate(estimator.parameter_names)}
     return theta[[names[name] for name in structure.parameter_names]]
@@ -150,13 +150,13 @@ def _theta_of(estimator: Estimator[S], state: S, structure: Structure) -> Floats
 def _invert_affine(
     structure: Polynomial, theta: Floats, Q: Floats, dp: Floats, T: Floats
 ) -> _Found:
-    """Invert Q = closed + slope·U, which holds where slope = dQ/dU > 0 alone."""
+    """Invert Q = closed + slope·U, which is valid only if slope = dQ/dU > 0."""
     with_U = structure.powers_of_U == 1
     one = np.ones_like(dp)
     terms = theta * structure.regressors(one, dp, T)
     closed, slope = terms[:, ~with_U].sum(axis=1), terms[:, with_U].sum(axis=1)
     unclipped = (Q - closed) / slope
-    # Sizes of the terms at the point or at 100 bar: what is smaller than their rounding is zero.
+    # Sizes of the terms at the point or at 100 bar; values below their rounding error are zero.
     sizes = np.abs(theta * structure.regressors(one, np.maximum(np.abs(dp), 100.0), T))
     size = sizes[:, ~with_U].sum(axis=1) + U_MAX * sizes[:, with_U].sum(axis=1)
     tolerance = ROUNDING * (size + np.abs(Q))
@@ -185,7 +185,7 @@ def _invert_spline(
 
 
 def _on_branch(found: _Found, lag: Floats) -> _Found:
-    """The map lags by ``lag`` (%) behind U: U leads by as much, as far as its range reaches."""
+    """Add the hysteresis lag (%) of the map to U, within its range."""
     led = found.unclipped + lag
     moved = (lag != 0.0) & (found.status <= InverseStatus.BELOW_REACH) & np.isfinite(led)
     reach = _select((led > U_MAX, InverseStatus.ABOVE_REACH), (led < 0, InverseStatus.BELOW_REACH))
@@ -202,7 +202,7 @@ def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats)
         return estimator.predict(state, U, dp[points], T[points])[0]
 
     U, slope, status = search(flow, Q, U_range_of(estimator))
-    # Out of reach, the tangent at the end tells how far the demand lies behind it.
+    # Outside the range, the tangent at its end estimates the distance of the demand.
     beyond = (Q - flow(np.nan_to_num(U), np.arange(len(Q)))) / slope
     outside = (status == InverseStatus.ABOVE_REACH) | (status == InverseStatus.BELOW_REACH)
     return _Found(U, np.where(outside, U + beyond, U), slope, status)
@@ -211,7 +211,7 @@ def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats)
 def _spread(
     estimator: Estimator[S], state: S, U: Floats, dp: Floats, T: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Standard deviation of Q̂, infinite where unknown, and whether T is what is missing."""
+    """Standard deviation of Q̂, infinite where unknown, and whether T is missing there."""
     match estimator, getattr(estimator, "structure", None):
         case RecursiveLeastSquares() | LinearMap(), TensorSpline() as structure if (
             not structure.T or np.isfinite(T).all()
@@ -226,7 +226,7 @@ def _spread(
             predicted, std = estimator.predict(state, U, dp, T)
             unknown = np.isnan(predicted)
             lacking = unknown & ~np.isfinite(T)
-            if lacking.any():  # is it the missing temperature, or is the map not identified?
+            if lacking.any():  # is the temperature missing, or is the map not identified?
                 at, warm = dp[lacking], np.full(int(lacking.sum()), T_REFERENCE)
                 lacking[lacking] = np.isfinite(estimator.predict(state, 0.0 * at, at, warm)[0])
             return np.where(unknown, np.inf, std), lacking
@@ -238,7 +238,7 @@ def _systematic(
     accuracy: SensorAccuracy,
     points: tuple[Floats, Floats, Floats],
 ) -> Floats:
-    """What the sensors' errors make of the flow (N,), l/min."""
+    """Effect of the sensors' systematic errors on the flow (N,), l/min."""
     if not accuracy.is_stated:
         return np.zeros(len(points[0]))
 
@@ -256,9 +256,9 @@ def _widened(
     answer: Inversion,
     doubtful: NDArray[np.intp],
 ) -> Inversion:
-    """Have the intervals of doubtful answers hold every level of U whose flow may be the demanded.
+    """Widen the intervals of uncertain answers to all levels of U that may deliver the demand.
 
-    Where a map is a guess, or bends less than the valve, its slope says nothing of the valve's.
+    Where a map extrapolates, or is smoother than the valve, its slope is not the valve's.
     """
     support, accuracy = grounds
     lower, upper = answer.lower.copy(), answer.upper.copy()
@@ -281,7 +281,7 @@ def _widened(
 
 
 def _select(*cases: tuple[NDArray[np.bool_], InverseStatus]) -> Codes:
-    """Status of the first case that holds, OK where none does."""
+    """Return the status of the first case that holds, OK if none does."""
     conditions, codes = zip(*cases, strict=True)
     return np.asarray(np.select(conditions, codes, InverseStatus.OK), np.uint8)
 

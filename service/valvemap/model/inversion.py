@@ -1,4 +1,4 @@
-"""What an inverse map answers."""
+"""Answers of an inverse map."""
 
 from dataclasses import dataclass
 

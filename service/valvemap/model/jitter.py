@@ -1,8 +1,8 @@
-"""What U does from sample to sample beside its way: noise of its own, or of Q that it reacts to.
+"""Jitter of U: fast variation beside its trend, as noise or as feedback of the noise of Q.
 
-Either hides what the valve does: behind a lag, which smooths it, U would explain the flow better,
-and lags of 10 ms to 300 ms are seen in signals without any. Taken off before, it shows none, and
-hides none.
+Jitter biases the estimation of lags. A lag smooths it, so that the smoothed U seems to explain the
+flow better, and signals without any lag appear to have lags of 10 ms to 300 ms. Without the jitter
+there is no such bias, and real lags are still found.
 """
 
 from itertools import product
@@ -13,12 +13,12 @@ import numpy as np
 from valvemap.model.kernels import lag, reaction
 from valvemap.model.samples import Floats
 
-SMOOTHED: Final = 5  # rows to either side of one that its jitter is smoothed over
-POWERS: Final = 6  # of U in a map that is coarse, but fits well enough to show the noise
+SMOOTHED: Final = 5  # rows on either side in the moving average
+POWERS: Final = 6  # powers of U in the coarse map that is used to estimate the noise
 
 
 def is_small(U: Floats) -> bool | None:
-    """Whether U (N,) jitters, and little beside its way; None: nobody can tell jitter from way."""
+    """Whether U (N,) has a jitter that is small against its trend; None if it is not separable."""
     w = np.abs(np.diff(U, 2))
     jitter = w[w > reaction.LEAST]
     if len(jitter) < reaction.OFTEN * len(U):
@@ -27,7 +27,7 @@ def is_small(U: Floats) -> bool | None:
 
 
 def taken_off(U: Floats) -> Floats:
-    """U (N,) as the mean of as many rows before as after: no lag is added."""
+    """U (N,) as a centred moving average, which adds no lag."""
     ends = np.full(SMOOTHED, U[0]), np.full(SMOOTHED, U[-1])
     wide = np.concatenate([ends[0], U, ends[1]])
     total = sum(wide[k : k + len(U)] for k in range(2 * SMOOTHED + 1))
@@ -35,9 +35,9 @@ def taken_off(U: Floats) -> Floats:
 
 
 def reacts(rows: Floats) -> bool | None:
-    """Whether U reacts to the noise of the same of ``rows``, see :func:`kernels.lag.keep`.
+    """Whether U reacts to the noise of its own row in ``rows``, see :func:`kernels.lag.keep`.
 
-    As far as a coarse map without lags tells; None where nobody can tell.
+    The test uses a coarse map without lags; None if it is inconclusive.
     """
     U, s, Q = rows[:, lag.LEFT_U], rows[:, lag.LEFT_S] / 10.0, rows[:, lag.LEFT_Q]
     small = is_small(U)

@@ -1,19 +1,20 @@
-"""Which lags lie between U, the flow, and the flow shown: those that leave least unexplained.
+"""Estimation of two lags, of U's effect and of the flow meter, by least squares.
 
-A map that is linear in its parameters lags as its regressors do, so for any pair of lags the best
-coarse map, and what it leaves, follow by least squares (:func:`kernels.lag.misfit`). A look finds
-the pair that leaves least in the last samples, and how sharply, after what noise repeats from
-sample to sample is taken off. Looks add up as information does::
+A map that is linear in its parameters is filtered by the lags as its regressors are. For any pair
+of lags, least squares therefore gives the best coarse map and its residual
+(:func:`kernels.lag.misfit`), prewhitened for coloured noise. One search minimizes the score J over
+the last N samples and estimates its curvature Λ. Searches are combined as information::
 
     J(x) = N·ln(squares) ~ (x - x̂)ᵀ·Λ·(x - x̂),   Σ = ΣΛ,   b = ΣΛ·x̂,   x = Σ⁻¹·b
 
-A lag is claimed if without it J would be larger by CLEAR; one that is claimed already stays so as
-long as J would be larger by STILL_CLEAR. Looks differ by as much as that and more, and a lag that
-comes and goes has the map begin anew each time.
+A lag is accepted if J would be larger by CLEAR without it; a lag accepted before is kept while J
+would be larger by STILL_CLEAR. This hysteresis is needed because J varies that much between
+searches, and each change of the lags restarts the map.
 
-x are the *delays* that the lags make of samples, ``step / (exp(step / lag) - 1)``, see `delay`: for
-a slow lag nearly the lag itself, for one faster than a step next to nothing. Over the lags J would
-be flat there and steep behind, and a parabola through it would claim what nobody has seen.
+x holds the *delays* of the samples, ``step / (exp(step / lag) - 1)``, see `delay`. The delay of a
+slow lag is nearly the lag itself; that of a lag shorter than a step is nearly 0. As a function of
+the lags, J is flat near 0 and steep beyond, so that a parabola in them would accept lags without
+evidence.
 """
 
 import math
@@ -30,27 +31,27 @@ from valvemap.model.samples import Floats
 
 TRIED_U: Final = (0.0, 0.03, 0.1)  # s
 TRIED_Q: Final = (0.0, 0.03, 0.08, 0.2, 0.45)  # s
-MOST: Final = 0.6  # s: slower ones are not looked for
-LEAST: Final = 0.010  # s: a shorter delay is none, one sample at 100 Hz
-FIRST_STEP: Final = 0.3  # of a lag, or LEAST_STEP: the first step
+MOST: Final = 0.6  # s: upper bound of the search
+LEAST: Final = 0.010  # s: a shorter delay is taken as 0; one sample at 100 Hz
+FIRST_STEP: Final = 0.3  # first step relative to the lag, at least LEAST_STEP
 LEAST_STEP: Final = 0.006  # s
-ROUNDS: Final = 6  # steps along either lag, halvings included
-NEWTONS: Final = 12  # of Newton's steps after them
-SHARES: Final = (1.0, 0.4, 0.1)  # of each that are tried
-NEAR: Final = 0.004  # s: how far around a pair they look
-LEAST_BEND: Final = 1.0  # 1/s²: next to nothing, where the score does not bend upwards
-LEAST_GAIN: Final = 0.5  # in J: less is no reason for another one
-LEAST_WAY: Final = 0.3, 1.0  # ranges that U, and Q, must travel within the rows to tell a lag
-PERCENT_OF_S: Final = 7.0  # √bar that count as much as a % of U: 14 √bar are the range
-MOST_STEPS: Final = 500.0  # steps of a lag's time: what is faster comes at once
-SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
-LEAST_ROWS: Final = 200  # rows that count: a lag is not told from fewer, 2 s at 100 Hz
-CLEAR: Final = 40.0  # gain in J: a clear lag
-STILL_CLEAR: Final = 10.0  # ... one claimed before: of noise alone, gains are 1, seldom 10
-WORTH_OF_JITTERY: Final = 0.2  # of a look: where U hardly moves, its smoothed jitter gains 120
-COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
-KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
-LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
+ROUNDS: Final = 6  # coordinate steps, halvings included
+NEWTONS: Final = 12  # Newton steps afterwards
+SHARES: Final = (1.0, 0.4, 0.1)  # step lengths tried of a Newton step
+NEAR: Final = 0.004  # s: step of the finite differences
+LEAST_BEND: Final = 1.0  # 1/s²: curvature used where J is not convex
+LEAST_GAIN: Final = 0.5  # in J: stop if a step gains less
+LEAST_WAY: Final = 0.3, 1.0  # ranges that U and Q must travel for their lags to be identifiable
+PERCENT_OF_S: Final = 7.0  # % of U per √bar: 100 % correspond to 14 √bar
+MOST_STEPS: Final = 500.0  # steps: a lag with a smaller exponential is immediate
+SPARSE: Final = 20  # rows; the travel is measured over every 20th row to suppress noise
+LEAST_ROWS: Final = 200  # rows with weight that a search needs: 2 s at 100 Hz
+CLEAR: Final = 40.0  # gain in J from which a lag is accepted
+STILL_CLEAR: Final = 10.0  # gain in J from which it is kept; noise alone gains 1, rarely 10
+WORTH_OF_JITTERY: Final = 0.2  # weight of a search with jitter; at standstill, jitter gains 120
+COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # lag-1 correlations tried
+KEPT: Final = 0.9  # share of the information kept at each search, since lags may change
+LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # indices of `known`
 
 Pair = tuple[float, float]  # lag of U's effect and of the meter, s
 NO_LAGS: Final = (0.0, 0.0)  # s
@@ -64,13 +65,12 @@ def look(
     *,
     doubted: bool = False,
 ) -> Pair:
-    """Lags after a look at ``rows``, see :func:`kernels.lag.keep`; ``known`` (6,) is written.
+    """Update the lags from ``rows``, see :func:`kernels.lag.keep`; writes ``known`` (6,).
 
-    The first look searches everywhere, later ones around what is known. Where the lags claimed
-    ``before`` are ``doubted``, it searches everywhere again, and drops what was known of them if
-    these rows clearly speak against them, not else. Jitter of U and s is taken off first, as a lag
-    would smooth it and seem to explain the flow better; what is left of it lets a look count for
-    less.
+    The first search is global, later ones start at the known lags. With ``doubted``, the search is
+    global again; if these rows clearly contradict the lags ``before``, their information is
+    replaced, otherwise it is kept. Jitter of U and s is removed first: a lag would smooth it and
+    seem to explain the flow better. With jitter, a search has less weight.
     """
     rows, is_jittery = _calmed(rows)
     worth = WORTH_OF_JITTERY if is_jittery else 1.0
@@ -108,14 +108,14 @@ def look(
 
 
 def excess(rows: Floats, before: Pair, now: Pair) -> float:
-    """By what share the squares are larger that ``rows`` leave behind the lags of ``before``."""
+    """Return the relative excess of the residual squares with the lags ``before``."""
     rows, _ = _calmed(rows)
     larger, least = (kernel.misfit(rows, *lags, 0.0)[0] for lags in (before, now))
     return max(larger / max(least, 1e-12 * larger, 1e-30) - 1.0, 0.0)
 
 
 def delay(lag: float, step: float) -> float:
-    """By how much samples ``step`` s apart come later behind a first-order ``lag``, s.
+    """Delay of samples ``step`` s apart by a first-order ``lag``, s.
 
     >>> round(delay(0.2, 0.01), 3), round(delay(0.02, 0.1), 4)
     (0.195, 0.0007)
@@ -124,7 +124,7 @@ def delay(lag: float, step: float) -> float:
 
 
 def _calmed(rows: Floats) -> tuple[Floats, bool]:
-    """The rows without jitter of U and s, and whether there was any."""
+    """Return the rows without jitter of U and s, and whether there was any."""
     rows, is_jittery = np.array(rows, np.float64), False
     for column, unit in ((kernel.LEFT_U, 1.0), (kernel.LEFT_S, PERCENT_OF_S)):
         if jitter.is_small(unit * rows[:, column]):
@@ -144,10 +144,10 @@ def _usual_step(rows: Floats) -> float:
 
 
 def _is_refuted(claimed: Pair, score: Callable[[Pair], float], step: float) -> bool:
-    """Whether these rows are clearly better explained without the lags that would be claimed.
+    """Whether these rows are clearly better explained without the accepted lags.
 
-    A bowl that is flat somewhere may have its bottom far away, where nobody has looked; and in
-    noise of a correlation that is a lag's own, a lag seems next to none.
+    The quadratic approximation fails where J is flat and its minimum is far away. With noise whose
+    correlation time equals a lag, the lag is hardly identifiable.
     """
     U, Q = claimed
     if U == Q == 0.0:
@@ -156,17 +156,17 @@ def _is_refuted(claimed: Pair, score: Callable[[Pair], float], step: float) -> b
 
 
 def _moved(rows: Floats, column: int) -> float:
-    """Way of a signal, in its ranges."""
+    """Return the travel of a signal, in units of its range."""
     signal = rows[:, column]
     scale = max(float(np.ptp(signal)), 100.0 if column == kernel.LEFT_U else 1e-9)
     return float(np.abs(np.diff(signal[::SPARSE])).sum()) / scale
 
 
 def _search(score: Callable[[Pair], float], near: Pair | None, free: tuple[bool, bool]) -> Pair:
-    """The pair of the lowest score: from what is known, or from the best of a few pairs.
+    """Return the pair with the lowest score, from the known pair or from a coarse grid.
 
-    The score's valley is narrow and lies askew: more of one lag stands for less of the other. So
-    its ends, where one stands for both, are beginnings, too.
+    The score has a narrow diagonal valley, since one lag can replace the other. The search
+    therefore also starts at its ends, where one lag has the sum of both.
     """
     if near is not None:
         return _descended(score, min((near, (0.0, 0.0)), key=score), free)
@@ -177,7 +177,7 @@ def _search(score: Callable[[Pair], float], near: Pair | None, free: tuple[bool,
 
 
 def _descended(score: Callable[[Pair], float], near: Pair, free: tuple[bool, bool]) -> Pair:
-    """Newton's steps from a pair, as long as they lower the score."""
+    """Damped Newton steps from a pair, as long as they lower the score."""
     least = score(near)
     for _ in range(NEWTONS):
         bowl = _bowl(score, near, free)
@@ -197,7 +197,7 @@ def _descended(score: Callable[[Pair], float], near: Pair, free: tuple[bool, boo
 
 
 def _stepped(score: Callable[[Pair], float], best: Pair, free: tuple[bool, bool]) -> Pair:
-    """Steps along either lag, and halves of them, as long as they lower the score."""
+    """Coordinate search with step halving."""
     least, steps = score(best), [max(FIRST_STEP * x, LEAST_STEP) for x in best]
     for _ in range(ROUNDS):
         for k, sign in product((0, 1), (1.0, -1.0)):
@@ -215,9 +215,9 @@ def _stepped(score: Callable[[Pair], float], best: Pair, free: tuple[bool, bool]
 
 
 def _bowl(score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]) -> Floats | None:
-    """1, Λ (uu, uq, qq) and Λ·x̂ (u, q) from the score's differences around a pair.
+    """Return 1, Λ (uu, uq, qq) and Λ·x̂ (u, q) by finite differences of the score.
 
-    Nothing is known of a lag that is not free: its signal stood still.
+    A lag that is not ``free``, since its signal stood still, gets no information.
     """
     if not free[1]:
         return None
@@ -244,9 +244,10 @@ def _bowl(score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]) -> 
 def _claim_no_more(
     found: Floats, score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]
 ) -> None:
-    """Have a look count for as much as J is larger elsewhere, where its bowl would for more.
+    """Reduce a search's information to the actual rise of J away from the minimum.
 
-    Elsewhere is without lags, and at the valley's ends: of two minima the bowl sees its own alone.
+    J is compared without lags and at the valley's ends: the curvature at one of two minima does not
+    represent the other.
     """
     least, here = score(at), np.array(_resolved(found))
     both = sum(at)
@@ -261,7 +262,7 @@ def _claim_no_more(
 
 
 def _resolved(known: Floats) -> Pair:
-    """The pair that all looks together say, neither below 0."""
+    """Return the minimum of the combined score, with neither delay below 0."""
     _, uu, uq, qq, b_U, b_Q = known.tolist()
     if uu == 0.0:
         return 0.0, min(max(b_Q / qq, 0.0), MOST)
@@ -275,7 +276,7 @@ def _resolved(known: Floats) -> Pair:
 
 
 def _claimed(known: Floats, step: float, before: Pair) -> Pair:
-    """The lags of those of them that are clear; ``before``: those claimed until now."""
+    """Return the accepted lags; ``before`` are those accepted so far."""
     if not known[LOOKED]:
         return NO_LAGS
     _, uu, uq, qq, b_U, b_Q = known.tolist()

@@ -1,4 +1,4 @@
-"""Batch least squares, eq. (16): the yardstick of everything recursive."""
+"""Batch least squares, eq. (16): the reference of the recursive methods."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,9 +10,9 @@ from valvemap.model.samples import Floats
 def batch_least_squares(X: ArrayLike, y: ArrayLike, lam: float = 1.0) -> Floats:
     """Theta (n,) that minimises Σ λ^(N-i)·(y(i) - Xᵀ(i)·theta)².
 
-    Orthogonal factors of the column-scaled X, not the normal equations of eq. (16), which square
-    the condition number. Rows of X and y are both weighted by λ^((N-i)/2); the paper prints the
-    weight on X alone (before eq. 26).
+    Uses orthogonal factors of the column-scaled X, not the normal equations of eq. (16), which
+    square the condition number. Rows of X and y are both weighted by λ^((N-i)/2); the paper
+    prints the weight on X alone (before eq. 26).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The state of recursive least squares, and what can be done with it, on plain arrays."""
+"""State of recursive least squares, and its operations on plain arrays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -68,37 +68,37 @@ from valvemap.vocabulary.statuses import Adaptation
 A = TypeVar("A", Floats, Times, Codes)
 
 NODES = NODES_A * NODES_B
-BEHIND = 0.9  # times what recent innovations have in common: by how much a map that drifts lags
-EXACT = 1e-30  # of the largest of P's pivots: what is less is known without doubt
-LEAST = 1e-150  # pivot of P, where all are known without doubt
-REVISITS = 30.0  # of places, before which nobody can tell
-MISFITS = 0.25  # mean square of misfit over that of noise from which the structure does not fit
+BEHIND = 0.9  # factor on the common part of recent innovations: the bias of a map that drifts
+EXACT = 1e-30  # relative to the largest pivot of P; smaller ones have no uncertainty
+LEAST = 1e-150  # pivot of P if all have no uncertainty
+REVISITS = 30.0  # visits of places before misfit can be judged
+MISFITS = 0.25  # ratio of misfit to noise, mean squares, from which the structure does not fit
 
 
 @dataclass(frozen=True)
 class RlsState(State):
-    """What recursive least squares knows.
+    """State of recursive least squares.
 
     Attributes
     ----------
     row : (size,)
-        What a step reads and writes, in one piece, see
-        :mod:`valvemap.model.kernels.row_layout`. Triangles are lower ones, row by row.
+        All values that a step reads and writes, in one array, see
+        :mod:`valvemap.model.kernels.row_layout`. Triangles are lower, by rows.
 
-        - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
+        - theta (n,): parameters; 0 in directions that the samples do not determine.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
         - score (n,), variance (triangle), detector (65,): of change detection and of the memory
           of places, see :mod:`valvemap.model.kernels.change_detection`.
-        - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
+        - early (n,): parameters up to 31 samples ago; NaN at first.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
-        - spread (triangle): what the noise has made of theta, over σ². With rules that divide P by
-          λ it is the covariance Z of P⁻¹·theta, that of theta is P·Z·P; with the others, where
-          P⁻¹ and Z grow by the same X·Xᵀ, it is what forgetting has set between them, P⁻¹ - Z.
+        - spread (triangle): covariance due to noise, over σ². With rules that divide P by λ, it is
+          the covariance Z of P⁻¹·theta, and that of theta is P·Z·P. With the others, P⁻¹ and Z grow
+          by the same X·Xᵀ, and it is their difference due to forgetting, P⁻¹ - Z.
         - noise (4,): sum of the weights and of their squares, estimate of σ², trace of P in units
           of the scales.
     R, rhs : (n, n), (n,)
-        R·theta = z, RᵀR = P⁻¹, until theta is determined, and as long as regressors nearly depend
-        on each other; then unused.
+        R·theta = z, RᵀR = P⁻¹, while theta is not determined or the regressors are nearly
+        collinear; then unused.
     counters : (11,)
         Samples used; 1 with U·D·Uᵀ, 0 with R; place and fill of the window; 1 if P holds samples
         from before it; sample number at which the memory was last opened. Then number of changes,
@@ -106,11 +106,11 @@ class RlsState(State):
     window : (length, n + 1)
         The last samples of a sliding window, X and y; no rows with other rules.
     flows : (nodes,), places : (nodes, 5), visits : (nodes, 2)
-        What was measured where, see :mod:`valvemap.model.kernels.places`; no rows with
+        Measurements by place, see :mod:`valvemap.model.kernels.places`; no rows with
         rules other than `Adaptive`.
     """
 
-    state_version: ClassVar[int] = 5  # 4: did not know how long a place had not been visited
+    state_version: ClassVar[int] = 5  # 4: without the time since the last visit of a place
 
     row: Floats
     R: Floats
@@ -122,12 +122,12 @@ class RlsState(State):
     visits: Codes
 
     def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them; places that kernels count by lie within their arrays."""
+        """Valid values of the arrays; indices that kernels use are within bounds."""
         at, n = self._places, self.rhs.shape[-1]
         diagonal = np.arange(n) * (np.arange(n) + 3) // 2  # of a lower triangle, row by row
         row = Contents(self.row).within(0.0, where=slice(at.scale, at.score))
         row.or_nan(slice(at.early, at.block)).or_nan(slice(at.detector, at.x))
-        row.or_nan(at.detector + NODE, allowed=False)  # it is a place
+        row.or_nan(at.detector + NODE, allowed=False)  # an index
         for triangle in (at.factor, at.variance):
             row.within(0.0, where=triangle + diagonal)
         row.within(0.0, where=slice(at.noise, at.noise + PLACES_OF_NOISE))
@@ -141,7 +141,7 @@ class RlsState(State):
         return {"row": row, "counters": counters, "flows": flows, "places": nodes}
 
     def is_coherent(self) -> bool:
-        """Whether P has the inverse it stands for."""
+        """Whether P and its inverse agree."""
         determined = not self.counters[FACTORED] or (np.diag(self.factor) > 0.0).all()
         return bool(determined)
 
@@ -164,7 +164,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection and of the memory of places (65,)."""
+        """State of change detection and of the memory of places (65,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 
@@ -191,7 +191,7 @@ def initial_state(
     p0: float = np.inf,
     prior: tuple[Floats, Floats] | None = None,
 ) -> RlsState:
-    """State of n parameters before the first sample; ``prior``: rows (R, n) and values (R,)."""
+    """Return the initial state of n parameters; ``prior``: rows (R, n) and values (R,)."""
     length = forgetting.length if isinstance(forgetting, SlidingWindow) else 0
     at, rule = places(n), rule_of(forgetting, n)
     nodes = NODES if isinstance(forgetting, Adaptive) else 0
@@ -238,7 +238,7 @@ def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats,
 
 
 def _keeps(forgetting: Forgetting) -> bool:
-    """Whether a rule forgets nothing until places drift."""
+    """Whether a rule forgets nothing unless places drift."""
     return isinstance(forgetting, Adaptive) and forgetting.lam == 1.0
 
 
@@ -258,7 +258,7 @@ def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
 
 
 def known_theta(state: RlsState) -> Floats:
-    """Theta (n,), NaN where the samples do not fix it."""
+    """Theta (n,), NaN where the samples do not determine it."""
     if is_determined(state):
         return state.theta.copy()
     n = len(state.rhs)
@@ -282,7 +282,7 @@ def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
 
 
 def variances(fleet: RlsState, forgetting: Forgetting) -> tuple[Floats, Flags]:
-    """Variance of each parameter of M models (M, n), and whether it is at hand (M,)."""
+    """Variance of each parameter of M models (M, n), and whether it is available (M,)."""
     known = np.empty(fleet.theta.shape)
     kind = rule_of(forgetting, fleet.rhs.shape[-1]).kind
     scored = int(_keeps(forgetting))
@@ -303,7 +303,7 @@ def matrix_P(state: RlsState) -> Floats:
         return np.full_like(state.R, np.nan)
     if state.counters[FACTORED]:
         return np.asarray(covariance(state.factor))
-    inverse = np.linalg.inv(state.R)  # of a triangle: no row is ever exchanged
+    inverse = np.linalg.inv(state.R)  # triangular: no pivoting
     return np.asarray(inverse @ inverse.T)
 
 
@@ -313,7 +313,7 @@ def information(state: RlsState) -> Floats:
         d = np.diag(state.factor)
         d = np.maximum(d, max(EXACT * d.max(), LEAST))
         V = np.tril(state.factor, -1) + np.eye(len(d))
-        inverse = np.linalg.inv(V)  # with ones on the diagonal: of P itself there may be none
+        inverse = np.linalg.inv(V)  # with ones on the diagonal: P itself may be singular
         return np.asarray((inverse / d) @ inverse.T)
     return np.asarray(state.R.T @ state.R)
 
@@ -339,20 +339,20 @@ def learn(
     changes: Floats | None = None,
     grid: Grid | None = None,
 ) -> tuple[RlsState, Trace]:
-    """Take N samples in, one after another.
+    """Update with N samples in sequence.
 
     Parameters
     ----------
     state, forgetting
-        State before; rule of forgetting, the one the state was made for.
+        Previous state; its forgetting rule.
     X, y, t, usable : (N, n), (N,), (N,), (N,)
-        Regressors, output, times; where ``usable`` is 0 the state is not touched.
+        Regressors, output, times; samples with ``usable`` 0 do not change the state.
     thetas : (N, n), optional
         Written: theta after each sample.
     changes : (C, 3), optional
         Written: the first C detected changes, see `RlsResult`.
     grid : optional
-        Where the samples lie; without it `Adaptive` tells no place from another.
+        Places of the samples; without it, `Adaptive` has a single place.
     """
     after = RlsState(*(np.array(getattr(state, name))[None] for name in Memory._fields))
     batch = batch_of(X, y, t, usable, thetas, changes, grid)
@@ -366,7 +366,7 @@ def learn(
 def learn_segments(
     states: RlsState, forgetting: Forgetting, batch: Batch, segments: Segments
 ) -> None:
-    """Take in the samples of many models, written in place; ``states`` have a leading axis."""
+    """Update many models with their samples, in place; ``states`` have a leading axis."""
     n = states.rhs.shape[-1]
     size, rule = size_of(n), rule_of(forgetting, n)
     match forgetting:
@@ -385,7 +385,7 @@ def batch_of(
     changes: Floats | None = None,
     grid: Grid | None = None,
 ) -> Batch:
-    """Pack samples, and room for what becomes of them, for a kernel."""
+    """Pack samples and output arrays for a kernel."""
     N, n = X.shape
     where = nowhere(n) if grid is None else grid
     return Batch(
@@ -409,17 +409,17 @@ _places_of = lru_cache(maxsize=64)(places)
 
 
 def _writable(array: A) -> A:
-    """The array or a copy: the kernel is compiled once, for plain writable arrays."""
+    """Return the array or a copy: the kernel is compiled for plain writable arrays only."""
     return np.require(array, requirements=["C", "W", "A"])
 
 
 def memory_of(state: RlsState) -> Memory:
-    """The state's arrays, for a kernel."""
+    """The state's arrays for a kernel."""
     return Memory(*(getattr(state, name) for name in Memory._fields))
 
 
 def _square(triangle: Floats, n: int) -> Floats:
-    """Lower triangle (n, n) from its rows, one after another."""
+    """Return the lower triangle (n, n) from its concatenated rows."""
     square = np.zeros((n, n))
     square[np.tril_indices(n)] = triangle
     return square
@@ -431,7 +431,7 @@ def _symmetric(lower: Floats) -> Floats:
 
 @lru_cache(maxsize=64)
 def rule_of(forgetting: Forgetting, n: int) -> Rule:
-    """The rule in numbers, for n parameters."""
+    """Return the rule's numbers for n parameters."""
     match forgetting:
         case Exponential(lam):
             rule = Rule(rules.EXPONENTIAL, lam)

@@ -1,4 +1,4 @@
-"""A map that is known: theta of a structure and its covariance, from a file or by hand."""
+"""A known map: theta of a structure and its covariance, from a file or by hand."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class LinearMapState(State):
     covariance: Floats
 
     def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them."""
+        """Valid values of the arrays."""
         return {
             "theta": Contents(self.theta).or_nan(),
             "covariance": Contents(self.covariance).or_nan(),
@@ -49,12 +49,12 @@ class LinearMap:
         return self.structure.parameter_names
 
     def initial_state(self) -> LinearMapState:
-        """Nothing known."""
+        """Return unknown theta and covariance, NaN."""
         n = len(self.parameter_names)
         return LinearMapState(np.full(n, np.nan), np.full((n, n), np.nan))
 
     def update(self, state: LinearMapState, samples: Samples) -> tuple[LinearMapState, Trace]:
-        """Predict N samples; the state stays as it is."""
+        """Predict N samples; the state does not change."""
         Q, _ = self.predict(state, samples.U, samples.dp, samples.T)
         usable = (samples.quality != Quality.BAD) & np.isfinite(Q + samples.Q)
         predicted = np.where(usable, Q, np.nan)
@@ -83,5 +83,5 @@ class LinearMap:
         return state.theta.copy(), np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
 
     def adaptation(self, _state: LinearMapState) -> Adaptation:
-        """Undecided: it never learns, and does not look."""
+        """Return undecided: it does not assess residuals."""
         return Adaptation.UNDECIDED

@@ -23,9 +23,9 @@ ROUNDING: Final = 1e-4
 
 @dataclass(frozen=True)
 class LookupTable:
-    """U over pressure drop and flow, the flow as a share of what the valve passes at that dp.
+    """U over pressure drop and flow, the flow as a share of the valve's range at that dp.
 
-    So the reach of the valve is known exactly, and no cell lies astride it::
+    The range is therefore exact, and no cell crosses its border::
 
         low, high = lowest(dp), highest(dp)      linear between the points of dp
         r = (Q - low)/(high - low)
@@ -40,14 +40,14 @@ class LookupTable:
     r : (n_r,)
         Axis, 0 … 1.
     U : (n_r, n_dp)
-        U in %; NaN where no U can be trusted.
+        U in %; NaN where no U is valid.
     guessed : (n_r, n_dp)
-        Where nothing was measured near: the map is extrapolated.
+        Mask of points where the map is extrapolated.
     T
-        Oil temperature it was made for, °C.
+        Oil temperature, °C.
     error_U, error_Q
-        Largest difference from the map itself, % and l/min: of 49 points in each cell, and a
-        quarter on top.
+        Largest difference from the map, % and l/min: the maximum over 49 points in each cell, plus
+        25 %.
     """
 
     dp: Floats
@@ -61,10 +61,10 @@ class LookupTable:
     error_Q: float = np.nan
 
     def interpolate(self, Q: Floats, dp: Floats) -> tuple[Floats, Codes]:
-        """U (N,) within 0 … 100 %, and status: :class:`InverseStatus`.
+        """Return U (N,) within 0 … 100 %, and status: :class:`InverseStatus`.
 
-        Outside the axis of dp the answer is that of its nearest end. EXTRAPOLATING where one of the
-        points around is.
+        Outside the axis of dp, its nearest end is used. The status is EXTRAPOLATING if one of the
+        surrounding points is.
         """
         inside = np.clip(dp, self.dp[0], self.dp[-1])
         j, v = _place(self.dp, inside)
@@ -117,7 +117,7 @@ def lookup_table(
     points
         Along r, closer near both ends where dead band and saturation are, and along dp.
     support
-        What the map rests on; None: it is taken at its word everywhere.
+        Region of the samples; None: no extrapolation check.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def _errors(estimator: Estimator[Any], state: Any, table: LookupTable) -> tuple[
     r, dp = (
         (axis[:-1, None] + np.diff(axis)[:, None] * WITHIN).ravel() for axis in (table.r, table.dp)
     )
-    r = np.concatenate([-EDGES, r, 1.0 + EDGES])  # the reach is interpolated, too
+    r = np.concatenate([-EDGES, r, 1.0 + EDGES])  # the limits of the range are interpolated, too
     low, high = (np.interp(dp, table.dp, x) for x in (table.lowest, table.highest))
     Q = (low + r[:, None] * (high - low)).ravel()
     dp = np.tile(dp, len(r))

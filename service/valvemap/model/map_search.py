@@ -1,4 +1,4 @@
-"""The ladder's climb: one shape fitted to the cells of the memory, and its neighbours by BIC."""
+"""Structure search: fits a shape to the cells of the memory, and compares its neighbours by BIC."""
 
 import math
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from valvemap.model.map_shapes import Shape, Variety
 from valvemap.model.samples import Floats
 
 STARTS: Final = tuple(product((None, 4.0, 8.0, 14.0), (None, 97.0)))
-RICH: Final = 5  # numbers that are kept of the richest spline, see `noise`
-LEAST_SHARE: Final = 0.05  # of the samples where U came from either side: a loop could be seen
-LEAST_PLAY: Final = 0.1  # %: less is not told from a lag of a few ms
-LAG_DOUBT: Final = 2.0  # %/s: play that 2 % of doubt about a lag makes at 100 %/s
-LEAST_SPREAD: Final = 2.0  # K of T: a trend could be seen
+RICH: Final = 5  # values kept of the richest spline, see `noise`
+LEAST_SHARE: Final = 0.05  # share of samples reached from both sides that makes a loop identifiable
+LEAST_PLAY: Final = 0.1  # %; a smaller play cannot be distinguished from a lag of a few ms
+LAG_DOUBT: Final = 2.0  # %/s; play caused by 2 % uncertainty of a lag at 100 %/s
+LEAST_SPREAD: Final = 2.0  # K; spread of T that makes a trend identifiable
 
 
 @dataclass(frozen=True)
 class Fit:
     """A shape's least-squares fit; arrays as :func:`kernels.map_fit.fit` fills them.
 
-    But for ``mixed`` (n, TREND): beside a spline there is no eq. (7).
+    Only ``mixed`` (n, TREND) differs: a spline has no additional eq. (7).
     """
 
     theta: Floats
@@ -51,17 +51,18 @@ def fit(points: Floats, shape: Shape, top: float) -> Fit:
 
 
 def noise(points: Floats, shape: Shape, top: float, rich: Floats | None = None) -> float:
-    """σ² that the richest spline with the shape's kinks, play and trend leaves.
+    """Return σ² of the residual of the richest spline with the shape's kinks, play and trend.
 
-    ``rich`` (5,) is what such a spline has left before, and is written.
+    ``rich`` (5,) caches the result of such a spline, and is written.
     """
     return float(kernel.noise(points, shape.to_array(), top, _known(rich)))
 
 
 def variety(shared: float, points: Floats, lag: float = 0.0) -> Variety:
-    """What the memory can tell apart, behind lags of ``lag`` s in all.
+    """Return the resolution of the memory with lags of ``lag`` s in total.
 
-    ``shared`` is the share of the samples where U came from either side, see :mod:`kernels.held`.
+    ``shared`` is the share of the samples in cells that U reached from both sides, see
+    :mod:`kernels.held`.
     """
     weight = points[:, WEIGHT] / points[:, WEIGHT].sum()
     T = points[:, MEAN_T]
@@ -81,10 +82,10 @@ def climb(
     least: float = 0.0,
     rich: Floats | None = None,
 ) -> Shape:
-    """Try the next ``steps`` neighbours in turn; go to each that lowers the BIC, and on that way.
+    """Try the next ``steps`` neighbours in turn; move to each that lowers the BIC.
 
-    ``progress`` (2,) is carried on: the number of the next neighbour, and how many were tried in
-    vain since the last gain. ``least`` is what σ² is at least; ``rich`` see `noise`.
+    ``progress`` (2,) is updated: the number of the next neighbour, and the number of failed trials
+    since the last gain. ``least`` is the lower bound of σ²; for ``rich`` see `noise`.
     """
     numbers, trends = shape.to_array(), int(varied.temperatures)
     kernel.climb(
@@ -94,7 +95,7 @@ def climb(
 
 
 def is_resting(shape: Shape, varied: Variety, progress: NDArray[np.int64]) -> bool:
-    """Whether all neighbours were tried in vain."""
+    """Whether all neighbours have been tried without a gain."""
     return bool(progress[IDLE] > len(shape.neighbours(varied)))
 
 
@@ -106,7 +107,7 @@ def is_better(
     least: float = 0.0,
     rich: Floats | None = None,
 ) -> bool:
-    """Whether a shape has the smaller BIC, with the σ² of the other; ``rich`` is that one's."""
+    """Whether a shape has a smaller BIC than another, with the other's σ² (and ``rich``)."""
     sigma_2 = max(noise(points, than, top, rich), least)
     own, other = (kernel.bic(points, x.to_array(), top, sigma_2) for x in (shape, than))
     return bool(own < other - kernel.LEAST_GAIN)
@@ -117,6 +118,6 @@ def _known(rich: Floats | None) -> Floats:
 
 
 def fresh_start(number: int, like: Shape) -> Shape:
-    """A coarse shape with kinks somewhere, and the play and trend of another."""
+    """Return a coarse shape with new kinks, and the play and trend of another."""
     low, high = STARTS[number % len(STARTS)]
     return Shape(2, 2, low, high, like.play, like.trend)

@@ -1,4 +1,4 @@
-"""The shapes of a map among which `Auto` chooses: sizes, kinks, play, trend with temperature."""
+"""Shapes of a map for `Auto`'s structure selection: sizes, kinks, play, temperature trend."""
 
 import math
 from dataclasses import dataclass
@@ -19,20 +19,20 @@ AXES: Final = tuple(
 MOST: Final = ladder.MOST
 PRESSURES: Final = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 350.0, 1000.0)
 MOST_U, MOST_S = CELLS[-1] + 3 + 2 * 3, len(AXES[-1]) + 2
-KEPT: Final = 32  # shapes whose neighbours and splines are kept at hand
+KEPT: Final = 32  # shapes whose neighbours and splines are cached
 
 
 @dataclass(frozen=True)
 class Variety:
-    """What the samples so far can tell apart.
+    """Resolution of the samples so far.
 
     Attributes
     ----------
     least_play
-        The least play that they can tell, %; infinite where not even 5 % of them lie where U came
-        from below at one time, from above at another.
+        The smallest identifiable play, %; infinite unless 5 % of the samples are in cells that U
+        reached both from below and from above.
     temperatures
-        T spread by more than 2 K.
+        Whether T varies by more than 2 K.
     """
 
     least_play: float
@@ -41,18 +41,18 @@ class Variety:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One rung of the ladder.
+    """One shape of the structure selection.
 
     Attributes
     ----------
     cells
         Cells of the spline in U between the kinks; 0: no spline, eq. (7) alone.
     axis
-        Which of three divisions of √dp, finer and finer, and finest near 0.
+        Index of the grid in √dp: three grids, increasingly fine, each finest near 0.
     dead_band, saturation
         Kinks in U, %.
     play
-        Half the width of the hysteresis, %: the spline's argument lags so much behind U.
+        Half the width of the hysteresis, %, by which the spline's argument lags behind U.
     trend
         1 if the flow depends on T like (T - 40 °C)·(b1·s + b2·U·s + b3·dp).
     """
@@ -66,7 +66,7 @@ class Shape:
 
     @classmethod
     def from_array(cls, numbers: Floats) -> Self:
-        """Read what :meth:`to_array` wrote."""
+        """Decode an array of :meth:`to_array`."""
         cells, axis, dead_band, saturation, play, trend = numbers.tolist()
         return cls(
             int(cells),
@@ -78,30 +78,30 @@ class Shape:
         )
 
     def to_array(self) -> Floats:
-        """Six numbers; NaN for no kink."""
+        """Encode as six numbers; NaN for no kink."""
         kinks = [math.nan if x is None else x for x in (self.dead_band, self.saturation)]
         return np.array([self.cells, self.axis, *kinks, self.play, self.trend], np.float64)
 
     @property
     def size(self) -> int:
-        """Parameters of the spline; 0 without one."""
+        """Number of parameters of the spline; 0 without one."""
         kinks = sum(kink is not None for kink in (self.dead_band, self.saturation))
         return (self.cells + 3 + 3 * kinks) * (len(AXES[self.axis]) + 2) if self.cells else 0
 
     def spline(self, dp_top: float) -> TensorSpline:
-        """The spline over dp up to ``dp_top``; without cells the smallest one, to hold eq. (7)."""
+        """The spline over dp up to ``dp_top``; without cells the smallest one, for eq. (7)."""
         return _spline(self, dp_top)
 
     def plan(self, dp_top: float) -> Plan:
-        """What a fit of it needs, its spline reaching over dp up to ``dp_top``."""
+        """Return the plan of its fit, with a spline over dp up to ``dp_top``."""
         return plan_of(self.to_array(), dp_top)
 
     def neighbours(self, variety: Variety) -> tuple["Shape", ...]:
-        """Shapes one step away that samples of such variety can tell apart, in a fixed order."""
+        """Return the shapes one step away that ``variety`` can resolve, in a fixed order."""
         return _neighbours(self, variety)
 
     def describe(self) -> str:
-        """A line for the operator."""
+        """Return a line for the operator."""
         parts = [f"spline, {self.cells} x {len(AXES[self.axis]) - 1} cells"]
         if not self.cells:
             parts = ["eq. (7)"]
@@ -117,7 +117,7 @@ class Shape:
 
 
 def dp_top(s_seen: float) -> float:
-    """The smallest of a few pressures (bar) that covers the largest s seen."""
+    """Return the smallest of a few pressures (bar) that covers the largest s seen."""
     return next((dp for dp in PRESSURES if dp >= 0.98 * s_seen**2), PRESSURES[-1])
 
 

@@ -1,4 +1,4 @@
-"""Recursive maximum likelihood, eq. (29): parameters beside a model of coloured noise."""
+"""Recursive maximum likelihood, eq. (29): parameters with a model of coloured noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -40,11 +40,11 @@ class MaximumLikelihood:
 
         L = P·h_f / (λ + h_fᵀ·P·h_f),  ε = Q - hᵀθ̂(t-1),  θ̂ += L·ε,  P = (P - L·h_fᵀ·P)/λ
 
-    and the noise fed back is the residual *after* the update, v̂ = Q - hᵀθ̂(t) (the printed
-    equation feeds back ε and fails). A step that would make D̂(q) unstable is halved until it does
-    not; λ rises from 0.95; the prior variance of d is small. ``lam`` < 1 forgets along h_f alone
-    (Kulhavý 1987), so a level of U that is not visited is not forgotten. Plain RLS runs beside it,
-    and where RML is worse for long, it starts again from there.
+    and the noise fed back is the residual *after* the update, v̂ = Q - hᵀθ̂(t) (the published
+    equation feeds back ε and diverges). A step that would make D̂(q) unstable is halved until D̂(q)
+    is stable; λ rises from 0.95; the prior variance of d is small. ``lam`` < 1 forgets along h_f
+    only (Kulhavý 1987), so that levels of U without samples are kept. Plain RLS runs in parallel;
+    if RML is worse for long, it restarts from the RLS estimate.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class MaximumLikelihood:
     radius: float = 0.995
 
     def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
+        """Validate the hyper-parameters."""
         _check_settings(self.nd, self.lam, self.p0, self.radius)
         check_lam(self.lam, least_lam(Directional(), len(self.parameter_names)))
 
@@ -99,7 +99,7 @@ class MaximumLikelihood:
         return replace(self, lam=lam)
 
     def initial_state(self) -> MaximumLikelihoodState:
-        """Nothing known but the structure's prior: theta = 0, P = p0·I for scaled regressors."""
+        """Return theta = 0, P = p0·I for scaled regressors, with the structure's prior."""
         state = initial_state_of(self._orders(), self.p0)
         if isinstance(self.structure, StructureWithPrior):
             rows, values = self.structure.prior()
@@ -109,19 +109,19 @@ class MaximumLikelihood:
     def update(
         self, state: MaximumLikelihoodState, samples: Samples
     ) -> tuple[MaximumLikelihoodState, Trace]:
-        """Take N samples in; bad and non-finite ones leave the state untouched."""
+        """Update with N samples; bad and non-finite ones do not change the state."""
         return update_one(self, state, samples)
 
     def update_many(
         self, states: MaximumLikelihoodState, samples: Samples, segments: Segments
     ) -> Trace:
-        """Take the samples of many models in; their states are written in place."""
+        """Update many models with their samples; their states are written in place."""
         X, good = self._scaled_regressors(samples.U, samples.dp, samples.T)
         good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
         rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
         where = samples.U[good], samples.Q[good], segments.among(good)
         run = learn(states, rule, self._orders(), X[good], *where)
-        # Where the samples so far tell nothing, nothing can be said.
+        # NaN where the samples do not determine it.
         with np.errstate(invalid="ignore"):
             known = np.where(run.share <= kernel.UNDETERMINED, run.predicted, np.nan)
         predicted, behind = np.full((2, len(samples)), np.nan)
@@ -168,7 +168,7 @@ class MaximumLikelihood:
         return states.theta / scale, np.where(known, std, np.nan) / scale
 
     def adaptation(self, state: MaximumLikelihoodState) -> Adaptation:
-        """Undecided, as it does not tell misfit from drift, or reacting."""
+        """Return undecided, or reacting: it cannot separate misfit from drift."""
         return Adaptation.REACTING if _reacts(state.colour) else Adaptation.UNDECIDED
 
     def adaptation_many(self, states: MaximumLikelihoodState) -> Codes:
@@ -183,15 +183,15 @@ class MaximumLikelihood:
         return parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
 
     def information(self, state: MaximumLikelihoodState) -> Floats:
-        """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is.
+        """P⁻¹ (n, n) of the structure's parameters, for any noise model.
 
-        NaN where P has no inverse.
+        NaN if P is singular.
         """
         n = len(self._scale)
         P = covariance(state.factor)[:n, :n] / np.outer(self._scale, self._scale)
         try:
             return np.asarray(np.linalg.inv(P))
-        except np.linalg.LinAlgError:  # how numpy reports that there is none
+        except np.linalg.LinAlgError:  # singular
             return np.full_like(P, np.nan)
 
     def root_margin(self, state: MaximumLikelihoodState) -> float:
@@ -204,7 +204,7 @@ class MaximumLikelihood:
 
     @cached_property
     def _scale(self) -> Floats:
-        """Magnitude of each regressor over the nominal range: powers of two, exact to divide by."""
+        """Magnitude of each regressor over the nominal range: powers of two, for exact division."""
         grid = np.meshgrid(np.linspace(0, 100, 9), np.linspace(0, 200, 9), np.linspace(20, 60, 3))
         rows = self.structure.regressors(*(axis.ravel() for axis in grid))
         rms = np.sqrt(np.mean(rows**2, axis=0))
@@ -214,7 +214,7 @@ class MaximumLikelihood:
     def _scaled_regressors(
         self, U: Floats, dp: Floats, T: Floats
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Rows over their scale, and which of them are finite."""
+        """Return scaled rows, and a mask of the finite ones."""
         with np.errstate(all="ignore"):
             X = self.structure.regressors(U, dp, T) / self._scale
         return X, np.isfinite(U) & np.isfinite(dp) & np.isfinite(X).all(axis=1)
@@ -222,7 +222,7 @@ class MaximumLikelihood:
 
 @dataclass(frozen=True)
 class MaximumLikelihoodResult:
-    """What `recursive_maximum_likelihood` found from N samples.
+    """Result of `recursive_maximum_likelihood` for N samples.
 
     Attributes
     ----------
@@ -239,7 +239,7 @@ class MaximumLikelihoodResult:
     status : (N,)
         :class:`~valvemap.vocabulary.statuses.Status`.
     restarts : int
-        How often the estimate was judged lost, and begun again from plain RLS.
+        Number of restarts from plain RLS after a divergence.
     """
 
     theta: Floats
@@ -272,15 +272,15 @@ def recursive_maximum_likelihood(
     Parameters
     ----------
     y : (N,)
-        Output; a NaN is a missing sample: its prediction takes its place among the lags.
+        Output; NaN is a missing sample, replaced by its prediction in the lagged values.
     u : (N,) or (N, m)
-        Inputs; where one is missing theta is held until it has left the lags.
+        Inputs; while the lagged values contain a missing one, theta is held.
     na, nb, nd : int
         Orders; ``nb`` may be a sequence, one order per input.
     forgetting : float
         λ of exponential forgetting, in (0, 1].
     p0 : float
-        P(0) = p0·I for a and b, > 0, beyond 1e20 as 1e20; for d it is 0.1 over the noise variance.
+        P(0) = p0·I for a and b, > 0, at most 1e20; for d it is 0.1 over the noise variance.
     theta0 : (n,), optional
         Initial parameters; an unstable D is contracted.
     radius : float
@@ -345,7 +345,7 @@ def recursive_maximum_likelihood(
 
 
 def _delayed(inputs: Floats, lags: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Rows u(t-1), gaps filled with the value before; and where no gap is among the lags."""
+    """Rows u(t-1), gaps filled with the previous value; and a mask of rows without lagged gaps."""
     finite = np.isfinite(inputs)
     rows = np.where(finite, np.arange(len(inputs))[:, None], -1)
     rows = np.maximum.accumulate(rows, axis=0) if len(rows) else rows
@@ -358,7 +358,7 @@ def _delayed(inputs: Floats, lags: int) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def _contracted(d: Floats, radius: float) -> Floats:
-    """D with its roots drawn towards 0 until the largest lies well inside ``radius``."""
+    """Return D with its roots contracted until the largest is well within ``radius``."""
     if is_stable(d, radius):
         return d
     largest = 1.0 - root_margins(d[None, :])[0]

@@ -1,4 +1,4 @@
-"""What theta of eq. (29) lags by behind a plant that drifts, and what its interval makes of it."""
+"""Lag of eq. (29)'s theta behind a drifting plant, and its effect on the interval."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -11,25 +11,25 @@ from valvemap.model.kernels.scores import BLOCK, FEWEST
 from valvemap.model.maximum_likelihood_state import MaximumLikelihoodState, mirrored
 from valvemap.model.samples import Floats
 
-CHANCE: Final = 4.0  # squared standard deviations of the mean score that are no drift
-UNEVEN: Final = 1.0 / 3.0  # variance of lags between none and twice their mean, over its square
+CHANCE: Final = 4.0  # squared standard deviations of the mean score within chance
+UNEVEN: Final = 1.0 / 3.0  # relative variance of lags uniform between 0 and twice their mean
 
 
 @dataclass(frozen=True)
 class Lags:
-    """What theta lags by behind plants that surely drift, M of the models.
+    """Lag of theta behind the M models whose plants drift significantly.
 
-    The scores of the last samples have the mean M·Delta theta. A place that was visited just now
-    lags by nothing, one that was visited long ago by more than that.
+    The mean of the last samples' scores is M·Delta theta. The lag is 0 at a place just visited, and
+    larger than the mean at one visited long ago.
 
     Attributes
     ----------
     sure : (models,)
-        Which models they are.
+        Mask of the drifting models.
     score, theta : (M, s)
         Mean of the scores, and the lag.
     doubt : (M, s, s)
-        Covariance of that lag; Omega holds the lag too, so it is rather too large.
+        Covariance of the lag; it is overestimated, since Omega contains the lag, too.
     over_all : (M,)
         Mean square of the lag over the samples, (l/min)².
     """
@@ -41,20 +41,20 @@ class Lags:
     over_all: Floats
 
     def without(self, states: MaximumLikelihoodState) -> MaximumLikelihoodState:
-        """States whose Omega is that of the noise: to scores, a lag is noise that lasts."""
+        """Return states whose Omega contains the noise only, without the lasting lag."""
         if not self.sure.any():
             return states
         omega = states.omega.copy()
-        # Two blocks at a time, as Omega is gathered.
+        # Two blocks at a time, like the updates of Omega.
         omega[self.sure] -= 2.0 * BLOCK * self.score[:, :, None] * self.score[:, None, :]
         return replace(states, omega=omega)
 
     def beyond(self, X: Floats, std: Floats) -> Floats:
-        """Standard deviations (models, N) at rows X with the lag, from those without."""
+        """Return standard deviations (models, N) at rows X with the lag, from those without."""
         if not self.sure.any():
             return std
         with np.errstate(all="ignore"):
-            # No BLAS over the rows: each has the same bits alone and among others.
+            # No BLAS over the rows: results must not depend on the other rows.
             here, chance = (X * self.theta[:, None]).sum(axis=2) ** 2, np.zeros(1)
             for j in range(X.shape[1]):
                 chance = chance + X[:, j] * (X * self.doubt[:, None, j]).sum(axis=2)
@@ -66,7 +66,7 @@ class Lags:
 
 
 def lags_of(states: MaximumLikelihoodState) -> Lags:
-    """Lags of those models whose last scores have a mean beyond chance."""
+    """Return the lags of the models whose recent scores have a significant mean."""
     samples = np.minimum(BLOCK * states.colour[:, BLOCKS], 2.0 * LATELY)
     sure = samples >= FEWEST * BLOCK
     M, Omega = (mirrored(square[sure]) for square in (states.moments, states.omega))

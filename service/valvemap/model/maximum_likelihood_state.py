@@ -1,4 +1,4 @@
-"""What eq. (29) remembers, the run of its kernel over it, and what follows from it."""
+"""State of eq. (29), the call of its kernel, and quantities derived from it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from valvemap.model.samples import Codes, Floats, Segments
 
 @dataclass(frozen=True)
 class MaximumLikelihoodState(State):
-    """Everything that eq. (29) remembers, for regressors scaled to magnitude 1.
+    """State of eq. (29), for regressors scaled to magnitude 1.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class MaximumLikelihoodState(State):
     spread : (n, n)
         Lower triangle of the covariance of theta over σ²; unused until theta is determined.
     prior : (n,)
-        Variances over σ² that count as knowing nothing; 0 for d until σ² is known.
+        Prior variances over σ²; 0 for d until σ² is known.
     rls_theta, rls_factor : (s,), (s, s)
         Plain RLS on the regressors without the noise columns.
     raw, filtered : (channels, lags)
@@ -45,13 +45,13 @@ class MaximumLikelihoodState(State):
     monitor : (10,)
         Ramp, counts, noise variance and powers, see the kernel.
     early : (s,)
-        The structure's parameters up to 31 samples before; NaN before the first time.
+        The structure's parameters up to 31 samples ago; NaN at first.
     omega, moments, blocks, colour : (s, s), (s, s), (7, s), (18,)
-        Of innovations that stay coloured, see
+        Statistics of coloured innovations, see
         :mod:`valvemap.model.kernels.filtered_scores`.
     """
 
-    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts, nor of a drift
+    state_version: ClassVar[int] = 3  # 2: without the detection of reacting U and of drift
 
     theta: Floats
     factor: Floats
@@ -69,7 +69,7 @@ class MaximumLikelihoodState(State):
     colour: Floats
 
     def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them."""
+        """Valid values of the arrays."""
         reacts = [REACTING + place for place in (reaction.JITTERY, reaction.SEEN)]
         of_colour = [GATHERED, BLOCKS, SQUARE, BLOCK_SQUARE, *reacts]
         squares = ("factor", "spread", "rls_factor", "omega", "moments")
@@ -85,7 +85,7 @@ class MaximumLikelihoodState(State):
 
 
 def initial_state_of(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
-    """Nothing known: theta = 0, P = p0·I for the structure's parameters."""
+    """Return theta = 0, P = p0·I for the structure's parameters."""
     n, nd = int(orders.sum()), int(orders[-1])
     ns = n - nd
     p0 = min(float(p0), kernel.BOUNDLESS)
@@ -113,7 +113,7 @@ def initial_state_of(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState
 
 @dataclass(frozen=True)
 class Run:
-    """What samples made of the model, each (N,).
+    """Results of a run over N samples.
 
     Attributes
     ----------
@@ -147,8 +147,9 @@ def learn(
 ) -> Run:
     """Run the kernel over N samples; the states' arrays, with a leading axis, are written in place.
 
-    ``X`` (N, s), ``U`` (N,) and ``y`` (N,) are of many models, as ``segments`` say. Where ``use``
-    (N,) is 0 theta is held; ``history`` (N, n), if given, takes theta after each sample.
+    ``X`` (N, s), ``U`` (N,) and ``y`` (N,) hold the samples of many models by ``segments``. Where
+    ``use`` (N,) is 0, theta is held. ``history`` (N, n), if given, receives theta after each
+    sample.
     """
     N, n = len(y), states.theta.shape[1]
     values, status = np.empty((4, N)), np.empty(N, np.uint8)
@@ -174,7 +175,7 @@ def learn(
 
 
 def memory_of(state: MaximumLikelihoodState) -> kernel.Memory:
-    """The state's arrays as the kernel takes them."""
+    """The state's arrays for the kernel."""
     return kernel.Memory(*(getattr(state, name) for name in kernel.Memory._fields))
 
 
@@ -193,20 +194,20 @@ def parameter_covariance(state: MaximumLikelihoodState) -> Floats:
     """Covariance of theta (n, n), an upper bound until theta is determined."""
     over = covariance(state.factor)
     if state.monitor[kernel.DETERMINED] > 0:
-        over = mirrored(state.spread[None])[0]  # what lies above the diagonal is no part of it
+        over = mirrored(state.spread[None])[0]  # the upper triangle is unused
     with np.errstate(all="ignore"):
         return np.asarray(noise_variance(state) * over)
 
 
 def diagonals(states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
-    """P's diagonals (M, n), and how many times wider than in white noise variances are (M, s)."""
+    """Return P's diagonals (M, n), and ratios of the variances to those in white noise (M, s)."""
     P, inflations = np.empty(states.theta.shape), np.empty(states.rls_theta.shape)
     kernel.diagonals(memory_of(states), P, inflations)
     return P, inflations
 
 
 def mirrored(squares: Floats) -> Floats:
-    """Symmetric matrices (M, n, n) of which the lower triangles are kept."""
+    """Return symmetric matrices (M, n, n) from their lower triangles."""
     return np.asarray(np.tril(squares) + np.tril(squares, -1).transpose(0, 2, 1))
 
 

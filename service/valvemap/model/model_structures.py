@@ -1,4 +1,4 @@
-"""How the flow map depends on its parameters: Q = X(U, dp, T)ᵀ·theta."""
+"""Structures of the flow map: Q = X(U, dp, T)ᵀ·theta."""
 
 import math
 import re
@@ -30,16 +30,16 @@ class Structure(Protocol):
         """Names of theta's n elements, as published."""
 
     def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
-        """Rows Xᵀ (N, n) at N points; a row depends on its own point alone, bit for bit."""
+        """Return rows Xᵀ (N, n) at N points; a row depends on its point only, bit by bit."""
 
 
 @runtime_checkable
 class StructureWithPrior(Structure, Protocol):
-    """A structure that knows something of its parameters before the first sample.
+    """A structure with prior knowledge of its parameters.
 
-    An estimator feeds the prior into its initial information as pseudo-samples: row·theta = value,
-    each with the weight (noise variance) of one measured sample. They are no samples: neither the
-    sample count nor the noise variance may know of them.
+    An estimator adds the prior to its initial information as pseudo-samples: row·theta = value,
+    each with the weight (noise variance) of one measured sample. They affect neither the sample
+    count nor the noise variance.
     """
 
     def prior(self) -> tuple[Floats, Floats]:
@@ -64,7 +64,7 @@ class Polynomial:
     Raises
     ------
     ConfigurationError
-        if a term cannot be read or stands there twice.
+        if a term cannot be parsed or is repeated.
 
     Examples
     --------
@@ -156,12 +156,12 @@ class TensorSpline:
     """Tensor product of cubic B-splines over (U, s[, T]): the paper's "partition for local area".
 
     Q = Σ theta_ij · B_i(U) · B_j(s), s = sign(dp)·√|dp|; at most 16 of the products are not zero
-    at a point, so a sample teaches its own neighbourhood alone. With nodes in T every theta_ij is
-    interpolated linearly between them. Outside the breaks the map runs on along its tangent.
+    at a point, so a sample affects only its neighbourhood. With nodes in T every theta_ij is
+    interpolated linearly between them. Outside the breaks the map continues along its tangent.
 
-    theta_ij is close to Q at its own site (the Greville point), which gives it its name. The
-    prior draws it to the straight line between its neighbours, with the weight of ``smoothness²``
-    samples: nothing where there are data, a sane continuation where there are none.
+    theta_ij is close to Q at its site (the Greville point), which gives it its name. The prior
+    pulls it to the straight line between its neighbours, with the weight of ``smoothness²``
+    samples. It is negligible where there are data, and extrapolates smoothly where there are none.
 
     Attributes
     ----------
@@ -171,12 +171,11 @@ class TensorSpline:
         Nodes in °C; none: the map does not depend on T.
     dead_band, saturation
         U in % where the valve begins to open and where it is fully open, if the map has a kink
-        there; below the one and above the other the prior draws it to a plateau.
+        there; below the first and above the second the prior pulls the map to a plateau.
     smoothness
         Root of the prior's weight, in samples.
     at_rest
-        ``"zero"`` holds Q at the first break of s at nought (Q(dp = 0) = 0): these theta are left
-        out.
+        ``"zero"`` fixes Q = 0 at the first break of s (Q(dp = 0) = 0): these theta are omitted.
 
     Raises
     ------
@@ -227,7 +226,7 @@ class TensorSpline:
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """Each parameter's own site."""
+        """The site of each parameter."""
         at_T = [f",{node:.4g}°C" for node in self.T] or [""]
         return tuple(
             f"Q({U:.4g}%,{s * abs(s):.4g}bar{T})" for U, s, T in product(*self.sites, at_T)
@@ -253,13 +252,13 @@ class TensorSpline:
         return np.asarray(spline.tensor_rows(U, dp, T, knots_U, knots_s, nodes, self.held))
 
     def coefficients(self, theta: Floats) -> Floats:
-        """Theta (n,) as the kernels take it: (n_U, n_s, n_T), held parameters included."""
+        """Return theta (n,) for the kernels: (n_U, n_s, n_T), held parameters included."""
         sites_U, sites_s = self.sites
         table = theta.reshape(len(sites_U), len(sites_s), -1)
         return np.pad(table, ((0, 0), (self.held, 0), (0, 0)))
 
     def prior(self) -> tuple[Floats, Floats]:
-        """Rows that ask each theta to lie on the line between its neighbours; values 0."""
+        """Rows that pull each theta to the line between its neighbours; values 0."""
         n_T = max(1, len(self.T))
         along_U, along_s = self.roughness
         one_U, one_s, one_T = np.eye(along_U.shape[1]), np.eye(along_s.shape[1]), np.eye(n_T)
@@ -295,7 +294,7 @@ class TensorSpline:
 
     @property
     def held(self) -> int:
-        """Functions of s that are left out."""
+        """Number of functions of s that are omitted."""
         return int(self.at_rest == "zero")
 
 
@@ -303,7 +302,7 @@ _FACTOR = re.compile(r"(U|s|\|s\||dp|\|dp\||T|nu)(?:\^(-?\d{1,2}))?")
 
 
 def _exponents(term: str) -> tuple[int, ...]:
-    """Read a term: the exponents of U, s, |s|, dp, |dp|, T, nu."""
+    """Parse a term: the exponents of U, s, |s|, dp, |dp|, T, nu."""
     exponents = dict.fromkeys(polynomial.FACTORS, 0)
     for factor in [] if term == "1" else term.replace(" ", "").split("*"):
         match = _FACTOR.fullmatch(factor)
@@ -329,7 +328,7 @@ def _check_breaks(name: str, breaks: tuple[float, ...]) -> None:
 
 
 def _bends(sites: Floats) -> Floats:
-    """Rows (n - 2, n): how far each value lies off the line between its neighbours."""
+    """Rows (n - 2, n): deviation of each value from the line between its neighbours."""
     left, right = np.diff(sites)[:-1], np.diff(sites)[1:]
     rows = np.zeros((len(sites) - 2, len(sites)))
     every = np.arange(len(sites) - 2)

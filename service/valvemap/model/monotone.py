@@ -1,4 +1,4 @@
-"""A map that is known to rise with U: least squares under ∂Q/∂U >= 0."""
+"""A monotone map: least squares under ∂Q/∂U >= 0."""
 
 from dataclasses import dataclass, replace
 from typing import Final, Self
@@ -22,16 +22,16 @@ GRID_DP: Final = np.array([0.5, 2.0, 8.0, 25.0, 60.0, 110.0, 200.0])
 class Monotone:
     """Recursive least squares whose map never falls with U.
 
-    The recursion runs free; what it says is drawn to the nearest theta that rises, in the metric
-    of its own covariance P, as least squares under the constraint would::
+    The recursion is unconstrained. Its theta is projected to the nearest monotone one in the metric
+    of its covariance P, which equals least squares under the constraint::
 
         theta_c = argmin (x - theta)ᵀ·P⁻¹·(x - theta)   subject to   D·x >= 0
 
     For a spline the rows of D are the steps of its coefficients along U (sufficient everywhere);
     for another structure the steps of the map over a grid of U and dp at 40 °C. The other
-    constraint, Q(dp = 0) = 0, is a matter of the structure: ``TensorSpline(at_rest="zero")``, or a
-    polynomial all whose terms contain s or dp. The standard deviations are those without the
-    constraint: on the safe side.
+    constraint, Q(dp = 0) = 0, depends on the structure: ``TensorSpline(at_rest="zero")``, or a
+    polynomial whose terms all contain s or dp. The standard deviations are those without the
+    constraint, which is conservative.
 
     References
     ----------
@@ -70,7 +70,7 @@ class Monotone:
         return self.estimator.lam
 
     def with_forgetting(self, lam: float) -> Self:
-        """Use another forgetting factor; states may be carried over."""
+        """Return the same estimator with another forgetting factor; its states stay valid."""
         return replace(self, estimator=self.estimator.with_forgetting(lam))
 
     def initial_state(self) -> RlsState:
@@ -78,7 +78,7 @@ class Monotone:
         return self.estimator.initial_state()
 
     def update(self, state: RlsState, samples: Samples) -> tuple[RlsState, Trace]:
-        """Take N samples in; the trace is that of the free recursion."""
+        """Update with N samples; the trace is that of the unconstrained recursion."""
         return self.estimator.update(state, samples)
 
     def predict(self, state: RlsState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
@@ -94,7 +94,7 @@ class Monotone:
         return self._theta(state), self.estimator.parameters(state)[1]
 
     def adaptation(self, state: RlsState) -> Adaptation:
-        """What the free recursion makes of its residuals."""
+        """Return the assessment of the unconstrained recursion's residuals."""
         return self.estimator.adaptation(state)
 
     def covariance(self, state: RlsState) -> Floats:
@@ -102,7 +102,7 @@ class Monotone:
         return self.estimator.covariance(state)
 
     def information(self, state: RlsState) -> Floats:
-        """P⁻¹ (n, n) of the free recursion."""
+        """P⁻¹ (n, n) of the unconstrained recursion."""
         return self.estimator.information(state)
 
     def _theta(self, state: RlsState) -> Floats:
@@ -126,7 +126,7 @@ def monotone_rows(structure: Structure) -> Floats:
 
 
 def nearest(theta: Floats, covariance: Floats, D: Floats) -> Floats:
-    """The nearest x to theta with D·x >= 0; theta itself where it is not known or obeys."""
+    """Return the nearest x to theta with D·x >= 0; theta itself if it is unknown or feasible."""
     scale = np.sqrt(np.diag(covariance))
     if not (np.isfinite(theta).all() and np.isfinite(covariance).all() and (scale > 0.0).all()):
         return theta

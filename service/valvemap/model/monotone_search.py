@@ -21,11 +21,11 @@ STEPS: Final = 64
 def search(
     flow: Flow, Q: Floats, reach: tuple[float, float] = (0.0, 100.0)
 ) -> tuple[Floats, Floats, Codes]:
-    """Smallest U on a rising branch with flow = Q, within ``reach``.
+    """Return the smallest U on a rising branch with flow = Q, within ``reach``.
 
-    ``flow(U, points)`` gives the flow at U for the named points. The map is looked at on a grid of
-    65 levels: features narrower than 1.6 % of U stay unseen, and a fall of less than 5 % of the
-    map's span does not spoil the verdict that a demand lies out of reach.
+    ``flow(U, points)`` gives the flow at U for the named points. The map is evaluated on a grid
+    of 65 levels. Features narrower than 1.6 % of U may be missed. A fall of less than 5 % of the
+    map's span is ignored when a demand is judged out of reach.
 
     Returns
     -------
@@ -91,10 +91,10 @@ def _verdict(levels: Floats, Q: Floats, tolerance: Floats) -> Codes:
 
 
 def _root(f: Flow, low: Floats, high: Floats, tolerance: Floats) -> Floats:
-    """Smallest root of f in [low, high], where f(low) < 0 <= f(high).
+    """Return the smallest root of f in [low, high], where f(low) < 0 <= f(high).
 
-    Illinois steps, every third one a bisection. A root inside a plateau is carried to the
-    plateau's left end by bisection alone.
+    Illinois steps, with a bisection in every third. A root on a plateau is moved to the plateau's
+    left end by bisection.
     """
     start, low, high = low, low.copy(), high.copy()
     every = np.arange(len(low))
@@ -110,7 +110,7 @@ def _root(f: Flow, low: Floats, high: Floats, tolerance: Floats) -> Floats:
         u = np.where((u > a) & (u < b) & (step % 3 != 2), u, middle)
         fu = f(u, active)
         up = fu >= 0.0
-        # An end that stays twice is believed only half the second time: Illinois.
+        # Illinois: halve the value of an end that is kept twice.
         twice = np.where(side[active] == np.where(up, 1, -1), 0.5, 1.0)
         side[active] = np.where(up, 1, -1)
         low[active], f_low[active] = np.where(up, a, u), np.where(up, twice * fa, fu)
@@ -122,7 +122,7 @@ def _root(f: Flow, low: Floats, high: Floats, tolerance: Floats) -> Floats:
 
 
 def _left_end(f: Flow, U: Floats, start: Floats, tolerance: Floats) -> Floats:
-    """Carry each root on a plateau (flat over 1e-6 %) to its left end, not before ``start``."""
+    """Move each root on a plateau (flat over 1e-6 %) to its left end, not before ``start``."""
     U = U.copy()
     every = np.arange(len(U))
     near = np.maximum(U - 1e-6, start)

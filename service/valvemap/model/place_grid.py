@@ -1,4 +1,4 @@
-"""Where samples lie on the grid that the memory of places is kept on."""
+"""Positions of samples on the grid of the memory of places."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -10,16 +10,16 @@ from valvemap.model.model_structures import Structure
 from valvemap.model.samples import Floats
 
 FULL_U = 100.0  # %: the last node along U
-T_OF_NODES = 40.0  # °C: the temperature at which the nodes' flows are kept
+T_OF_NODES = 40.0  # °C: the temperature of the nodes' flows
 
 
 class Grid(NamedTuple):
-    """Places of N samples.
+    """Positions of N samples.
 
     Attributes
     ----------
     a, b : (N,)
-        Where each lies, in steps of the grid; NaN: nowhere.
+        Coordinates in steps of the grid; NaN: nowhere.
     nodes : (K, n)
         Regressors at the nodes.
     """
@@ -30,12 +30,12 @@ class Grid(NamedTuple):
 
 
 def nowhere(n: int) -> Grid:
-    """No grid."""
+    """Return n samples without positions."""
     return Grid(np.empty(0), np.empty(0), np.empty((0, n)))
 
 
 def grid_of(structure: Structure, U: Floats, dp: Floats) -> Grid:
-    """Places by U and √dp.
+    """Return positions by U and √dp.
 
     Examples
     --------
@@ -58,7 +58,7 @@ def _regressors_at_nodes(structure: Structure) -> Floats:
 
 
 def grid_of_rows(X: Floats) -> Grid:
-    """Places by the first two columns of X (N, n) that vary.
+    """Return positions by the first two columns of X (N, n) that vary.
 
     A node's regressors are means of the rows around it.
     """

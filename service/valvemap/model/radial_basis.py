@@ -1,4 +1,4 @@
-"""Radial basis functions with fixed centres: linear in their weights, so RLS and RML find them."""
+"""Radial basis functions with fixed centres: linear in their weights, for RLS and RML."""
 
 import math
 from dataclasses import dataclass
@@ -15,18 +15,18 @@ from valvemap.model.samples import Floats
 
 @dataclass(frozen=True)
 class RadialBasis:
-    """Eq. (7), and on a grid of Gaussians over (U, s) what it leaves over.
+    """Eq. (7), and a grid of Gaussians over (U, s) for its residual.
 
     ::
 
         Q = a1 + a2·U + a3·s + a4·U·s + a5·s·|s| + Σ w_j·H_j,   s = sign(dp)·√|dp|
         H_j = exp(-((U - U_j)/b_U)²/2 - ((s - s_j)/b_s)²/2)      eq. (30) with fixed c_j and b
 
-    Where the paper's network moves centres and widths down a gradient and forgets one place while
-    it learns another, here only the weights are learnt, by least squares: sorted and scattered
-    samples lead to the same map. The grid reaches one mesh beyond the ranges, or the edges would
-    bend. A weak prior draws the weights to 0, so that cells without samples, and everything beyond
-    the grid, follow eq. (7).
+    The paper's network trains centres and widths by gradient descent and loses accuracy in one
+    region while it trains in another. Here only the weights are estimated, by least squares: the
+    order of the samples does not affect the map. The grid extends one mesh beyond the ranges to
+    avoid edge effects. A weak prior pulls the weights to 0, so that cells without samples, and all
+    points outside the grid, follow eq. (7).
 
     Attributes
     ----------
@@ -103,6 +103,6 @@ class RadialBasis:
         )
 
     def prior(self) -> tuple[Floats, Floats]:
-        """Rows that ask each weight to be 0."""
+        """Rows that pull each weight to 0."""
         rows = self.smoothness * np.eye(len(self.parameter_names))[kernel.TAIL :]
         return rows, np.zeros(len(rows))

@@ -27,7 +27,7 @@ class RbfNetworkState(State):
     monitor : (2,)
         Count of samples, mean square of the residual.
     noted : (m, 4)
-        Weight, centre and 1/width² of each neuron as they were up to 31 samples before.
+        Weight, centre and 1/width² of each neuron up to 31 samples ago.
     """
 
     w: Floats
@@ -40,7 +40,7 @@ class RbfNetworkState(State):
     noted: Floats
 
     def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them."""
+        """Valid values of the arrays."""
         bound, outside = kernel.WEIGHT_BOUND, kernel.CENTRE_BOUND
         return {
             "w": Contents(self.w).within(-bound, bound),
@@ -60,13 +60,13 @@ class RbfNetwork:
         Q_M = Σ w_j·H_j,   Δw_j = η·e·H_j,   Δlog b_j = η·e·w_j·H_j·‖x - c_j‖²/b_j²,
         Δc_ji = η·e·w_j·H_j·(x_i - c_ji)/b_j²,
 
-    each with the momentum α·(last change). Against the printed (37) H_j is there and η is applied
-    once: without H_j a sample far from a neuron moves it the more the farther it is, and scattered
-    data drive it to infinity. η is divided by 1 + η·‖gradient‖²/(1 - α), so that no setting can
-    overshoot; centres stay within one range of the ranges, widths within 0.02 to 3 ranges.
+    each with the momentum α·(last change). Unlike the published (37), H_j is included and η is
+    applied once: without H_j, the step of a neuron grows with its distance from the sample, and
+    scattered data make it diverge. η is divided by 1 + η·‖gradient‖²/(1 - α), so that no setting
+    can overshoot; centres stay within one range of the ranges, widths within 0.02 to 3 ranges.
 
-    What the network learns here it forgets there: after one sorted pass of structured data only the
-    last level fits. :class:`~valvemap.model.radial_basis.RadialBasis` with fixed centres
+    The network suffers from catastrophic forgetting: after one sorted pass of structured data only
+    the last level fits. :class:`~valvemap.model.radial_basis.RadialBasis` with fixed centres
     and weights by RLS does not.
 
     Attributes
@@ -76,9 +76,9 @@ class RbfNetwork:
     eta, alpha : float
         Learning rate in (0, 1], momentum factor in [0, 1).
     U_range, dp_range : (float, float)
-        Ranges of U (%) and dp (bar) that become [0, 1].
+        Ranges of U (%) and dp (bar), normalised to [0, 1].
     Q_scale : float
-        Flow that becomes 1, l/min.
+        Flow normalised to 1, l/min.
 
     References
     ----------
@@ -103,7 +103,7 @@ class RbfNetwork:
     Q_scale: float = 200.0
 
     def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
+        """Validate the hyper-parameters."""
         if not (2 <= self.grid[0] <= 100 and 2 <= self.grid[1] <= 100):
             raise ValueError(f"grid is {self.grid}; 2 to 100 neurons along each input are allowed")
         if not 0 < self.eta <= 1:
@@ -127,7 +127,7 @@ class RbfNetwork:
         )
 
     def initial_state(self) -> RbfNetworkState:
-        """Zero weights, centres on the grid, widths of one mesh."""
+        """Return zero weights, centres on the grid, widths of one mesh."""
         nU, ndp = self.grid
         gU, gdp = np.meshgrid(np.linspace(0, 1, nU), np.linspace(0, 1, ndp), indexing="ij")
         m = nU * ndp
@@ -144,11 +144,11 @@ class RbfNetwork:
         )
 
     def update(self, state: RbfNetworkState, samples: Samples) -> tuple[RbfNetworkState, Trace]:
-        """Take N samples in; bad and non-finite ones leave the state untouched."""
+        """Update with N samples; bad and non-finite ones do not change the state."""
         return update_one(self, state, samples)
 
     def update_many(self, states: RbfNetworkState, samples: Samples, segments: Segments) -> Trace:
-        """Take the samples of many models in; their states are written in place."""
+        """Update many models with their samples; their states are written in place."""
         x, finite = self._normalised(samples.U, samples.dp)
         good = (samples.quality != Quality.BAD) & np.isfinite(samples.Q) & finite
         count = len(samples)
@@ -212,7 +212,7 @@ class RbfNetwork:
         return theta, np.full(theta.shape, np.nan)
 
     def adaptation(self, _state: RbfNetworkState) -> Adaptation:
-        """Undecided: the network does not look what its residuals do."""
+        """Return undecided: the network does not assess its residuals."""
         return Adaptation.UNDECIDED
 
     def adaptation_many(self, states: RbfNetworkState) -> Codes:
@@ -220,7 +220,7 @@ class RbfNetwork:
         return np.full(len(states.w), Adaptation.UNDECIDED, np.uint8)
 
     def _normalised(self, U: Floats, dp: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Rows (U, dp) in ranges, and which of them are finite."""
+        """Return rows (U, dp) in ranges, and a mask of the finite ones."""
         with np.errstate(all="ignore"):
             x = np.stack(
                 [

@@ -62,13 +62,13 @@ class RecursiveLeastSquares:
 
     With ``p0`` = ∞ the start is exact: at λ = 1 theta equals batch least squares, eq. (16), as soon
     as the samples determine it. Until then the status is WARMING_UP, and a sample is predicted if
-    the earlier ones fix Xᵀ·theta (NaN if not). P is kept as a triangular factor, so it is never
-    asymmetric or indefinite.
+    the earlier ones determine Xᵀ·theta (NaN if not). P is stored as a triangular factor, so it is
+    always symmetric and positive definite.
 
     Parameters
     ----------
     structure
-        Which regressors X(U, dp, T) the flow is linear in.
+        Regressors X(U, dp, T) of the flow.
     forgetting
         A rule of :mod:`valvemap.model.forgetting`.
     p0
@@ -108,7 +108,7 @@ class RecursiveLeastSquares:
         return self.forgetting.lam
 
     def with_forgetting(self, lam: float) -> Self:
-        """Use another λ in the same rule; states may be carried over.
+        """Return the same estimator with another λ; its states stay valid.
 
         Raises
         ------
@@ -124,14 +124,14 @@ class RecursiveLeastSquares:
         return initial_state(len(self.parameter_names), self.forgetting, self.p0, prior)
 
     def update(self, state: RlsState, samples: Samples) -> tuple[RlsState, Trace]:
-        """Take N samples in, one after another."""
+        """Update with N samples in sequence."""
         return update_one(self, state, samples)
 
     def update_many(self, states: RlsState, samples: Samples, segments: Segments) -> Trace:
-        """Take the samples of many models in; their states are written in place."""
+        """Update many models with their samples; their states are written in place."""
         X = self.structure.regressors(samples.U, samples.dp, samples.T)
         usable = samples.quality != Quality.BAD
-        for signal in (samples.U, samples.dp):  # a structure may clip what it is given
+        for signal in (samples.U, samples.dp):  # a structure may clip its arguments
             usable &= np.abs(signal) <= LARGEST
         codes = usable.astype(np.uint8)
         grid = None
@@ -159,7 +159,7 @@ class RecursiveLeastSquares:
         return theta, std
 
     def adaptation(self, state: RlsState) -> Adaptation:
-        """What it makes of its residuals; undecided but with `Adaptive` that keeps its memory."""
+        """Return the assessment of the residuals: UNDECIDED or REACTING, unless places are kept."""
         return Adaptation(int(adaptations(state.detector[None], self.forgetting)[0]))
 
     def adaptation_many(self, states: RlsState) -> Codes:
@@ -175,11 +175,11 @@ class RecursiveLeastSquares:
         return information(state)
 
     def change_counts(self, states: RlsState) -> Times:
-        """How many changes of the plant were found of each of M models (M,)."""
+        """Return the number of detected plant changes of each of M models (M,)."""
         return np.asarray(states.counters[..., CHANGES])
 
     def last_change(self, state: RlsState) -> Change | None:
-        """Return the last change of the plant that was found, None if there was none."""
+        """Return the last detected plant change, None if there was none."""
         counters = state.counters.tolist()
         if not counters[CHANGES]:
             return None
@@ -193,10 +193,10 @@ class RecursiveLeastSquares:
 
 @lru_cache(maxsize=64)
 def _parameters_of_a_sample(structure: Structure) -> int:
-    """How many parameters one sample bears on at most: of a spline, those around its cell.
+    """Largest number of parameters that one sample depends on: of a spline, those around its cell.
 
-    The participation ratio (Σ|x|)²/Σx² of a row whose columns are scaled: n where all n regressors
-    weigh the same, 1 where one does alone.
+    The participation ratio (Σ|x|)²/Σx² of a row with scaled columns: n if all n regressors have
+    equal weight, 1 if a single one has all.
     """
     grid = np.meshgrid(np.linspace(0, 100, 9), np.linspace(0, 200, 9), np.linspace(20, 60, 3))
     rows = np.abs(structure.regressors(*(axis.ravel() for axis in grid)))
@@ -217,9 +217,9 @@ class RlsResult:
     theta : (n,)
         Parameters after the last sample.
     theta_history : (N, n)
-        Parameters after each sample; open directions are 0.
+        Parameters after each sample; 0 in undetermined directions.
     innovations : (N,)
-        y - Xᵀtheta before each sample; NaN where the samples before do not fix Xᵀtheta.
+        y - Xᵀtheta before each sample; NaN where earlier samples do not determine Xᵀtheta.
     covariance : (n, n)
         Covariance of theta (σ² estimated from the innovations); NaN while not determined.
     status : (N,)
@@ -240,7 +240,7 @@ class RlsResult:
 def recursive_least_squares(
     X: ArrayLike, y: ArrayLike, forgetting: float | Forgetting = 1.0, p0: float = np.inf
 ) -> RlsResult:
-    """Recursive least squares over arrays, one sample after another.
+    """Recursive least squares over arrays, sample by sample.
 
     Parameters
     ----------

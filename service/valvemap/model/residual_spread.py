@@ -1,4 +1,4 @@
-"""Where a new measurement will lie: the spread of the residuals, region by region."""
+"""Prediction interval of a new measurement, from the local spread of the residuals."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,22 +16,21 @@ EDGES_DP: Final = (kernel.WIDTH_S * np.arange(kernel.CELLS_S + 1)) ** 2
 
 @dataclass(frozen=True)
 class ResidualSpread:
-    """How far recent measurements lay off the map, by region of (U, dp), for any structure.
+    """Spread of recent residuals by region of (U, dp), for any structure.
 
-    The standard deviation of an estimator's Q̂ says how well the *map* is known if its structure
-    is right. A new measurement lies off that map by its noise, by what the structure cannot follow
-    *there*, and by how far the map moves until then. All are in the errors of what the map said up
-    to 31 samples before, so their mean square is kept in 120 cells of 10 % by 1.5 √bar. The 95 %
-    interval of a measurement within the next 32 samples is then::
+    The standard deviation of an estimator's Q̂ is the uncertainty of the *map* if its structure is
+    right. A new measurement also deviates by noise, by local structural misfit and by the motion of
+    the map until then. The errors of predictions up to 31 samples old contain all three; their mean
+    square is stored in 120 cells of 10 % by 1.5 √bar. The 95 % interval of a measurement within the
+    next 32 samples is then::
 
         Q̂ ± √((k·m(U, dp))² + (1.96·std)²)
 
-    with m the root mean square around the point, std the map's own standard deviation, and k the
-    multiple that 5 % of those errors exceed: 1.96 where they are Gaussian, otherwise what they are
-    seen to be. k climbs a little with each measurement outside and falls with each inside, so that
-    95 % of them are covered in the long run, whatever the structure and the noise. There are four
-    k, by how long ago the cell was visited: what a map says of a place that it just left is better
-    than what it says of one where it comes back to.
+    with m the root mean square around the point, std the map's standard deviation, and k the
+    multiple that 5 % of those errors exceed, 1.96 if they are Gaussian. k increases a little with
+    each measurement outside and decreases with each inside, so that the long-run coverage is 95 %
+    for any structure and noise. There are four values of k, by the time since the cell was last
+    visited: predictions in a cell just left are better than in one revisited later.
 
     Attributes
     ----------
@@ -60,7 +59,7 @@ class ResidualSpread:
 
     @classmethod
     def none(cls) -> "ResidualSpread":
-        """Nothing measured yet."""
+        """Initial state without residuals."""
         n = kernel.CELLS_U * kernel.CELLS_S
         overall = np.zeros(kernel.PLACES_OVERALL)
         overall[kernel.QUANTILE : kernel.TIMES] = TWO_SIDED_95
@@ -72,7 +71,7 @@ class ResidualSpread:
         )
 
     def of_many(self, M: int) -> "SpreadOfMany":
-        """M maps whose residuals lay so."""
+        """Copy to M maps."""
         return SpreadOfMany(
             cells=np.tile(self.cells, (M, 1, 1)),
             stamps=np.tile(self.stamps, (M, 1, 1)),
@@ -81,19 +80,19 @@ class ResidualSpread:
         )
 
     def add(self, samples: Samples, trace: Trace) -> "ResidualSpread":
-        """Take in what was predicted of N samples; NaN residuals count nowhere."""
+        """Add the residuals of N predicted samples; NaN residuals are ignored."""
         after = self.of_many(1)
         after.learn(samples, trace, Segments.one(len(samples)))
         return after.one(0)
 
     @property
     def noise_std(self) -> float:
-        """Standard deviation of a measurement about the map, l/min; NaN before the first."""
+        """Standard deviation of a measurement about the map, l/min; NaN without residuals."""
         return float(noise_std(self.overall))
 
     @property
     def multiple(self) -> float:
-        """Root mean squares that hold 95 % where it was measured just now; 1.96 if Gaussian."""
+        """Multiple of the RMS that covers 95 % in a cell just visited; 1.96 if Gaussian."""
         return float(self.overall[kernel.QUANTILE])
 
     def around(self, U: Floats, dp: Floats) -> Floats:
@@ -111,7 +110,7 @@ class ResidualSpread:
         return np.hypot(out, TWO_SIDED_95 * std)
 
     def density(self, U: Floats, dp: Floats) -> Floats:
-        """How many recent samples lie around N points (N,), near ones counting more."""
+        """Number of recent samples around N points (N,), weighted by distance."""
         middles_U = (EDGES_U[:-1] + EDGES_U[1:]) / 2.0
         middles_s = (np.sqrt(EDGES_DP[:-1]) + np.sqrt(EDGES_DP[1:])) / 2.0
         far_U = (U[:, None] - middles_U) / (2.0 * kernel.WIDTH_U)
@@ -127,7 +126,7 @@ class ResidualSpread:
 
     @property
     def last(self) -> Floats:
-        """Second of each cell's last sample, UTC ns, (10, 12); NaN where there was none."""
+        """Time of each cell's last sample, UTC ns, (10, 12), to the second; NaN without one."""
         seconds = self.stamps[:, kernel.LAST].astype(np.float64)
         last = np.where(self.ages > 0, kernel.SECOND * seconds, np.nan)
         return last.reshape(kernel.CELLS_U, kernel.CELLS_S)
@@ -139,7 +138,7 @@ class ResidualSpread:
 
 @dataclass(frozen=True)
 class SpreadOfMany:
-    """The residuals of M maps: the arrays of `ResidualSpread` with a leading axis M.
+    """Spread of the residuals of M maps: arrays of `ResidualSpread` with a leading axis M.
 
     Written in place.
     """
@@ -150,13 +149,13 @@ class SpreadOfMany:
     overall: Floats
 
     def learn(self, samples: Samples, trace: Trace, segments: Segments) -> None:
-        """Take in what was predicted of samples; NaN residuals count nowhere."""
+        """Add the residuals of predicted samples; NaN residuals are ignored."""
         memory = kernel.Memory(self.cells, self.stamps, self.ages, self.overall)
         where = samples.t, samples.U, samples.dp
         kernel.learn(*where, trace.residual, trace.early, memory, segments)
 
     def one(self, m: int) -> ResidualSpread:
-        """A copy of one of them."""
+        """Return a copy of map ``m``."""
         return ResidualSpread(
             cells=self.cells[m].copy(),
             stamps=self.stamps[m].copy(),
@@ -165,12 +164,12 @@ class SpreadOfMany:
         )
 
     def put(self, m: int, one: ResidualSpread) -> None:
-        """Have one of them stand otherwise."""
+        """Replace map ``m``."""
         self.cells[m], self.stamps[m] = one.cells, one.stamps
         self.ages[m], self.overall[m] = one.ages, one.overall
 
 
 def noise_std(overall: Floats) -> Floats:
-    """`ResidualSpread.noise_std` of any number of them, (…, 11) → (…)."""
+    """Return `ResidualSpread.noise_std` of any number of maps, (…, 11) → (…)."""
     known = overall[..., kernel.WEIGHT] > 0.0
     return np.asarray(np.where(known, np.sqrt(overall[..., kernel.SQUARES]), np.nan))

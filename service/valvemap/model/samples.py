@@ -1,4 +1,4 @@
-"""What flows through the core: samples in, traces out, both as structures of arrays."""
+"""Data types of the core: samples as input, traces as output, both as structures of arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -27,7 +27,7 @@ class Samples:
     U : float64
         Control voltage, % of its range.
     p1, p2 : float64
-        Pressures before and behind the valve, bar.
+        Pressures upstream and downstream of the valve, bar.
     Q : float64
         Flow through the valve, l/min.
     T : float64
@@ -63,7 +63,7 @@ class Samples:
         T: ArrayLike | None = None,
         quality: ArrayLike | None = None,
     ) -> Self:
-        """Take anything array-like; T defaults to NaN, quality to GOOD."""
+        """Convert anything array-like; T defaults to NaN, quality to GOOD."""
         time = np.ascontiguousarray(t, dtype=np.int64)
         return cls(
             t=time,
@@ -81,12 +81,12 @@ class Samples:
 
     @classmethod
     def empty(cls) -> Self:
-        """No samples."""
+        """Return no samples."""
         return cls.of(t=[], U=[], p1=[], p2=[], Q=[])
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
-        """One batch from several, in their order."""
+        """Concatenate batches in order."""
         if not parts:
             return cls.empty()
         columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
@@ -105,9 +105,9 @@ class Samples:
 
 
 class Segments(NamedTuple):
-    """Whose samples are whose: model ``members[s]`` of many takes rows starts[s] … stops[s] - 1.
+    """Assignment of samples to models: model ``members[s]`` owns rows starts[s] … stops[s] - 1.
 
-    All arrays (S,) of int64; a model appears once at most.
+    All arrays (S,) of int64; a model appears at most once.
     """
 
     members: Times
@@ -116,32 +116,32 @@ class Segments(NamedTuple):
 
     @classmethod
     def one(cls, rows: int) -> "Segments":
-        """All rows to model 0."""
+        """Assign all rows to model 0."""
         return cls(np.zeros(1, np.int64), np.zeros(1, np.int64), np.full(1, rows, np.int64))
 
     def of(self, chosen: NDArray[np.bool_]) -> "Segments":
-        """Some of the segments; ``chosen`` (S,)."""
+        """Return the chosen segments; ``chosen`` is a mask (S,)."""
         return Segments(*(array[chosen] for array in self))
 
     def among(self, rows: NDArray[np.bool_]) -> "Segments":
-        """Where the segments lie once only ``rows`` (N,) are kept."""
+        """Return the segments after a selection of rows by a mask (N,)."""
         before = np.concatenate([np.zeros(1, np.int64), np.cumsum(rows)])
         return Segments(self.members, before[self.starts], before[self.stops])
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What an estimator says of each of N samples, all arrays of shape (N,).
+    """Results of an estimator for N samples, all arrays of shape (N,).
 
     Attributes
     ----------
     predicted : float64
-        Q̂ from the parameters *before* the sample, l/min; NaN where nothing can be said.
+        Q̂ from the parameters *before* the sample, l/min; NaN where unknown.
     residual : float64
-        Q - Q̂ before the update (the innovation), l/min; NaN where nothing can be said.
+        Q - Q̂ before the update (the innovation), l/min; NaN where unknown.
     early : float64
-        Q - Q̂ of the map as it was up to 31 samples before, l/min: the error of what was published
-        ahead. NaN where it was not looked at; the residual, if the map stands still.
+        Q - Q̂ of the map as it was up to 31 samples before, l/min: the error of published
+        predictions. NaN where it was not evaluated; equal to the residual if the map is frozen.
     status : uint8
         :class:`Status`.
     """

@@ -1,4 +1,4 @@
-"""What the sensors themselves may be off by: an error that no number of samples averages out."""
+"""Systematic errors of the sensors, which no number of samples averages out."""
 
 import math
 from collections.abc import Callable
@@ -15,8 +15,8 @@ Flow = Callable[[Floats, Floats, Floats], Floats]
 class SensorAccuracy:
     """Limits ± of each sensor's systematic error: U %, p1 and p2 bar, Q l/min, T °C; 0: none.
 
-    The error is constant and anywhere within its limits alike, as accuracy classes are meant
-    (ISO 9110-1): its standard deviation is the limit over √3.
+    The error is constant and uniformly distributed within its limits, as accuracy classes are
+    defined (ISO 9110-1): its standard deviation is the limit over √3.
     """
 
     U: float = 0.0
@@ -27,11 +27,11 @@ class SensorAccuracy:
 
     @property
     def is_stated(self) -> bool:
-        """Whether any sensor is said to be off."""
+        """Whether any sensor has a systematic error."""
         return any(astuple(self))
 
     def beside(self, *limits: float) -> "SensorAccuracy":
-        """The same, and beside it what is anywhere within other limits ± alike, by signal.
+        """Combine with further independent uniform errors with limits ±, by signal.
 
         Examples
         --------
@@ -50,21 +50,21 @@ def systematic_std(
     points: tuple[Floats, Floats, Floats],
     U_range: tuple[float, float] = (0.0, 100.0),
 ) -> Floats:
-    """How far a map is off for its sensors' sake, one standard deviation, l/min, (N,).
+    """Standard deviation of a map due to the sensors' systematic errors, l/min, (N,).
 
     ``√(s_Q² + (∂Q/∂Δp)²·(s_p1² + s_p2²) + (∂Q/∂U)²·s_U² + (∂Q/∂T)²·s_T²)``, each slope that of the
-    secant over the limits, so that an edge within them counts.
+    secant over the limits, which includes an edge within them.
 
     Parameters
     ----------
     accuracy
-        Of the sensors that the map was learnt from.
+        Accuracy of the sensors.
     flow
         The map: U (%), dp (bar) and T (°C), each (N,), to Q (l/min).
     points
-        Where it is asked: U, dp and T, each (N,).
+        Points of evaluation: U, dp and T, each (N,).
     U_range
-        Beyond which the map says nothing of U, %.
+        Range of U in which the map is defined, %.
 
     Examples
     --------
@@ -82,5 +82,5 @@ def systematic_std(
             middle[0] = np.clip(points[0], U_range[0] + limit, U_range[1] - limit)
         below[k], above[k] = middle[k] - limit, middle[k] + limit
         half = (flow(*above) - flow(*below)) / 2.0
-        variance += np.where(np.isfinite(half), half, 0.0) ** 2  # unknown: its own std says so
+        variance += np.where(np.isfinite(half), half, 0.0) ** 2  # if unknown, the map's std is NaN
     return np.sqrt(variance / 3.0)

@@ -1,4 +1,4 @@
-"""What a map rests on: where its samples lay, and whether eq. (7) was enough for them."""
+"""Region of a map's samples, and the test whether eq. (7) fits them."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,25 +9,25 @@ import numpy as np
 from valvemap.model.kernels import lack_of_fit, support
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Trace
 
-SIGNIFICANT: Final = np.array([3.3] * 2 + [3.9] * 4)  # standard deviations: suspects 1 map of 400
-DECIDED: Final = 128.0  # blocks: fewer cannot show a misfit in noise of any colour
-FEW, BEYOND_DOUBT = 8.0, 10.0  # blocks, std: drift and coloured noise come to 7, misfit to 30
-DOUBT: Final = 4.0  # standard deviations that a bend too small to be seen may have
-BENDS: Final = 2  # of U and of s: what extrapolation takes from eq. (7)
+SIGNIFICANT: Final = np.array([3.3] * 2 + [3.9] * 4)  # std: 1 false positive in 400 maps
+DECIDED: Final = 128.0  # blocks that a test with coloured noise needs
+FEW, BEYOND_DOUBT = 8.0, 10.0  # blocks, std: drift and coloured noise reach 7, misfit 30
+DOUBT: Final = 4.0  # standard deviations of a curvature that is below the detection limit
+BENDS: Final = 2  # terms of curvature, in U and in s, with which eq. (7) extrapolates
 
 U_DEFAULT, DP_DEFAULT, Q_DEFAULT = (0.0, 100.0), (0.0, 200.0), 200.0
 
 
 @dataclass(frozen=True)
 class Support:
-    """Where a map's samples lay, and whether the structure of eq. (7) sufficed for them.
+    """Region of a map's samples, and the lack-of-fit test of eq. (7).
 
-    *Inside* is what lies within 5 % of U, 5 bar and 5 °C of three samples at least. Beyond it a map
-    may only be trusted if its structure holds there, too; nobody knows, but a structure that did
-    not even hold inside is ruled out. Six terms that eq. (7) does not have (U²s, U·dp, U³s, U², s³,
-    U³) are held against Q: none may explain more than the noise would, taken as white, or else by
-    the long-run covariance of its scores over blocks of 256 samples, if there are enough of them.
-    And the samples must be able to tell: a bend that they cannot see must not come to much.
+    A point is *inside* if at least three samples are within 5 % of U, 5 bar and 5 °C. Outside, a
+    map is valid only if its structure is. That cannot be tested there, but a structure that does
+    not fit inside is rejected. Six terms that eq. (7) lacks (U²s, U·dp, U³s, U², s³, U³) are
+    tested: none may explain more of Q than the noise would. The noise is taken as white, or, with
+    enough samples, from the long-run covariance of the scores over blocks of 256 samples. The test
+    must also have enough power: a curvature below its detection limit must have a small effect.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Support:
     fit : (225,)
         See :mod:`valvemap.model.kernels.lack_of_fit`.
     ranges : (5,)
-        Of U (%) and dp (bar), low and high each, and the largest flow, l/min.
+        Lower and upper limit of U (%) and of dp (bar), and the largest flow, l/min.
 
     Examples
     --------
@@ -65,30 +65,30 @@ class Support:
         dp_range: tuple[float, float] = DP_DEFAULT,
         Q_max: float = Q_DEFAULT,
     ) -> Self:
-        """Nothing seen yet, of a valve of these ranges (%, bar, l/min)."""
+        """Support without samples, for a valve of these ranges (%, bar, l/min)."""
         cells = np.zeros((support.CELLS_U * support.CELLS_DP, support.PLACES_OF_CELL), np.uint8)
         ranges = np.array([*U_range, *dp_range, Q_max], np.float64)
         return cls(cells, np.zeros(lack_of_fit.PLACES), ranges)
 
     @classmethod
     def of_boxes(cls, boxes: Floats, fit: Floats, ranges: Floats) -> Self:
-        """Put together what a file holds: `boxes` (n, 9), `fit` and `ranges`."""
+        """Restore from a file: `boxes` (n, 9), `fit` and `ranges`."""
         cells = cls.none().cells
         support.fill(boxes, ranges, cells)
         return cls(cells, fit, ranges)
 
     def forgotten(self) -> Self:
-        """Nothing seen yet, of the same valve."""
+        """Support without samples, for the same valve."""
         return replace(self, cells=np.zeros_like(self.cells), fit=np.zeros_like(self.fit))
 
     def add(self, samples: Samples, trace: Trace) -> "Support":
-        """Take in where N samples lay, as far as they were learnt from."""
+        """Add the positions of N samples, if the estimator used them."""
         many = self.of_many(1)
         many.learn(samples, trace.status, Segments.one(len(samples)))
         return many.one(0)
 
     def of_many(self, M: int) -> "SupportOfMany":
-        """As often as there are maps."""
+        """Copy to M maps."""
         return SupportOfMany(
             cells=np.tile(self.cells, (M, 1, 1)),
             fit=np.tile(self.fit, (M, 1)),
@@ -102,19 +102,19 @@ class Support:
 
     @cached_property
     def boxes(self) -> Floats:
-        """A row per cell with samples: how many (255 at most), low and high of U, dp and T."""
+        """One row for each cell with samples: count (up to 255), low and high of U, dp and T."""
         return np.asarray(support.boxes(self.cells, self.ranges))
 
     def distance(self, U: Floats, dp: Floats, T: Floats) -> Floats:
-        """How far N points are from three samples (N,), 1 where *inside* ends; see `distances`."""
+        """Distance of N points from three samples (N,), 1 at the border; see `distances`."""
         return self.distances(U, dp, T)[0]
 
     def distances(self, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Floats]:
-        """The same; that without regard to the temperature; that of the temperature alone.
+        """Distances as in `distance`, without the temperature, and of the temperature alone.
 
-        They are infinite without three samples. The last is the temperature's where it alone keeps
-        a point outside, else that from all temperatures seen anywhere. A temperature that is NaN,
-        or was never measured, makes no difference.
+        They are infinite without three samples. If the temperature alone places a point outside,
+        the last is its distance there, else that from all temperatures of the samples. A
+        temperature that is NaN, or was never measured, has no effect.
         """
         U, dp, T = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp, T))
         far, level = np.empty((2, len(U)))
@@ -129,10 +129,10 @@ class Support:
         return far, level, np.where(far > level, far, anywhere)
 
     def below(self, dp: Floats) -> Floats:
-        """How far N pressure drops (bar) lie below the least that was seen (N,), 1 where it counts.
+        """Distance of N pressure drops (bar) below the lowest sample (N,), 1 at the border.
 
-        In √dp, as flows go: from 5 bar to 2 is further than from 65 to 60. Nought where samples lie
-        on both sides of dp = 0, or there are none.
+        Measured in √dp, like flows: from 5 bar to 2 is further than from 65 to 60. It is 0 if
+        samples lie on both sides of dp = 0, or there are none.
         """
         low = self.boxes[:, support.DP_LOW].min(initial=np.inf)
         high = self.boxes[:, support.DP_HIGH].max(initial=-np.inf)
@@ -155,10 +155,11 @@ class Support:
 
     @cached_property
     def is_eq7_refuted(self) -> bool:
-        """Whether a further term explains more of Q than noise of any colour, or drift, would.
+        """Whether a further term explains more of Q than coloured noise or drift would.
 
-        With few blocks the noise's colour is not known, and taken for white: better an interval too
-        wide in coloured noise than one too narrow where eq. (7) does not fit.
+        With few blocks, the colour of the noise is unknown and it is taken as white. In coloured
+        noise the interval is then too wide, which is safer than too narrow where eq. (7) does not
+        fit.
         """
         _, white, long_run = self._contrasts
         many = self.fit[lack_of_fit.BLOCKS] >= FEW
@@ -166,20 +167,20 @@ class Support:
 
     @cached_property
     def _contrasts(self) -> tuple[float, Floats, Floats]:
-        """Variance of the noise; what each further term explains, if it is white, and if not."""
+        """Variance of the noise; contributions of the further terms in white and coloured noise."""
         white, long_run = np.empty((2, lack_of_fit.TERMS - lack_of_fit.FIVE))
         variance = float(lack_of_fit.judge(self.fit, white, long_run))
         return variance, np.abs(white), np.abs(long_run)
 
     def misfit(self, U: Floats, dp: Floats, Q: Floats) -> Floats:
-        """How far a map of eq. (7) that says ``Q`` is off at N points, by all terms (N,), l/min."""
+        """Misfit of a map of eq. (7) with flow ``Q`` at N points, by all terms (N,), l/min."""
         out = np.empty(len(U))
         U, dp = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp))
         lack_of_fit.bent(self.fit, U, dp, out)
         return np.minimum(np.abs(out - Q), self.Q_max)
 
     def may_hide(self, U: Floats, dp: Floats) -> Floats:
-        """What bends of eq. (7) that are too small to be seen may come to at N points, l/min."""
+        """Largest effect of undetectable curvature of eq. (7) at N points, l/min."""
         variance, _, _ = self._contrasts
         out = np.empty(len(U))
         U, dp = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp))
@@ -189,22 +190,22 @@ class Support:
 
 @dataclass(frozen=True)
 class SupportOfMany:
-    """What M maps rest on: the arrays of `Support` with a leading axis M, written in place."""
+    """Supports of M maps: the arrays of `Support` with a leading axis M, written in place."""
 
     cells: Codes
     fit: Floats
     ranges: Floats
 
     def learn(self, samples: Samples, status: Codes, segments: Segments) -> None:
-        """Take in where samples lay, as far as they were learnt from."""
+        """Add the positions of the samples that the estimator used."""
         where = samples.U, samples.dp
         support.learn(*where, samples.T, status, self.cells, self.ranges, segments)
         lack_of_fit.learn(*where, samples.Q, status, self.fit, segments)
 
     def one(self, m: int) -> Support:
-        """A copy of one of them."""
+        """Return a copy of map ``m``."""
         return Support(self.cells[m].copy(), self.fit[m].copy(), self.ranges[m].copy())
 
     def put(self, m: int, one: Support) -> None:
-        """Have one of them stand otherwise."""
+        """Replace map ``m``."""
         self.cells[m], self.fit[m], self.ranges[m] = one.cells, one.fit, one.ranges

@@ -1,4 +1,4 @@
-"""Where the map is well known, where it is stale, and which test point would help most."""
+"""Map of the uncertainty: known and stale regions, and the most informative test point."""
 
 from dataclasses import dataclass
 from typing import Any, Final, Protocol, TypeVar, runtime_checkable
@@ -18,36 +18,35 @@ OPEN: Final = 1e-6
 
 @runtime_checkable
 class Informed(Protocol):
-    """An estimator whose map is linear in its parameters, and that knows what it learnt of them."""
+    """An estimator whose map is linear in its parameters, with the information about them."""
 
     @property
     def structure(self) -> Structure:
         """The map's structure, n parameters."""
 
     def information(self, state: Any) -> Floats:  # noqa: ANN401 - the estimator's own
-        """P⁻¹ (n, n): as of that many samples' X·Xᵀ; singular while a direction is open."""
+        """Return P⁻¹ (n, n), in samples' X·Xᵀ; singular while a direction is not determined."""
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known of a map, on a grid, and what is not.
+    """Uncertainty of a map on a grid.
 
     Attributes
     ----------
     U, dp : (10,), (n,)
         Middles of the regions, % and bar.
     std : (10, n)
-        Standard deviation of Q̂ there, l/min; NaN where nothing is known.
+        Standard deviation of Q̂, l/min; NaN where unknown.
     age_s : (10, n)
-        Time since the region's last sample, s, too long by less than one; NaN where there was none.
+        Time since the region's last sample, s, rounded up; NaN without one.
     share : float
-        Part of the regions with recent samples.
+        Share of the regions with recent samples.
     condition : float
-        How much better the best known combination of parameters is known than the worst, each in
-        units of its effect on the map; inf while one is open or P is beyond the range of numbers,
-        NaN where there is no such thing.
+        Ratio of the largest to the smallest standard deviation of parameter combinations, in units
+        of their effect on the map; inf while one is not determined or P overflows, NaN without P.
     suggested_U, suggested_dp : float
-        The test point (%, bar) that would lower the mean variance of the map most.
+        The test point (%, bar) that reduces the mean variance of the map most.
     """
 
     U: Floats
@@ -72,11 +71,10 @@ def survey(
 ) -> Survey:
     """Survey a map at time ``t`` (UTC ns) and temperature ``T``, for dp up to ``dp_max``.
 
-    Where P is known, the suggestion is the next sample of an I-optimal design: with A = X·P·Xᵀ
-    over the grid, a sample at point k lowers the sum of the variances by Σ_g A_gk²/(1 + A_kk)
-    (in units of the noise). Otherwise it is the point of the largest standard deviation, and where
-    no estimate of it differs from point to point (a network), or P is beyond the range of numbers,
-    the one that was visited least.
+    If P is known, the suggestion is the next sample of an I-optimal design: with A = X·P·Xᵀ
+    over the grid, a sample at point k reduces the sum of the variances by Σ_g A_gk²/(1 + A_kk)
+    (in units of the noise). Otherwise it is the point of the largest standard deviation. If that is
+    equal at all points (a network), or P overflows, it is the point with the fewest samples.
     Points whose predicted flow lies beyond ``Q_max`` are not suggested.
 
     References
@@ -133,7 +131,7 @@ def axes(dp_max: float) -> tuple[Floats, Floats]:
 def _gain(
     estimator: Estimator[S], state: S, spread: ResidualSpread, U: Floats, dp: Floats, T: float
 ) -> tuple[Floats, float]:
-    """What a sample at each of N points would tell, in some unit, and the condition of P."""
+    """Return the gain of a sample at each of N points, in any unit, and the condition of P."""
     least_visited = 1.0 / (1.0 + spread.density(U, dp))
     if isinstance(estimator, Informed):
         X = estimator.structure.regressors(U, dp, np.full_like(U, T))
@@ -152,7 +150,7 @@ def _gain_of_design(information: Floats, X: Floats) -> tuple[Floats, float]:
     try:
         P = _inverse(information, X)
         condition = _condition(P, X)
-    except np.linalg.LinAlgError:  # how numpy reports that there is none
+    except np.linalg.LinAlgError:  # singular
         return np.full(len(X), np.nan), np.inf
     A = X @ P @ X.T
     return (A * A).sum(axis=0) / (1.0 + np.maximum(np.diag(A), 0.0)), condition
@@ -169,7 +167,7 @@ def _condition(P: Floats, X: Floats) -> float:
 
 
 def _inverse(information: Floats, X: Floats) -> Floats:
-    """P; huge where a direction is open."""
+    """P; huge in directions that are not determined."""
     faint = OPEN * np.maximum(np.mean(X * X, axis=0), np.finfo(np.float64).tiny)
     return np.asarray(np.linalg.inv(information + np.diag(faint)))
 

@@ -1,4 +1,4 @@
-"""The valves that somebody looks at: what moves is followed, the rest is read now and then."""
+"""Valves in view: their fast variables are subscribed, the slow ones are polled."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,8 +14,8 @@ from valvemap.page.reading import read_all
 from valvemap.page.store import Store
 from valvemap.readings import Reading
 
-TICK_S = 0.1  # of what is watched live
-_FOLLOWED_EVERY_S = 0.5  # a message costs the service more than the five results in it
+TICK_S = 0.1  # s; poll interval of a valve that is in view
+_FOLLOWED_EVERY_S = 0.5  # s; publishing interval: a message costs more than five results in it
 _BAD_NODE_ID_UNKNOWN = 0x8034_0000
 _BAD_NO_DATA = 0x80B1_0000
 _BAD = 0x8000_0000
@@ -23,16 +23,16 @@ _FRAME = "Frame"
 
 
 class CloseUp:
-    """Keeps what is shown of the valves in view, by number.
+    """Keeps the newest values of the valves in view, by valve number.
 
     Parameters
     ----------
     client
-        Of the service.
+        Client of the service.
     store
-        Takes the values.
+        Receives the values.
     clock
-        Says what is due.
+        Decides which values are due.
     """
 
     def __init__(self, client: Client, store: Store, clock: Clock) -> None:
@@ -42,7 +42,7 @@ class CloseUp:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: the connection is another one."""
+        """Reset after a reconnect."""
         self._valves: dict[int, Valve] = {}
         self._is_following = False
         self._newest: dict[int, Reading] = {}
@@ -51,11 +51,11 @@ class CloseUp:
         self._variables.clear()
 
     def forget_points(self) -> None:
-        """Forget where valves were measured: they are others."""
+        """Drop the measured points, after the set of valves has changed."""
         self._points.clear()
 
     async def watch(self, valves: Mapping[int, Valve]) -> None:
-        """Look closely at just these valves; what is new to us is read at once.
+        """Subscribe to exactly these valves; read the ones that were not in view before.
 
         Raises
         ------
@@ -81,11 +81,11 @@ class CloseUp:
             self.take(number, names[1:], others)
 
     def newest(self, number: int) -> Reading | None:
-        """Newest frame of a valve that is followed."""
+        """Return the newest frame of a valve, None if it is not subscribed."""
         return self._newest.get(number) if self._is_following else None
 
     def hear(self) -> None:
-        """Take in what was sent since the last time.
+        """Process the notifications received since the last call.
 
         Raises
         ------
@@ -110,14 +110,14 @@ class CloseUp:
             results.come(some, self._clock.monotonic())
 
     def play(self) -> None:
-        """Show what is due of it."""
+        """Show the frames that are due."""
         now = self._clock.monotonic()
         for number, results in self._frames.items():
             for frame in results.due(now):
                 self.show(number, frame)
 
     def due(self, wanted: Wanted, *, thoroughly: bool) -> Iterator[tuple[int, str]]:
-        """What to read this second: numbers of valves, names of variables."""
+        """Yield (valve number, variable name) of each variable to read in this round."""
         for number in self._valves:
             variables = self._variables[number]
             names = list(variables.state)
@@ -137,14 +137,14 @@ class CloseUp:
                 yield number, name
 
     def show(self, number: int, frame: Reading) -> None:
-        """Show a frame."""
+        """Store the columns of a frame."""
         for name, value in zip(self._valves[number].frame_names, frame.value or (), strict=False):
             lost = name.startswith("Signals.") and math.isnan(value)
             self._store.put(number, name, value, _BAD_NO_DATA if lost else frame.code, frame.t)
         self._take_point(number)
 
     def take(self, number: int, names: Sequence[str], readings: Sequence[Reading]) -> None:
-        """Take in what was read of a valve."""
+        """Store the readings of a valve's variables."""
         for name, reading in zip(names, readings, strict=True):
             if reading.code != _BAD_NODE_ID_UNKNOWN:
                 value = reading.value
@@ -161,7 +161,7 @@ class CloseUp:
         try:
             await self._client.follow(ids, _FOLLOWED_EVERY_S)
             self._is_following = bool(ids)
-        except SourceRejected:  # no room for it: they are read each second then
+        except SourceRejected:  # no room for the subscription: poll each second
             self._is_following = False
             self._frames.clear()
 
@@ -185,7 +185,7 @@ class CloseUp:
         return self._points.setdefault(number, Points())
 
     def _take_point(self, number: int) -> None:
-        """Note where the valve was measured."""
+        """Add the valve's operating point."""
         U, dp, Q = (self._store.get(number, f"Signals.{name}") for name in ("U", "dp", "Q"))
         if U is None or dp is None or Q is None or max(U.code, dp.code, Q.code) >= _BAD:
             return

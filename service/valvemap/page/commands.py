@@ -1,4 +1,4 @@
-"""What who is logged in may do from the page: demand a flow; in a demo, play with the rig."""
+"""Commands of a logged-in user: demand a flow; in a demo, control the rig."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
     Raises
     ------
     CommandRejected
-        if it is none, or the server refuses it.
+        if the command is unknown, or the server refuses it.
     SourceLost, SourceRejected
     """
     match command:

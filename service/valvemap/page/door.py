@@ -1,8 +1,8 @@
-"""Who is connected: a place for each connection, taken before anything is received or encrypted.
+"""Admission of connections: each gets a place before any byte is received or decrypted.
 
-Places are dealt out as the OPC UA server deals out its own: where all are taken, the address that
-holds most gives way, with the connection that came least far. Every connection has a time for each
-step; whose browser is logged in stays.
+Places are allocated as in the OPC UA server. If all are taken, the address with the most
+connections loses one: the one with the lowest `Step`. Every step has a timeout. Connections of
+logged-in browsers are kept.
 """
 
 import asyncio
@@ -23,27 +23,27 @@ from valvemap.page.settings import PageSettings
 
 log = structlog.get_logger(__name__)
 
-_LOOK_S = 1.0  # s; between two checks of all connections
-_CLOSING_S = 3.0  # s; for a peer to read the last bytes and to close its end
-_NO_DESCRIPTOR_S = 0.1  # s; until the next try to accept
-_UNSENT_BYTES = 1024 * 1024  # bytes; what may wait for one viewer, pongs included
-PLACE = "place"  # in the state of a request's scope
+_LOOK_S = 1.0  # s; interval between two checks of all connections
+_CLOSING_S = 3.0  # s; timeout for the peer to read the last bytes and close its end
+_NO_DESCRIPTOR_S = 0.1  # s; pause after a failed accept
+_UNSENT_BYTES = 1024 * 1024  # bytes; limit of the write buffer of one viewer, pongs included
+PLACE = "place"  # key in the state of a request's scope
 REASONS = _CROWDED, _OVERSTAYED, _HANDSHAKE = "crowded", "overstayed", "handshake"
 
 
 class Step(IntEnum):
-    """How far a connection has come; those that came less far give way first."""
+    """Progress of a connection; the lowest is closed first."""
 
-    CLOSING = 0  # the last bytes are on their way
-    OPENING = 1  # connected; TLS is not agreed
-    SILENT = 2  # has asked for nothing
-    WAITING = 3  # has been answered, and may ask for more
+    CLOSING = 0  # the last bytes are being sent
+    OPENING = 1  # connected, TLS handshake not complete
+    SILENT = 2  # no request yet
+    WAITING = 3  # answered, waiting for the next request
     ANSWERING = 4
-    VIEWING = 5  # a WebSocket
+    VIEWING = 5  # WebSocket
 
 
 class Place:
-    """One connection, from being accepted until its descriptor is closed."""
+    """One connection, from accept until its descriptor is closed."""
 
     def __init__(self, connected: socket.socket, clock: Clock) -> None:
         self._connected = connected
@@ -55,42 +55,42 @@ class Place:
 
     @property
     def unsent(self) -> int:
-        """Bytes that wait for the peer to read them."""
+        """Bytes in the write buffer."""
         return 0 if self.transport is None else self.transport.get_write_buffer_size()
 
     def go_to(self, step: Step) -> None:
-        """Note that a step was made."""
+        """Enter a step and restart its timeout."""
         self.step, self.since = step, self._clock.monotonic()
 
     def hang_up(self) -> None:
-        """Close the connection now, whatever waits in it."""
+        """Close the connection now and discard its write buffer."""
         if self.transport is not None:
             self.transport.abort()
-        else:  # its handshake fails by this
+        else:  # fails its TLS handshake
             with suppress(OSError):
                 self._connected.shutdown(socket.SHUT_RDWR)
 
 
 def place_of(scope: MutableMapping[str, Any]) -> Place | None:
-    """The place of the connection that a request came by; None where none was dealt out."""
+    """Return the place of a request's connection, None if it has none."""
     place = scope.get("state", {}).get(PLACE)
     return place if isinstance(place, Place) else None
 
 
 class Door:
-    """Accepts connections, deals out places, and ends what overstays.
+    """Accepts connections, allocates places and closes connections that time out.
 
     Parameters
     ----------
     settings
-        How many places there are, and how long a step may take.
+        Number of places and timeout of each step.
     clock
-        Time.
+        Time source.
 
     Attributes
     ----------
     refusals : Counter
-        Connections that were refused, or ended, by reason.
+        Connections refused or closed, by reason.
     """
 
     def __init__(self, settings: PageSettings, clock: Clock) -> None:
@@ -125,7 +125,7 @@ class Door:
         protocol: Callable[[Place], asyncio.Protocol],
         tls: ssl.SSLContext | None,
     ) -> None:
-        """Accept until cancelled; then hang up on everyone."""
+        """Accept until cancelled; then close all connections."""
         looking = asyncio.create_task(self._look_for_ever())
         try:
             await self._accept_for_ever(listening, protocol, tls)
@@ -134,24 +134,24 @@ class Door:
             self.hang_up()
 
     def note_log_in(self, scope: MutableMapping[str, Any], *, is_logged_in: bool) -> None:
-        """Note whether the browser that asks is logged in; then its connection stays."""
+        """Note whether the browser is logged in; connections of logged-in browsers are kept."""
         place = place_of(scope)
         if place is not None:
             place.is_logged_in = is_logged_in
 
     def leave(self, place: Place) -> None:
-        """Free the place of a connection that is closed."""
+        """Free the place of a closed connection."""
         self._places.leave(place)
 
     def hang_up(self) -> None:
-        """Hang up on everyone."""
+        """Close all connections."""
         for place in self._places:
             place.hang_up()
         for opening in self._opening:
             opening.cancel()
 
     def end_overstaying(self) -> None:
-        """Hang up on connections whose step has taken too long."""
+        """Close connections whose step has timed out."""
         now = self._clock.monotonic()
         for place in self._places:
             is_closing = place.transport is not None and place.transport.is_closing()
@@ -187,7 +187,7 @@ class Door:
         while True:
             try:
                 connected, address = await loop.sock_accept(listening)
-            except OSError as error:  # gone before it was accepted, or no descriptor is left
+            except OSError as error:  # the peer has gone already, or no descriptor is left
                 log.warning("a connection cannot be accepted", reason=str(error))
                 await asyncio.sleep(_NO_DESCRIPTOR_S)
                 continue
@@ -199,7 +199,7 @@ class Door:
             else:
                 self.refusals[_CROWDED] += 1
                 connected.close()
-            await asyncio.sleep(0)  # others have their turn, however many connect
+            await asyncio.sleep(0)  # yield to other tasks, however many peers connect
 
     async def _open_one(
         self,
@@ -209,7 +209,7 @@ class Door:
         protocol: Callable[[Place], asyncio.Protocol],
         tls: ssl.SSLContext | None,
     ) -> None:
-        """Agree on TLS, then hand on to the protocol."""
+        """Complete the TLS handshake, then pass the connection to the protocol."""
         loop = asyncio.get_running_loop()
         waits = (
             {}
@@ -223,7 +223,7 @@ class Door:
             if tls is not None:
                 await self._start_of_handshake(place, connected, host)
             await loop.connect_accepted_socket(lambda: protocol(place), connected, ssl=tls, **waits)
-        except OSError:  # ssl.SSLError, ConnectionError, TimeoutError: the peer's doing
+        except OSError:  # ssl.SSLError, ConnectionError, TimeoutError: caused by the peer
             self.refusals[_HANDSHAKE] += 1
         finally:
             self._handshaking.leave(place)
@@ -231,15 +231,15 @@ class Door:
                 self.leave(place)
 
     async def _start_of_handshake(self, place: Place, connected: socket.socket, host: str) -> None:
-        """Wait for a first byte: asyncio's TLS takes 300 kB, which silence does not get.
+        """Wait for a first byte before starting TLS, which allocates 300 kB in asyncio.
 
         Raises
         ------
         OSError
         """
         with ExitStack() as failing:
-            failing.callback(connected.close)  # no transport has it yet, which would close it
-            if sys.platform != "win32":  # its loop cannot wait for a byte without taking it
+            failing.callback(connected.close)  # no transport owns the socket yet
+            if sys.platform != "win32":  # the Windows loop cannot wait for a byte and leave it
                 await self._first_byte(connected)
             if not self._handshaking.admit(place, host):
                 raise ConnectionAbortedError

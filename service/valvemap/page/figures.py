@@ -1,4 +1,4 @@
-"""What `/metrics` alone shows: read from the service when somebody asks, at most once a second."""
+"""Values that only `/metrics` needs: read on request, at most once a second."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from valvemap.readings import Reading
 
 Key = TypeVar("Key")
 
-EVERY_S = 1.0  # however often somebody asks
+EVERY_S = 1.0  # s; shortest interval between two reads
 SERVICE = (
     "Checkpoint.Age",
     "Checkpoint.Failures",
@@ -29,7 +29,7 @@ SERVICE = (
     "History.Failures",
     "History.Size",
 )
-SUMMARY = {  # of the server's own diagnostics, Part 5, 6.3.3
+SUMMARY = {  # counters of the server's diagnostics, Part 5, 6.3.3
     "CurrentSessionCount": 2277,
     "CurrentSubscriptionCount": 2285,
     "SecurityRejectedSessionCount": 2279,
@@ -45,8 +45,14 @@ _BAD = 0x8000_0000
 class Figures:
     """The newest figures.
 
-    ``valves`` by a valve's name and that of a variable of its Diagnostics, ``service`` by the name
-    of a variable of Service, ``server`` by the name of a count that every OPC UA server keeps.
+    Attributes
+    ----------
+    valves
+        By valve name and name of a variable of its Diagnostics.
+    service
+        By name of a variable of Service.
+    server
+        By name of a counter of the server's diagnostics.
     """
 
     client: Client
@@ -58,12 +64,12 @@ class Figures:
     _due: float = 0.0
 
     def forget(self) -> None:
-        """Forget what is known: the service is another one."""
+        """Drop all values and cached names, after a reconnect."""
         self.valves, self.service, self.server, self._names = {}, {}, {}, {}
         self._due = 0.0
 
     async def look(self, valves: Sequence[Valve]) -> None:
-        """Read what is due; what the service does not answer stays as it is."""
+        """Read all figures if they are due; keep the old ones if the service does not answer."""
         now = self.clock.monotonic()
         if now < self._due:
             return
@@ -77,7 +83,7 @@ class Figures:
             of_service = await read_all(self.client, [f"Service.{name}" for name in SERVICE])
             of_server = await read_all(self.client, list(SUMMARY.values()))
         except ValvemapError:
-            return  # the observer says why
+            return  # the observer reports the reason
         self.valves = _numbers(of_valves, readings)
         self.service = _numbers(SERVICE, of_service)
         self.server = _numbers(list(SUMMARY), of_server)
@@ -92,7 +98,7 @@ class Figures:
 
 
 def _numbers(keys: Sequence[Key], readings: Sequence[Reading]) -> dict[Key, float]:
-    """Numbers that are there; what is Bad, or no number, is none."""
+    """Return the numbers by key, without Bad readings and NaN."""
     return {
         key: float(reading.value)
         for key, reading in zip(keys, readings, strict=True)

@@ -1,4 +1,4 @@
-"""What every request passes: host, origin, rate, size; what every answer says to the browser."""
+"""Checks of every request: host, origin, rate, size. Security headers of every response."""
 
 from collections import Counter
 from urllib.parse import urlsplit
@@ -13,7 +13,7 @@ _SAFE_METHODS = frozenset({"GET", "HEAD"})
 _FORBIDDEN, _TOO_LARGE, _TOO_MANY, _MISDIRECTED = 403, 413, 429, 421
 _LONGEST_PATH = 200
 
-# Styles may stand in the page: Plotly writes them there; scripts may not, nor come from elsewhere.
+# Inline styles are allowed, since Plotly inserts them; scripts come from this origin only.
 _POLICY = (
     "default-src 'none'; "
     "script-src 'self'; "
@@ -38,14 +38,14 @@ _HEADERS = {
 
 
 class Guard:
-    """An ASGI application around another.
+    """ASGI middleware.
 
     Parameters
     ----------
     inner
-        What is guarded.
+        The application behind it.
     settings
-        Names, rates, sizes.
+        Allowed host names, rates and sizes.
     """
 
     def __init__(self, inner: ASGIApp, settings: PageSettings) -> None:
@@ -55,7 +55,7 @@ class Guard:
         self.refusals: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse, or hand on."""
+        """Refuse the request or pass it to the application."""
         if scope["type"] not in {"http", "websocket"}:
             await self._inner(scope, receive, send)
             return
@@ -94,7 +94,7 @@ class Guard:
         return ("size", _TOO_LARGE) if len(scope["path"]) > _LONGEST_PATH else None
 
     def _is_own(self, origins: list[str], host: str) -> bool:
-        """Whether a request comes from this very page."""
+        """Whether the request's origin is this page."""
         if len(origins) != 1:
             return False
         scheme = "https" if self._settings.is_encrypted else "http"

@@ -1,4 +1,4 @@
-"""How a valve stands, in one word and one sentence: worst first. Pure."""
+"""State of a valve as a reason and a sentence; the most severe reason wins. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,12 +6,12 @@ from enum import IntEnum
 
 from valvemap.vocabulary.statuses import Adaptation, Described, InverseStatus, Status
 
-STALE_AFTER_S = 3.0  # without a new sample; three looks of the page
-CHANGE_SHOWN_S = 600.0  # a change of the valve stays on top for ten minutes
+STALE_AFTER_S = 3.0  # s; maximum age of the newest sample: three rounds of the page
+CHANGE_SHOWN_S = 600.0  # s; how long an abrupt change stays the valve's reason
 
 
 class Severity(IntEnum):
-    """How much a valve needs somebody."""
+    """Severity of a valve's state."""
 
     GOOD = 0
     NOTE = 1
@@ -20,7 +20,7 @@ class Severity(IntEnum):
 
 
 class Reason(Described):
-    """Why a valve stands as it does; a higher number is worse."""
+    """Reason of a valve's state, ordered by severity."""
 
     OK = 0, "ok", "Identified, and following."
     FROZEN = 1, "adaptation off", "Adaptation is switched off: the map is kept as it is."
@@ -39,7 +39,7 @@ class Reason(Described):
 
     @property
     def severity(self) -> Severity:
-        """How bad that is."""
+        """Severity of the reason."""
         return _SEVERITIES[self]
 
 
@@ -87,20 +87,20 @@ _BAD_NO_COMMUNICATION = 0x8031_0000
 
 @dataclass(frozen=True)
 class Standing:
-    """What is seen of one valve.
+    """Observations of one valve that determine its state.
 
     Attributes
     ----------
     code
-        StatusCode of the flow that its estimator predicts.
+        StatusCode of the predicted flow.
     status
-        What the estimator did with the newest sample (`Status` of the service).
+        The estimator's `Status` at the newest sample.
     silent_s
-        Time without a new sample.
+        Age of the newest sample.
     changed_s
-        Time since the valve changed abruptly; infinite if it never did.
+        Time since the last abrupt change; infinite if there was none.
     adaptation
-        What the estimator makes of its residuals, where it says so.
+        The estimator's assessment of its residuals (Adaptation); 0 if it has none.
     """
 
     code: int
@@ -111,7 +111,7 @@ class Standing:
 
 
 def judge(seen: Standing) -> Reason:
-    """Say how a valve stands: the worst that there is to say.
+    """Return the most severe reason that applies.
 
     >>> judge(Standing(code=0, status=0, silent_s=0.1))
     <Reason.OK: 0>

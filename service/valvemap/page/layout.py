@@ -1,10 +1,10 @@
-"""What a service has to show, found by browsing: valves, estimators, variables. Pure."""
+"""Layout of the service's address space, found by browsing: valves, estimators, variables. Pure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 ROOT = "Identification"
-VERSION = f"{ROOT}.NodeVersion"  # another one: valves came or went
+VERSION = f"{ROOT}.NodeVersion"  # changes when valves are added or removed
 NO_ESTIMATORS = frozenset(
     {"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"}
 )
@@ -28,7 +28,7 @@ class Valve:
     estimators
         In the order of the service.
     frame_names
-        Columns of ``s=<Valve>.Frame``, which brings most numbers at once.
+        Columns of ``s=<Valve>.Frame``, one array variable with most of the valve's numbers.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Valve:
 
     @property
     def primary(self) -> str:
-        """The estimator that speaks for the valve; its map is the one that is inverted.
+        """The estimator whose map is inverted and whose state is shown for the valve.
 
         >>> Valve("V1", ("RLS", "Auto"), ()).primary
         'Auto'
@@ -47,20 +47,20 @@ class Valve:
 
 @dataclass(frozen=True)
 class Variables:
-    """Names of a valve's variables, without the valve's own, by how they are looked at.
+    """Names of a valve's variables, relative to the valve, by how they are acquired.
 
     Attributes
     ----------
     live
-        Followed, as the frame is.
+        Subscribed, like the frame.
     state
         Read each second.
     slow
-        Numbers that move slowly, or that few views show.
+        Read every few seconds: numbers that change slowly or that few views show.
     maps
-        What a map is drawn of.
+        Read to draw a map.
     fixed
-        What stays as it is.
+        Read once.
     """
 
     live: tuple[str, ...]
@@ -71,7 +71,7 @@ class Variables:
 
 
 def sort_variables(valve: Valve, names: Sequence[str]) -> Variables:
-    """Sort what was found below a valve; what its frame brings is left out.
+    """Sort the variables of a valve by acquisition; variables in the frame are omitted.
 
     >>> found = ("Signals.U", "RLS.Residual", "RLS.ParameterStd", "RLS.Coverage", "Inverse.MapQ")
     >>> sort_variables(Valve("V1", ("RLS",), ("RLS.Residual",)), found)

@@ -1,4 +1,4 @@
-"""Who is logged in: each log-in is a connection of its own to the service, as that user."""
+"""Log-ins: each has its own connection to the service, authenticated as that user."""
 
 import asyncio
 import hashlib
@@ -17,19 +17,19 @@ from valvemap.page.rates import Buckets
 from valvemap.page.settings import PageSettings
 from valvemap.page.turns import Turns
 
-_MOST_NAMES = 1_000  # whose wrong passwords are remembered, as at the service
-_MOST_KNOWN = 1_000  # pairs of user and address that have logged in
-_FROM_ANYWHERE = 10  # times the wrong passwords of one address lock the user for all strangers
-_LONGEST_NAME = 64  # characters; the service has no longer ones
+_MOST_NAMES = 1_000  # users; capacity of the record of wrong passwords, as in the service
+_MOST_KNOWN = 1_000  # pairs of user and address with an earlier log-in
+_FROM_ANYWHERE = 10  # factor on `wrong_passwords`, above which a user is locked for new addresses
+_LONGEST_NAME = 64  # characters; longest user name the service accepts
 _TOO_MANY = "too many tries: wait some minutes"
 
 Clients = Callable[[str, str, str], tuple[Client, Client | None]]
-"""From user, password and the browser's address to clients of the service and of a demo's rig."""
+"""Make clients of the service and of a demo's rig from user, password and browser address."""
 
 
 @dataclass
 class LogIn:
-    """A user's connections; ``used`` is when they last were, s."""
+    """A user's connections; ``used`` is the time of the last use, s."""
 
     user: str
     service: Client
@@ -38,19 +38,19 @@ class LogIn:
 
 
 class LogIns:
-    """All log-ins by a secret that only the browser's cookie holds.
+    """All log-ins, by a secret that is stored in the browser's cookie only.
 
     Wrong passwords lock a user for the address they came from, as at the OPC UA server. Ten times
-    as many from anywhere lock the user for all addresses but those that have logged in before.
+    as many from all addresses lock the user for every address without an earlier log-in.
 
     Parameters
     ----------
     clients
         Makes a user's clients.
     settings
-        How many, how often, how long.
+        Limits, rates and timeouts.
     clock
-        For what is not used.
+        Time source of the idle timeout.
     """
 
     def __init__(self, clients: Clients, settings: PageSettings, clock: Clock) -> None:
@@ -59,10 +59,10 @@ class LogIns:
         self._clock = clock
         self._tries = Buckets(settings.log_ins_per_s, settings.log_in_burst, clock)
         self._wrong = Failures(_MOST_NAMES, settings.wrong_pause_s)
-        self._known: OrderedDict[tuple[str, str], None] = OrderedDict()  # user and address
+        self._known: OrderedDict[tuple[str, str], None] = OrderedDict()  # users' known addresses
         self._turns = Turns()
         self._of: dict[str, LogIn] = {}
-        self._ended: list[LogIn] = []  # to be closed
+        self._ended: list[LogIn] = []  # log-ins to close
         self._open: Admission[str] = Admission(
             clock,
             settings.log_ins,
@@ -83,7 +83,7 @@ class LogIns:
         Raises
         ------
         ValvemapError
-            in words for the user: wrong password, too many tries, the service's refusal.
+            with a message for the user: wrong password, too many tries, or the service's refusal.
         """
         try:
             return await self._log_in(user, password, address_of(host))
@@ -99,7 +99,7 @@ class LogIns:
         if not self._tries.take(f"{user} at {address}" if is_known else address):
             raise CommandRejected(_TOO_MANY)
         async with self._turns.turn(address, is_known=is_known):
-            self._check_lock(user, address)  # others of its address may have failed since
+            self._check_lock(user, address)  # tries of the address may have failed while waiting
             service, rig = await self._connected(user, password, address)
         self._wrong.forget(user, address)
         self._remember(user, address)
@@ -144,31 +144,31 @@ class LogIns:
             self._known.popitem(last=False)
 
     def find(self, secret: str | None) -> LogIn | None:
-        """Who holds that secret."""
+        """Return the log-in of a secret and restart its idle timeout."""
         found = self._of.get(_digest(secret)) if secret else None
         if found is not None:
             found.used = self._clock.monotonic()
         return found
 
     def holds(self, secret: str | None) -> bool:
-        """Whether a user is logged in with that secret; that is no use of it."""
+        """Whether a secret has a log-in; does not restart its idle timeout."""
         return bool(secret) and _digest(secret or "") in self._of
 
     async def log_out(self, secret: str | None) -> None:
-        """End a log-in; nothing happens if it has ended."""
+        """End a log-in, if it has not ended yet."""
         if secret and self.holds(secret):
             self._end(_digest(secret))
         await self._close_ended()
 
     async def forget_unused(self) -> None:
-        """End log-ins that are not used."""
+        """End log-ins whose idle timeout has passed."""
         oldest = self._clock.monotonic() - self._settings.log_in_idle_s
         for digest in [digest for digest, log_in in self._of.items() if log_in.used < oldest]:
             self._end(digest)
         await self._close_ended()
 
     async def close(self) -> None:
-        """End all of them."""
+        """End all log-ins."""
         for digest in list(self._of):
             self._end(digest)
         await self._close_ended()
@@ -190,5 +190,5 @@ async def _close(service: Client, rig: Client | None) -> None:
 
 
 def _digest(secret: str) -> str:
-    """A key that gives nothing away by the time it takes to compare it."""
+    """Hash a secret, so that comparing keys leaks nothing by timing."""
     return hashlib.sha256(secret.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""What goes to a browser: numbers as binary frames, the rare rest as JSON. Pure.
+"""Messages to a browser: numbers as binary frames, everything else as JSON. Pure.
 
 All little endian; times are ms since 1970, StatusCodes as in OPC UA::
 
@@ -8,7 +8,7 @@ All little endian; times are ms since 1970, StatusCodes as in OPC UA::
                       rows × columns × f8
     kind 3, rows:     u1 kind, u1 columns, u2 0, u4 n, n × columns × f8, n × u2 valve
 
-A name is a number that an earlier JSON message ``{"names": [...]}`` gave it.
+Names are sent as numbers, assigned by an earlier JSON message ``{"names": [...]}``.
 """
 
 import json
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 _NUMBERS, _MATRIX, _ROWS = 1, 2, 3
-_MS = 1e-6  # ns
+_MS = 1e-6  # ms per ns
 
 
 def pack_numbers(valve: int, entries: Sequence[tuple[int, float, int, int]]) -> bytes:
@@ -43,7 +43,7 @@ def pack_numbers(valve: int, entries: Sequence[tuple[int, float, int, int]]) -> 
 
 
 def pack_matrix(valve: int, name: int, matrix: Sequence[Any], t: int) -> bytes:
-    """Pack a vector or a matrix; None and what is no number become NaN."""
+    """Pack a vector or a matrix; None and elements that are not numbers become NaN."""
     values = np.atleast_2d(np.array(matrix, "<f8"))
     return b"".join(
         (
@@ -57,7 +57,7 @@ def pack_matrix(valve: int, name: int, matrix: Sequence[Any], t: int) -> bytes:
 
 
 def pack_rows(valves: Sequence[int], rows: Sequence[Sequence[float]]) -> bytes:
-    """Pack a row of numbers for each of some valves."""
+    """Pack one row of numbers for each of the given valves."""
     values = np.array(rows, "<f8")
     return b"".join(
         (
@@ -71,7 +71,7 @@ def pack_rows(valves: Sequence[int], rows: Sequence[Sequence[float]]) -> bytes:
 
 
 def pack_text(message: Mapping[str, Any]) -> str:
-    """JSON; what is not finite becomes null.
+    """Encode as JSON; NaN and infinity become null.
 
     >>> pack_text({"U": math.nan, "names": ("a",)})
     '{"U":null,"names":["a"]}'

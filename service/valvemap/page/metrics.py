@@ -1,4 +1,4 @@
-"""Figures for Prometheus, read from the service's nodes when they are asked for."""
+"""Prometheus metrics, read from the service's nodes on request."""
 
 import math
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class Metrics:
-    """All figures of one page process."""
+    """All metrics of one page process."""
 
     def __init__(
         self,
@@ -40,11 +40,11 @@ class Metrics:
         self._registry.register(self)
 
     def exposition(self) -> bytes:
-        """The text that Prometheus reads."""
+        """Return the metrics in Prometheus text format."""
         return generate_latest(self._registry)
 
     def collect(self) -> Iterator[Metric]:
-        """Yield every figure; prometheus-client calls it."""
+        """Yield all metrics; called by prometheus-client."""
         up = self._observer.link is Link.UP
         yield GaugeMetricFamily(
             "valvemap_service_up", "Whether the service answers the page.", value=float(up)
@@ -105,7 +105,7 @@ class Metrics:
         yield from self._of_diagnostics()
 
     def _of_estimators(self) -> Iterator[Metric]:
-        """The frame's quantities, by valve and estimator."""
+        """Yield the quantities of the frame, by valve and estimator."""
         for quantity in FRAME_QUANTITIES:
             if quantity.series is None:
                 continue
@@ -120,7 +120,7 @@ class Metrics:
             yield series
 
     def _of_diagnostics(self) -> Iterator[Metric]:
-        """What became of the valves' data, and how fresh they are."""
+        """Yield the valves' data counters and ages."""
         gauges = {
             name: GaugeMetricFamily(figure, what, labels=["valve"])
             for name, (figure, what) in _DIAGNOSTICS.items()
@@ -145,7 +145,7 @@ class Metrics:
         yield from (*gauges.values(), lags, counts)
 
     def _of_service(self) -> Iterator[Metric]:
-        """Whether what was learnt is safe, what the source lost, who is there, who was refused."""
+        """Yield checkpoint state, lost data, sessions and refusals of the service."""
         of_service, of_server = self._observer.figures.service, self._observer.figures.server
         for name, (family, figure, what) in _SERVICE.items():
             if name in of_service:

@@ -1,4 +1,4 @@
-"""The page's eye: looks at the service over OPC UA, as often as somebody looks at the page."""
+"""Reads the service over OPC UA, at a rate that depends on the open pages."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -24,15 +24,15 @@ from valvemap.page.surface import draw_surface
 from valvemap.page.timeline import TimeLine
 from valvemap.readings import Reading
 
-_TICKS_PER_ROUND = 10  # all valves are looked at once a second
+_TICKS_PER_ROUND = 10  # all valves are read once a second
 _ROUNDS_PER_DISCOVERY = 5  # changes and actions are rare
-_SURFACE_EVERY_S = 5.0  # a map costs the service some 20 ms
-_RETRY_S = (0.5, 1.0, 2.0)  # a service that starts again is back on the page within seconds
-_REFUSED_RETRY_S = 10.0  # whoever is refused need not ask often
+_SURFACE_EVERY_S = 5.0  # s; drawing a map takes the service some 20 ms
+_RETRY_S = (0.5, 1.0, 2.0)  # s; short, so that a restarted service reappears within seconds
+_REFUSED_RETRY_S = 10.0  # s; after a refusal, which rarely ends soon
 
 
 class Link(StrEnum):
-    """How the connection to the service stands."""
+    """State of the connection to the service."""
 
     CONNECTING = "connecting"
     UP = "up"
@@ -54,18 +54,18 @@ class Row:
 
 
 class Observer:
-    """Keeps what the service shows.
+    """Keeps the newest values of the service.
 
     Parameters
     ----------
     client
-        Of the service.
+        Client of the service.
     clock
-        Stamps what was seen when.
+        Timestamps and intervals.
     wanted
-        What viewers look at now.
+        Returns the valves and maps in view.
     on_change
-        Called after each look.
+        Called after each read.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Observer:
         self.time_line = TimeLine()
         self.valves: tuple[Valve, ...] = ()
         self.rows: dict[int, Row] = {}
-        self.frames: dict[int, dict[str, float]] = {}  # columns by name, the newest of each valve
+        self.frames: dict[int, dict[str, float]] = {}  # newest columns by name
         self.link, self.link_text, self.link_since = Link.CONNECTING, "", clock.now()
         self.generation = 0
         self._clock = clock
@@ -93,7 +93,7 @@ class Observer:
         self._version: object = None
 
     async def run(self) -> None:
-        """Look until cancelled; whatever happens to the service."""
+        """Read until cancelled; reconnect after every failure."""
         failures = 0
         while True:
             try:
@@ -114,12 +114,12 @@ class Observer:
             await asyncio.sleep(pause)
 
     def silent_s(self, valve: int) -> float:
-        """Time since a valve's newest sample was first seen."""
+        """Age of a valve's newest sample, s, by the page's clock."""
         _, when = self._heard.get(valve, (0, self._clock.monotonic()))
         return self._clock.monotonic() - when
 
     async def look_at_figures(self) -> None:
-        """Read what `/metrics` alone shows, if there is a service."""
+        """Read the figures of `/metrics`, if connected."""
         if self.link is Link.UP:
             await self.figures.look(self.valves)
 
@@ -159,7 +159,7 @@ class Observer:
                 try:
                     surface = await draw_surface(self.client, self.valves[valve].name, estimator)
                 except CommandRejected:
-                    continue  # this estimator cannot say yet
+                    continue  # this estimator has no map yet
                 now = self._clock.now()
                 for name, matrix in surface.items():
                     self.store.put(valve, f"{estimator}.Surface{name}", matrix, 0, now)
@@ -167,7 +167,7 @@ class Observer:
             await asyncio.sleep(_SURFACE_EVERY_S if self._wanted().maps else TICK_S)
 
     async def _discover(self) -> None:
-        """Find all valves; another set of them is another layout."""
+        """Browse all valves; increment the generation if they have changed."""
         (version,) = await self._read([VERSION])
         self._version = version.value
         folders = [child.id for child in await self.client.browse(ROOT) if not child.is_variable]
@@ -190,7 +190,7 @@ class Observer:
         self.figures.forget()
 
     async def _look_around(self, wanted: Wanted, *, thoroughly: bool) -> None:
-        """Look at how every valve stands, and what moves slowly of those that are watched."""
+        """Read the state of every valve, and the slow variables of the valves in view."""
         if thoroughly:
             (version,) = await self._read([VERSION])
             if version.value != self._version:
@@ -241,7 +241,7 @@ class Observer:
         )
 
     async def _look_for_changes(self) -> None:
-        """Look what valves found, and what was done to them."""
+        """Read the abrupt changes and the operators' actions."""
         asked = [
             (number, valve, estimator)
             for number, valve in enumerate(self.valves)
@@ -273,7 +273,7 @@ class Observer:
         return await read_all(self.client, ids)
 
     def _hear(self, number: int, t: int) -> None:
-        """Note when a newer sample is first seen; both clocks may differ."""
+        """Note the arrival of a newer sample, by the page's clock: the service's may differ."""
         if t and self._heard.get(number, (0, 0.0))[0] != t:
             self._heard[number] = (t, self._clock.monotonic())
         self._heard.setdefault(number, (t, self._clock.monotonic()))
@@ -291,7 +291,7 @@ class Observer:
 
 
 def in_ns(time: object) -> int:
-    """UTC ns of a DateTime; 0 if it is none."""
+    """Convert a DateTime to UTC ns; return 0 for any other type."""
     return utc_ns(time) if isinstance(time, datetime) else 0
 
 

@@ -1,15 +1,15 @@
-"""What is new of a valve as messages, packed once for all who have seen the same before."""
+"""Packs the new values of a valve once for all viewers with the same revision."""
 
 from collections.abc import Iterator, Sequence
 
 from valvemap.page.messages import pack_matrix, pack_numbers, pack_text
 from valvemap.page.store import Store
 
-_NAMES_AT_MOST = 60_000  # a name is sent as u2
+_NAMES_AT_MOST = 60_000  # names are sent as u2
 
 
 class Packing:
-    """Numbers the names, and keeps what is packed until something changes."""
+    """Numbers the names and caches packed messages until the store changes."""
 
     def __init__(self) -> None:
         self._names: dict[str, int] = {}
@@ -18,13 +18,13 @@ class Packing:
 
     @property
     def names(self) -> int:
-        """How many names have a number."""
+        """Number of names."""
         return len(self._names)
 
     def values(
         self, store: Store, valve: int, since: int, names_seen: int
     ) -> Sequence[str | bytes]:
-        """Messages with what changed of a valve after a revision, and names that are new."""
+        """Return messages with the values of a valve newer than a revision, and with new names."""
         if store.revision != self._revision:
             self._packed.clear()
             self._revision = store.revision

@@ -1,4 +1,4 @@
-"""What comes some at a time is shown one by one. Pure."""
+"""Play-out buffer: spreads results received in batches evenly over time. Pure."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -6,18 +6,18 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-_MOST = 100  # that wait; whoever is so late wants the newest
+_MOST = 100  # results; beyond that, the oldest are dropped
 
 
 class PlayOut(Generic[T]):
-    """Results that came together, handed out evenly until the next come.
+    """Results of a batch, spread evenly until the next batch is expected.
 
     Parameters
     ----------
     every_s
-        Time between two lots.
+        Time between two batches.
     tick_s
-        Time between two looks.
+        Time between two calls of :meth:`due`.
 
     Examples
     --------
@@ -33,12 +33,12 @@ class PlayOut(Generic[T]):
         self._until = 0.0
 
     def come(self, results: Iterable[T], now: float) -> None:
-        """Take a lot in; ``now`` in s."""
+        """Add a batch received at ``now``, s."""
         self._waiting.extend(results)
         self._until = now + self._every_s
 
     def due(self, now: float) -> list[T]:
-        """Hand out what is due: the same share at each look, all that is left at the last."""
+        """Return the results due at ``now``, s: equal shares, and the rest at the last call."""
         looks = max(1, round((self._until - now) / self._tick_s))
         share = -(-len(self._waiting) // looks)
         return [self._waiting.popleft() for _ in range(share)]

@@ -1,4 +1,4 @@
-"""Where on the map a valve was measured: the newest sample of each small region. Pure."""
+"""Operating points of a valve: the newest sample of each small region of the map. Pure."""
 
 import math
 
@@ -20,7 +20,7 @@ class Points:
         self._regions: dict[tuple[int, int], tuple[float, float, float]] = {}
 
     def add(self, U: float, dp: float, Q: float) -> None:
-        """Take in one sample: %, bar, l/min."""
+        """Add one sample: %, bar, l/min."""
         if not (math.isfinite(U) and math.isfinite(dp) and math.isfinite(Q)):
             return
         region = (math.floor(U / _STEP_U), math.floor(dp / _STEP_DP))
@@ -31,5 +31,5 @@ class Points:
 
     @property
     def rows(self) -> list[tuple[float, float, float]]:
-        """All of them, the newest last."""
+        """All samples, the newest last."""
         return list(self._regions.values())

@@ -8,40 +8,40 @@ from valvemap.readings import Child, Reading
 
 
 class Client(Protocol):
-    """A server whose own nodes are named by their string identifiers.
+    """Client of a server whose own nodes have string identifiers.
 
-    All but ``close`` raise `valvemap.errors.SourceLost` or `SourceRejected`.
+    All methods but ``close`` raise `valvemap.errors.SourceLost` or `SourceRejected`.
     """
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """URL of the server."""
 
     async def connect(self) -> None:
         """Connect and log in."""
 
     async def close(self) -> None:
-        """Disconnect; safe to call twice."""
+        """Disconnect; idempotent."""
 
     async def browse(self, id: str | None) -> Sequence[Child]:  # noqa: A002 - OPC UA's word
-        """Nodes below a node; None is the Objects folder."""
+        """Return the children of a node; None is the Objects folder."""
 
     async def read(self, ids: Sequence[str | int]) -> Sequence[Reading]:
-        """Values of variables; a number names one of the standard's."""
+        """Read variables; a number is the identifier of a standard node."""
 
     async def follow(self, ids: Collection[str], every_s: float) -> None:
-        """Be sent what changes of just these variables, so often; of none: end that.
+        """Subscribe to exactly these variables; an empty collection ends the subscription.
 
-        SourceRejected: there is no room for it, and nothing is followed.
+        SourceRejected: the server has no room for it, and nothing is subscribed.
         """
 
     def changes(self) -> Sequence[tuple[str, Reading]]:
-        """Take what was sent of the variables that are followed, in its order."""
+        """Return the notifications received since the last call, in order."""
 
     async def call(
         self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]
     ) -> Sequence[tuple[Any, ...]]:
-        """Call a method once for each of the inputs."""
+        """Call a method once for each set of inputs."""
 
     async def write(self, id: str, value: float) -> None:  # noqa: A002 - OPC UA's word
         """Write a Double."""
@@ -49,7 +49,7 @@ class Client(Protocol):
 
 @dataclass
 class Wanted:
-    """What viewers look at now: valves by number."""
+    """The valves in view, by number."""
 
     live: set[int] = field(default_factory=set)
     maps: set[tuple[int, str]] = field(default_factory=set)

@@ -1,4 +1,4 @@
-"""Token buckets: a steady rate and a burst."""
+"""Token buckets."""
 
 from collections import OrderedDict
 
@@ -9,7 +9,7 @@ _CLOCK = SystemClock()
 
 
 class TokenBucket:
-    """So many a second, and a burst.
+    """``rate`` tokens a second, up to ``burst`` tokens.
 
     >>> bucket = TokenBucket(rate=1.0, burst=2.0)
     >>> bucket.take(), bucket.take(), bucket.take()
@@ -21,7 +21,7 @@ class TokenBucket:
         self._tokens, self._then = burst, clock.monotonic()
 
     def take(self, number: float = 1.0) -> bool:
-        """Take this number of tokens, if there are as many."""
+        """Take this number of tokens; return False if there are fewer."""
         now = self._clock.monotonic()
         self._tokens = min(self._burst, self._tokens + self._rate * (now - self._then))
         self._then = now
@@ -32,14 +32,14 @@ class TokenBucket:
 
 
 class Buckets:
-    """A bucket for each address; those that were not heard of for longest are forgotten."""
+    """One bucket for each address; beyond ``most``, the least recently used are dropped."""
 
     def __init__(self, rate: float, burst: float, clock: Clock = _CLOCK, most: int = 1_000) -> None:
         self._rate, self._burst, self._clock, self._most = rate, burst, clock, most
         self._of: OrderedDict[str, TokenBucket] = OrderedDict()
 
     def take(self, host: str) -> bool:
-        """Take one token of that host's address."""
+        """Take one token of a host's address."""
         address = address_of(host)
         bucket = self._of.pop(address, None) or TokenBucket(self._rate, self._burst, self._clock)
         self._of[address] = bucket

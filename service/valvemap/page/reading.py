@@ -1,15 +1,15 @@
-"""Reading many variables, some at a time."""
+"""Reads many variables in batches."""
 
 from collections.abc import Sequence
 
 from valvemap.page.ports import Client
 from valvemap.readings import Reading
 
-_NODES_AT_ONCE = 200  # of one read: answers stay well within what is decoded of one
+_NODES_AT_ONCE = 200  # nodes of one read: keeps responses well below the decoding limit
 
 
 async def read_all(client: Client, ids: Sequence[str | int]) -> list[Reading]:
-    """Values of variables, one reading each."""
+    """Read variables; return one reading each."""
     readings: list[Reading] = []
     for start in range(0, len(ids), _NODES_AT_ONCE):
         readings += await client.read(ids[start : start + _NODES_AT_ONCE])

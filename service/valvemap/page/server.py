@@ -1,4 +1,4 @@
-"""The web server: uvicorn on a socket of our own, with connections that are counted and timed."""
+"""The web server: uvicorn on our own socket, with limits and timeouts for connections."""
 
 import asyncio
 import contextlib
@@ -21,11 +21,11 @@ from valvemap.page.rates import TokenBucket
 from valvemap.page.settings import PageSettings
 
 _KEEP_ALIVE_S = 15
-_PING_S = 20.0  # a viewer that is gone without a word is noticed within twice that
+_PING_S = 20.0  # s; a silent loss of a viewer is detected within twice that
 _HEAD_BYTES = 16 * 1024
-_MESSAGE_BYTES = 4 * 1024  # of a viewer; what a page sends has some 100 bytes
+_MESSAGE_BYTES = 4 * 1024  # bytes; largest message of a viewer: a page sends some 100 bytes
 _VIEWER_BYTES_PER_S, _VIEWER_BURST_BYTES = 8_192.0, 32_768.0  # a page sends some 2 kB a second
-_MOST_FRAMES = 64  # of one message; browsers send one
+_MOST_FRAMES = 64  # frames of one message; browsers send one
 _FAREWELL_S = 1
 _BACKLOG = 64
 
@@ -35,15 +35,15 @@ class PageError(ValvemapError):
 
 
 def open_socket(settings: PageSettings, *, or_any: bool = False) -> socket.socket:
-    """Listen; where the port is taken and ``or_any``, on a free one.
+    """Listen on the configured port; with ``or_any``, on a free one if it is in use.
 
     Raises
     ------
     PageError
     """
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # sends at once
-    if sys.platform != "win32":  # there, it would share a port that is taken
+    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # for TCP_NODELAY
+    if sys.platform != "win32":  # on Windows, SO_REUSEADDR would share a port in use
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((settings.host, settings.port))
@@ -58,7 +58,7 @@ def open_socket(settings: PageSettings, *, or_any: bool = False) -> socket.socke
 
 
 def url_of(settings: PageSettings, listening: socket.socket) -> str:
-    """Where a browser finds the page."""
+    """URL of the page."""
     host, port = listening.getsockname()[:2]
     shown = f"[{host}]" if ":" in host else host
     return f"{'https' if settings.is_encrypted else 'http'}://{shown}:{port}"
@@ -99,7 +99,7 @@ async def serve(
 
 
 class _Server(uvicorn.Server):
-    """Takes connections from a door; leaves signals to its caller."""
+    """Takes connections from a door; leaves signals to the caller."""
 
     def __init__(self, config: uvicorn.Config, door: Door) -> None:
         super().__init__(config)
@@ -116,7 +116,7 @@ class _Server(uvicorn.Server):
         def protocol(place: Place) -> asyncio.Protocol:
             return _Http(place, self._door, self.config, self.server_state)
 
-        self.servers = []  # of asyncio; it would agree on TLS before anything could be refused
+        self.servers = []  # asyncio's servers would start TLS before a refusal
         self._open = asyncio.create_task(self._door.open(listening, protocol, self.config.ssl))
         self.started = True
 
@@ -126,11 +126,11 @@ class _Server(uvicorn.Server):
             await asyncio.gather(self._open, return_exceptions=True)
         await super().shutdown(sockets)
         self._door.hang_up()
-        await asyncio.sleep(0)  # connections note that they are lost
+        await asyncio.sleep(0)  # let connections process their loss
 
 
 class _Http(H11Protocol):
-    """A connection that keeps its place until it is lost."""
+    """An HTTP connection; it keeps its place until it is lost."""
 
     def __init__(
         self, place: Place, door: Door, config: uvicorn.Config, state: ServerState
@@ -150,7 +150,7 @@ class _Http(H11Protocol):
 
 
 class _Live(WebSocketsSansIOProtocol):
-    """A viewer's connection; one that sends far more than a page does is ended."""
+    """A viewer's WebSocket; one that exceeds the rate of a page is closed."""
 
     def __init__(self, *arguments: Any, place: Place, door: Door, **more: Any) -> None:  # noqa: ANN401
         super().__init__(*arguments, **more)
@@ -169,7 +169,7 @@ class _Live(WebSocketsSansIOProtocol):
 
 
 def _noting_steps(app: ASGIApp) -> ASGIApp:
-    """An application that notes how far each connection has come."""
+    """Wrap an application to record the step of each connection."""
 
     async def noting(scope: Scope, receive: Receive, send: Send) -> None:
         place: Place = scope["state"][PLACE]

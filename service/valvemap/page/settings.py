@@ -1,4 +1,4 @@
-"""Where the page is served, to whom, and what visitors may cost."""
+"""Address of the page, its users, and limits for its visitors."""
 
 import ipaddress
 from dataclasses import dataclass
@@ -11,38 +11,38 @@ LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
 @dataclass(frozen=True)
 class PageSettings:
-    """Where and for whom.
+    """Address, access and limits of the page.
 
     Attributes
     ----------
     host, port
-        Address to listen on; port 0 takes a free one.
+        Address to listen on; port 0 selects a free one.
     host_names
-        Names under which browsers may come, beside loopback's; any other is refused, so that no
-        foreign name can be bound to this address.
+        Host names accepted beside loopback's. Any other is refused, which prevents DNS rebinding.
     certificate, key
-        PEM files for https. Off loopback nobody can log in without them.
+        PEM files for https. Off loopback, log-in requires them.
     viewers, viewers_of_address
-        Open pages at once, and those of one address (an IPv6 network of 64 bits counts as one).
+        Open pages, in total and of one address (an IPv6 network of 64 bits is one address).
     connections, connections_of_address, connections_per_s
-        Connections at once, and those of one address, viewers included; how many of one address
-        are considered in a second. Each takes one descriptor.
+        Connections, viewers included, in total and of one address; new connections of one address
+        a second. Each takes one descriptor.
     handshakes, handshakes_of_address, handshakes_per_s
-        TLS handshakes under way, and those of one address; those of one address in a second. Each
-        takes 300 kB and some 2 ms of the processor.
+        TLS handshakes in progress, in total and of one address; new handshakes of one address a
+        second. Each takes 300 kB and some 2 ms of CPU time.
     handshake_s, request_s, answer_s
-        For TLS; from connecting, or from the last answer, to a request; for its answer to be read.
+        Timeouts: of the TLS handshake; from connecting or the last answer to the next request; of
+        reading the answer.
     requests_per_s, request_burst
         Of one address.
     log_ins, log_ins_of_user
-        Log-ins at once, and those of one user; the one that was not used for longest ends.
+        Log-ins, in total and of one user; beyond that, the least recently used ends.
     log_ins_per_s, log_in_burst
         Tries of one address.
     wrong_passwords, wrong_pause_s
-        Wrong passwords of one user from one address, and the wait after them: fewer than the
-        service locks the user out for (5), and longer than it remembers (300 s).
+        Wrong passwords of one user from one address, and the lockout after them: fewer than at
+        the service (5), and longer than the service's memory (300 s).
     log_in_idle_s
-        A log-in that is not used for so long ends.
+        Idle timeout of a log-in.
     body_bytes
         Largest request.
     """
@@ -75,7 +75,7 @@ class PageSettings:
     body_bytes: int = 4_096
 
     def __post_init__(self) -> None:
-        """Check what goes together.
+        """Check that the settings are consistent.
 
         Raises
         ------
@@ -94,17 +94,17 @@ class PageSettings:
 
     @property
     def may_log_in(self) -> bool:
-        """Whether a password can travel safely: on this machine, or encrypted."""
+        """Whether passwords are protected in transit: on loopback, or encrypted."""
         return self.is_encrypted or is_loopback(self.host)
 
     @property
     def names(self) -> frozenset[str]:
-        """Names under which browsers may come."""
+        """Accepted host names."""
         return LOOPBACK_NAMES | {name.lower() for name in self.host_names}
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is this machine's own.
+    """Whether an address is a loopback address.
 
     >>> is_loopback("127.0.0.1"), is_loopback("0.0.0.0")
     (True, False)

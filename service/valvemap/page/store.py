@@ -1,4 +1,4 @@
-"""The newest value of everything that is looked at, and who has seen which of them."""
+"""Newest value of each variable, with revisions for incremental updates of the viewers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class Entry:
 
 
 class Store:
-    """Newest values by valve (its number) and name; each change gets the next revision.
+    """Newest values by valve number and name; each change increments the revision.
 
     >>> store = Store()
     >>> store.put(0, "RLS.Residual", 0.5, 0, 0)
@@ -30,13 +30,13 @@ class Store:
         self._valves: dict[int, dict[str, Entry]] = {}
 
     def put(self, valve: int, name: str, value: Any, code: int, t: int) -> None:  # noqa: ANN401 - as read
-        """Take a value in; nothing happens if it is the one that is there."""
+        """Store a value; the revision stays if it is unchanged."""
         entries = self._valves.setdefault(valve, {})
         old = entries.get(name)
         if old is not None and old.code == code and old.t == t and _same(old.value, value):
             return
         self.revision += 1
-        entries.pop(name, None)  # the newest stand last
+        entries.pop(name, None)  # keep the newest last
         entries[name] = Entry(value, code, t, self.revision)
 
     def get(self, valve: int, name: str) -> Entry | None:
@@ -44,14 +44,14 @@ class Store:
         return self._valves.get(valve, {}).get(name)
 
     def newer(self, valve: int, revision: int) -> Iterator[tuple[str, Entry]]:
-        """What has changed of a valve since ``revision``, the newest first."""
+        """Yield the values of a valve changed since ``revision``, the newest first."""
         for name, entry in reversed(self._valves.get(valve, {}).items()):
             if entry.revision <= revision:
                 return
             yield name, entry
 
     def clear(self) -> None:
-        """Forget all values: their server is another one."""
+        """Drop all values, after the set of valves has changed."""
         self._valves.clear()
         self.revision += 1
 

@@ -1,4 +1,4 @@
-"""The map as a surface, asked of the service point by point: Q, its uncertainty, its status."""
+"""The map as a surface: Q, its uncertainty and status on a grid, read with method calls."""
 
 from collections.abc import Mapping, Sequence
 from itertools import product
@@ -7,13 +7,13 @@ from typing import Any
 from valvemap.page.ports import Client
 
 POINTS_U, POINTS_DP = 21, 17
-_WIDEST_U, _WIDEST_DP = (0.0, 100.0), (0.0, 200.0)  # %, bar, where the service does not say
-_AT_ONCE = 51  # points of one call: three rows; others are answered between two calls
+_WIDEST_U, _WIDEST_DP = (0.0, 100.0), (0.0, 200.0)  # %, bar, if the service has no limits
+_AT_ONCE = 51  # points of one call: three rows; other clients are served between two calls
 _NAN = float("nan")
 
 
 async def draw_surface(client: Client, valve: str, estimator: str) -> Mapping[str, Any]:
-    """Ask an estimator for its map at the temperature measured last.
+    """Read an estimator's map at the last measured temperature.
 
     Returns
     -------

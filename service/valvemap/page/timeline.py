@@ -1,4 +1,4 @@
-"""What happened, newest last: how valves stood, what changed, what operators did. Bounded."""
+"""Event log, newest last: state changes of valves, abrupt changes, operators' actions. Bounded."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -6,26 +6,26 @@ from dataclasses import dataclass
 
 from valvemap.page.judgement import Reason, Severity
 
-_MOST = 1_000  # events that are kept: a page shows the newest few hundred
-_HOLDS_S = 2.0  # a state that lasts shorter is no event: statuses flicker while signals pause
+_MOST = 1_000  # events; a page shows the newest few hundred
+_HOLDS_S = 2.0  # s; shorter states are ignored: statuses flicker while signals pause
 
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened.
+    """One event.
 
     Attributes
     ----------
     number
         Counts up over all events.
     t
-        When, UTC ns.
+        Time, UTC ns.
     valve
-        Its name; empty for the service itself.
+        Name of the valve; empty for the service itself.
     kind
         ``status``, ``change``, ``action`` or ``link``.
     severity
-        How bad it is.
+        Severity of the event.
     text
         A sentence.
     """
@@ -39,7 +39,7 @@ class Event:
 
 
 class TimeLine:
-    """Events, and what must be remembered to see them."""
+    """Events, and the previous state needed to detect them."""
 
     def __init__(self) -> None:
         self._events: deque[Event] = deque(maxlen=_MOST)
@@ -55,13 +55,13 @@ class TimeLine:
         self._events.append(Event(self._count, t, valve, kind, severity, text))
 
     def after(self, number: int) -> Sequence[Event]:
-        """Events since the one with that number."""
+        """Return the events with a higher number."""
         return [event for event in self._events if event.number > number]
 
     def stands(self, valve: str, reason: Reason, now: int) -> tuple[Reason, int]:
-        """Take in how a valve stands; return how it has stood, and since when (UTC ns).
+        """Update the state of a valve; return the debounced state and its start (UTC ns).
 
-        Another reason counts once it has lasted for two seconds.
+        A new reason becomes the state once it has lasted for two seconds.
         """
         known = self._standing.get(valve)
         if known is None:
@@ -79,7 +79,7 @@ class TimeLine:
         return known
 
     def changed(self, valve: str, estimator: str, count: int, t: int, size: float) -> None:
-        """Take in an estimator's count of abrupt changes, time and size (l/min) of the newest."""
+        """Add an event if an estimator's count of abrupt changes rises; ``size`` in l/min."""
         before = self._changes.get((valve, estimator))
         self._changes[valve, estimator] = count
         if before is not None and count > before:
@@ -88,7 +88,7 @@ class TimeLine:
             self.add(t, valve, "change", Severity.WARNING, text)
 
     def acted(self, valve: str, text: str, t: int) -> None:
-        """Take in what an operator did last."""
+        """Add an event if the last operator action has changed."""
         before = self._actions.get(valve)
         self._actions[valve] = text
         if before is not None and text and text != before:

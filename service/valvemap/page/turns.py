@@ -1,4 +1,4 @@
-"""Whose log-in is tried next: one at a time, known users first, the others by turns of address."""
+"""Queue of log-in attempts: one at a time, known users first, round robin over addresses."""
 
 import asyncio
 from collections import OrderedDict, deque
@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 
 from valvemap.errors import CommandRejected
 
-_OF_ADDRESS, _IN_ALL = 5, 60  # log-ins that may wait; more are refused without a try
+_OF_ADDRESS, _IN_ALL = 5, 60  # log-ins that may wait, of one address and in total
 
 _Waiting = deque[asyncio.Future[None]]
 
@@ -15,8 +15,8 @@ _Waiting = deque[asyncio.Future[None]]
 class Turns:
     """One turn at a time.
 
-    Who is known comes first. The others take turns by address, so that an address that guesses
-    waits for itself.
+    Known users come first. The others take turns by address, so that an address that guesses
+    passwords delays only itself.
     """
 
     def __init__(self) -> None:
@@ -53,13 +53,13 @@ class Turns:
         try:
             await mine
         except asyncio.CancelledError:
-            if mine.done() and not mine.cancelled():  # the turn came too late
+            if mine.done() and not mine.cancelled():  # cancelled after the turn was given
                 self._is_taken = False
                 self._pass_on()
             raise
 
     def _pass_on(self) -> None:
-        """Give the turn to the next that still waits, if it is free."""
+        """Give the turn to the next waiter, if it is free."""
         while not self._is_taken and (self._known or self._strangers):
             turn = self._next()
             if not turn.done():

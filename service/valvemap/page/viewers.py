@@ -1,7 +1,7 @@
-"""Who looks at the page: what each watches, and what of it is new to them.
+"""Open pages: the valves each watches, and the updates each has not received yet.
 
-A viewer that reads slowly gets fewer and newer values, never a queue: what waits for it is the
-store itself. One that reads nothing for long is hung up on.
+A slow viewer gets fewer and newer values. There is no queue for each viewer: messages are built
+from the store at the time of sending. A viewer that reads nothing for long is disconnected.
 """
 
 import asyncio
@@ -27,26 +27,36 @@ from valvemap.page.rates import TokenBucket
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
-_SLOW_READER_S = 10.0  # for one message to leave
-_OPENED_PER_S = 50  # WebSockets of one address; a wall of screens that starts opens some 20
-_MESSAGES_PER_S, _BURST = 20.0, 60.0  # what a hand on a slider sends, and some more
+_SLOW_READER_S = 10.0  # s; timeout of sending one message
+_OPENED_PER_S = 50  # WebSockets of one address a second; starting a wall of screens opens some 20
+_MESSAGES_PER_S, _BURST = 20.0, 60.0  # messages a second: more than dragging a slider sends
 _POLICY_VIOLATION, _TRY_AGAIN_LATER = 1008, 1013  # close codes, RFC 6455 and IANA
 
 
 class Senseless(Exception):  # noqa: N818 - it says what came
-    """A viewer sent something that is no request of ours."""
+    """A viewer sent an invalid request."""
 
 
 @dataclass(eq=False)
 class Viewer:
     """One open page.
 
-    ``watched`` is the valve that is in view, ``estimator`` the one whose map is, ``overview``
-    whether all valves are. What it has seen is known by revision and number.
+    Attributes
+    ----------
+    number
+        Order of opening.
+    watched
+        Name of the valve in view.
+    estimator
+        Name of the estimator whose map is in view.
+    overview
+        Whether the overview is in view.
+    seen, events_seen, names_seen
+        Revision, event number and name number sent last.
     """
 
     socket: WebSocket
-    number: int = 0  # of all viewers; later ones have higher ones
+    number: int = 0  # increases with each viewer
     watched: str | None = None
     estimator: str | None = None
     overview: bool = False
@@ -63,16 +73,16 @@ class Viewer:
 class Viewers:
     """All open pages.
 
-    Where there are too many, one of the address that has most gives way: the newest, but rather one
-    that has asked for nothing. One that has asked stays, unless its address has more than the
-    newcomer's would have.
+    Beyond the limits, the address with the most viewers loses one: the newest, or first one
+    without a request. A viewer with a request is kept, unless its address has more viewers than
+    the newcomer's would have.
 
     Parameters
     ----------
     most, most_of_address
-        Viewers at once, and those of one address.
+        Viewers, in total and of one address.
     clock
-        Time.
+        Time source.
     """
 
     def __init__(self, most: int, most_of_address: int, clock: Clock) -> None:
@@ -94,12 +104,12 @@ class Viewers:
         return len(self._open)
 
     def wake(self) -> None:
-        """Let everybody look what has changed."""
+        """Let all viewers check for updates."""
         for viewer in self._open:
             viewer.changed.set()
 
     def wanted(self, valves: tuple[Valve, ...]) -> Wanted:
-        """What is in view anywhere."""
+        """Return the valves and maps in view on any page."""
         numbers = {valve.name: number for number, valve in enumerate(valves)}
         wanted = Wanted()
         for viewer in self._open:
@@ -112,7 +122,7 @@ class Viewers:
         return wanted
 
     async def serve(self, socket: WebSocket, observer: Observer) -> None:
-        """Talk with one page until it goes."""
+        """Serve one page until it disconnects."""
         viewer = Viewer(socket, next(self._numbers))
         if not self._open.admit(viewer, _host_of(viewer)):
             self.refused += 1
@@ -152,7 +162,7 @@ class Viewers:
                     )
 
     def _staying(self, newcomer: Viewer) -> frozenset[Viewer]:
-        """Viewers that have asked, of addresses that hold no more than the newcomer's would."""
+        """Viewers with a request, whose address holds no more viewers than the newcomer's would."""
         fair = self._open.held_at(_host_of(newcomer)) + 1
         return frozenset(
             viewer
@@ -203,7 +213,7 @@ class Viewers:
     async def _invert(
         self, viewer: Viewer, observer: Observer, number: int, name: str, Q: float, dp: float
     ) -> None:
-        """Ask the service which voltage a flow demands; nothing is written."""
+        """Ask the service for the voltage of a flow; writes nothing."""
         if name not in (valve.name for valve in observer.valves):
             raise Senseless
         try:
@@ -233,7 +243,7 @@ class Viewers:
                 await viewer.socket.send_bytes(message)
 
     def _unseen(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
-        """What this viewer has not seen of what it watches."""
+        """Yield messages with all updates this viewer has not received yet."""
         greeting = (observer.generation, observer.link.value, observer.link_text)
         if viewer.greeted != greeting:
             if viewer.greeted is None or viewer.greeted[0] != greeting[0]:
@@ -319,7 +329,7 @@ def _greeting(observer: Observer) -> dict[str, Any]:
 
 
 def _request(text: str | None) -> dict[str, Any]:
-    """A request as JSON; what is none is senseless."""
+    """Parse a request; raise Senseless if it is not a JSON object."""
     try:
         request = json.loads(text or "", parse_constant=_refuse)
     except (ValueError, RecursionError):

@@ -28,25 +28,25 @@ from valvemap.page.viewers import Viewers
 
 STATIC = Path(__file__).parent / "static"
 _COOKIE = "valvemap"
-_BODY_S = 5.0  # for a request's body to arrive
-_PIECE_BYTES = 65_536  # bytes; of a file, sent at once
+_BODY_S = 5.0  # s; timeout of a request's body
+_PIECE_BYTES = 65_536  # bytes; chunk of a file
 
 
 class Page:
-    """Everything that one page process is.
+    """All parts of one page process.
 
     Parameters
     ----------
     client
         The page's own client of the service.
     clients
-        Makes the clients of who logs in.
+        Makes the clients of a user at log-in.
     settings
-        Where and for whom.
+        Address, access and limits.
     clock
-        Time.
+        Time source.
     rig
-        The URL of a demo's rig; None where there is none.
+        The URL of a demo's rig; None without one.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Page:
         self._metrics = Metrics(self.observer, self.viewers, self.guard, self.log_ins, self.door)
 
     def _noting_log_ins(self, application: ASGIApp) -> ASGIApp:
-        """An application that lets connections of users who are logged in stay."""
+        """Wrap an application to keep the connections of logged-in users."""
 
         async def noting(scope: Scope, receive: Receive, send: Send) -> None:
             secret = HTTPConnection(scope).cookies.get(_COOKIE)
@@ -112,7 +112,7 @@ class Page:
         return Response(self._metrics.exposition(), media_type=CONTENT_TYPE)
 
     async def _user(self, request: Request) -> Response:
-        """Who is logged in, and what is to be had here."""
+        """Return the logged-in user and the available features."""
         log_in = self.log_ins.find(request.cookies.get(_COOKIE))
         return _answer(
             user=log_in.user if log_in else None,
@@ -156,14 +156,14 @@ class Page:
 
 
 class _Files(StaticFiles):
-    """The page's files, kept in memory: a reader, however slow, holds no descriptor.
+    """The page's files, cached in memory: a slow reader holds no descriptor.
 
-    Browsers ask for them again after an update, and keep them otherwise.
+    Browsers revalidate them, so that they reload them after an update only.
     """
 
     def __init__(self, directory: Path) -> None:
         super().__init__(directory=directory, html=True)
-        self._kept: dict[str, tuple[int, bytes]] = {}  # by path: when it was written, and what
+        self._kept: dict[str, tuple[int, bytes]] = {}  # path: modification time, content
 
     def file_response(
         self,
@@ -174,7 +174,7 @@ class _Files(StaticFiles):
     ) -> Response:
         response = super().file_response(full_path, stat_result, scope, status_code)
         response.headers["Cache-Control"] = "no-cache"
-        if not isinstance(response, FileResponse):  # the browser has it
+        if not isinstance(response, FileResponse):  # 304 Not Modified
             return response
         written, content = self._kept.get(str(full_path), (-1, b""))
         if written != stat_result.st_mtime_ns:
@@ -184,7 +184,7 @@ class _Files(StaticFiles):
 
 
 class _Kept(Response):
-    """A file from memory, sent as fast as it is read."""
+    """A cached file, sent in chunks as the client reads."""
 
     def __init__(self, content: bytes, as_file: FileResponse) -> None:
         super().__init__(status_code=as_file.status_code)
@@ -208,7 +208,7 @@ class _Kept(Response):
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    """A request's JSON object; an empty one if it is none, or does not arrive."""
+    """Return a request's JSON object; an empty one if it is invalid or times out."""
     try:
         async with asyncio.timeout(_BODY_S):
             body = json.loads(await request.body())

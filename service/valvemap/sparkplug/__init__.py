@@ -1,1 +1,1 @@
-"""Results as Sparkplug B over MQTT, for whoever collects them there; an OPC UA client like any."""
+"""Publish results as Sparkplug B over MQTT; the publisher is an OPC UA client of the service."""

@@ -1,4 +1,4 @@
-"""MQTT 3.1.1 by Eclipse Paho: each connection is a client of its own, in a thread of its own."""
+"""MQTT 3.1.1 by Eclipse Paho: each connection has its own client and thread."""
 
 import asyncio
 import socket
@@ -18,19 +18,19 @@ from valvemap.sparkplug.edge_node import Message
 from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
 from valvemap.sparkplug.settings import BrokerSettings
 
-_MOST_RECEIVED: Final = 100  # that nobody has taken; the newest count
-_LARGEST: Final = 65_536  # bytes; what is larger is neither a request for births nor a state
+_MOST_RECEIVED: Final = 100  # messages; capacity of the receive buffer, which drops the oldest
+_LARGEST: Final = 65_536  # bytes; larger payloads are neither a rebirth request nor a STATE message
 _FAREWELL_S: Final = 2.0
-_SERVER_UNAVAILABLE: Final = "Server unavailable"  # the one refusal that another try may change
+_SERVER_UNAVAILABLE: Final = "Server unavailable"  # the only refusal that is worth a retry
 
 
 class PahoBroker:
-    """Fulfils :class:`valvemap.sparkplug.ports.Broker`.
+    """Implements :class:`valvemap.sparkplug.ports.Broker`.
 
     Raises
     ------
     ConfigurationError
-        if a certificate or key cannot be used: names the file.
+        if a certificate or key cannot be loaded; names the file.
     """
 
     def __init__(self, settings: BrokerSettings) -> None:
@@ -40,18 +40,18 @@ class PahoBroker:
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """URL of the broker."""
         return self._settings.url
 
     async def connect(self, will: Message, topics: Sequence[str]) -> "PahoSession":
-        """Connect, and listen to topics; a will is what the broker says when we are gone.
+        """Connect with a will, and subscribe to the topics.
 
         Raises
         ------
         SinkLost
-            if it cannot be reached.
+            if the broker cannot be reached.
         SinkRejected
-            if it refuses us, or is not to be trusted.
+            if it refuses the connection, or its certificate is not trusted.
         """
         settings = self._settings
         guard = PacketGuard(settings.url)
@@ -61,7 +61,7 @@ class PahoBroker:
             client_id=settings.client_id,
             clean_session=True,
             protocol=MQTTv311,
-            reconnect_on_failure=False,  # each connection needs a will of its own
+            reconnect_on_failure=False,  # each connection needs a new will
         )
         client.connect_timeout = settings.timeout_s
         client.will_set(will.topic, will.payload, qos=will.qos, retain=False)
@@ -82,7 +82,7 @@ class PahoBroker:
 
 
 class PahoSession:
-    """Fulfils :class:`valvemap.sparkplug.ports.Session`; made by :class:`PahoBroker`."""
+    """Implements :class:`valvemap.sparkplug.ports.Session`; made by :class:`PahoBroker`."""
 
     def __init__(
         self,
@@ -106,7 +106,7 @@ class PahoSession:
         client.on_message = self._on_message
 
     async def begin(self) -> None:
-        """Connect, and wait until the broker has taken us."""
+        """Connect, wait for CONNACK and subscribe."""
         settings = self._settings
         try:
             await _in_thread(
@@ -118,33 +118,33 @@ class PahoSession:
             raise SinkLost(f"{settings.url}: {_words(error)}") from error
         self._client.loop_start()
         await self._wait(self._accepted, "it does not take the connection")
-        if not self._guard.received:  # else packets would not be bounded
+        if not self._guard.received:  # the size of packets would be unbounded
             raise SinkRejected("this version of paho-mqtt bypasses the packet guard")
         for topic in self._topics:
             await self._subscribe(topic)
 
     def publish(self, message: Message) -> None:
-        """Send, without waiting."""
+        """Publish without waiting."""
         self._check()
         sent = self._client.publish(message.topic, message.payload, qos=message.qos)
         if sent.rc != MQTT_ERR_SUCCESS:
             raise SinkLost(f"{self._settings.url}: not connected")
 
     async def confirm(self) -> None:
-        """Wait until the broker has everything that was published.
+        """Wait until the broker has received everything published so far.
 
-        Packets come in order, and a subscription is answered: so we subscribe to our commands
-        again. It is answered once what was sent before it was read.
+        The broker processes packets in order and answers SUBSCRIBE with SUBACK. A second SUBSCRIBE
+        to the command topic therefore confirms all packets sent before it.
         """
         await self._subscribe(self._topics[0])
 
     def received(self) -> list[Message]:
-        """Take the messages that came."""
+        """Return the messages received since the last call."""
         self._check()
         return [self._received.popleft() for _ in range(len(self._received))]
 
     async def close(self) -> None:
-        """End it; safe to call twice, and after a loss."""
+        """Disconnect; idempotent, also after a loss."""
         if self._client.disconnect() == MQTT_ERR_SUCCESS:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._ended.wait(), _FAREWELL_S)
@@ -200,7 +200,7 @@ class PahoSession:
         self._soon(self._take_confirmation, number, reasons[0])
 
     def _on_message(self, _client: Client, _userdata: object, message: Any) -> None:  # noqa: ANN401
-        if len(message.payload) <= _LARGEST:  # by paho's thread: a deque is safe, and bounded
+        if len(message.payload) <= _LARGEST:  # paho's thread; a deque is thread-safe
             self._received.append(Message(message.topic, message.payload, message.qos))
 
     def _on_disconnect(
@@ -237,16 +237,16 @@ class PahoSession:
         for answer in (self._accepted, *self._confirmed.values()):
             if not answer.done():
                 answer.set_exception(self._failure)
-                answer.exception()  # nobody may wait for it any more
+                answer.exception()  # mark it as retrieved, if no task awaits it
 
     def _soon(self, call: Callable[..., object], *arguments: object) -> None:
-        """In the loop's thread; paho calls in its own."""
-        with suppress(RuntimeError):  # the loop is over
+        """Run in the event loop's thread; paho's callbacks run in its own thread."""
+        with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(call, *arguments)
 
 
 async def _in_thread(work: Callable[[], object]) -> None:
-    """Wait for work that blocks; nobody waits for its thread at the end of the process."""
+    """Await blocking work in a daemon thread, which does not delay the end of the process."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
 
@@ -272,7 +272,7 @@ async def _in_thread(work: Callable[[], object]) -> None:
 
 
 class _GuardedClient(Client):
-    """Reads a packet's header before the packet, and shows both directions to a guard."""
+    """An MQTT client that checks packet headers before the body, in both directions."""
 
     def __init__(self, guard: PacketGuard, *arguments: Any, **more: Any) -> None:  # noqa: ANN401
         super().__init__(*arguments, **more)
@@ -283,7 +283,7 @@ class _GuardedClient(Client):
         try:
             self._guard.receive(data)
         except PacketRefused as refusal:
-            raise ConnectionAbortedError(str(refusal)) from refusal  # Paho ends the connection
+            raise ConnectionAbortedError(str(refusal)) from refusal  # paho closes the connection
         return data
 
     def _sock_send(self, buf: bytes | bytearray) -> int:
@@ -293,7 +293,7 @@ class _GuardedClient(Client):
 
 
 class _Closing(ssl.SSLSocket):
-    """Closed where its handshake fails: Paho leaves that to the garbage collector."""
+    """A socket that closes when its handshake fails; paho leaves it to the garbage collector."""
 
     def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - as in ssl
         try:

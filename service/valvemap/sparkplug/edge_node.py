@@ -1,4 +1,4 @@
-"""What an edge node of Sparkplug B says, message by message. Pure: no clock, no network."""
+"""Messages of a Sparkplug B edge node. Pure: no clock, no network."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ from valvemap.sparkplug.schema import DataType, Payload
 NAMESPACE: Final = "spBv1.0"
 REBIRTH: Final = "Node Control/Rebirth"
 _BD_SEQ: Final = "bdSeq"
-_NUMBERS: Final = 256  # seq and bdSeq begin again after 255
-_METRICS_AT_ONCE: Final = 500  # of one DATA message: some 25 kB
+_NUMBERS: Final = 256  # seq and bdSeq wrap after 255
+_METRICS_AT_ONCE: Final = 500  # metrics in one DATA message: some 25 kB
 
 
 @dataclass(frozen=True)
 class Message:
-    """What is published; nothing is ever retained."""
+    """A message to publish; never retained."""
 
     topic: str
     payload: bytes
@@ -25,7 +25,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A metric's new value; ``number`` counts all changes of a process."""
+    """A metric's new value; ``number`` counts the changes of the process."""
 
     tag: Tag
     value: Value
@@ -33,10 +33,11 @@ class Change:
 
 
 class EdgeNode:
-    """The running numbers of an edge node, and its messages.
+    """Sequence numbers of an edge node, and its messages.
 
-    A connection begins with :meth:`will`, which goes into its CONNECT and takes the next ``bdSeq``;
-    then :meth:`births` say all metrics, and :meth:`data` what changes. ``seq`` counts all of them.
+    A connection begins with :meth:`will`, which is part of its CONNECT and takes the next
+    ``bdSeq``. Then :meth:`births` declares all metrics, and :meth:`data` publishes changes. ``seq``
+    counts these messages.
 
     Parameters
     ----------
@@ -65,16 +66,16 @@ class EdgeNode:
 
     @property
     def commands(self) -> str:
-        """The topic of commands to the node."""
+        """Topic of commands to the node (NCMD)."""
         return self._topic("NCMD")
 
     def will(self, now: int) -> Message:
-        """What the broker shall say of a connection that breaks: each has a number of its own."""
+        """Return the will of the next connection: an NDEATH with the next bdSeq."""
         self.bd_seq = (self.bd_seq + 1) % _NUMBERS
         return self.death(now)
 
     def death(self, now: int) -> Message:
-        """NDEATH of this connection; whoever ends it says so before."""
+        """Return the NDEATH of this connection, to publish before a disconnect."""
         payload = Payload(timestamp=now // 1_000_000)
         add_plain(payload, _BD_SEQ, DataType.INT64, self.bd_seq, now)
         return Message(self._topic("NDEATH"), payload.SerializeToString(), qos=1)
@@ -82,9 +83,10 @@ class EdgeNode:
     def births(
         self, tags: Mapping[str | None, Sequence[Tag]], newest: Mapping[str, Value], now: int
     ) -> list[Message]:
-        """NBIRTH, then DBIRTH of each device: all metrics (None: the node's), and what they are.
+        """Return NBIRTH and the DBIRTH of each device: all metrics with their current values.
 
-        A metric whose value is not known yet is null and STALE.
+        ``tags`` is keyed by device; None is the node itself. A metric without a value is null and
+        STALE.
         """
         self.seq = 0
         payload = self._payload(now)
@@ -97,7 +99,7 @@ class EdgeNode:
         return messages
 
     def data(self, changes: Iterable[Change], born: int, now: int) -> Iterator[Message]:
-        """NDATA and DDATA; what is not newer than the change number ``born`` is historical."""
+        """Yield NDATA and DDATA; changes numbered up to ``born`` are marked historical."""
         by_device: dict[str | None, list[Change]] = {}
         for change in changes:
             by_device.setdefault(change.tag.device, []).append(change)
@@ -110,7 +112,7 @@ class EdgeNode:
                 yield self._message("DATA", device, payload)
 
     def device_death(self, device: str, now: int) -> Message:
-        """DDEATH: nothing is known of a device any more."""
+        """Return the DDEATH of a device."""
         return self._message("DEATH", device, self._payload(now))
 
     def _born(
@@ -139,4 +141,4 @@ class EdgeNode:
         return whole if device is None else f"{whole}/{device}"
 
 
-_UNKNOWN: Final = 0x4000_0000  # Uncertain: nothing was read yet
+_UNKNOWN: Final = 0x4000_0000  # Uncertain: no value has been read yet

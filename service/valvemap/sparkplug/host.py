@@ -1,22 +1,22 @@
-"""The one host that has to be there before an edge node says anything. Pure."""
+"""State of the primary host, which an edge node waits for. Pure."""
 
 import json
 from typing import Final
 
 from valvemap.sparkplug.edge_node import NAMESPACE
 
-_LATEST_MS: Final = 2**63  # what is later is no time
+_LATEST_MS: Final = 2**63  # ms; later timestamps are invalid
 
 
 class PrimaryHost:
-    """What is known of a primary host, from its STATE messages (chapter 5.10).
+    """State of a primary host, from its STATE messages (chapter 5.10).
 
     Attributes
     ----------
     topic : str
-        Where it says whether it is there.
+        Topic of its STATE messages.
     is_online : bool
-        Whether it was when it said so last.
+        Whether its newest STATE message says online.
 
     Examples
     --------
@@ -33,7 +33,7 @@ class PrimaryHost:
         self._when = 0
 
     def hear(self, payload: bytes) -> None:
-        """Take in a message; what is not one, or older than the last, changes nothing."""
+        """Process a STATE message; ignore it if it is invalid or older than the last one."""
         try:
             said = json.loads(payload)
             online, when = said["online"], said["timestamp"]

@@ -1,4 +1,4 @@
-"""Values as metrics: kind, quality, time. Pure."""
+"""Values as Sparkplug metrics: data type, quality, timestamp. Pure."""
 
 import math
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from valvemap.sparkplug.schema import DataType, Payload
 
 GOOD: Final = 0
 BAD_NO_COMMUNICATION: Final = 0x8031_0000
-OVERFLOW: Final = 0x480  # StatusCode: values before this one were dropped at the service
-_OLDEST_MS: Final = 0  # DateTime is unsigned; OPC UA's "never" lies before
+OVERFLOW: Final = 0x480  # StatusCode bits: the service dropped values before this one
+_OLDEST_MS: Final = 0  # ms; DateTime is unsigned, but OPC UA's minimum is negative
 
 
 class Quality(IntEnum):
-    """The property Quality has these three values (chapter 6.4.16)."""
+    """Values of the property Quality (chapter 6.4.16)."""
 
     BAD = 0
     GOOD = 192
@@ -25,7 +25,7 @@ class Quality(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Tag:
-    """A metric: of which device (None: of the edge node itself), its name, kind and alias.
+    """A metric: its device (None: the edge node), name, data type and alias.
 
     ``id`` is the identifier of the variable behind it.
     """
@@ -39,7 +39,7 @@ class Tag:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """What a variable holds: its StatusCode, its source time (UTC ns)."""
+    """Value of a variable, its StatusCode and source time (UTC ns)."""
 
     value: Any
     code: int
@@ -47,7 +47,7 @@ class Value:
 
 
 def quality_of(code: int) -> Quality:
-    """Good is GOOD; Uncertain must not be taken for good: STALE; Bad is BAD.
+    """Map a StatusCode: Good to GOOD, Uncertain to STALE, Bad to BAD.
 
     >>> quality_of(0), quality_of(0x40000000), quality_of(0x80000000)
     (<Quality.GOOD: 192>, <Quality.STALE: 500>, <Quality.BAD: 0>)
@@ -56,44 +56,44 @@ def quality_of(code: int) -> Quality:
 
 
 def alike(a: Value, b: Value) -> bool:
-    """Whether nothing but the time has changed."""
+    """Whether two values are equal apart from their time."""
     same = a.value == b.value or (a.value != a.value and b.value != b.value)
     return bool(same) and a.code == b.code
 
 
 def add_birth(payload: Any, tag: Tag, value: Value) -> None:  # noqa: ANN401 - a Payload
-    """Say what a metric is, and what it is now."""
+    """Add a metric to a BIRTH: its name, alias, data type and current value."""
     metric = _add(payload, tag, value)
     metric.name = tag.name
 
 
 def add_data(payload: Any, tag: Tag, value: Value, *, historical: bool) -> None:  # noqa: ANN401
-    """Say what a metric has become, or was."""
+    """Add a metric to a DATA message: its alias and new value."""
     metric = _add(payload, tag, value)
     if historical:
         metric.is_historical = True
 
 
 def add_plain(payload: Any, name: str, kind: DataType, value: object, t: int) -> None:  # noqa: ANN401
-    """Say something that the specification itself names: it has no alias."""
+    """Add a metric that the specification defines; it has no alias."""
     metric = payload.metrics.add(name=name, datatype=kind, timestamp=_ms(t))
     _set(metric, kind, value)
 
 
 def flag_in(data: bytes, name: str) -> bool:
-    """Whether a command sets a Boolean of this name.
+    """Whether a command sets the Boolean metric of this name to true.
 
     Raises
     ------
     DecodeError
-        if it is no payload.
+        if ``data`` is not a payload.
     """
     payload = Payload.FromString(data)
     return any(one.name == name and one.boolean_value for one in payload.metrics)
 
 
 def _add(payload: Any, tag: Tag, value: Value) -> Any:  # noqa: ANN401
-    # DATA need not say the kind again, but the library of Cirrus Link reads a value by it
+    # The data type is optional in DATA, but Cirrus Link's library needs it to decode the value
     metric = payload.metrics.add(alias=tag.alias, timestamp=_ms(value.t), datatype=tag.kind)
     quality = quality_of(value.code)
     if quality is Quality.BAD or not _set(metric, tag.kind, value.value):
@@ -111,7 +111,7 @@ def _add_property(properties: Any, key: str, kind: DataType, value: object) -> N
 
 
 def _set(message: Any, kind: DataType, value: Any) -> bool:  # noqa: ANN401
-    """Set a value; whether there is one: NaN is none."""
+    """Set a value; return whether there is one: NaN is null."""
     match kind:
         case _ if value is None:
             return False

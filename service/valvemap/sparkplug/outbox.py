@@ -1,4 +1,4 @@
-"""What waits for the broker: bounded; the oldest goes where there is too much, and is counted."""
+"""Bounded queue of changes to publish; on overflow, the oldest are dropped and counted."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -9,22 +9,22 @@ from valvemap.sparkplug.metrics import Tag, Value
 
 
 class Outbox:
-    """Changes in their order, until it is known that the broker has them.
+    """Changes in order, kept until the broker has confirmed them.
 
-    MQTT says nothing of messages of QoS 0, which Sparkplug demands. So what was taken stays here
-    until it is confirmed; after a break it is put back, and sent again.
+    Sparkplug demands QoS 0, which MQTT does not acknowledge. Changes taken therefore stay in the
+    queue until :meth:`confirm`; after a loss of the connection, :meth:`put_back` requeues them.
 
     Parameters
     ----------
     most
-        So many may wait, those that were taken among them.
+        Capacity, unconfirmed changes included.
 
     Attributes
     ----------
     lost : int
-        How many found no room.
+        Number of changes dropped.
     newest : int
-        Number of the last change that was put in; they begin with 1.
+        Number of the last change added; the first is 1.
 
     Examples
     --------
@@ -55,23 +55,23 @@ class Outbox:
         self._make_room()
 
     def take(self, most: int) -> list[Change]:
-        """The oldest, to be sent; :meth:`confirm` or :meth:`put_back` says what became of them."""
+        """Take the oldest changes, to be followed by :meth:`confirm` or :meth:`put_back`."""
         some = [self._waiting.popleft() for _ in range(min(most, len(self._waiting)))]
         self._taken += some
         return some
 
     def confirm(self) -> None:
-        """The broker has all that was taken."""
+        """Remove the changes taken: the broker has received them."""
         self._taken.clear()
 
     def put_back(self) -> None:
-        """Nobody knows what the broker has of it."""
+        """Requeue the changes taken: the broker may not have received them."""
         self._waiting.extendleft(reversed(self._taken))
         self._taken.clear()
         self._make_room()
 
     def keep_only(self, tags: Iterable[Tag]) -> None:
-        """Give up what waits of metrics that are there no more."""
+        """Drop the changes of all other metrics."""
         there = set(tags)
         kept = [change for change in self._waiting if change.tag in there]
         self.lost += len(self._waiting) - len(kept)

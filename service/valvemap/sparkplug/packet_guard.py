@@ -1,6 +1,6 @@
-"""What a broker may send: packets are judged by their fixed header, before they are received. Pure.
+"""Limits on a broker's packets, checked by the fixed header before the body is received. Pure.
 
-MQTT 3.1.1 has no maximum packet size that a client could announce, so we bound it ourselves.
+In MQTT 3.1.1, a client cannot announce a maximum packet size, so this module enforces one.
 """
 
 from collections.abc import Iterator
@@ -8,20 +8,18 @@ from typing import Final
 
 from valvemap.errors import SinkLost
 
-LARGEST_PACKET: Final = 1_048_576  # bytes; a request for births or a state has some 100
-MOST_UNREAD: Final = (
-    1_000  # answers that the broker has not read; Paho keeps some 300 bytes of each
-)
+LARGEST_PACKET: Final = 1_048_576  # bytes; a rebirth request or a STATE message has some 100
+MOST_UNREAD: Final = 1_000  # answers the broker has not read; paho keeps some 300 bytes of each
 _LENGTH_BYTES: Final = 4  # of the remaining length, MQTT 3.1.1, 2.2.3
 _PUBLISH, _PUBACK, _PINGREQ, _PINGRESP = 3, 4, 12, 13  # packet types, MQTT 3.1.1, 2.2.1
 
 
 class PacketRefused(SinkLost):
-    """The broker sent a packet that is not received: the connection is closed, then retried."""
+    """The broker sent a packet beyond the limits; the connection is closed, then retried."""
 
 
 class PacketHeaders:
-    """Finds the fixed headers in one direction of a connection, however it is cut into pieces.
+    """Incremental parser of the fixed headers in one direction of a connection.
 
     Examples
     --------
@@ -31,12 +29,12 @@ class PacketHeaders:
     """
 
     def __init__(self) -> None:
-        self._first: int | None = None  # byte of the header that is being read
+        self._first: int | None = None  # first byte of the header being parsed
         self._length, self._digits = 0, 0
-        self._body = 0  # bytes of the packet that are still to come
+        self._body = 0  # bytes remaining of the current packet's body
 
     def feed(self, data: bytes) -> Iterator[tuple[int, int]]:
-        """First byte and remaining length of every header that ends in these bytes.
+        """Yield first byte and remaining length of every header that ends in these bytes.
 
         Raises
         ------
@@ -65,18 +63,18 @@ class PacketHeaders:
 
 
 class PacketGuard:
-    """Judges the packets of one connection.
+    """Checks the packets of one connection.
 
-    Refused are: a packet that is larger than ``largest``; a PUBLISH of QoS 2, which was granted to
-    nobody and would be kept until it is released; a broker that asks for answers, ``most_unread``
-    of them, and reads none.
+    It refuses packets larger than ``largest``; a PUBLISH of QoS 2, which no subscription grants and
+    which the client would have to keep until its release; and a broker that requests answers but
+    leaves ``most_unread`` of them unread.
 
     Attributes
     ----------
     refusal : PacketRefused or None
-        Why the connection has to be closed.
+        Reason to close the connection.
     received : int
-        Packets whose header came.
+        Number of packet headers received.
     """
 
     def __init__(
@@ -89,7 +87,7 @@ class PacketGuard:
         self._unread = 0
 
     def receive(self, data: bytes) -> None:
-        """Judge bytes that came.
+        """Check received bytes.
 
         Raises
         ------
@@ -105,7 +103,7 @@ class PacketGuard:
             self._refuse(f"it sent {error}")
 
     def send(self, data: bytes) -> None:
-        """Note bytes that the broker has taken."""
+        """Count the answers among bytes sent to the broker."""
         for first, _ in self._outgoing.feed(data):
             self._unread -= first >> 4 in {_PUBACK, _PINGRESP}
 

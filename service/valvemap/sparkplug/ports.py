@@ -1,4 +1,4 @@
-"""What is asked of the service and of the broker; `valvemap.app.mqtt` brings them together."""
+"""Ports to the service and to the broker; `valvemap.app.mqtt` connects them."""
 
 from collections.abc import Collection, Sequence
 from typing import Protocol
@@ -8,76 +8,77 @@ from valvemap.sparkplug.edge_node import Message
 
 
 class Service(Protocol):
-    """The service, as any OPC UA client sees it; nodes are named by their string identifiers.
+    """The service as an OPC UA server; nodes are named by their string identifiers.
 
-    All but ``close`` raise `valvemap.errors.SourceLost` or `SourceRejected`.
+    All methods but ``close`` raise `valvemap.errors.SourceLost` or `SourceRejected`.
     """
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """URL of the server."""
 
     @property
     def lost(self) -> int:
-        """Changes that were sent over this connection and not taken in time."""
+        """Number of notifications lost on this connection by overflow."""
 
     async def connect(self) -> None:
-        """Connect and log in."""
+        """Connect and authenticate."""
 
     async def close(self) -> None:
-        """Disconnect; safe to call twice."""
+        """Disconnect; idempotent."""
 
     async def browse_each(self, ids: Sequence[str | None]) -> Sequence[Sequence[Child]]:
-        """Nodes below each node."""
+        """Return the children of each node."""
 
     async def scalar_types(self, ids: Sequence[str]) -> Sequence[str | None]:
-        """Names of the standard's types of variables; None of arrays."""
+        """Return the standard data type of each variable; None for arrays."""
 
     async def read(self, ids: Sequence[str | int]) -> Sequence[Reading]:
-        """Values of variables, one each; a number names one of the standard's."""
+        """Read variables; a number is the identifier of a standard node."""
 
     async def watch(self, ids: Collection[str], every_s: float) -> None:
-        """Be sent what changes of just these variables, so often, the last value at least.
+        """Subscribe to exactly these variables; under overflow, the last value is delivered.
 
-        SourceRejected: there is no room for it, and nothing is followed.
+        SourceRejected: the server has no room for it, and nothing is subscribed.
         """
 
     def changes(self) -> Sequence[tuple[str, Reading]]:
-        """Take what was sent of them, in its order."""
+        """Return the notifications received since the last call, in order."""
 
 
 class Session(Protocol):
     """A connection to the broker; all but ``close`` raise `valvemap.errors.SinkLost`."""
 
     def publish(self, message: Message) -> None:
-        """Send, without waiting."""
+        """Publish without waiting."""
 
     async def confirm(self) -> None:
-        """Wait until the broker has everything that was published.
+        """Wait until the broker has received everything published so far.
 
-        `valvemap.errors.SinkRejected`: we may not listen to our commands.
+        `valvemap.errors.SinkRejected`: the broker refuses the subscription to commands.
         """
 
     def received(self) -> list[Message]:
-        """Take the messages that came."""
+        """Return the messages received since the last call."""
 
     async def close(self) -> None:
-        """End it; safe to call twice, and after a loss."""
+        """Disconnect; idempotent, also after a loss."""
 
 
 class Broker(Protocol):
-    """Where sessions are made."""
+    """Opens sessions."""
 
     @property
     def refused_packets(self) -> int:
-        """Packets that were not received, each with its connection."""
+        """Number of packets refused; each closed its connection."""
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """URL of the broker."""
 
     async def connect(self, will: Message, topics: Sequence[str]) -> Session:
-        """Connect; ``topics`` are listened to, the first is that of our commands.
+        """Connect, and subscribe to ``topics``; the first is the command topic.
 
-        SinkLost: worth another try. SinkRejected: it refuses us, or its certificate is not trusted.
+        SinkLost: a retry may succeed. SinkRejected: the broker refuses the connection, or its
+        certificate is not trusted.
         """

@@ -1,4 +1,4 @@
-"""Looks at the service over OPC UA, and notes what changes; begins anew after every loss."""
+"""Subscribes to the service over OPC UA; reconnects and browses again after every loss."""
 
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,14 +19,14 @@ log = structlog.get_logger(__name__)
 
 _ROOT: Final = "Identification"
 _OF_SERVICE: Final = "Service"
-_NOT_FOLLOWED: Final = "Condition"  # an alarm once more; its nodes are made when looked at
-_READ_AT_ONCE: Final = 200  # answers stay well within what is decoded of one
-_LOOK_S: Final = 0.1  # changes that were sent are taken so often
-_REFUSED_RETRY_S: Final = 10.0  # whoever is refused need not ask often
-_ASK_S: Final = 2.0  # how often the service has to answer
-_CURRENT_TIME: Final = 2258  # of the Server object
-_VERSIONS: Final = ".NodeVersion"  # of nodes, not of what they show
-_VERSION: Final = f"{_ROOT}{_VERSIONS}"  # another one: valves came or went
+_NOT_FOLLOWED: Final = "Condition"  # alarm nodes: copies of other variables, created when browsed
+_READ_AT_ONCE: Final = 200  # nodes of one read: keeps responses well below the decoding limit
+_LOOK_S: Final = 0.1  # s; poll interval of the notification buffer
+_REFUSED_RETRY_S: Final = 10.0  # s; after a refusal, which rarely ends soon
+_ASK_S: Final = 2.0  # s; interval of the keep-alive read
+_CURRENT_TIME: Final = 2258  # node id in namespace 0: Server_ServerStatus_CurrentTime
+_VERSIONS: Final = ".NodeVersion"  # versions of the address space, not results
+_VERSION: Final = f"{_ROOT}{_VERSIONS}"  # changes when valves are added or removed
 _KINDS: Final = {
     "Boolean": DataType.BOOLEAN,
     "SByte": DataType.INT8,
@@ -46,23 +46,23 @@ _KINDS: Final = {
 
 
 class Reader:
-    """Keeps what is shown as the service has it.
+    """Keeps the metrics up to date with the service.
 
     Parameters
     ----------
     service
-        Over OPC UA.
+        OPC UA client of the service.
     shown
-        Takes what is found, and what changes.
+        Receives variables and values.
     wanted
         Patterns of names, such as ``*.Residual``: those of valves without the valve's name, those
         of the service with ``Service.``.
     every_s
-        How often the service sends what has changed.
+        Publishing interval of the subscription.
     clock
-        Says when.
+        Time source.
     pauses
-        Between two tries, in s, from the first on.
+        Makes the retry pauses, s; called after every successful connection.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Reader:
         self._said = ""
 
     async def run(self) -> None:
-        """Look until cancelled, whatever happens to the service."""
+        """Read until cancelled; reconnect after every failure."""
         pauses = self._pauses()
         while True:
             try:
@@ -131,7 +131,7 @@ class Reader:
                 raise SourceLost(f"{self._service.url}: it sent more than was taken; read anew")
             self._shown.count(OVERFLOWS, self._overflows, self._clock.now())
             if self._clock.monotonic() - asked_at >= _ASK_S:
-                # a line that was cut says nothing
+                # without a keep-alive, a cut line goes unnoticed
                 _, now = await self._service.read([_CURRENT_TIME, _VERSION])
                 if now.value != version.value:
                     raise SourceLost(f"{self._service.url}: valves came or went; read anew")
@@ -143,7 +143,7 @@ class Reader:
             self._shown.change(id_, self._value(reading))
 
     async def _variables(self) -> list[Variable]:
-        """Every variable that is wanted and is one number, text, time or truth."""
+        """Browse the variables that match the patterns and are scalars of a supported type."""
         found: list[tuple[str, str | None, str]] = []
         level: list[str | None] = [_ROOT]
         while level:
@@ -168,7 +168,7 @@ class Reader:
         ]
 
     def _value(self, reading: Reading) -> Value:
-        """A reading; a mark that values before it were dropped is counted, and taken away."""
+        """Convert a reading; count and clear the overflow bits of its StatusCode."""
         code = reading.code
         if code & OVERFLOW == OVERFLOW:
             self._overflows += 1
@@ -176,7 +176,7 @@ class Reader:
         return Value(reading.value, code, reading.t or self._clock.now())
 
     def _say(self, reason: str, event: str) -> None:
-        """Say it once."""
+        """Log a reason once."""
         if reason == self._said and reason:
             return
         self._said = reason

@@ -1,7 +1,7 @@
-"""The payload of Sparkplug B 3.0 (chapter 6), as a message of Protocol Buffers.
+"""The payload of Sparkplug B 3.0 (chapter 6) as a Protocol Buffers message.
 
-Only what an edge node writes, and what it reads of a command, is declared: no templates, data sets
-nor files. Field numbers are the specification's.
+It declares only the fields that an edge node writes or reads in commands: no templates, data
+sets or files. Field numbers are the specification's.
 """
 
 from enum import IntEnum
@@ -20,7 +20,7 @@ __all__ = ["DataType", "DecodeError", "Payload"]
 
 
 class DataType(IntEnum):
-    """Kinds of values that metrics and properties have here."""
+    """Data types of metrics and properties in use."""
 
     INT8 = 1
     INT16 = 2
@@ -104,11 +104,11 @@ def _add(
 
 
 def _add_value(message: DescriptorProto, first: int) -> None:
-    """One of several kinds of values, in fields that are numbered one after the other."""
+    """Add the ``value`` oneof, with consecutive field numbers."""
     message.oneof_decl.add(name="value")
     for number, (name, kind) in enumerate(_VALUES, first):
         _add(message, number, name, kind).oneof_index = 0
 
 
 Payload: Final = _payload()
-"""A message; made and read as `google.protobuf` has it."""
+"""Message class of `google.protobuf`."""

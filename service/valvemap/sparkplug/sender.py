@@ -1,4 +1,4 @@
-"""Keeps a connection to the broker, and says there what is shown; the only place that retries."""
+"""Publishes the metrics over a persistent connection to the broker; the only place that retries."""
 
 import asyncio
 from collections.abc import Callable, Iterator
@@ -19,36 +19,36 @@ from valvemap.sparkplug.shown import CONNECTIONS, LOST, REFUSED, Shown
 
 log = structlog.get_logger(__name__)
 
-_AT_ONCE: Final = 5_000  # values on their way at once: some 300 kB
-_LOOK_S: Final = 0.1  # longest that a command, a loss or the service's return waits
+_AT_ONCE: Final = 5_000  # unconfirmed changes: some 300 kB
+_LOOK_S: Final = 0.1  # s; longest delay of a command, a loss or the service's return
 _REFUSED_RETRY_S: Final = 10.0
-_BETWEEN_BIRTHS_S: Final = 1.0  # whoever asks for births more often waits
+_BETWEEN_BIRTHS_S: Final = 1.0  # s; shortest interval between two rebirths on request
 _FAREWELL_S: Final = 2.0
 _SAID_AGAIN_S: Final = 60.0
 
 
 class HostGone(SinkLost):
-    """The primary host went: what comes waits for it."""
+    """The primary host is offline; changes wait for it."""
 
 
 class Sender:
-    """Sends births, and then whatever waits in the outbox.
+    """Publishes births, then the changes in the outbox.
 
-    Nothing is sent before the broker has confirmed what was sent before: it may stand still without
-    our memory growing, and after a break it is known what it surely had.
+    The next batch is published once the broker has confirmed the previous one. A stalled broker
+    therefore does not fill our memory, and the changes it received before a loss are known.
 
     Parameters
     ----------
     broker, node, shown, outbox
-        Where to, as whom, what.
+        Destination, identity, metrics and their changes.
     every_s
-        How often what has changed is sent.
+        Publishing interval.
     host
-        Who has to be there before anything is said; None: nobody.
+        Primary host to wait for, if any.
     clock
-        Stamps messages.
+        Timestamps messages.
     pauses
-        Between two tries, in s, from the first on.
+        Makes the retry pauses, s; called after every successful connection.
     """
 
     def __init__(
@@ -67,15 +67,15 @@ class Sender:
         self._every_s, self._clock, self._pauses = every_s, clock, pauses
         self._retry = pauses()
         self._connections = 0
-        self._found_count = -1  # of the births that were said last
-        self._born, self._born_at = 0, 0.0  # number of the newest change then, and when that was
+        self._found_count = -1  # found_count at the last birth
+        self._born, self._born_at = 0, 0.0  # newest change at the last birth, and its time, s
         self._devices_live = False
         self._births_wanted = False
         self._said = ""
         self._losses_said, self._losses_said_at = 0, -_SAID_AGAIN_S
 
     async def run(self) -> None:
-        """Send until cancelled, whatever happens to the broker; then say goodbye."""
+        """Publish until cancelled; reconnect after every failure. Publishes NDEATH at the end."""
         while True:
             try:
                 await self._serve_one_connection()
@@ -145,7 +145,7 @@ class Sender:
                     due = now + self._every_s
 
     async def _give_birth(self, session: Session) -> None:
-        """Say all metrics; what waits is of before, and comes behind them as history."""
+        """Publish births; changes queued before are published later as historical."""
         self._devices_live = self._shown.is_connected or len(self._outbox) > 0
         tags = self._shown.tags
         if not self._devices_live:
@@ -162,7 +162,7 @@ class Sender:
             session.publish(message)
 
     async def _bury_devices(self, session: Session) -> None:
-        """Say that nothing is known of any valve, once all that was known is said."""
+        """Publish DDEATH of all devices if the service is lost and the outbox is empty."""
         if self._shown.is_connected or not self._devices_live:
             return
         self._devices_live = False
@@ -193,7 +193,7 @@ class Sender:
             log.warning("values found no room", lost=lost)
 
     def _say(self, reason: str) -> None:
-        """Say it once."""
+        """Log a reason once."""
         if reason and reason == self._said:
             return
         self._said = reason

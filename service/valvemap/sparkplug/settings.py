@@ -1,4 +1,4 @@
-"""How the broker is reached."""
+"""Connection settings of the broker."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,9 +6,9 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class BrokerSettings:
-    """One MQTT broker, and who we are there.
+    """One MQTT broker, and the credentials for it.
 
-    Without ``ca_file`` the system's list says whom to trust. Files are PEM.
+    Without ``ca_file``, the system's certificate authorities are trusted. Files are PEM.
     """
 
     host: str
@@ -25,5 +25,5 @@ class BrokerSettings:
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """URL of the broker."""
         return f"mqtt{'s' if self.tls else ''}://{self.host}:{self.port}"

@@ -1,4 +1,4 @@
-"""What there is to say: all metrics as they stand. What changes goes into the outbox. Pure."""
+"""Current values of all metrics; changes are queued in the outbox. Pure."""
 
 from collections.abc import Iterable, Mapping
 from itertools import count
@@ -23,7 +23,7 @@ _OWN: Final = {
 
 
 class Variable(NamedTuple):
-    """A variable of the service: of a valve, or (``device`` is None) of the service itself."""
+    """A variable of a valve, or (``device`` is None) of the service itself."""
 
     id: str
     device: str | None
@@ -32,12 +32,12 @@ class Variable(NamedTuple):
 
 
 class Shown:
-    """Metrics by device, and what they are now.
+    """Metrics by device, and their current values.
 
     Parameters
     ----------
     outbox
-        Takes what changes.
+        Receives the changes.
     now
         UTC ns.
 
@@ -46,11 +46,11 @@ class Shown:
     tags : dict
         Metrics of each device; None: those of the edge node.
     newest : dict
-        What they are, by id.
+        Current values, by id of the variable.
     found_count : int
-        How often the service was found: whoever has said less says all anew.
+        Number of times the service was browsed; births are due when it has increased.
     is_connected : bool
-        Whether it is there.
+        Whether the service is connected.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Shown:
         self._take_over(self._own, starts)
 
     def find(self, variables: Iterable[Variable], values: Mapping[str, Value], now: int) -> None:
-        """The service is there, with these variables; they may be others than before."""
+        """Replace all variables and values after the service was browsed."""
         self._take_over([*self._own, *variables], values)
         self._outbox.keep_only(self._by_id.values())
         self.is_connected = True
@@ -83,7 +83,7 @@ class Shown:
         self.count(CONNECTED, 1, now)
 
     def change(self, id_: str, value: Value) -> None:
-        """A variable has another value, or quality; nothing happens if it has not."""
+        """Store a value and queue the change, if value or quality differ."""
         tag = self._by_id.get(id_)
         if tag is None or (id_ in self.newest and alike(self.newest[id_], value)):
             return
@@ -91,11 +91,11 @@ class Shown:
         self._outbox.put(tag, value)
 
     def count(self, id_: str, number: int, now: int) -> None:
-        """Say one of our own counts."""
+        """Set one of the publisher's own counters."""
         self.change(id_, Value(_own_value(id_, number), GOOD, now))
 
     def lose(self, now: int) -> None:
-        """The service is not there: nothing is known, of nothing."""
+        """Mark all variables as bad after the service was lost."""
         if not self.is_connected:
             return
         self.is_connected = False
@@ -106,7 +106,7 @@ class Shown:
             if tag.device is None:
                 self.change(id_, gone)
             else:
-                self.newest[id_] = gone  # its device's death says so
+                self.newest[id_] = gone  # DDEATH reports it
         self.count(CONNECTED, 0, now)
 
     def _take_over(self, variables: Iterable[Variable], values: Mapping[str, Value]) -> None:

@@ -1,8 +1,7 @@
-"""Linear algebra of a symmetric matrix with a band: factor, solutions, and the inverse's band.
+"""Linear algebra of symmetric band matrices: Cholesky factor, solutions, band of the inverse.
 
-Column k of an (n, n) matrix lies in ``A[k * band : (k + 1) * band]``: element (k + d, k) at d.
-Every inner loop runs along a row, so that it becomes a vector without a sum being taken in another
-order.
+Column k of an (n, n) matrix is in ``A[k * band : (k + 1) * band]``: element (k + d, k) at d.
+Every inner loop runs along a row, so that it is vectorized without a change of the summation order.
 """
 
 import math
@@ -15,7 +14,7 @@ from valvemap.model.samples import Floats
 
 @maker
 def factorise(A: Floats, n: int, band: int) -> bool:
-    """Cholesky's factor in place; False where the matrix is not positive."""
+    """Cholesky factor in place; False if the matrix is not positive definite."""
     column = np.empty(band)
     for j in range(n):
         at = j * band
@@ -80,7 +79,7 @@ def invert_band(L: Floats, n: int, band: int, Z: Floats) -> None:
 
 @inner
 def invert(A: Floats) -> bool:
-    """Invert a small symmetric positive matrix in place, Gauss and Jordan on its diagonal."""
+    """Invert a small symmetric positive definite matrix in place, Gauss-Jordan on the diagonal."""
     n = len(A)
     for p in range(n):
         pivot = A[p, p]

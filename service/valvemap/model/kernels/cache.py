@@ -1,9 +1,9 @@
-"""The cache of compiled kernels: numba's own files, another stamp.
+"""The cache of compiled kernels: numba's own files with another stamp.
 
-Each kernel has a separate cache (`keep`); nothing of numba is changed. It lies where numba's
-would: in ``NUMBA_CACHE_DIR``, else beside the module, else in the user's cache. Kernels that are
-missing there are read from those that came compiled (`kernels.ahead`). An entry is valid for as
-long as the module's stamp (`kernels.stamps`) stays, wherever the package is installed.
+Each kernel has a separate cache (`keep`); numba is not changed. It is in numba's location:
+``NUMBA_CACHE_DIR``, else beside the module, else in the user's cache. Kernels missing there are
+read from the wheel's (`kernels.ahead`). An entry is valid while the module's stamp
+(`kernels.stamps`) is unchanged, wherever the package is installed.
 
 Private parts of numba: a dispatcher's ``_cache`` and the classes of ``numba.core.caching``.
 """
@@ -41,7 +41,7 @@ def _stamp(module: str, file: str) -> str:
 
 @cache
 def _folder(file: str) -> str | None:
-    """Where numba would keep what it compiles of a file; None if nowhere."""
+    """Return numba's cache folder for a file; None if there is none."""
     for locator in CompileResultCacheImpl._locator_classes:  # noqa: SLF001
         found = locator.from_function(_folder.__wrapped__, file)
         if found is not None:
@@ -67,10 +67,10 @@ class _Locator(_CacheLocator):
         return self._stamp
 
     def get_disambiguator(self) -> str:
-        """Part of the files' names: numba writes an index before the code that it names.
+        """Return a part of the file names: numba writes an index before the code that it names.
 
-        Were both named alike before and after a change, an interrupted or concurrent process would
-        take old code for new. A line's number is no part of it, as comments change that.
+        If names were equal before and after a change, an interrupted or concurrent process would
+        load old code as new. The line number is not part of it, since comments change it.
         """
         return self._stamp[:12]
 
@@ -94,7 +94,7 @@ class _Cache(FunctionCache):
         return None if data is None else self._impl.rebuild(target_context, data)
 
     def _compiled_ahead(self, key: Any) -> Any:  # noqa: ANN401
-        """Find the entry for this kind of machine; its key names the one that built the wheel."""
+        """Return the entry for this kind of machine; its key names the build machine."""
         place = str(ahead.folder() / self._py_func.__module__)
         stamp = self._impl.locator.get_source_stamp()
         kept = IndexDataCacheFile(place, self._impl.filename_base, stamp)
@@ -116,7 +116,7 @@ class _Cache(FunctionCache):
 
 
 class _Loading:
-    """Numba's target for as long as a kernel is loaded: it knows our libraries, too."""
+    """Numba's target while a kernel is loaded: it can also load our libraries."""
 
     def __init__(self, target: Any) -> None:  # noqa: ANN401
         self._target = target

@@ -1,9 +1,8 @@
-"""How kernels are compiled: IEEE arithmetic in the written order, cached, the lock released.
+"""Compilation of kernels: IEEE arithmetic in the written order, cached, without the GIL.
 
-A kernel is cached under the stamp of its module and of all that the module imports, so that none
-is ever run with a callee of yesterday, and another comment compiles nothing. With a version of
-numba that is not tested (`valvemap.numba_version`), only its public options and its own cache are
-used.
+A kernel is cached under the stamp of its module and of all modules that this imports. A change of
+a callee therefore recompiles it, and a change of a comment does not. With an untested version of
+numba (`valvemap.numba_version`), only its public options and its own cache are used.
 """
 
 import hashlib
@@ -29,84 +28,84 @@ else:
 
 F = TypeVar("F", bound=Callable[..., object])
 
-Index = np.uint64  # place in an array: a signed one may count from the end, and no loop of such
-# becomes a vector
+Index = np.uint64  # array index; a signed one may be negative, which prevents the vectorization of
+# loops
 
 _PACKAGE: Final = Path(__file__).parents[2]
 _ROOMS: Final = "*/kernels/*.py"
 
 
 def kernel(function: F) -> F:
-    """Compile a function that Python calls."""
+    """Compile a function that is called from Python."""
     return numba.called(function, counts=True)
 
 
 def lean_kernel(function: F) -> F:
-    """`kernel`, for what makes no array: references to those that it is handed are not counted.
+    """`kernel` for functions that create no arrays: references to their arguments are not counted.
 
-    Each call that hands on a tuple of thirty arrays counts sixty times, which costs a microsecond.
-    Private part of numba: the option ``_nrt``.
+    A call that passes a tuple of thirty arrays would otherwise count sixty times, which costs a
+    microsecond. Private part of numba: the option ``_nrt``.
     """
     return numba.called(function, counts=False)
 
 
 def inner(function: F) -> F:
-    """Compile a function that only kernels call: no wrappers, and no reference is counted.
+    """Compile a function that only kernels call: no wrappers, no reference counting.
 
-    It makes no array and hands none back: see `maker`.
+    It must not create or return arrays: see `maker`.
     """
     return numba.linked(function, counts=False)
 
 
 def maker(function: F) -> F:
-    """`inner` for what makes arrays or hands them back."""
+    """`inner` for functions that create or return arrays."""
     return numba.linked(function, counts=True)
 
 
 def inlined(function: F) -> F:
-    """`inner`, compiled into every kernel that calls it: what is constant there is constant here.
+    """`inner`, inlined into every kernel that calls it, with its constants.
 
-    Only for what few kernels call: each gets a copy.
+    Only for functions with few callers: each gets a copy.
     """
     return numba.linked(function, counts=False, forceinline=True)
 
 
 def spliced(function: F) -> F:
-    """Write a function into the one kernel that calls it, before anything is compiled.
+    """Splice a function into the only kernel that calls it, before compilation.
 
-    A callee that is compiled by itself is compiled once more with each of its callers. For what
-    has one caller; what has more is written into each.
+    A separately compiled callee is compiled again with each of its callers. With several callers,
+    it is copied into each.
     """
     return numba.spliced(function, inline="always")
 
 
 def take_shortcuts() -> None:
-    """Change numba for the rest of this process, in which no command asked before the import."""
+    """Apply the patches of numba for the rest of this process, unless done before the import."""
     numba.take_shortcuts()
 
 
 def kept(dispatcher: F) -> F:
-    """Cache what numba's own decorator makes as kernels are, and as it was decorated."""
+    """Cache a function of numba's own decorator like a kernel, with its options."""
     numba.keep(dispatcher)
     return dispatcher
 
 
 def keep_kernels(module: ModuleType) -> None:
-    """`kept` for every function of a module that numba compiles."""
+    """Apply `kept` to every compiled function of a module."""
     for value in vars(module).values():
         if is_jitted(value):
             kept(value)
 
 
 def was_warmed_up() -> bool:
-    """Whether a warm-up came to its end before, here or for the wheel, with kernels as they are."""
+    """Whether a warm-up with these kernels has been completed, here or for the wheel."""
     came = ahead.folder()
     notes = [_note(), *([came / ahead.COMPLETE] if came is not None else [])]
     return any(_read(note) == _stamp_of_all() for note in notes)
 
 
 def note_warm_up() -> None:
-    """Make `was_warmed_up` true from now on; where nothing can be kept it stays false."""
+    """Record a completed warm-up; without a cache, nothing is recorded."""
     try:
         _note().write_text(_stamp_of_all(), encoding="utf-8")
     except OSError:
@@ -121,7 +120,7 @@ def _read(note: Path) -> str:
 
 
 def _note() -> Path:
-    """The file that says so, one for each kind of machine that shares the cache."""
+    """Return the record's file, one for each kind of machine that shares the cache."""
     into = ahead.into()
     if into is not None:
         return into / ahead.COMPLETE
@@ -132,7 +131,7 @@ def _note() -> Path:
 
 
 def _stamp_of_all() -> str:
-    """A stamp of every kernel, of numba and of Python."""
+    """Return a stamp of all kernels, numba and Python."""
     files = sorted(_PACKAGE.glob(_ROOMS))
     contents = [numba.TREES.of(file, _module_of(file)).content for file in files]
     whole = version("numba"), sys.implementation.cache_tag, contents
@@ -145,4 +144,4 @@ def _module_of(file: Path) -> str:
 
 @kernel
 def _nothing() -> None:
-    """Knows where kernels are cached."""
+    """Do nothing; the location of its cache is that of all kernels."""

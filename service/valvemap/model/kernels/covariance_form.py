@@ -1,4 +1,4 @@
-"""What happens to P = U·D·Uᵀ beside the step itself: forgetting, and opening after a change."""
+"""Operations on P = U·D·Uᵀ besides the step: forgetting, and opening after a change."""
 
 import numpy as np
 
@@ -26,19 +26,19 @@ from valvemap.model.samples import Floats
 
 SETTLED = 20.0
 GOLDEN = 40503  # golden section of 65536
-FLOOR = 1e-4  # information along X, in squared scaled units, that forgetting leaves there
-CLIP = 4.0  # standard deviations beyond which an innovation counts as so many
-SCALE_WINDOW = 1.0 / 1000.0  # per sample, of the mean square that is the unit
-POWER_WINDOW = 1.0 / 200.0  # per sample, of the recent mean square
-LEAST_POWER = 0.1  # of the recent mean square, in that unit
-TOLERATED = 0.4  # correlation of consecutive innovations: what coloured noise may show
+FLOOR = 1e-4  # minimum information along X after forgetting, in squared scaled units
+CLIP = 4.0  # standard deviations at which an innovation is clipped
+SCALE_WINDOW = 1.0 / 1000.0  # per sample; window of the mean square used as unit
+POWER_WINDOW = 1.0 / 200.0  # per sample; window of the recent mean square
+LEAST_POWER = 0.1  # minimum of the recent mean square, in that unit
+TOLERATED = 0.4  # correlation of consecutive innovations that coloured noise may cause
 HASTE_STEP = 0.005  # per sample
-OPENING = 10.0  # a changed plant: what was learnt before weighs a tenth of a sample
+OPENING = 10.0  # a changed plant: earlier samples get the weight of a tenth of a sample
 
 
 @inlined
 def pace(size: Size, s: Floats, at: Places, rule: Rule) -> float:
-    """λ as it is now; of places that drift along all n directions, while it forgets along one."""
+    """Return the current λ; during drift 1 - λ is n-fold, since a step forgets along X only."""
     if rule.threshold == np.inf:
         return rule.lam
     haste = s[at.detector + HASTE]
@@ -49,9 +49,9 @@ def pace(size: Size, s: Floats, at: Places, rule: Rule) -> float:
 
 @inlined
 def hurry(s: Floats, at: Places, rule: Rule, e: float, square: float) -> None:
-    """Of a plant that is known to drift: forget faster while innovations stay coloured.
+    """For a plant known to drift: forget faster while innovations are coloured.
 
-    ``square``: that of e over what its variance is in units of σ².
+    ``square``: e² over its variance in units of σ².
     """
     g = at.detector
     z = 0.0
@@ -72,7 +72,7 @@ def hurry(s: Floats, at: Places, rule: Rule, e: float, square: float) -> None:
 
 @inlined
 def note(s: Floats, at: Places, thetas: Floats, i: int, n: int) -> None:
-    """Write theta after sample i where it is asked for."""
+    """Write theta after sample i if requested."""
     if i < len(thetas):
         for j in range(n):
             thetas[i, j] = s[at.theta + j]
@@ -80,19 +80,19 @@ def note(s: Floats, at: Places, thetas: Floats, i: int, n: int) -> None:
 
 @inlined
 def learn_noise(s: Floats, at: Places, kind: int, lam: float, square: float) -> None:
-    """σ² from another innovation, its square over what its variance is in units of σ²."""
+    """Update σ² with an innovation; ``square`` is its square over its variance in units of σ²."""
     weight = lam * s[at.noise + WEIGHT] + 1.0
     variance = s[at.noise + VARIANCE]
     s[at.noise + WEIGHT] = weight
     s[at.noise + SQUARES] = lam * lam * s[at.noise + SQUARES] + 1.0
-    if kind == VARIABLE and weight > SETTLED:  # its own jumps must not raise σ²
+    if kind == VARIABLE and weight > SETTLED:  # jumps of λ must not raise σ²
         square = min(square, 9.0 * variance)
     s[at.noise + VARIANCE] = variance + (square - variance) / weight
 
 
 @inlined
 def variable_lam(s: Floats, at: Places, rule: Rule, e: float, r: float) -> float:
-    """λ of `Variable`: low where the innovation is large."""
+    """Return λ of `Variable`, which decreases with the innovation."""
     variance = s[at.noise + VARIANCE]
     if s[at.noise + WEIGHT] <= SETTLED or variance <= 0.0:
         return rule.lam
@@ -101,7 +101,7 @@ def variable_lam(s: Floats, at: Places, rule: Rule, e: float, r: float) -> float
 
 @inlined
 def weight_along(size: Size, s: Floats, at: Places, lam: float, r: float) -> float:
-    """Weight of a sample that takes the share 1 - λ of what is known along X, if that is enough."""
+    """Weight of a sample that forgets along X; 1 if the information there is at its floor."""
     length = 0.0
     for j in range(len(size)):
         length += (s[at.x + j] * s[at.unit + j]) ** 2
@@ -110,13 +110,13 @@ def weight_along(size: Size, s: Floats, at: Places, lam: float, r: float) -> flo
 
 @inlined
 def is_nth(count: int, n: int) -> bool:
-    """Whether this sample is the one of ``n``: evenly, and in step with nothing periodic."""
+    """Whether a sample is one of every ``n``: equidistributed, aperiodic."""
     return (count * GOLDEN & 0xFFFF) * n <= 0xFFFF
 
 
 @inlined
 def grows_beyond_limit(size: Size, s: Floats, at: Places, lam: float, r: float) -> bool:
-    """Whether division by λ would add to a P that is beyond its limit already."""
+    """Whether division by λ would increase a P beyond its limit."""
     n = len(size)
     trace = scaled_trace(size, s, at.factor, at.scale)
     s[at.noise + TRACE] = trace
@@ -151,7 +151,7 @@ def forget_subspace(size: Size, s: Floats, at: Places, lam: float) -> None:
 
 @inlined
 def let_go(size: Size, s: Floats, at: Places, counters: Counts, lam: float) -> None:
-    """Let theta go: what was learnt before the change weighs next to nothing from now on."""
+    """Reduce the weight of all samples before a change to nearly 0."""
     n = len(size)
     samples = float(counters[COUNT] - counters[OPENED])
     growth = OPENING * (min(1.0 / (1.0 - lam), samples) if lam < 1.0 else samples)

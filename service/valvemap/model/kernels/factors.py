@@ -1,8 +1,8 @@
 """Rank-one steps on triangular factors: information R (QR) and covariance U·D·Uᵀ.
 
 Both forms are invariant to the units of the regressors (a power of two in a column of X changes no
-digit of the others), so they hold physical units and need no scaled copy. Neither can become
-asymmetric or indefinite. All loops run in a fixed order: the same samples give the same bits.
+digit of the others), so they use physical units without a scaled copy. Both are always symmetric
+and positive definite. All loops run in a fixed order, for bit-identical results.
 """
 
 import numpy as np
@@ -11,20 +11,20 @@ from valvemap.model.kernels.compiled import inner, kernel, maker
 from valvemap.model.samples import Floats
 
 EPSILON = 2.0**-52
-ESTIMABLE = 1e-8  # part of a column's scale that may lie outside the known directions
+ESTIMABLE = 1e-8  # share of a column's scale outside the known directions that is tolerated
 
 
 @kernel
 def rotate_in(
     R: Floats, z: Floats, x: Floats, y: float, lam: float, scale: Floats, count: int
 ) -> float:
-    """One row into the triangle by Givens rotations: RᵀR ← lam·RᵀR + x·xᵀ, Rᵀz ← lam·Rᵀz + x·y.
+    """Rotate a row into the triangle by Givens: RᵀR ← lam·RᵀR + x·xᵀ, Rᵀz ← lam·Rᵀz + x·y.
 
-    Exact from R = 0 on: that is P₀ = ∞. An empty row is a direction that no sample has shown; it
-    stays empty if only rounding is left of x there, which after ``count`` samples is up to about
+    Exact from R = 0 on: that is P₀ = ∞. An empty row is a direction without samples; it stays
+    empty if the rest of x there is rounding error, which after ``count`` samples is up to about
     count·eps of the column's ``scale``.
 
-    x is destroyed. Returns what R and z leave of y, whose square adds to the sum of squares.
+    x is destroyed. Returns the residual of y, whose square adds to the sum of squares.
     """
     n = len(x)
     root = np.sqrt(lam)
@@ -48,7 +48,7 @@ def rotate_in(
 
 @kernel
 def independence(R: Floats) -> float:
-    """Least share of a column that the columns before it do not explain; 0: theta is open."""
+    """Smallest share of a column not explained by the ones before; 0: theta is not determined."""
     least = 1.0
     for i in range(len(R)):
         squares = 0.0
@@ -60,7 +60,7 @@ def independence(R: Floats) -> float:
 
 @inner
 def back_substitute(R: Floats, z: Floats, theta: Floats) -> None:
-    """Theta of R·theta = z; a direction without samples gets 0."""
+    """Solve R·theta = z; directions without samples get 0."""
     for i in range(len(z) - 1, -1, -1):
         total = z[i]
         for j in range(i + 1, len(z)):
@@ -70,7 +70,7 @@ def back_substitute(R: Floats, z: Floats, theta: Floats) -> None:
 
 @maker
 def is_estimable(R: Floats, X: Floats, i: int, scale: Floats) -> bool:
-    """Whether the samples in R fix xᵀtheta although not theta; x is row i of X."""
+    """Whether the samples in R determine xᵀtheta although not theta; x is row i of X."""
     n = len(R)
     x = np.empty(n)
     for j in range(n):
@@ -127,7 +127,7 @@ def project(ut: Floats, x: Floats, f: Floats, Px: Floats) -> float:
 def rank_one(ut: Floats, f: Floats, k: Floats, alpha: float, weight: float, growth: float) -> None:
     """P ← growth·(P - weight·P·x·xᵀ·P / (alpha + weight·xᵀ·P·x)), Bierman's recursion.
 
-    ``f`` = Uᵀx. A negative weight takes information away; D stays positive as long as
+    ``f`` = Uᵀx. A negative weight removes information; D stays positive as long as
     alpha + weight·xᵀPx > 0. ``k`` is scratch.
     """
     n = len(f)
@@ -148,7 +148,7 @@ def rank_one(ut: Floats, f: Floats, k: Floats, alpha: float, weight: float, grow
 
 @kernel
 def covariance(ut: Floats) -> Floats:
-    """P itself, one triangle computed and mirrored."""
+    """Return P; one triangle is computed and mirrored."""
     P = np.empty_like(ut)
     write_covariance(ut, P)
     return P

@@ -1,14 +1,14 @@
-"""What noise that D(q) does not whiten makes of RML's theta: the long-run covariance of its scores.
+"""Effect of noise that D(q) does not whiten on RML's theta: long-run covariance of its scores.
 
-As :mod:`valvemap.model.kernels.scores` does it for least squares, with the filtered
-regressors h_f in place of X and the innovation. A direction x of theta errs by xᵀ·P·Σ h_f·ε; so its
-variance is that of white innovations times gᵀ·Omega·g over σ²·gᵀ·M·g, g = P·x, whatever is
-forgotten. Where innovations are white, nothing is changed.
+As :mod:`valvemap.model.kernels.scores` for least squares, with the filtered regressors h_f and the
+innovation. The error of theta along x is xᵀ·P·Σ h_f·ε. With any forgetting, its variance is that in
+white innovations times gᵀ·Omega·g over σ²·gᵀ·M·g, g = P·x. The correction is 1 for white
+innovations.
 
 Regressors that react to the noise of the same sample bias theta by about N·P·Γ, Γ = mean of
 (h_f(t) - h_f(t-1))·ε(t), N = s/tr(P·M) the samples that P holds.
 
-A plant that drifts is ahead of theta: the scores of the last samples have a mean, M times as far.
+If the plant drifts, theta lags: the mean of the last samples' scores is M times the lag.
 """
 
 import numpy as np
@@ -23,19 +23,19 @@ from valvemap.model.samples import Floats
 # of h_f·ε over the last LATELY samples.
 THIS, BEFORE, PREVIOUS, REACTION, REACTED, DOUBT, SCORE = range(7)
 ROWS_OF_BLOCKS = 7
-# Places in `colour`.
+# Offsets in `colour`.
 GATHERED, BLOCKS, PRODUCT, SQUARE, BLOCK_PRODUCT, BLOCK_SQUARE, LAST = range(7)
 REACTING = 7  # from here on see `reaction`
 PLACES_OF_COLOUR = REACTING + reaction.PLACES
-ROUNDING = 1e-12  # of the flow, squared: no colour
-LATELY = 8192.0  # samples: a plant that drifts does so for longer
+ROUNDING = 1e-12  # of the flow, squared: rounding error
+LATELY = 8192.0  # samples: a drift lasts longer
 
 
 @inner
 def gather(
     omega: Floats, moments: Floats, blocks: Floats, colour: Floats, hf: Floats, e: float, y: float
 ) -> None:
-    """Take a sample's score in: filtered regressors ``hf`` (s or more,), innovation, output."""
+    """Add a sample's score: filtered regressors ``hf`` (s or more,), innovation, output."""
     ns = blocks.shape[1]
     colour[BLOCK_PRODUCT] += e * colour[LAST]
     colour[BLOCK_SQUARE] += e * e + ROUNDING * y * y
@@ -44,7 +44,7 @@ def gather(
         blocks[THIS, j] += e * hf[j]
         blocks[REACTION, j] += e * (hf[j] - blocks[PREVIOUS, j])
         blocks[PREVIOUS, j] = hf[j]
-    if int(colour[GATHERED]) % 8 == 0:  # one of eight will do
+    if int(colour[GATHERED]) % 8 == 0:  # one of eight suffices
         part = 8.0 / min(8.0 + colour[GATHERED] + BLOCK * colour[BLOCKS], MEMORY)
         for j in range(ns):
             for k in range(j + 1):
@@ -77,7 +77,7 @@ def gather(
 def inflation(
     omega: Floats, moments: Floats, colour: Floats, g: Floats, noise_variance: float
 ) -> float:
-    """How many times the variance along ``g`` = P·x is that of white innovations; at least 1."""
+    """Ratio of the variance along ``g`` = P·x to that in white innovations; at least 1."""
     if colour[BLOCKS] < FEWEST:
         return 1.0
     chance = COLOURED * colour[SQUARE] / np.sqrt(colour[BLOCKS] * BLOCK)
@@ -107,7 +107,7 @@ def reacts(blocks: Floats, colour: Floats) -> bool:
 
 @inner
 def bias_along(blocks: Floats, g: Floats) -> float:
-    """Write what they make of theta along ``g`` = P·x, for each sample that P holds."""
+    """Bias of theta along ``g`` = P·x by reacting regressors, per effective sample in P."""
     total = 0.0
     for j in range(blocks.shape[1]):
         total += blocks[REACTED, j] * g[j]
@@ -116,7 +116,7 @@ def bias_along(blocks: Floats, g: Floats) -> float:
 
 @inner
 def forget(omega: Floats, moments: Floats, blocks: Floats, colour: Floats) -> None:
-    """Begin anew."""
+    """Reset all statistics."""
     for j in range(len(omega)):
         for row in range(ROWS_OF_BLOCKS):
             blocks[row, j] = 0.0

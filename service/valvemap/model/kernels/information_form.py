@@ -24,7 +24,7 @@ from valvemap.model.kernels.rules import RESETTING, TRACE_LIMIT, rejection
 from valvemap.model.samples import Codes, Floats
 from valvemap.vocabulary.statuses import Status
 
-INDEPENDENT = 1e-3  # least independence of the regressors for which U·D·Uᵀ is as exact as R
+INDEPENDENT = 1e-3  # minimum independence of the regressors for which U·D·Uᵀ is as accurate as R
 
 _OK = int(Status.OK)
 _WARMING_UP = int(Status.WARMING_UP)
@@ -48,7 +48,7 @@ def warm_up(
     thetas: Floats,
     i: int,
 ) -> None:
-    """Sample i into R and rhs, and theta, scale, spread and noise of the row ``s``."""
+    """Add sample i to R and rhs, and update theta, scale, spread and noise of the row ``s``."""
     n = len(rhs)
     at = places_of(n)
     code = rejection(X, y, usable, i)
@@ -93,7 +93,7 @@ def warm_up(
 
 @kernel
 def determine(s: Floats, R: Floats, rhs: Floats, counters: Counts, kind: int) -> bool:
-    """Solve R·theta = z, and go over from R to U·D·Uᵀ once no digits are lost by that."""
+    """Solve R·theta = z, and convert R to U·D·Uᵀ once that loses no digits."""
     n = len(rhs)
     at = places_of(n)
     back_substitute(R, rhs, s[at.theta : at.theta + n])

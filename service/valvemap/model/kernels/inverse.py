@@ -1,4 +1,4 @@
-"""The inverse of a cubic tensor spline in U: exact piece by piece, no sampling."""
+"""The inverse of a cubic tensor spline in U: exact for each piece, without sampling."""
 
 import math
 
@@ -36,9 +36,9 @@ def invert(
 ) -> None:
     """Fill U (the smallest on a rising branch), U without its bounds, dQ/dU there and the status.
 
-    Along U the map is a cubic from break to break. A piece whose coefficients all lie on one side
-    of Q is passed over (convex hull); any other is cut at its extrema and searched by Newton's
-    method within brackets.
+    Along U the map is a cubic between breaks. A piece whose coefficients are all on one side of Q
+    is skipped (convex hull); any other is split at its extrema and searched by Newton's method
+    within brackets.
     """
     to_powers, spans = _power_forms(knots_U)
     n_U = len(knots_U) - 4
@@ -135,7 +135,7 @@ def variances(
 def _section(
     knots_s: Floats, nodes_T: Floats, theta: Floats, dp: float, T: float, along: Floats
 ) -> float:
-    """Fill the coefficients of the map along U at one (dp, T); give the largest, NaN if any is."""
+    """Fill the map's coefficients along U at one (dp, T); return the largest, NaN if any is."""
     in_s, slope, in_T = np.empty(4), np.empty(4), np.empty(2)
     first_s = basis(knots_s, math.copysign(math.sqrt(abs(dp)), dp), in_s, slope)
     first_T = hats(nodes_T, T, in_T)
@@ -154,7 +154,7 @@ def _section(
 
 @maker
 def _power_forms(knots: Floats) -> tuple[Floats, np.ndarray]:
-    """For each span that is not empty: the matrix (4, 4) from its coefficients to powers of t."""
+    """For each non-empty span: the matrix (4, 4) from its coefficients to powers of t."""
     n = len(knots) - 4
     spans = np.array([j for j in range(n - 3) if knots[j + 4] > knots[j + 3]])
     forms = np.empty((len(spans), 4, 4))
@@ -195,7 +195,7 @@ def _at(cubic: Floats, t: float) -> float:
 
 @inner
 def _turns(cubic: Floats) -> tuple[float, float]:
-    """Where the cubic turns round, ascending, clipped to [0, 1]."""
+    """Extrema of the cubic, ascending, clipped to [0, 1]."""
     a, b, c = 3.0 * cubic[3], cubic[2], cubic[1]
     root_2 = b * b - a * c
     if not root_2 > 0.0:

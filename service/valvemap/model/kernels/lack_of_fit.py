@@ -1,8 +1,8 @@
-"""The loop that asks whether eq. (7) is enough: moments of its terms, of further ones, and of Q.
+"""Lack-of-fit test of eq. (7): moments of its terms, of further terms, and of Q.
 
-The terms are sorted: those of eq. (7), then six that bend it, then Q. In the Cholesky factor of
-their moments the last row then holds, one by one, what each further term explains of Q that those
-before it do not.
+The terms are ordered: those of eq. (7), six further terms, Q. In the Cholesky factor of their
+moments, the last row then contains the contribution of each further term to Q, beyond the terms
+before it.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Codes, Floats, Segments
 
-# Exponents of U/100 and of s/10, s·|s| for the square: eq. (7), then what bends it.
+# Exponents of U/100 and of s/10, s·|s| for the square: eq. (7), then the further terms.
 EXPONENTS = (
     (0, 0), (1, 0), (0, 1), (1, 1), (0, 2),
     (2, 1), (1, 2), (3, 1), (2, 0), (0, 3), (3, 0),
@@ -18,18 +18,18 @@ EXPONENTS = (
 FIVE, TERMS = 5, 11
 WIDE = TERMS + 1  # with Q
 
-# Places in the memory of one map; triangles are lower ones, row by row.
-MOMENTS = 0  # of terms and Q, over the blocks so far
+# Offsets in the memory of one map; triangles are lower, by rows.
+MOMENTS = 0  # of terms and Q, over all completed blocks
 TRIANGLE = WIDE * (WIDE + 1) // 2
-PRESENT = MOMENTS + TRIANGLE  # the same of the present block
-SPREAD = PRESENT + TRIANGLE  # Σ score·scoreᵀ over the blocks: the long-run covariance of term·e
+PRESENT = MOMENTS + TRIANGLE  # the same over the current block
+SPREAD = PRESENT + TRIANGLE  # Σ score·scoreᵀ over the blocks: long-run covariance of term·e
 SEEN, BLOCKS, JUDGED = (SPREAD + TERMS * (TERMS + 1) // 2 + k for k in range(3))
 PLACES = JUDGED + 1
 
-BLOCK = 256.0  # samples; longer than the noise remembers, 2.6 s at 100 Hz
-KEPT = 1.0 - 1.0 / 256.0  # of the moments, per block: some 65,000 samples count
-PLENTY, EVERY = 8192.0, 8.0  # so many samples are all taken in, then each eighth
-DETERMINED = 1e-9  # share of a moment that the terms before must leave, for a term to be told apart
+BLOCK = 256.0  # samples; longer than the noise's correlation, 2.6 s at 100 Hz
+KEPT = 1.0 - 1.0 / 256.0  # of the moments, per block: memory of some 65,000 samples
+PLENTY, EVERY = 8192.0, 8.0  # the first 8192 samples are all used, then every 8th
+DETERMINED = 1e-9  # residual share of a moment below which a term is not identifiable
 _LEARNT = 2  # Status.UNEXCITED
 _LARGEST = 1e6
 
@@ -43,7 +43,7 @@ def learn(
     every_fit: Floats,
     segments: Segments,
 ) -> None:
-    """Take the samples in that were learnt from, in place; ``every_fit`` is (M, PLACES)."""
+    """Update with the samples that the estimator used, in place; ``every_fit`` is (M, PLACES)."""
     members, starts, stops = segments
     row, L = np.empty(WIDE), np.empty((WIDE, WIDE))
     theta, score = np.empty(TERMS), np.empty(TERMS)
@@ -86,7 +86,7 @@ def _take(fit: Floats, row: Floats) -> None:
 
 @inner
 def _close_block(fit: Floats, L: Floats, theta: Floats, score: Floats) -> None:
-    """Add the block to the moments, and what it says against their theta to the covariance."""
+    """Add the block to the moments, and its score at their theta to the covariance."""
     factorise(fit, L)
     _solve(L, theta)
     score[:] = 0.0
@@ -113,7 +113,7 @@ def _close_block(fit: Floats, L: Floats, theta: Floats, score: Floats) -> None:
 
 @inner
 def _solve(L: Floats, theta: Floats) -> None:
-    """Write the parameters of all terms; those that are open are 0."""
+    """Write the parameters of all terms; 0 where undetermined."""
     for j in range(TERMS - 1, -1, -1):
         total = L[TERMS, j]
         for k in range(j + 1, TERMS):
@@ -123,7 +123,7 @@ def _solve(L: Floats, theta: Floats) -> None:
 
 @inner
 def factorise(fit: Floats, L: Floats) -> None:
-    """Write the Cholesky factor (WIDE, WIDE) of all moments; a column is 0 where a term is open.
+    """Write the Cholesky factor (WIDE, WIDE) of all moments; columns of undetermined terms are 0.
 
     The last diagonal element is the root of the residual squares.
     """
@@ -146,7 +146,7 @@ def factorise(fit: Floats, L: Floats) -> None:
 
 @kernel
 def judge(fit: Floats, contrasts: Floats, long_run: Floats) -> float:
-    """Write how much each further term explains of Q, in standard deviations, (6,) each.
+    """Write the contribution of each further term to Q, in standard deviations, (6,) each.
 
     Returns
     -------
@@ -156,13 +156,13 @@ def judge(fit: Floats, contrasts: Floats, long_run: Floats) -> float:
     Parameters
     ----------
     contrasts
-        Written: if the noise is white; NaN where a term cannot be told from those before it.
+        Written: in white noise; NaN where a term is not identifiable.
     long_run
-        Written: by the covariance of the blocks' scores, whatever the noise's colour.
+        Written: with the covariance of the blocks' scores, in noise of any colour.
     """
     L, a = np.empty((WIDE, WIDE)), np.empty(TERMS)
     factorise(fit, L)
-    number = fit[MOMENTS] + fit[PRESENT]  # the first moments are those of 1·1
+    number = fit[MOMENTS] + fit[PRESENT]  # the first moment is that of 1·1
     freedom = number - TERMS
     contrasts[:] = np.nan
     long_run[:] = np.nan
@@ -200,9 +200,9 @@ def bent(fit: Floats, U: Floats, dp: Floats, out: Floats) -> None:
 
 @kernel
 def hidden(fit: Floats, U: Floats, dp: Floats, bends: int, out: Floats) -> None:
-    """Write what the first ``bends`` further terms could hide at N points, over the noise's std.
+    """Write the undetectable part of the first ``bends`` further terms at N points, in noise std.
 
-    Infinite where a term of eq. (7) or one of those cannot be told from the others.
+    Infinite if a term of eq. (7) or one of these is not identifiable.
     """
     L, row, z = np.empty((WIDE, WIDE)), np.empty(WIDE), np.empty(TERMS)
     factorise(fit, L)
@@ -216,7 +216,7 @@ def hidden(fit: Floats, U: Floats, dp: Floats, bends: int, out: Floats) -> None:
             continue
         terms(U[i], dp[i], row)
         total = 0.0
-        for j in range(last):  # z = L⁻¹·row: the terms made orthonormal over the samples
+        for j in range(last):  # z = L⁻¹·row: the terms orthonormalized over the samples
             z[j] = row[j]
             for k in range(j):
                 z[j] -= L[j, k] * z[k]
@@ -228,7 +228,7 @@ def hidden(fit: Floats, U: Floats, dp: Floats, bends: int, out: Floats) -> None:
 
 @inner
 def _orthonormal(L: Floats, j: int, a: Floats) -> None:
-    """Write row j of L⁻¹: the combination of terms that the samples see as the j-th alone."""
+    """Write row j of L⁻¹: the j-th orthonormalized term."""
     a[:] = 0.0
     a[j] = 1.0 / L[j, j]
     for k in range(j - 1, -1, -1):

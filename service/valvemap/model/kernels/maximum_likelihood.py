@@ -1,7 +1,7 @@
-"""The loop of recursive maximum likelihood, eq. (29): one step per sample, in fixed order.
+"""Recursion of maximum likelihood, eq. (29): one step per sample, in fixed order.
 
-Beside RML runs plain RLS on the same regressors without the noise columns, from an open start;
-where RML predicts worse than it for long, RML starts again from there.
+Plain RLS runs in parallel on the same regressors without the noise columns, from P = ∞. If RML
+predicts worse for long, it restarts from the RLS estimate.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ Orders = NDArray[np.int64]
 EXPONENTIAL = 0
 DIRECTIONAL = 1
 
-# Places in `monitor`.
+# Offsets in `monitor`.
 RAMP, COUNT, SINCE, RESTARTS, DETERMINED, WEIGHT, VARIANCE = range(7)
 POWER, RLS_POWER, OUTPUT_POWER = range(7, 10)
 PLACES = 10
@@ -31,15 +31,15 @@ SCRATCH = 6  # vectors of one step
 RAMP_START = 0.95  # the ramp's factor at the first sample; it tends to 1
 RAMP_RATE = 0.99
 NOISE_PRIOR = 0.1  # variance of d before the first sample, in units of the noise variance
-OPEN = 1e6  # least prior variance (scaled regressors) that counts as knowing nothing
+OPEN = 1e6  # smallest prior variance (scaled regressors) without information
 BOUNDLESS = 1e20  # stands for an infinite prior variance
-UNDETERMINED = 1e-2  # share of the prior variance above which a direction counts as unknown
-LARGEST = 1e30  # input beyond it is held off
-LARGEST_RESULT = 1e100  # beyond it the state itself has left the range of numbers
+UNDETERMINED = 1e-2  # share of the prior variance above which a direction is undetermined
+LARGEST = 1e30  # larger inputs are rejected
+LARGEST_RESULT = 1e100  # beyond it, the state has overflowed
 HALVINGS = 12
 FADING = 0.01
-PATIENCE = 200  # samples before RML may be judged against plain RLS
-LOUDER = 4.0  # growth of the noise variance after which d's prior is drawn in
+PATIENCE = 200  # samples before RML is compared with plain RLS
+LOUDER = 4.0  # growth of the noise variance after which d's prior is reduced
 TOO_BAD = 1.5  # times the mean square of plain RLS
 ROUNDING = 1e-14  # relative to the terms of a sum
 
@@ -73,7 +73,7 @@ class Memory(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """What is forgotten, and how far the roots of D(q) may go out."""
+    """Forgetting, and the bound on the roots of D(q)."""
 
     kind: int
     lam: float
@@ -109,7 +109,7 @@ def run(
     segments: Segments,
     scratch: Floats,
 ) -> None:
-    """Take the samples of many models in, each its own stretch of them, one after another.
+    """Update many models, each with its segment of the samples.
 
     Parameters
     ----------
@@ -120,11 +120,11 @@ def run(
     orders : (channels,)
         Lags of the output, of each input, of the noise.
     X : (N, inputs)
-        Row t is what the inputs were *before* y(t): u(t-1) of an ARMAX model, X(t) of a static map.
+        Row t holds the inputs *before* y(t): u(t-1) of an ARMAX model, X(t) of a static map.
     U : (N,)
         Opening, %; it may react to the noise.
     y, use : (N,)
-        Output; where ``use`` is 0 theta is held and a y that is missing becomes its prediction.
+        Output; where ``use`` is 0, theta is held and a missing y is replaced by its prediction.
     predicted, posterior, early, share, status : (N,)
         Written: hᵀ·theta before, y - hᵀ·theta after the update, y minus the map (hᵀ·theta without
         the noise) of some samples before, variance of the prediction over
@@ -132,7 +132,7 @@ def run(
     history : (N, n) or (0, n)
         Written if it has rows: theta after each sample.
     segments
-        Which samples are whose.
+        Assignment of samples to models.
     scratch : (6, n)
         Overwritten.
     """
@@ -212,7 +212,7 @@ def _span(
 
 @kernel
 def learn(memory: Memory, rows: Floats, values: Floats) -> None:
-    """Take a structure's prior in: pseudo-samples row·theta = value, no samples."""
+    """Add a structure's prior as pseudo-samples row·theta = value."""
     n, ns = len(memory.theta), rows.shape[1]
     scratch = _scratch(n)
     f, Px = scratch.f, scratch.Ph
@@ -280,7 +280,7 @@ def _dot(a: Floats, b: Floats, n: int) -> float:
 
 @inner
 def _rest(h: Floats, theta: Floats, n: int, y: float) -> float:
-    """Y - hᵀtheta; 0 where it is rounding, or the noise model would learn the rounding."""
+    """Y - hᵀtheta; 0 below rounding error, to keep it out of the noise model."""
     total = y
     magnitude = abs(y)
     for j in range(n):
@@ -292,7 +292,7 @@ def _rest(h: Floats, theta: Floats, n: int, y: float) -> float:
 
 @inner
 def _look_back(memory: Memory, h: Floats, y: float, residual: float) -> float:
-    """Y minus what the map of some samples before says; the residual before the first time."""
+    """Y minus the prediction of the map of some samples before; at first the residual."""
     early, monitor = memory.early, memory.monitor
     ns = len(early)
     if monitor[DETERMINED] > 0.0 and monitor[COUNT] % EARLIER == 0.0:
@@ -339,7 +339,7 @@ def _step(
     share: Floats,
     t: int,
 ) -> int:
-    """One sample by eq. (29), and the same sample by plain RLS."""
+    """Process one sample by eq. (29) and by plain RLS."""
     theta, monitor = memory.theta, memory.monitor
     h, hf, f, Ph, new = scratch.h, scratch.hf, scratch.f, scratch.Ph, scratch.work
     n, nd = len(theta), len(d)
@@ -384,7 +384,7 @@ def _step(
     q = r / ramp
     if monitor[DETERMINED] > 0.0:
         q = _spread_along(memory.spread, hf, scratch.Sh)
-        if not q <= 1.01 * r:  # it never exceeds P but by rounding
+        if not q <= 1.01 * r:  # exceeds P by rounding only
             write_covariance(memory.factor, memory.spread)
             q = _spread_along(memory.spread, hf, scratch.Sh)
         _update_spread(memory.spread, Ph, scratch.Sh, gain, q)
@@ -400,7 +400,7 @@ def _step(
     for j in range(ns):
         before += memory.prior[j] * h[j] * h[j]
     r = project(memory.rls_factor, h[:ns], f, Ph)
-    # Where plain RLS itself knows nothing, neither is judged.
+    # While plain RLS is not determined, neither is evaluated.
     trust = 1.0 / (1.0 + r)
     monitor[POWER] += FADING * (trust * e * e - monitor[POWER])
     monitor[RLS_POWER] += FADING * (trust * rls_e * rls_e - monitor[RLS_POWER])
@@ -414,7 +414,7 @@ def _step(
     monitor[COUNT] += 1.0
     monitor[SINCE] += 1.0
     known = monitor[DETERMINED] > 0.0
-    if not known or rule.lam < 1.0:  # with lam = 1 nothing is ever unlearnt
+    if not known or rule.lam < 1.0:  # with lam = 1 no information is lost
         known = monitor[SINCE] > settled and _largest_share(memory, ns) <= UNDETERMINED
     if known and monitor[DETERMINED] == 0.0:
         write_covariance(memory.factor, memory.spread)
@@ -426,7 +426,7 @@ def _step(
 
 @inner
 def _let_noise_in(memory: Memory, ns: int) -> None:
-    """Give d its prior variance, in units of the noise variance that is known by now."""
+    """Give d its prior variance, in units of the current noise variance."""
     variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], BOUNDLESS)
     for j in range(ns, len(memory.theta)):
         memory.prior[j] = 10.0 * variance  # room for forgetting
@@ -436,7 +436,7 @@ def _let_noise_in(memory: Memory, ns: int) -> None:
 
 @inner
 def _draw_noise_in(memory: Memory, scratch: _Scratch, ns: int, variance: float) -> None:
-    """Give d the smaller prior variance of a noise that turns out to be louder."""
+    """Reduce d's prior variance after the noise variance has grown."""
     information = 1.0 / variance - 10.0 / memory.prior[ns]
     for j in range(ns, len(memory.theta)):
         memory.prior[j] = 10.0 * variance
@@ -458,7 +458,7 @@ def _variance(factor: Floats, i: int) -> float:
 
 @inner
 def _may_grow(factor: Floats, prior: Floats, lam: float) -> bool:
-    """Whether P/λ stays below the prior: else nothing is forgotten, for ever bounded."""
+    """Whether P/λ stays below the prior; otherwise P is not divided, so that it is bounded."""
     if lam < 1.0:
         for i in range(len(factor)):
             if prior[i] > 0.0 and _variance(factor, i) > lam * prior[i]:
@@ -492,7 +492,7 @@ def _largest_share(memory: Memory, ns: int) -> float:
 
 @inner
 def _spread_along(S: Floats, x: Floats, Sx: Floats) -> float:
-    """S·x from the lower triangle of S, and xᵀ·S·x."""
+    """Write S·x from the lower triangle of S; return xᵀ·S·x."""
     for j in range(len(x)):
         Sx[j] = S[j, j] * x[j]
         for i in range(j):
@@ -503,7 +503,7 @@ def _spread_along(S: Floats, x: Floats, Sx: Floats) -> float:
 
 @inner
 def _widened(memory: Memory, g: Floats, variance: float, held: float) -> float:
-    """Variance over σ² along ``g`` = P·x in the noise there is; ``held``: samples if x reacts."""
+    """Variance over σ² along ``g`` = P·x with coloured noise, and with bias if ``held`` > 0."""
     noise = memory.monitor[VARIANCE]
     times = filtered_scores.inflation(memory.omega, memory.moments, memory.colour, g, noise)
     bias = held * filtered_scores.bias_along(memory.blocks, g) if held > 0.0 else 0.0
@@ -512,7 +512,7 @@ def _widened(memory: Memory, g: Floats, variance: float, held: float) -> float:
 
 @inner
 def _samples_held(memory: Memory, scratch: _Scratch) -> float:
-    """Samples that P holds, s over the trace of P·M; 0 where regressors do not react."""
+    """Effective number of samples in P, s over the trace of P·M; 0 unless regressors react."""
     if not filtered_scores.reacts(memory.blocks, memory.colour):
         return 0.0
     ns, trace = len(memory.rls_theta), 0.0
@@ -525,7 +525,7 @@ def _samples_held(memory: Memory, scratch: _Scratch) -> float:
 
 @inner
 def _along_axis(memory: Memory, scratch: _Scratch, j: int) -> None:
-    """Column j of P into ``scratch.Ph``."""
+    """Write column j of P into ``scratch.Ph``."""
     for k in range(len(scratch.h)):
         scratch.h[k] = 1.0 if j == k else 0.0
     project(memory.factor, scratch.h, scratch.f, scratch.Ph)
@@ -535,7 +535,7 @@ def _along_axis(memory: Memory, scratch: _Scratch, j: int) -> None:
 def diagonals(fleet: Memory, P: Floats, inflations: Floats) -> None:
     """Write P's diagonals (M, n) of M models, arrays with a leading axis M, and `inflations`.
 
-    Those (M, s) are how many times the variance of each parameter is that in white noise.
+    The inflations (M, s) are the ratios of each parameter's variance to that in white noise.
     """
     scratch = _scratch(fleet.theta.shape[1])
     for m in range(len(P)):
@@ -558,7 +558,7 @@ def diagonals(fleet: Memory, P: Floats, inflations: Floats) -> None:
 
 @inner
 def _update_spread(S: Floats, Px: Floats, Sx: Floats, gain: float, q: float) -> None:
-    """Covariance of theta over σ²: S ← (I - L·hfᵀ)·S·(I - L·hfᵀ)ᵀ + L·Lᵀ, whatever the gain L."""
+    """Covariance of theta over σ²: S ← (I - L·hfᵀ)·S·(I - L·hfᵀ)ᵀ + L·Lᵀ, for any gain L."""
     c = gain * gain * (1.0 + q)
     for j in range(len(Px)):
         for i in range(j + 1):
@@ -567,14 +567,14 @@ def _update_spread(S: Floats, Px: Floats, Sx: Floats, gain: float, q: float) -> 
 
 @inner
 def _watch(memory: Memory, after: float, status: Codes, t: int) -> None:
-    """Start again from plain RLS where RML is lost, from nothing where that is lost too."""
+    """Restart from plain RLS if RML has diverged, or from the initial state if both have."""
     monitor, nd = memory.monitor, len(memory.theta) - len(memory.rls_theta)
     total = abs(after) + abs(memory.filtered[len(memory.filtered) - 1, 0]) + monitor[VARIANCE]
     for j in range(len(memory.theta)):
         total += abs(memory.theta[j]) + memory.factor[j, j] + memory.spread[j, j]
     for j in range(len(memory.rls_theta)):
         total += abs(memory.rls_theta[j]) + memory.rls_factor[j, j]
-    if not total < LARGEST_RESULT:  # NaN too
+    if not total < LARGEST_RESULT:  # also for NaN
         status[t] = _HELD
         memory.raw[:] = 0.0
         memory.rls_theta[:] = 0.0
@@ -593,7 +593,7 @@ def _watch(memory: Memory, after: float, status: Codes, t: int) -> None:
 
 @inner
 def _restart(memory: Memory) -> None:
-    """Take theta and P of plain RLS over, without a noise model."""
+    """Copy theta and P of plain RLS, without a noise model."""
     ns, monitor = len(memory.rls_theta), memory.monitor
     restarts = monitor[RESTARTS] + 1.0
     count = monitor[COUNT]

@@ -1,12 +1,12 @@
-"""What numba makes of a function: a library, compiled no further and loaded no further than needed.
+"""Numba's libraries, compiled and loaded no further than kernels need.
 
-Numba optimises each function by itself, makes machine code of it, and optimises it once more in
-every kernel that it is linked into. The first two are for callers from Python, of which an inner
-function has none: without them a first start takes an eighth less. And with a kernel that was
-compiled before numba loads what it would need to link it into others, which hardly ever happens:
-without it kernels are loaded in a third of the time.
+Numba optimises each function, generates its machine code, and optimises it again in every kernel
+that it is linked into. The first two steps serve callers from Python, which an inner function does
+not have: without them a first start takes an eighth less. With a cached kernel, numba also loads
+the bitcode for linking it into others, which is rarely needed: without it, kernels load in a third
+of the time.
 
-Numba's own classes stay as they are: a kernel names its pipeline when it is compiled, and its cache
+Numba's classes are not changed: a kernel names its pipeline when it is compiled, and its cache
 calls `load_library`. Private parts of numba: all names of its libraries with an underscore.
 """
 
@@ -29,23 +29,23 @@ _KIND: Final = "object, its names"
 
 
 class OfKernels(CompilerBase):
-    """Numba's pipeline for what Python calls: option ``pipeline_class`` of a function."""
+    """Numba's pipeline for functions called from Python: their option ``pipeline_class``."""
 
     def define_pipelines(self) -> list[Any]:
-        """Numba's passes, and where their code goes."""
+        """Numba's passes, with our code generator."""
         return _pipelines(self.state, _IntoKernel)
 
 
 class OfInnerFunctions(CompilerBase):
-    """Numba's pipeline for what only kernels call."""
+    """Numba's pipeline for functions called by kernels only."""
 
     def define_pipelines(self) -> list[Any]:
-        """Numba's passes, and where their code goes."""
+        """Numba's passes, with our code generator."""
         return _pipelines(self.state, _IntoPart)
 
 
 def load_library(codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
-    """Load a library as it was serialised."""
+    """Load a serialised library."""
     name, kind, data = state
     if kind == _KIND:
         return _Kernel.loaded(codegen, name, data)
@@ -53,10 +53,10 @@ def load_library(codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
 
 
 def packed(state: Any, bitcodes: dict[bytes, bytes]) -> Any:  # noqa: ANN401
-    """A serialised library for a wheel; None for one that only a compiler needs.
+    """Return a serialised library for a wheel; None for one that only a compiler needs.
 
     A kernel's bitcode is the larger part of it and is read only to link the kernel into another
-    one. It goes to ``bitcodes``, all of which are compressed together; its hash takes its place.
+    one. It is moved to ``bitcodes``, which are compressed together, and replaced by its hash.
     """
     name, kind, data = state
     if kind == _KIND:
@@ -78,7 +78,7 @@ def _shipped_bitcodes() -> dict[bytes, bytes]:
 
 
 class _Kernel(JITCodeLibrary):
-    """Is kept with the names that it defines: nothing needs to be parsed to know them."""
+    """Serialised with the names that it defines, so that loading need not parse it."""
 
     _unparsed: bytes | None = None
 
@@ -105,7 +105,7 @@ class _Kernel(JITCodeLibrary):
 
 
 class _Part(JITCodeLibrary):
-    """Code as lowered, to be linked."""
+    """Unoptimised code for linking."""
 
     @property
     def codegen(self) -> "_NoEnvironments":
@@ -124,7 +124,7 @@ class _Part(JITCodeLibrary):
 
 
 class _NoEnvironments:
-    """There is no place for Python's objects here: numba says so where code refers to any."""
+    """Rejects Python objects: numba looks up its environment here if code refers to any."""
 
     @staticmethod
     def set_env(name: str, environment: Any) -> None:  # noqa: ANN401

@@ -1,8 +1,8 @@
-"""What numba does at length and can be spared, by private seams of numba and llvmlite.
+"""Faster compilation by patches of private parts of numba and llvmlite.
 
-Nothing here changes what is compiled. Together they take a seventh off a first start and a tenth
-off every later one (`python -m benchmarks.start_up first`). They change numba for the whole
-process, so only a command asks for them (`valvemap.numba_version`); importing this changes nothing.
+The compiled code is the same. Together they reduce a first start by a seventh and every later
+one by a tenth (`python -m benchmarks.start_up first`). They change numba for the whole process;
+importing this module changes nothing, and only a command applies them (`valvemap.numba_version`).
 """
 
 import importlib
@@ -15,11 +15,11 @@ from numba.core.types import Boolean, Number, functions
 from numba.np import linalg
 
 _find_call_type: Final = functions.BaseFunction.get_call_type
-_found: Final[dict[Hashable, Any]] = {}  # bounded by the kinds of numbers and numba's operators
+_found: Final[dict[Hashable, Any]] = {}  # bounded by the number types and operators of numba
 
 
 def spare() -> None:
-    """Make numba leave out what no kernel needs, in this process and from now on."""
+    """Patch numba to skip work that no kernel needs, for the rest of this process."""
     _load_numba_without_scipy()
     _note_no_calls_of_llvm()
     _compare_flags_by_what_differs()
@@ -27,10 +27,10 @@ def spare() -> None:
 
 
 def _load_numba_without_scipy() -> None:
-    """Have numba load its array functions now, without the look for BLAS that they begin with.
+    """Load numba's array functions now, without the search for BLAS at their beginning.
 
-    It imports scipy.linalg, a tenth of what a start of the service takes, and no kernel here uses
-    it; one that does imports it then. Seam: ``numba.np.arraymath._check_blas``.
+    The search imports scipy.linalg, a tenth of the start-up time, which no kernel here needs; a
+    kernel that does imports it later. Patches ``numba.np.arraymath._check_blas``.
     """
     look_for_blas, linalg.ensure_blas = linalg.ensure_blas, _nothing
     try:
@@ -40,17 +40,17 @@ def _load_numba_without_scipy() -> None:
 
 
 def _note_no_calls_of_llvm() -> None:
-    """Have numba make no events of each call of LLVM: a start makes 15,000, and nobody listens.
+    """Disable the event that numba emits at each call of LLVM, 15,000 of them in a start.
 
-    Seam: llvmlite's list of what is called with its lock.
+    Patches llvmlite's list of callbacks around its lock.
     """
     ffi.lib._lock._cblist.clear()  # noqa: SLF001
 
 
 def _compare_flags_by_what_differs() -> None:
-    """Have two sets of flags compared by those that are not as by default.
+    """Compare two sets of flags by their non-default values only.
 
-    All flags hash alike, so every look for an implementation compares two; numba compares each of
+    All flags have equal hashes, so that every look-up compares two sets; numba compares each of
     their thirty options, 400,000 times in a first start.
     """
     TargetConfig.__eq__ = _are_equal_flags
@@ -71,9 +71,10 @@ def _chosen(flags: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 def _remember_types_of_operators() -> None:
-    """Have the type of ``a + b`` of two numbers looked up once, not at each place in a kernel.
+    """Cache the type of ``a + b`` of two numbers, instead of resolving it at each use.
 
-    Numba tries every meaning of ``+`` anew, and writes down why each but one does not fit.
+    Numba tries all overloads of ``+`` each time, and formats the reason why each one but the match
+    is rejected.
     """
     functions.BaseFunction.get_call_type = _call_type  # type: ignore[method-assign]
 
@@ -83,7 +84,7 @@ def _call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:  # noqa: AN
         return _find_call_type(self, context, args, kws)
     key = (id(self), context, args, ConfigStack.top_or_none())
     if key not in _found:
-        _found[key] = self, _find_call_type(self, context, args, kws)  # self is kept: so is its id
+        _found[key] = self, _find_call_type(self, context, args, kws)  # keeps the id of self
     return _found[key][1]
 
 

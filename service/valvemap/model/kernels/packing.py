@@ -1,4 +1,4 @@
-"""Kernels compiled for a wheel are made small: called when it is built."""
+"""Compression of the compiled kernels for a wheel, called at its build."""
 
 import lzma
 import pickle
@@ -8,11 +8,11 @@ from typing import Final
 from valvemap.model.kernels.ahead import BITCODES
 from valvemap.model.kernels.numba_libraries import packed
 
-_ANNOTATION: Final = 6  # place of a text in numba's reduced result: the source with its types
+_ANNOTATION: Final = 6  # index of a text in numba's reduced result: the source with its types
 
 
 def pack(folder: Path) -> int:
-    """Remove what only a compiler needs, compress the rest; return how many kernels are left."""
+    """Remove parts that only a compiler needs, compress the rest; return the number of kernels."""
     bitcodes: dict[bytes, bytes] = {}
     left = 0
     for file in sorted(folder.rglob("*.nbc")):

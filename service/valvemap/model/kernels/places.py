@@ -1,23 +1,23 @@
-"""What the valve did at each place: a memory of flows over (U, √dp) that knows no structure.
+"""Memory of places: measured flows on a grid over (U, √dp), independent of the structure.
 
-A grid of nodes; node k holds the flow v that was measured there, whatever the structure makes of
-it. Of the structure the slopes alone are used, to carry a sample to the nodes around it: what
-earlier visits lead to expect of the residual is c = Σ φₖ·(vₖ - Xₖᵀtheta), φ bilinear. So
+Node k of the grid stores the measured flow v. Only the slopes of the structure are used, to carry
+a sample to the surrounding nodes. The residual expected from earlier visits is
+c = Σ φₖ·(vₖ - Xₖᵀtheta), φ bilinear. Thus
 
-- e = c + d: the innovation e is what the place is known for, c, and what is new, d;
-- c is misfit of the structure: it comes back as long as the plant stays;
-- d is noise as long as the plant stays, whether the structure fits or not.
+- e = c + d: the innovation e consists of the expected part c and the new part d;
+- c is structural misfit: it repeats while the plant does not change;
+- d is noise while the plant does not change, for any structure.
 
-A node's flow is a running mean, with the gain of a Kalman filter whose covariance is diagonal. What
-is known of it fades with time. The mean moves by less than single precision tells of a flow; of all
-else that is kept of a node single precision tells enough.
+A node's flow is a running mean with the gain of a Kalman filter with diagonal covariance. Its
+information fades with time. The steps of the mean may be below the resolution of single precision,
+so flows are in double precision; all other fields of a node are in single precision.
 
-Drift is told from noise and misfit by visits: d averaged over a visit to a node, times the same of
-the visit before. Noise of visits that lie apart is independent, however coloured it is, and misfit
-is not in d; what is left on the average is the square of the way by which the memory lags behind.
-Where that is more than TOLERATED, what is known of the nodes fades faster, and so does what theta
-rests on, yet no faster than places are seen again; and theta is fitted anew to what the nodes hold:
-each place counts with what it showed last, and none is lost.
+Drift is separated from noise and misfit by visits: the mean of d over a visit to a node, times that
+of the previous visit. The noise of separate visits is independent, even if it is coloured, and d
+contains no misfit; so the average of the products is the squared lag of the memory. If it exceeds
+TOLERATED, the information of the nodes and of theta fades faster, but not faster than places are
+revisited. Theta is then refitted to the flows of all nodes: each place contributes its newest flow,
+and no place is lost.
 """
 
 from typing import NamedTuple
@@ -76,11 +76,11 @@ from valvemap.model.kernels.rules import Rule
 from valvemap.model.kernels.triangles import whiten
 from valvemap.model.samples import Codes, Floats, Singles
 
-# Fields of a node in `places`: samples that its flow is the mean of; time by the clock when it was
-# touched last; mean square of d around it; mean of d over the last visit; end of that visit.
+# Fields of a node in `places`: effective samples of its flow; clock time of the last touch; mean
+# square of d around it; mean of d over the last visit; end of that visit.
 KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED = range(5)
 FIELDS = 5
-# In `visits`: how many since the plant changed, or MANY; looks of the last one.
+# In `visits`: number since the plant changed, up to MANY; looks of the last visit.
 VISITS, STAYED = range(2)
 FIELDS_OF_VISITS = 2
 MANY = 255
@@ -88,59 +88,59 @@ MANY = 255
 NODES_A, NODES_B = 17, 12  # of the grid, along U and √dp
 TOP_DP = 225.0  # bar: the last node
 
-SETTLED = 20  # samples after theta was determined before a place is remembered
-FIT = 0.5  # theta carries a sample to its nodes where its own variance xᵀPx is below this
-SHARE = 0.75  # of φ that must be known before anything is expected of a place
-LEAST = 0.02  # samples that must be known of a node, or it is new again
-FIRST = 0.05  # samples that the first one counts for at least
-CHANGED = 0.01  # samples that a node counts for once the plant has changed
-BENT = 0.25  # of the second difference of nodes: error between them, at a kink rather more
-BELIEVED = 2.0  # visits after which half of that bend is: they have shown what it leaves
-SURE = 3.0  # standard deviations by which noise of visits must agree to be more than chance
-NEAR = 0.2  # φ from which a sample makes a node known
-PRIOR = 10.0  # samples that the mean square of all d counts for in a node's own
-SPREAD_MEMORY = 100.0  # samples that a node's mean square remembers
-POWER_MEMORY = 10_000.0  # samples that the mean square of all remembers
-CLIP = 4.0  # standard deviations beyond which d counts as so many: outliers
-HETEROGENEOUS = 1.2  # times the mean square of all: what a node's may be by chance
-APART = 64.0  # samples after which noise has forgotten: a longer stay is another visit, visits
-# closer together are one
-VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
-LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
-FULL_VISIT = 2.0  # looks of a visit that counts full in the pace of forgetting
-HASTE_STEP = 0.05  # per visit: a lag is answered within a hundred of them
-PROVEN_STEP = 0.1  # the same once drift is proven: only its pace is to be found then
-TOLERATED = 0.1  # colour of visits that is let be
-ONCE_PROVEN = 0.03  # the same while drift is proven: it goes on until visits speak against it
-LONGEST = 2e5  # samples that a place is remembered as long as nothing is seen to drift
-PROVEN = 2.0  # logarithm of how many times shorter memory is drift
-REVISITS = 0.5  # of the mean time between visits to a node: memory is no shorter
-UNVISITED = 4.0  # times the mean square of misfit: error of a node never visited
-UNSURE = 4.0  # times the mean square of visits that a place seen once may be wrong by
-MOST_COLOUR = 4.0  # of one pair of visits
-WHITE = 0.7  # of the noise between looks: noise between samples from which on it does not last
-LASTING = 0.4  # what a visit counts for where it does: visits to places side by side share it
-IN_ORDER = 0.8  # share of visits that follow the one they followed a round before
+SETTLED = 20  # samples after theta is determined until places are stored
+FIT = 0.5  # limit of theta's variance xᵀPx for carrying a sample to its nodes
+SHARE = 0.75  # share of φ that must be known for an expectation
+LEAST = 0.02  # samples of a node below which it counts as new
+FIRST = 0.05  # minimum weight of a node's first sample, samples
+CHANGED = 0.01  # samples of a node after a change of the plant
+BENT = 0.25  # of the nodes' second difference: interpolation error, rather more at a kink
+BELIEVED = 2.0  # visits after which half of that error remains in the variance
+SURE = 3.0  # standard deviations that make correlated noise of visits significant
+NEAR = 0.2  # φ from which a sample initializes a node
+PRIOR = 10.0  # samples' weight of the overall mean square of d in a node's own
+SPREAD_MEMORY = 100.0  # samples; memory of a node's mean square
+POWER_MEMORY = 10_000.0  # samples; memory of the overall mean square
+CLIP = 4.0  # standard deviations at which d is clipped: outliers
+HETEROGENEOUS = 1.2  # times the overall mean square: limit of a node's by chance
+APART = 64.0  # samples; noise is uncorrelated beyond: a longer stay counts as another visit,
+# and visits closer together as one
+VISIT_MEMORY = 30_000.0  # samples in visits; memory of their mean square
+LAG_MEMORY = 3000.0  # samples in visits; memory of the lag
+FULL_VISIT = 2.0  # looks of a visit with full weight in the pace of forgetting
+HASTE_STEP = 0.05  # per visit: reacts to a lag within a hundred visits
+PROVEN_STEP = 0.1  # the same once drift is proven and only its pace is unknown
+TOLERATED = 0.1  # correlation of visits that is tolerated
+ONCE_PROVEN = 0.03  # the same while drift is proven, until visits contradict it
+LONGEST = 2e5  # samples; memory of a place without drift
+PROVEN = 2.0  # logarithm of the speed-up of forgetting from which drift is proven
+REVISITS = 0.5  # lower limit of the memory, in mean times between visits to a node
+UNVISITED = 4.0  # times the mean square of misfit: squared error of a node never visited
+UNSURE = 4.0  # times the mean square of visits: squared error of a place seen once
+MOST_COLOUR = 4.0  # limit of the correlation of one pair of visits
+WHITE = 0.7  # of the noise between looks: ratio of sample noise from which it is not lasting
+LASTING = 0.4  # weight of a visit in lasting noise, which neighbouring visits share
+IN_ORDER = 0.8  # share of visits whose predecessor is the same as in the previous round
 MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
-EQUAL = 16.0  # looks from which all places count alike
-REFIT = 512  # samples after which theta is fitted anew while it drifts
-YOUNG, LOOK_EVERY_YOUNG = 16_384, 2  # samples; of those one of so many is held against its place,
-LOOK_EVERY = 8  # of later ones one of so many,
-LOOK_EVERY_DRIFTING = 4  # and of those while drift is proven; under suspicion all
-SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
-AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
-WORN = 0.06  # share of wear that is doubted: three times as much would be needed for an alarm
-MOST_HALVINGS = 30  # of d: nothing of it is left
-FEW = 1.1  # of d halved by each visit: one stay at a place seen twice comes to T = 21, for any d
-LATE, BACK = 2.0**23, 2.0**22  # samples: where the clock is set back, and by how many
-MOST = 1e30  # l/min, or its square: more than any flow, and single precision holds it
-REST = 1024.0  # samples at one place after which the clock stands: a valve at rest does not wear
-AT_REST = 0.05  # steps of the grid within which it is one place
+EQUAL = 16.0  # looks from which all places have equal weight
+REFIT = 512  # samples between refits of theta during drift
+YOUNG, LOOK_EVERY_YOUNG = 16_384, 2  # samples; stride of looks at them,
+LOOK_EVERY = 8  # stride of later looks,
+LOOK_EVERY_DRIFTING = 4  # and stride while drift is proven; 1 under suspicion
+SEEN_OFTEN = 4.0  # visits from which one is compared with the previous
+AGEING = 5e-7  # of the flow per sample: tolerated wear, 18 %/h at 100 Hz
+WORN = 0.06  # share of wear taken as uncertain: an alarm needs three times as much
+MOST_HALVINGS = 30  # of d: nothing remains
+FEW = 1.1  # of d halved at each visit: a stay at a place seen twice gives T = 21 for any d
+LATE, BACK = 2.0**23, 2.0**22  # samples: clock value at which it is set back, and the amount
+MOST = 1e30  # l/min, or its square: larger than any flow, within single precision
+REST = 1024.0  # samples at one place after which the clock stops: a valve at rest does not wear
+AT_REST = 0.05  # steps of the grid that count as one place
 
 
 class Remembered(NamedTuple):
-    """What one state remembers of K nodes.
+    """Memory of K nodes of one state.
 
     flows : (K,)
         l/min.
@@ -168,21 +168,21 @@ def look(
     counters: Counts,
     rule: Rule,
 ) -> float:
-    """Hold a sample against what its place is known for, and remember it; d, NaN where new.
+    """Update the memory with a sample; return d, NaN at a new place.
 
     Parameters
     ----------
     size, s, at
-        The row of the state: regressor in ``x``; ``detector`` is written, there LOCAL and COMMON:
-        variance of what d has in common with others of this visit, and of others before.
+        The row of the state: regressor in ``x``; ``detector`` is written, including LOCAL and
+        COMMON: variance that d shares with others of this visit, and of earlier visits.
     nodes : (K, n)
         Regressors at the nodes.
     own
-        What the state remembers of them, written.
+        The state's memory, written.
     box : (8,)
         Scratch.
     a, b
-        Place in steps of the grid; outside of it, or NaN, nothing is remembered.
+        Place in steps of the grid; outside of it, or NaN, nothing is stored.
     e, r
         Innovation before the update, xᵀPx.
     counters, rule
@@ -218,13 +218,13 @@ def look(
     for corner in range(4):
         k = first + (corner & 1) + (corner >> 1) * NODES_B
         f = (q if corner & 1 else 1.0 - q) * (p if corner >> 1 else 1.0 - p)
-        expected = 0.0  # by theta, at the node
+        expected = 0.0  # predicted by theta at the node
         for m in range(n):
             expected += nodes[k, m] * s[at.theta + m]
         box[corner] = f
         box[4 + corner] = expected
         if visits[k, VISITS] == 0 and s[g + VISIT_LENGTH] == 0.0:
-            places[k, KNOWN] = 0.0  # what theta of then made of it, from another side
+            places[k, KNOWN] = 0.0  # predicted by an earlier theta, from another side
         weight = np.float64(places[k, KNOWN])
         if weight > LEAST:
             gone = now - places[k, TOUCHED]
@@ -240,7 +240,7 @@ def look(
         places[k, TOUCHED] = now
     d = np.nan
     s[g + VISIT_LENGTH] += 1.0
-    # Carried to a node by theta, a flow is as wrong as its residuals are large.
+    # Theta carries a flow to a node with an error of the size of the residuals.
     variance = s[at.noise + VARIANCE]
     guess = max(FIRST, min(1.0, s[g + FLOOR] / variance)) if variance > 0.0 else 1.0
     if known >= SHARE:
@@ -249,16 +249,16 @@ def look(
         d = e - c
         weight = np.float64(places[nearest, KNOWN])
         spread = (weight * places[nearest, SPREAD] + PRIOR * s[g + POWER]) / (weight + PRIOR)
-        wear = AGEING * max(age, s[g + AWAY]) * flow  # all along the visit
+        wear = AGEING * max(age, s[g + AWAY]) * flow  # constant during the visit
         own_part = max(0.0, spread - HETEROGENEOUS * s[g + FLOOR])
         spread = spread * (1.0 + S) + wear * wear
         young = 1.0 + UNSURE / (1.0 + visits[nearest, VISITS])
         of_bend = bent(s, g, visits[nearest, VISITS])
         between = max(young * max(0.0, s[g + VISIT_COMMON]) + of_bend, own_part)
-        # A node never visited holds what theta made of it.
+        # The flow of a node never visited is theta's prediction.
         unsure = max(0.0, 1.0 - sure)
         guessed = UNVISITED * unsure * unsure * max(0.0, s[g + MISFIT])
-        # Few visits leave open whether the place was ever as it seemed: no stay there decides.
+        # After few visits a place's flow is uncertain: a single stay there must not cause an alarm.
         few = FEW * d / float(1 << min(int(visits[nearest, VISITS]), MOST_HALVINGS))
         s[g + LOCAL] = between + S * s[g + POWER] + guessed + few * few + wear * wear
         whole = s[g + VISIT_WEIGHT] / ((1.0 + s[g + CLOSED]) * LAG_MEMORY)
@@ -284,12 +284,12 @@ def look(
         for corner in range(4):
             k = first + (corner & 1) + (corner >> 1) * NODES_B
             weight, f = np.float64(places[k, KNOWN]), box[corner]
-            # From the far side of a kink a node that is visited learns nothing but drift.
+            # Across a kink, samples do not update a visited node, except during drift.
             learns = k == nearest or visits[k, VISITS] == 0 or s[g + HASTE] > PROVEN
-            if learns and weight > LEAST and s[g + SUSPECTED] == 0.0:  # nor a change
+            if learns and weight > LEAST and s[g + SUSPECTED] == 0.0:  # nor during a change
                 flows[k] += gain * f / weight
                 weight /= 1.0 - f * f / (weight * (1.0 + S))
-                if visits[k, VISITS] == 0 and k != nearest:  # seen from one side alone, so far
+                if visits[k, VISITS] == 0 and k != nearest:  # known from one side only
                     weight = min(weight, guess)
                 places[k, KNOWN] = weight
     if sure >= SHARE:
@@ -314,7 +314,7 @@ def look(
 
 @inlined
 def tick(s: Floats, g: int, a: float, b: float, count: float) -> None:
-    """Let the clock by which places age go on with the samples, but where the valve rests."""
+    """Advance the clock by which places age, unless the valve rests."""
     if abs(a - s[g + REST_A]) + abs(b - s[g + REST_B]) > AT_REST:
         s[g + REST_A] = a
         s[g + REST_B] = b
@@ -327,10 +327,10 @@ def tick(s: Floats, g: int, a: float, b: float, count: float) -> None:
 
 @inner
 def set_back(s: Floats, g: int, places: Singles) -> None:
-    """Set the clock back, and with it all that it stamped: every age stays.
+    """Set the clock and all its timestamps back; ages stay the same.
 
-    So the stamps of millions of samples are whole numbers that single precision holds; of those
-    before, below 0, it tells the age to seven digits.
+    Timestamps of millions of samples thus stay integers within single precision. Earlier ones,
+    below 0, keep their age to seven digits.
     """
     s[g + CLOCK] -= BACK
     for k in range(len(places)):
@@ -342,7 +342,7 @@ def set_back(s: Floats, g: int, places: Singles) -> None:
 def bend(
     size: Size, s: Floats, at: Places, nodes: Floats, own: Remembered, i: int, j: int
 ) -> float:
-    """How far the residual bends between the nodes of a cell along U: bilinear is wrong by that."""
+    """Curvature of the residual along U around a cell, an estimate of the interpolation error."""
     largest, before, last = 0.0, 0.0, 0.0
     seen = 0
     for step in range(4):
@@ -364,13 +364,13 @@ def bend(
 
 @inlined
 def bent(s: Floats, g: int, visits: int) -> float:
-    """Variance of what bilinear makes wrong around a node, less with each visit to it."""
+    """Variance of the interpolation error around a node; decreases with each visit."""
     return float(s[g + BEND] * s[g + BEND] * BELIEVED / (BELIEVED + visits))
 
 
 @inlined
 def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) -> None:
-    """Compare the visit that has ended with the one before to the same node."""
+    """Compare the completed visit with the previous one to the same node."""
     _, places, visits = own
     g = at.detector
     length = s[g + VISIT_LENGTH]
@@ -384,7 +384,7 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
         s[g + VISIT_WEIGHT] += length - min(1.0, length / VISIT_MEMORY) * s[g + VISIT_WEIGHT]
         part = length / s[g + VISIT_WEIGHT]
         s[g + VISIT_POWER] += part * (square - power)
-        # What the bend does not tell of; where it tells of much, a visit says little about that.
+        # Part not explained by the bend; where the bend explains much, a visit has little weight.
         of_bend = bent(s, g, visits[k, VISITS])
         told = length / (1.0 + length * of_bend / max(s[g + FLOOR], 1e-300)) ** 2
         s[g + COMMON_WEIGHT] += told - min(1.0, length / VISIT_MEMORY) * s[g + COMMON_WEIGHT]
@@ -394,7 +394,7 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
         s[g + CLOSED] += 1.0 - part * s[g + CLOSED]
         s[g + CARRIED] += part * (mean * s[g + LAST_MEAN] - s[g + CARRIED])
         s[g + LAST_MEAN] = min(max(mean, -CLIP * np.sqrt(power)), CLIP * np.sqrt(power))
-        # Only now: what a visit brings is judged by what was known before it.
+        # Updated last: a visit is compared with what was known before it.
         weight = min(places[k, KNOWN], SPREAD_MEMORY)
         share = length / (weight + length)
         square = min(s[g + VISIT_SQUARES] / length, MOST)
@@ -432,11 +432,11 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
 
 @inlined
 def worth_of_a_visit(s: Floats, g: int) -> float:
-    """What a visit counts for where successive ones share slow noise, of correlation ρ.
+    """Weight of a visit if successive visits share slow noise with correlation ρ.
 
-    ρ² is what products of two visits to a place have in common with those to the place beside it,
-    if a round takes all places in the same order. What drift has in common with the visits before
-    to the same places is left out of it.
+    ρ² is the common part of the products of two visits to a place and those to its neighbour, if
+    each round visits the places in the same order. The part that drift shares with earlier visits
+    to the same places is excluded.
     """
     of_noise = max(0.0, s[g + CARRIED] - max(0.0, s[g + LAG]))
     rho: float = min(of_noise / max(s[g + VISIT_POWER], 1e-300), 1.0)
@@ -446,21 +446,21 @@ def worth_of_a_visit(s: Floats, g: int) -> float:
 
 @inlined
 def noise_lasts(s: Floats, g: int) -> bool:
-    """Whether noise lasts from sample to sample: misfit lasts, too, but is not in the step of e."""
+    """Whether noise lasts between samples. Misfit lasts, too, but not in the steps of e."""
     return bool(s[g + SQUARE] - s[g + PRODUCT] < WHITE * s[g + FLOOR])
 
 
 @maker
 def refit(s: Floats, R: Floats, rhs: Floats, own: Remembered, nodes: Floats, now: float) -> None:
-    """Theta and P = U·D·Uᵀ by least squares from the flows of all nodes, each as far as known.
+    """Fit theta and P = U·D·Uᵀ by least squares to the flows of all nodes, weighted by information.
 
-    ``R`` and ``rhs`` are scratch and left empty. Where the nodes do not determine theta, all stays.
+    ``R`` and ``rhs`` are scratch and left empty. If the nodes do not determine theta, it is kept.
     """
     flows, places, visits = own
     n = len(rhs)
     at = places_of(n)
     g = at.detector
-    gap, ageing = max(s[g + GAP], APART), 0.0  # ageing: of a place's variance, 1/samples²
+    gap, ageing = max(s[g + GAP], APART), 0.0  # ageing of a place's variance, 1/samples²
     if s[g + FLOOR] > 0.0:
         ageing = max(s[g + LAG], 0.0) / (s[g + FLOOR] * gap * gap)
     scale, x = s[at.scale : at.scale + n], np.empty(n)
@@ -484,7 +484,7 @@ def refit(s: Floats, R: Floats, rhs: Floats, own: Remembered, nodes: Floats, now
 
 @inlined
 def shake(own: Remembered) -> None:
-    """The plant has changed: what is remembered of every place counts next to nothing."""
+    """Reduce the information of all places to nearly 0 after a change of the plant."""
     for k in range(len(own.flows)):
         own.places[k, KNOWN] = min(own.places[k, KNOWN], CHANGED)
         own.visits[k, VISITS] = 0

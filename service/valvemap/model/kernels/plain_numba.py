@@ -1,6 +1,6 @@
-"""How a kernel is compiled with any other numba: by its public options, in its own cache.
+"""Compilation of a kernel with any other numba: with public options and its own cache.
 
-Numba's cache compares a function's own file alone, so the stamp of all that is imported is part of
+Numba's cache compares a function's own file only, so the stamp of all imported modules is part of
 the name under which a kernel is cached.
 """
 
@@ -20,7 +20,7 @@ TREES: Final = Trees()
 
 
 def called(function: F, *, counts: bool) -> F:  # noqa: ARG001 - numba counts them all
-    """Compile a function that Python calls."""
+    """Compile a function that is called from Python."""
     return spliced(function, nogil=True)
 
 
@@ -38,8 +38,8 @@ def spliced(function: F, **options: Any) -> F:  # noqa: ANN401 - numba's options
 
 
 def keep(dispatcher: object) -> None:
-    """Leave it numba's own cache."""
+    """Do nothing: numba's own cache is used."""
 
 
 def take_shortcuts() -> None:
-    """Leave numba as it comes."""
+    """Do nothing: numba is not patched."""

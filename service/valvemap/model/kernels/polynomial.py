@@ -41,7 +41,7 @@ def products(
 
 @maker
 def _spelt_out(exponents: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where each term's factors start, which factors they are, and 1 or -1 to multiply or divide.
+    """Return the start of each term's factors, the factors, and 1 or -1 to multiply or divide.
 
     Scanning the table of exponents at every point would cost more than the products.
     """

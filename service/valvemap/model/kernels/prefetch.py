@@ -1,9 +1,9 @@
-"""Have memory on its way before it is asked for: the state of one valve of thousands is far away.
+"""Prefetch of the next valve's state, which with thousands of valves is not in the cache.
 
-A batch takes up the valves one after another, and what each knows of its samples lies in some
-twenty arrays, of which no cache holds all. What is fetched while the valve before is worked on is
-there when its turn comes; nothing is computed otherwise. For what `kernels.compiled` compiles, and
-numba by itself. Private seam of numba: an intrinsic that says it in LLVM's words.
+A batch processes the valves one after another. The state of each consists of some twenty arrays,
+which together exceed every cache. The next state is fetched while the current valve is processed;
+results do not change. For functions compiled with `kernels.compiled` or plain numba. Private part
+of numba: an intrinsic in LLVM's terms.
 """
 
 from collections.abc import Callable
@@ -14,9 +14,9 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-LINE: Final = 64  # bytes that come at once
+LINE: Final = 64  # bytes of a cache line
 
-_WRITTEN, _KEPT, _DATA = 1, 3, 1  # soon to be written to; worth a cache; no instructions
+_WRITTEN, _KEPT, _DATA = 1, 3, 1  # for writing; high locality; data cache
 _NUMBER = ir.IntType(32)
 
 

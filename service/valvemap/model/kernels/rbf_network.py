@@ -15,9 +15,9 @@ MONITORS = 2
 # Statuses, as in valvemap.vocabulary.statuses.Status.
 OK, WARMING_UP, HELD = 0, 1, 5
 
-LARGEST = 1e3  # beyond it, in units of the ranges, a sample is held off
+LARGEST = 1e3  # in units of the ranges; larger samples are rejected
 WEIGHT_BOUND = 1e3
-CENTRE_BOUND = 1.0  # how far outside the ranges a centre may wander, in ranges
+CENTRE_BOUND = 1.0  # distance from the ranges that a centre is limited to, in ranges
 LOG_WIDTH_BOUNDS = (-3.9, 1.1)  # b from 0.02 to 3 ranges
 FADING = 1e-3
 
@@ -41,7 +41,7 @@ def update(
     status: Codes,
     segments: Segments,
 ) -> None:
-    """Take the samples of many networks in; the states' arrays have a leading axis M."""
+    """Update many networks with their samples; the states' arrays have a leading axis M."""
     members, starts, stops = segments
     neurons = w.shape[1]
     H, distance, narrow = np.empty(neurons), np.empty(neurons), np.empty(neurons)
@@ -76,10 +76,10 @@ def _train(
     start: int,
     stop: int,
 ) -> None:
-    """Samples start … stop - 1 of one network; state and output arrays are changed in place.
+    """Train one network with samples start … stop - 1, in place.
 
     The step is eta/(1 + eta·S/(1 - alpha)), S the squared gradient: to first order the error of
-    this very sample then never changes its sign, whatever eta, alpha and the weights are.
+    the same sample then never changes its sign, for any eta, alpha and weights.
     """
     m = len(w)
     low, high = LOG_WIDTH_BOUNDS
@@ -137,7 +137,7 @@ def _note(w: Floats, c: Floats, log_b: Floats, noted: Floats) -> None:
 
 @inner
 def _told(noted: Floats, x0: float, x1: float) -> float:
-    """Output of the network as it was noted, eqs. (30), (31)."""
+    """Output of the copied network, eqs. (30), (31)."""
     total = 0.0
     for j in range(len(noted)):
         r0, r1 = x0 - noted[j, 1], x1 - noted[j, 2]

@@ -1,16 +1,16 @@
-"""Whether U reacts to the noise of the same sample, or is itself as noisy: both bias a map.
+"""Detection of U that reacts to the noise of the same sample, or is noisy: both bias a map.
 
-What nobody could expect of U, w = U(t) - 2·U(t-1) + U(t-2), knows nothing of what is new of the
-residual, v(t) = e(t) - e(t-1), unless U reacts to the noise. Where U is smooth but for a part that
-goes with it, their correlation r is .87 in white noise, and .69 at one of .95 from sample to
-sample. With v(t-1) it is the same then; a controller that answers the sample before goes three
-times as much with v(t-1) as with v(t). A misfit cancels in v.
+The second difference of U, w = U(t) - 2·U(t-1) + U(t-2), is independent of the new part of the
+residual, v(t) = e(t) - e(t-1), unless U reacts to the noise. For a smooth U plus a part
+proportional to the noise, their correlation r is .87 in white noise, and .69 in noise with lag-1
+correlation .95. Its correlation with v(t-1) is then equal; for a controller that answers the
+previous sample, it is three times as large as with v(t). A misfit cancels in v.
 
-So the signs of w and v are compared, which agree by 2/π·asin(r) on the mean, whatever their size:
-few large ones, where U turns before a slow meter, do not count for more. Samples whose w is next
-to nothing do not count. Jitter of U's own that the valve does not see, with f'·σ_U > .6 σ_Q, shows
-the same. So does a U whose way is all jitter, as of points drawn anew, behind a slow meter: that is
-no reaction, and jitter is small beside the way of U.
+The test compares the signs of w and v, whose mean product is 2/π·asin(r) for any amplitude. A few
+large values, where U turns ahead of a slow meter, therefore do not dominate. Samples with a
+negligible w are ignored. Jitter of U that the valve does not follow, with f'·σ_U > .6 σ_Q, has the
+same effect and is detected. A U that consists of jitter only, such as random points before a slow
+meter, is excluded, since its jitter is not small against its travel.
 """
 
 import numpy as np
@@ -18,23 +18,23 @@ import numpy as np
 from valvemap.model.kernels.compiled import inlined, kernel
 from valvemap.model.samples import Floats
 
-# Places, from a first one on.
+# Offsets from the first one.
 LAST_U, BEFORE_U, LAST_E, LAST_V, AGREED, AGREED_BEFORE, JITTERY, SEEN = range(8)
-JITTER, MEAN_U, WAY = 8, 9, 10  # mean of |w|, of U; how far U went from that, %
+JITTER, MEAN_U, WAY = 8, 9, 10  # mean of |w|, of U; travel of U from that, %
 PLACES = 11
 
-MEMORY = 2000.0  # samples that the means remember: r is known to .04
-FEWEST = 500.0  # samples before which nothing is said
-LEAST = 0.05  # %: less is no jitter of U, and biases nothing
-OFTEN = 0.3  # share of samples with jitter from which on U jitters
-REACTS = 0.3  # mean of the signs' product, over those: r = .45
-AT_ONCE = 0.6  # of what goes with v(t-1) must go with v(t)
-SMALL = 0.2  # of the way of U: points drawn anew, held for two samples, have .3 to .7
-WAY_KEPT = 1.0 - 1e-5  # from sample to sample: a machine at rest has jitter still
+MEMORY = 2000.0  # samples; memory of the means: r is accurate to .04
+FEWEST = 500.0  # samples before the first verdict
+LEAST = 0.05  # %: smaller jitter is ignored, and causes no bias
+OFTEN = 0.3  # share of samples with jitter from which U is noisy
+REACTS = 0.3  # mean product of the signs over those: r = .45
+AT_ONCE = 0.6  # minimum ratio of the correlations with v(t) and v(t-1)
+SMALL = 0.2  # limit of jitter over travel: random points held for two samples have .3 to .7
+WAY_KEPT = 1.0 - 1e-5  # decay per sample: a machine at rest still has jitter
 
 
 def weigh(s: Floats, g: int, U: float, e: float) -> None:
-    """Take a sample in, U in %; written from place ``g`` on."""
+    """Add a sample, U in %; written from offset ``g`` on."""
     seen = s[g + SEEN] + 1.0
     part = 1.0 / min(seen, MEMORY)
     w = U - 2.0 * s[g + LAST_U] + s[g + BEFORE_U]
@@ -62,7 +62,7 @@ weigh_in = inlined(weigh)
 
 @kernel
 def weighed(U: Floats, e: Floats) -> Floats:
-    """Places (11,) after samples (N,)."""
+    """Return the statistics (11,) after samples (N,)."""
     state = np.zeros(PLACES)
     for i in range(len(U)):
         weigh_in(state, 0, U[i], e[i])
@@ -70,7 +70,7 @@ def weighed(U: Floats, e: Floats) -> Floats:
 
 
 def reacts(states: Floats, g: int) -> np.ndarray:
-    """Whether U reacts, of states (..., places) whose reaction stands from place ``g`` on."""
+    """Whether U reacts, for states (..., places) with their statistics from offset ``g`` on."""
     share = states[..., g + JITTERY]
     known = (states[..., g + SEEN] >= FEWEST) & (share >= OFTEN)
     now, before = np.abs(states[..., g + AGREED]), np.abs(states[..., g + AGREED_BEFORE])

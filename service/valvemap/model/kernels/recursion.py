@@ -1,7 +1,7 @@
 """The recursion over samples: one call per batch, no allocation per sample.
 
-Each model starts in the information form, until theta is determined, and goes on in the covariance
-form. The rules that have something to do before or after each step are in
+Each model starts in the information form, until theta is determined, and continues in the
+covariance form. Rules with operations before or after each step are in
 :mod:`valvemap.model.kernels.stepwise`.
 """
 
@@ -77,8 +77,8 @@ from valvemap.model.samples import Codes, Floats, Segments, Singles, Times
 from valvemap.vocabulary.statuses import Status
 
 TRACE_EVERY = 16
-STEP_U = 100.0 / (NODES_A - 1)  # %: of U to a step of the grid of places
-NOISE_LAM = 0.9995  # of the mean square that is the noise, for rules that look for changes
+STEP_U = 100.0 / (NODES_A - 1)  # %: U per step of the grid of places
+NOISE_LAM = 0.9995  # of the mean square of the noise, for rules with change detection
 
 _OK = int(Status.OK)
 _UNEXCITED = int(Status.UNEXCITED)
@@ -102,12 +102,12 @@ class Memory(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """N samples and what becomes of them.
+    """N samples and output arrays.
 
     t, X, y, usable : (N,), (N, n), (N,), (N,)
-        Samples; where ``usable`` is 0 the state is not touched.
+        Samples; those with ``usable`` 0 do not change the state.
     a, b : (N,)
-        Where on the grid of places each sample lies, in its steps; NaN: nowhere.
+        Position of each sample on the grid of places, in steps; NaN: nowhere.
     nodes : (K, n) or (0, n)
         Regressors at the nodes of that grid; without rows there is none.
     predicted, residual, early, status : (N,)
@@ -115,8 +115,8 @@ class Batch(NamedTuple):
     thetas : (N, n) or (0, n)
         Written if it has rows: theta after each sample.
     changes : (C, 3)
-        Written as far as it reaches: sample of the alarm, first sample after the change, mean
-        innovation from there to the alarm.
+        Written, the first C: sample of the alarm, first sample after the change, mean innovation
+        from there to the alarm.
     """
 
     t: Times
@@ -136,9 +136,9 @@ class Batch(NamedTuple):
 
 @kernel
 def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments) -> None:
-    """Every model takes its own stretch of the samples, one after another.
+    """Update every model with its segment of the samples.
 
-    One flat loop on purpose: at n = 5 a call that is not inlined costs as much as a step.
+    A single flat loop: at n = 5 a call that is not inlined costs as much as a step.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
     batch
         The samples of all models; written too.
     segments
-        Which samples are whose.
+        Assignment of samples to models.
     """
     row, R, rhs, counters, _, flows, places, visits = memory
     t, X, y, usable, a, b, nodes, predicted, residual, early, status, thetas, changes = batch
@@ -206,7 +206,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                 total = 0.0
                 for j in range(n):
                     total += s[at.x + j] * s[at.early + j]
-                early[i] = e if np.isnan(total) else y[i] - total  # NaN before the first time
+                early[i] = e if np.isnan(total) else y[i] - total  # NaN without a copy
             own[COUNT] += 1
             for j in range(n):
                 if abs(s[at.x + j]) > s[at.scale + j]:
@@ -226,7 +226,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             if placed and looks:
                 d = look(size, s, at, nodes, kept, box, a[i], b[i], e, r, own, rule)
 
-            # What is forgotten: P ← (P - weight·PXXᵀP/(alpha + weight·r))/alpha.
+            # Forgetting: P ← (P - weight·PXXᵀP/(alpha + weight·r))/alpha.
             code = _OK if r > 0.0 else _UNEXCITED
             alpha, weight, held = 1.0, 1.0, False
             if divides:
@@ -238,7 +238,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                     held = grows_beyond_limit(size, s, at, alpha, r)
                     if held:
                         alpha, code = 1.0, _UNEXCITED
-            if lam < 1.0 and r > 0.0 and (kind == DIRECTIONAL or held):  # Kulhavý: along X alone
+            if lam < 1.0 and r > 0.0 and (kind == DIRECTIONAL or held):  # Kulhavý: along X only
                 weight = weight_along(size, s, at, lam, r)
             elif lam < 1.0 and kind == SUBSPACE and is_nth(own[COUNT], rule.every_nth):
                 forget_subspace(size, s, at, lam**rule.every_nth)
@@ -246,7 +246,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             growth = 1.0 if alpha == 1.0 else 1.0 / alpha
             gain = take_in(size, s, at.factor, at.f, at.Px, alpha, weight, growth)
 
-            # What the noise has made of theta; q: of Xᵀtheta.
+            # Covariance of theta due to noise; q: of Xᵀtheta.
             q = r
             if s[at.noise + WEIGHT] > 0.0 and not watches:
                 q = r * s[at.noise + SQUARES] / s[at.noise + WEIGHT]

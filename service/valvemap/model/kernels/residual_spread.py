@@ -1,4 +1,4 @@
-"""The loop that learns, region by region, how far measurements lie off the map."""
+"""Recursion of the local spread of residuals."""
 
 from typing import NamedTuple
 
@@ -12,45 +12,45 @@ from valvemap.model.samples import Codes, Floats, Segments, Singles, Times
 CELLS_U, CELLS_S = 10, 12
 WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar
 
-# Places in a cell, in its stamps, and in `overall`.
+# Offsets in a cell, in its stamps, and in `overall`.
 WEIGHT, SQUARES, EXPECTED = range(3)
 PLACES_OF_CELL = 3
 LAST, NUMBER = range(2)
 PLACES_OF_STAMPS = 2
-AGES = 4  # of a cell: just now, recently, long ago, longer ago or never
+AGES = 4  # age classes of a cell: just now, recently, long ago, longer ago or never
 COUNT, QUANTILE = 2, 3
 TIMES = QUANTILE + AGES
 PLACES_OVERALL = TIMES + AGES
 
 CELL_MEMORY, MEMORY = 100.0, 400.0  # samples
-BORROWED = 8.0  # samples' worth of the whole map in each cell's mean square
-BEYOND = 0.05  # share of measurements that the interval leaves out
+BORROWED = 8.0  # samples' weight of the overall mean square in that of each cell
+BEYOND = 0.05  # share of measurements outside the interval
 PACE, FIRST_PACE = 0.02, 1.0
 GAUSSIAN = 1.959963984540054
 JUST_NOW, RECENTLY, LONG_AGO = 4, 64, 2000  # samples
 SETTLED, LARGEST = 20.0, 16.0
-BEYOND_ALL = 1e15  # l/min: an error whose square single precision still holds; more counts nowhere
+BEYOND_ALL = 1e15  # l/min: larger errors are ignored, since their square exceeds single precision
 SECOND = 1_000_000_000  # ns
-WRAP = 2**32 - 1  # numbers of samples are kept modulo 2³²: 500 days at 100 Hz
-EARLIER = 32  # samples after which every estimator notes its map again; a power of two
+WRAP = 2**32 - 1  # sample numbers are stored modulo 2³²: 500 days at 100 Hz
+EARLIER = 32  # samples between copies of the map in every estimator; a power of two
 
 Stamps = NDArray[np.uint32]
 
 
 class Memory(NamedTuple):
-    """What is known of the residuals of M maps.
+    """Residual statistics of M maps.
 
     cells : (M, 120, 3)
-        Weight and mean square of the errors of each cell, and the mean square expected as the
-        present 32 samples began, in single precision.
+        Weight and mean square of the errors of each cell, and the mean square expected at the
+        start of the current 32 samples, in single precision.
     stamps : (M, 120, 2)
-        Of the last sample of each cell its time, whole seconds UTC, and its number modulo 2³².
+        Time of each cell's last sample, whole seconds UTC, and its number modulo 2³².
     ages : (M, 120)
-        0 where there was none; one more than the cell's age as the present 32 samples began.
+        0 without samples; else one more than the cell's age class at the start of the current
+        32 samples.
     overall : (M, 11)
-        The same weight and mean square over all cells; samples counted; by the cell's age, how
-        many times its root mean square an error must be to belong to the outer 5 %, and from
-        how many that was learnt.
+        Weight and mean square over all cells; number of samples; for each age class, the multiple
+        of the root mean square that 5 % of the errors exceed, and its number of samples.
     """
 
     cells: Singles
@@ -69,12 +69,12 @@ def learn(
     memory: Memory,
     segments: Segments,
 ) -> None:
-    """Take N residuals of M maps in, in place; one that is not finite counts nowhere.
+    """Add N residuals of M maps, in place; residuals that are not finite are ignored.
 
     Parameters
     ----------
     residual, early : (N,)
-        Against the map just before each sample, and against that of some samples before.
+        With respect to the map before each sample, and to that of some samples before.
     memory
         Written.
     """
@@ -90,7 +90,7 @@ def learn(
             if not (abs(e) < BEYOND_ALL and np.isfinite(U[i]) and np.isfinite(dp[i])):
                 continue
             c = cell_of(U[i], dp[i])
-            begun = int(overall[COUNT]) & (EARLIER - 1)  # samples of the present 32 so far
+            begun = int(overall[COUNT]) & (EARLIER - 1)  # samples of the current 32
             before = since(overall, stamps, c) - begun
             if before >= 0:  # the first of them in this cell
                 ages[c] = 1 + (age(before) if ages[c] > 0 else AGES - 1)
@@ -104,9 +104,9 @@ def learn(
 
 @inner
 def _judge(square: float, a: int, c: int, cells: Singles, overall: Floats) -> None:
-    """Take the square of an error in: was it outside, and how far off is the map in its cell.
+    """Add a squared error: update the coverage and the mean square of its cell.
 
-    ``a`` is the cell's age when its mean square was expected.
+    ``a`` is the cell's age class when its mean square was expected.
     """
     expected = cells[c, EXPECTED]
     if overall[WEIGHT] > SETTLED and expected > 0.0:
@@ -123,7 +123,7 @@ def _judge(square: float, a: int, c: int, cells: Singles, overall: Floats) -> No
 
 @inner
 def cell_of(U: float, dp: float) -> int:
-    """Number of the cell that a point falls into; the outermost reach on for ever."""
+    """Return the cell of a point; the outermost cells are unbounded."""
     row = min(max(U / WIDTH_U, 0.0), CELLS_U - 1.0)
     column = min(np.sqrt(abs(dp)) / WIDTH_S, CELLS_S - 1.0)
     return int(row) * CELLS_S + int(column)
@@ -131,19 +131,19 @@ def cell_of(U: float, dp: float) -> int:
 
 @inner
 def since(overall: Floats, stamps: Stamps, c: int) -> int:
-    """Samples since the last one of a cell."""
+    """Return the number of samples since the last one of a cell."""
     return (int(overall[COUNT]) - int(stamps[c, NUMBER])) & WRAP
 
 
 @inner
 def age(samples: int) -> int:
-    """How long ago, in four steps, a cell was visited: the map may have moved meanwhile."""
+    """Return the age class of a cell: the map may have moved since its last visit."""
     return 0 if samples < JUST_NOW else 1 if samples < RECENTLY else 2 if samples < LONG_AGO else 3
 
 
 @inner
 def mean_square(cells: Singles, overall: Floats, c: int) -> float:
-    """Mean square of a cell's residuals, leaning on all others while it has few of its own."""
+    """Return the mean square of a cell's residuals, shrunk to the overall one while it has few."""
     own = np.float64(cells[c, WEIGHT])
     total = own * cells[c, SQUARES] + BORROWED * overall[SQUARES]
     return float(total / (own + BORROWED))
@@ -151,7 +151,7 @@ def mean_square(cells: Singles, overall: Floats, c: int) -> float:
 
 @kernel
 def spread(cells: Singles, overall: Floats, U: Floats, dp: Floats, out: Floats) -> None:
-    """Write the root mean square of the residuals around N points; NaN before the first."""
+    """Write the root mean square of the residuals around N points; NaN without residuals."""
     for i in range(len(U)):
         out[i] = np.nan
         if overall[WEIGHT] > 0.0 and np.isfinite(U[i]) and np.isfinite(dp[i]):
@@ -168,7 +168,7 @@ def reach(
     dp: Floats,
     out: Floats,
 ) -> None:
-    """Write within what 95 % of the residuals around N points lie; NaN before the first."""
+    """Write the half width that covers 95 % of the residuals around N points; NaN without any."""
     for i in range(len(U)):
         out[i] = np.nan
         if overall[WEIGHT] > 0.0 and np.isfinite(U[i]) and np.isfinite(dp[i]):

@@ -1,11 +1,12 @@
-"""Where things are in the row of floats that holds what a model knows, and in the room behind it.
+"""Layout of the row of floats that holds a model's state, and of the scratch space after it.
 
-All that a step reads and writes lies in one array at distances that follow from n alone. Where n is
-known to the compiler, every place is a constant: loops unroll, rows become vectors, and nothing has
-to be read again because something else was written. Symmetric and triangular matrices are kept as
-lower triangles, row by row.
+All values that a step reads and writes are in one array, at offsets that depend on n only. If n is
+known to the compiler, every offset is a constant: loops are unrolled and vectorized, and no value
+is reloaded after another was written. Symmetric and triangular matrices are stored as lower
+triangles, by rows.
 
-A kernel learns n as the length of ``size``: a tuple's is known to the compiler, an array's is not.
+A kernel gets n as the length of ``size``: that of a tuple is known to the compiler, that of an
+array is not.
 """
 
 from typing import NamedTuple
@@ -20,17 +21,17 @@ from valvemap.model.samples import Floats
 Counts = NDArray[np.int64]
 Size = tuple[int, ...] | Floats
 
-# Places in `counters`: of the recursion, then of change detection (number of changes; sample and
+# Offsets in `counters`: of the recursion, then of change detection (number of changes; sample and
 # time of the last and of the suspected one).
 COUNT, FACTORED, HEAD, FILLED, STALE, OPENED = range(6)
 CHANGES, SAMPLE, TIME, SUSPECT_SAMPLE, SUSPECT_TIME = range(6, 11)
 PLACES_OF_COUNTERS = 11
 
-# Places in `noise`.
+# Offsets in `noise`.
 WEIGHT, SQUARES, VARIANCE, TRACE = range(4)
 PLACES_OF_NOISE = 4
 
-# Places in `detector`: of the test for changes; of the memory of places.
+# Offsets in `detector`: of change detection; of the memory of places.
 EVIDENCE, SUM, SIZE, FLOOR, FLOOR_WEIGHT, LAST_D = range(6)
 LAST_E, POWER, POWER_WEIGHT, LOCAL, NODE = range(6, 11)
 VISIT_LENGTH, VISIT_SUM, VISIT_POWER, HASTE, FADING = range(11, 16)
@@ -38,7 +39,7 @@ MISFIT, MISFIT_POWER, NEW, LAG, GAP, VISIT_SQUARES, VISIT_WEIGHT, VISIT_COMMON =
 COMMON, CARRIED, LAST_MEAN, BEND, SUSPECTED, CLOSED = range(24, 30)
 # Of the long-run covariance of the scores.
 LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQUARE = range(30, 38)
-# Of the haste of a rule that forgets anyway.
+# Of the speed-up of forgetting with λ < 1.
 SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
 # Of the clock by which places age.
 CLOCK, LOOKED_AT, REST_A, REST_B, RESTED, VISIT_BEGAN, AWAY = range(46, 53)
@@ -46,17 +47,17 @@ COMMON_WEIGHT = 53  # of VISIT_COMMON
 REACTION = 54  # from here on see `reaction`
 PLACES_OF_DETECTOR = REACTION + reaction.PLACES
 
-LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
+LOOKS = 2  # samples between predictions by the copied parameters: a power of two
 
-# Numbers of terms with a kernel of their own, compiled when first needed: the five of eq. (7), and
-# the nine of degree two in each of two variables. With more, loops are long enough as they are.
+# Numbers of terms with a specialized kernel, compiled when first needed: the five of eq. (7), and
+# the nine of degree two in each of two variables. With more, specialization gains nothing.
 _KNOWN = 5, 9
 
 
 class Places(NamedTuple):
-    """The first place of each vector, triangle and group; see `RlsState` for what they are.
+    """The first offset of each vector, triangle and group; see `RlsState` for their meaning.
 
-    The row ends at ``x``; from there to ``end`` is room for a step to work in.
+    The row ends at ``x``; from there to ``end`` is scratch space of a step.
     """
 
     theta: int
@@ -86,7 +87,7 @@ class Places(NamedTuple):
 
 
 def places(n: int) -> Places:
-    """Places for n parameters."""
+    """Return the offsets for n parameters."""
     triangle = n * (n + 1) // 2
     factor = 9 * n
     noise = factor + 6 * triangle
@@ -105,7 +106,7 @@ places_of = inlined(places)
 
 
 def size_of(n: int) -> Size:
-    """Tell a kernel n; for few terms in a way that its compiler understands.
+    """Return n for a kernel; for few terms as a tuple, whose length is a compile-time constant.
 
     Examples
     --------

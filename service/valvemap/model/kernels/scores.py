@@ -1,18 +1,19 @@
-"""What coloured noise makes of theta: the long-run covariance of the scores x·e.
+"""Effect of coloured noise on theta: the long-run covariance of the scores x·e.
 
-Least squares errs by P·Σ x·e. White noise makes Var(Σ x·e) = σ²·Σ x·xᵀ of it; noise that lasts
-makes more of it along regressors that last, and no more along regressors drawn anew (at ρ = .95, 39
-times the variance of the intercept, once that of the others). So the sums of x·e over blocks, long
-against what noise lasts, are looked at as they are: Omega = mean of (Σ x·e)(Σ x·e)ᵀ/BLOCK. With
-M = mean of x·xᵀ and N = n/tr(P·M), the samples that P holds, Var(theta) = N·P·Omega·P.
+The error of least squares is P·Σ x·e. In white noise Var(Σ x·e) = σ²·Σ x·xᵀ. Coloured noise
+increases it along regressors that are correlated in time, but not along independent ones (at
+ρ = .95, the variance of the intercept by a factor of 39, that of the others by 1). Therefore it is
+estimated from the sums of x·e over blocks much longer than the noise's correlation:
+Omega = mean of (Σ x·e)(Σ x·e)ᵀ/BLOCK. With M = mean of x·xᵀ and N = n/tr(P·M), the effective number
+of samples in P, Var(theta) = N·P·Omega·P.
 
-Twenty blocks know Omega worse than white noise knows σ²; so it serves only where consecutive e
-agree more than chance lets them.
+Omega from twenty blocks is less accurate than σ² in white noise. It is used only if consecutive e
+are significantly correlated.
 
-And what of regressors that react to the noise of the same sample, as U does in a loop without
-delay? Their scores are zero at theta, yet not at the truth. The regressors of the sample before
-know nothing of this noise: Γ = mean of (x(t) - x(t-1))·e(t) is zero unless x reacts, and theta is
-off by about N·P·Γ.
+Regressors may react to the noise of the same sample, as U does in a loop without delay. Their
+scores are zero at theta, but not at the true parameters. The regressors of the previous sample do
+not depend on this noise: Γ = mean of (x(t) - x(t-1))·e(t) is zero unless x reacts, and the bias of
+theta is about N·P·Γ.
 """
 
 import numpy as np
@@ -34,21 +35,21 @@ from valvemap.model.kernels.row_layout import (
 from valvemap.model.kernels.triangles import add_square
 from valvemap.model.samples import Floats
 
-SETTLED = 0.05  # xᵀPx below which an innovation is noise rather than ignorance
-BLOCK = 512.0  # samples: 26 times what AR(.95) lasts
-MEMORY = 32_768.0  # samples that Omega, M and the colour remember
+SETTLED = 0.05  # xᵀPx below which an innovation is mainly noise
+BLOCK = 512.0  # samples: 26 times the correlation time of AR(.95)
+MEMORY = 32_768.0  # samples; memory of Omega, M and the correlation
 FEWEST = 4.0  # blocks
-COLOURED = 4.0  # standard deviations of the correlation of consecutive e
+COLOURED = 4.0  # standard deviations of the correlation of consecutive e that are significant
 REACTS = 16.0  # squared standard deviations of Γ along one direction
 ROUNDING = 1e-12  # of the flow, squared
 STUDENT = (
-    3.6  # over the number of blocks: what the quantile of so few grows by, squared; pairs overlap
+    3.6  # over the number of blocks: squared correction of the quantile for few, overlapping pairs
 )
 
 
 @inlined
 def gather(size: Size, s: Floats, at: Places, e: float, y: float) -> None:
-    """Take a sample's score x·e in; ``y``: its flow, whose rounding is no colour."""
+    """Add a sample's score x·e; ``y``: its flow, whose rounding error is excluded."""
     n, g = len(size), at.detector
     s[g + BLOCK_PRODUCT] += e * s[g + LAST_SCORED]
     s[g + BLOCK_SQUARE] += e * e + ROUNDING * y * y
@@ -81,7 +82,7 @@ def gather(size: Size, s: Floats, at: Places, e: float, y: float) -> None:
 
 @inlined
 def gather_moments(size: Size, s: Floats, at: Places) -> None:
-    """Take a sample's x·xᵀ in: one of LOOK_EVERY will do."""
+    """Add a sample's x·xᵀ; one of every LOOK_EVERY suffices."""
     g = at.detector
     s[g + LOOKED] += 1.0 - s[g + LOOKED] * (LOOK_EVERY / MEMORY)
     part = 1.0 / s[g + LOOKED]
@@ -92,7 +93,7 @@ def gather_moments(size: Size, s: Floats, at: Places) -> None:
 
 
 def coloured(s: Floats, g: int) -> bool:
-    """Whether consecutive e agree more than chance lets them; ``g`` is the place of `detector`."""
+    """Whether consecutive e are significantly correlated; ``g`` is the offset of `detector`."""
     if s[g + BLOCKS] < FEWEST:
         return False
     return bool(abs(s[g + PRODUCT]) * np.sqrt(s[g + BLOCKS] * BLOCK) > COLOURED * s[g + SQUARE])

@@ -10,9 +10,9 @@ from valvemap.model.samples import Floats
 
 @lean_kernel
 def basis(knots: Floats, x: float, value: Floats, slope: Floats) -> int:
-    """Fill ``value`` and ``slope`` (4,) and give the index of the first of the four functions.
+    """Fill ``value`` and ``slope`` (4,) and return the index of the first of the four functions.
 
-    ``knots`` are clamped: each end four times. Outside them the functions run on along their
+    ``knots`` are clamped: each end four times. Outside them the functions continue along their
     tangents, so that a map is extrapolated linearly.
     """
     n = len(knots) - 4
@@ -38,7 +38,7 @@ def basis(knots: Floats, x: float, value: Floats, slope: Floats) -> int:
             carried = (at - left) * part
         value[degree] = carried
     beyond = x - at
-    if beyond != 0.0:  # NaN too
+    if beyond != 0.0:  # also for NaN
         for r in range(4):
             value[r] += beyond * slope[r]
     return low - 3
@@ -79,9 +79,9 @@ def tensor_rows(
     nodes_T: Floats,
     without: int,
 ) -> Floats:
-    """Rows (N, n_U·n_s·n_T), the temperature's index fastest; n_T = 1 where T has no say.
+    """Rows (N, n_U·n_s·n_T), the temperature's index fastest; n_T = 1 without temperature.
 
-    The first ``without`` functions of s are left out.
+    The first ``without`` functions of s are omitted.
     """
     n_s, n_T = len(knots_s) - 4 - without, max(1, len(nodes_T))
     rows = np.zeros((len(U), (len(knots_U) - 4) * n_s * n_T))

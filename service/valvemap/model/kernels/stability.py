@@ -1,4 +1,4 @@
-"""Where the roots of D(q) = 1 + d1·q⁻¹ + … + dm·q⁻ᵐ lie."""
+"""Stability of D(q) = 1 + d1·q⁻¹ + … + dm·q⁻ᵐ."""
 
 import numpy as np
 

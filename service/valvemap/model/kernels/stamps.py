@@ -1,12 +1,12 @@
-"""A stamp of all that a kernel is compiled from: its module and what that imports, transitively.
+"""Stamp of everything that a kernel is compiled from: its module and all imports, transitively.
 
-Numba's cache compares a function's own file alone, not those of the functions that it calls. A
+Numba's cache compares a function's own file only, not those of the functions that it calls. A
 stamp covers the module, and every module of the same package that it imports, directly or through
-others. Of each it covers the syntax tree without comments, docstrings and line numbers: another
-comment leaves every stamp as it is.
+others. It covers their syntax trees without comments, docstrings and line numbers: changed comments
+do not change a stamp.
 
-To parse fifty modules takes a tenth of a second. `Trees` remembers the result by the hash of the
-file's bytes, so that a later process only hashes them.
+Parsing fifty modules takes a tenth of a second. `Trees` caches the result by the hash of the file's
+bytes, so that a later process only hashes them.
 """
 
 import ast
@@ -21,7 +21,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Tree:
-    """What of a module's file matters to a compiler."""
+    """The parts of a module's file that affect compilation."""
 
     content: str  # hash of the syntax tree
     imports: tuple[str, ...]  # names in full; `from a import b` is `a:b`
@@ -29,9 +29,9 @@ class Tree:
 
 @dataclass
 class Trees:
-    """Syntax trees of modules, kept in a file if one is given: of each module the newest.
+    """Syntax trees of modules, cached in a file if one is given: the newest of each module.
 
-    ``came`` is another file, which is only read.
+    ``came`` is another, read-only cache file.
     """
 
     kept: Path | None = None
@@ -46,7 +46,7 @@ class Trees:
                 self._known |= _read(file)
 
     def of(self, file: Path, module: str) -> Tree:
-        """The tree of a module, whose name resolves its relative imports; a file is read once."""
+        """Return the tree of a module; its name resolves relative imports. A file is read once."""
         if file not in self._by_file:
             self._by_file[file] = self._of_bytes(file, module)
         return self._by_file[file]
@@ -62,7 +62,7 @@ class Trees:
         return tree
 
     def keep(self) -> None:
-        """Write all to the file, if any was parsed and the file can be written."""
+        """Write all to the file, if any was parsed and the file is writable."""
         if self.kept is None or not self._parsed:
             return
         self._parsed = False
@@ -74,12 +74,12 @@ class Trees:
         try:
             beside.write_text(json.dumps(written), encoding="utf-8")
             beside.replace(self.kept)
-        except OSError:  # they are parsed again next time
+        except OSError:  # parsed again by the next process
             beside.unlink(missing_ok=True)
 
 
 def stamp_of_module(module: str, file: Path, trees: Trees) -> str:
-    """The stamp of a module that was imported: imports of its package and of ours are followed."""
+    """Return the stamp of an imported module; imports of its package and of ours are followed."""
     packages = {
         top: Path(path)
         for top in dict.fromkeys((module.partition(".")[0], __name__.partition(".")[0]))
@@ -89,17 +89,17 @@ def stamp_of_module(module: str, file: Path, trees: Trees) -> str:
 
 
 def stamp_of(file: Path, module: str, packages: Mapping[str, Path], trees: Trees) -> str:
-    """The stamp of a module: equal stamps mean equal code of it and of all that it imports.
+    """Return the stamp of a module; equal stamps mean equal code of it and of all its imports.
 
     Parameters
     ----------
     file, module
         The module's file, and its name in full (or ``__main__``).
     packages
-        Packages whose modules are followed, by name, with their folders. All else that is imported
-        belongs to other distributions.
+        Packages whose modules are followed, by name, with their folders. All other imports belong
+        to other distributions.
     trees
-        Remembers parsed modules.
+        Cache of parsed modules.
     """
     contents: dict[str, str] = {}
     ahead = [(module, file)]
@@ -118,7 +118,7 @@ def stamp_of(file: Path, module: str, packages: Mapping[str, Path], trees: Trees
 
 
 def parse(source: bytes, module: str, *, is_package: bool = False) -> Tree:
-    r"""Find the tree of a module's source.
+    r"""Parse a module's source.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def _imports(tree: ast.Module, module: str, *, is_package: bool) -> Iterator[str
 
 
 def _is_text(statement: ast.stmt) -> bool:
-    """Whether a statement is a docstring, or a text below a constant."""
+    """Whether a statement is a docstring, or a string below a constant."""
     return (
         isinstance(statement, ast.Expr)
         and isinstance(statement.value, ast.Constant)
@@ -159,7 +159,7 @@ def _is_text(statement: ast.stmt) -> bool:
 
 
 def _find(imported: str, packages: Mapping[str, Path]) -> tuple[str, Path] | None:
-    """Name and file of the module behind an import, if it belongs to one of the packages."""
+    """Return name and file of the module behind an import, if it belongs to one of the packages."""
     origin, _, name = imported.partition(":")
     for module in (f"{origin}.{name}", origin) if name else (origin,):
         top, *rest = module.split(".")
@@ -179,5 +179,5 @@ def _read(kept: Path) -> dict[str, tuple[str, Tree]]:
             module: (digest, Tree(content, tuple(imports)))
             for module, (digest, content, *imports) in found.items()
         }
-    except (OSError, ValueError, AttributeError, TypeError):  # none yet, or not ours
+    except (OSError, ValueError, AttributeError, TypeError):  # missing, or another program's
         return {}

@@ -1,4 +1,4 @@
-"""Rules of forgetting with something to do before or after each step of the recursion."""
+"""Forgetting rules with operations before or after each step of the recursion."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from valvemap.model.kernels.triangles import rotate, take_in, whiten
 from valvemap.model.samples import Floats, Segments
 from valvemap.vocabulary.statuses import Status
 
-SINGULAR = 1e-9  # share of the information along X that must be left when a sample is taken out
+SINGULAR = 1e-9  # minimum share of the information along X after the removal of a sample
 
 _OK = int(Status.OK)
 _UNEXCITED = int(Status.UNEXCITED)
@@ -65,7 +65,7 @@ def run_stepwise(size: Size, memory: Memory, rule: Rule, batch: Batch, segments:
 
 @inner
 def _put_back(size: Size, s: Floats, at: Places, j: int, share: float) -> None:
-    """Add information about parameter j, a share of a sample's; theta stays."""
+    """Add information about parameter j, a share of a sample's; theta is not changed."""
     for k in range(len(size)):
         s[at.x + k] = 0.0
     s[at.x + j] = 1.0
@@ -77,7 +77,7 @@ def _put_back(size: Size, s: Floats, at: Places, j: int, share: float) -> None:
 
 @inner
 def _take_out(size: Size, s: Floats, at: Places, window: Floats, counters: Counts) -> None:
-    """Remove the window's oldest sample from P and theta, unless theta is open without it."""
+    """Remove the window's oldest sample from P and theta, unless theta would be undetermined."""
     n = len(size)
     oldest = counters[HEAD]
     e = window[oldest, n]
@@ -95,7 +95,7 @@ def _take_out(size: Size, s: Floats, at: Places, window: Floats, counters: Count
 
 @inner
 def _push(window: Floats, counters: Counts, X: Floats, y: Floats, i: int) -> bool:
-    """Write a sample into the window; True if that was its last place."""
+    """Write a sample into the window; return True if that was its last place."""
     n = X.shape[1]
     for j in range(n):
         window[counters[HEAD], j] = X[i, j]
@@ -107,7 +107,7 @@ def _push(window: Floats, counters: Counts, X: Floats, y: Floats, i: int) -> boo
 
 @maker
 def _factor_anew(s: Floats, R: Floats, rhs: Floats, window: Floats, counters: Counts) -> None:
-    """Factor the full window, once per turn: rounding cannot add up."""
+    """Refactor the full window, once per turn, so that rounding errors do not accumulate."""
     n = len(rhs)
     at = places_of(n)
     scale, theta = s[at.scale : at.scale + n], s[at.theta : at.theta + n]

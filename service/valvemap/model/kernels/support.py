@@ -1,7 +1,7 @@
-"""The loops that remember where samples lay, over (U, dp, T), and how far a point is from them.
+"""Support of a map: a grid of boxes around its samples over (U, dp, T), and distances from them.
 
-A grid of cells over U and dp, the outermost of them a whole range wide. Each holds how many samples
-fell into it and the box that they span, in bytes: finer than the cells, as small as a bitmap.
+The cells of the grid over U and dp include outer cells of a whole range. Each stores its number of
+samples and their bounding box in bytes: finer than the cells, and as small as a bitmap.
 """
 
 import numpy as np
@@ -13,19 +13,19 @@ from valvemap.model.samples import Codes, Floats, Segments
 INNER_U, INNER_DP = 20, 20
 CELLS_U, CELLS_DP = INNER_U + 2, INNER_DP + 2
 
-# Places in a cell; the boxes in 1/256 of the cell, temperatures as `T_LOWEST` and `T_STEP` say.
-# Between T_COLD and T_HOT there was none: a valve may be known cold and hot alone.
+# Offsets in a cell; boxes in 1/256 of the cell, temperatures by `T_LOWEST` and `T_STEP`.
+# No samples between T_COLD and T_HOT: a valve may have been measured cold and hot only.
 NUMBER, U_LOW, U_HIGH, DP_LOW, DP_HIGH, T_LOW, T_HIGH, T_COLD, T_HOT = range(9)
 PLACES_OF_CELL = 9
 FINEST = 256.0
 T_LOWEST, T_STEP = -24.0, 0.5  # °C; up to 103.5
 
-NEAR_U, NEAR_DP, NEAR_T = 5.0, 5.0, 5.0  # %, bar, °C: what counts as near a sample
-NEAR_ROOT = 0.5  # √bar: as 5 bar are at 25
+NEAR_U, NEAR_DP, NEAR_T = 5.0, 5.0, 5.0  # %, bar, °C: neighbourhood of a sample
+NEAR_ROOT = 0.5  # √bar: equals 5 bar at 25 bar
 ENOUGH = 3.0  # samples near a point, for it to be inside
 BEYOND = 1.0001  # just outside
 
-_LEARNT = 2  # Status.UNEXCITED: up to it a sample was learnt from
+_LEARNT = 2  # Status.UNEXCITED: samples up to this status were used
 _FULL = 255
 
 
@@ -39,15 +39,15 @@ def learn(
     every_ranges: Floats,
     segments: Segments,
 ) -> None:
-    """Remember where the samples lay that were learnt from, in place.
+    """Add the positions of the samples that the estimator used, in place.
 
     Parameters
     ----------
     every_cells : (M, 484, 9)
-        See `NUMBER` and what follows it; a cell without samples is all nought, one without a
+        See `NUMBER` and the offsets after it; a cell without samples is all 0, one without a
         temperature has T_LOW > T_HIGH.
     every_ranges : (M, 5)
-        Of U and dp, low and high; the largest flow is of no concern here.
+        Lower and upper limit of U and of dp; the largest flow is not used.
     """
     members, starts, stops = segments
     for s in range(len(members)):
@@ -76,9 +76,9 @@ def learn(
 
 @kernel
 def boxes(cells: Codes, ranges: Floats) -> Floats:
-    """Return a row per cell that holds samples: their number, then low and high of U, dp and T.
+    """Return one row for each cell with samples: their number, then low and high of U, dp and T.
 
-    T is NaN where none was measured. Last the ends of its widest gap.
+    T is NaN without temperatures. The last two are the ends of its widest gap.
     """
     out = np.empty((np.count_nonzero(cells[:, NUMBER]), PLACES_OF_CELL))
     k = 0
@@ -97,7 +97,7 @@ def boxes(cells: Codes, ranges: Floats) -> Floats:
 
 @kernel
 def fill(every_box: Floats, ranges: Floats, cells: Codes) -> None:
-    """Write the cells that boxes were made of; ``cells`` are empty."""
+    """Write the cells of `boxes`, its inverse; ``cells`` are empty."""
     for k in range(len(every_box)):
         box = every_box[k]
         middle_U, middle_dp = (box[U_LOW] + box[U_HIGH]) / 2.0, (box[DP_LOW] + box[DP_HIGH]) / 2.0
@@ -117,17 +117,17 @@ def fill(every_box: Floats, ranges: Floats, cells: Codes) -> None:
 def distances(
     every_box: Floats, U: Floats, dp: Floats, T: Floats, whole: Floats, level: Floats
 ) -> None:
-    """How far N points are from three samples, in units of what counts as near: 1 is the border.
+    """Distance of N points from three samples, in units of the neighbourhood: 1 is the border.
 
     Parameters
     ----------
     every_box : (n, 9)
         See `boxes`.
     T : (N,)
-        NaN: whatever the temperature.
+        NaN: any temperature.
     whole, level : (N,)
-        Written: the distance, and the one whatever the temperature; infinite where there are not
-        three samples.
+        Written: the distance, and the distance without regard to temperature; infinite with fewer
+        than three samples.
     """
     for i in range(len(U)):
         whole[i] = _distance(every_box, U[i], dp[i], T[i])
@@ -138,10 +138,10 @@ def distances(
 
 @inner
 def _distance(every_box: Floats, U: float, dp: float, T: float) -> float:
-    """How many times what is near must reach from a point to three samples.
+    """Return the scale of the neighbourhood at which it contains three samples.
 
-    Samples lie evenly in their cell's box, as far as anybody knows: so a point just beyond the
-    border is told from one just inside by how many are expected near.
+    Samples are assumed to be uniform in their cell's box, so that the expected number in the
+    neighbourhood decides whether a point is inside.
     """
     first, second, third = np.inf, np.inf, np.inf
     of_first, of_second, expected = 0.0, 0.0, 0.0
@@ -184,7 +184,7 @@ def _gap(x: float, box: Floats, low: int) -> float:
 
 @inner
 def _gap_T(T: float, box: Floats) -> float:
-    """How far a temperature is from those of a box; there may be none between cold and hot."""
+    """Distance of a temperature from those of a box, which may have a gap between cold and hot."""
     gap = _gap(T, box, T_LOW)
     if gap > 0.0:
         return gap
@@ -193,7 +193,7 @@ def _gap_T(T: float, box: Floats) -> float:
 
 @inner
 def _share_T(T: float, box: Floats) -> float:
-    """Which part of a box's samples was about as warm as T."""
+    """Share of a box's samples within the neighbourhood of T."""
     low, high = T - NEAR_T, T + NEAR_T
     total, within = T_STEP, 0.0
     for start, stop in ((box[T_LOW], box[T_COLD]), (box[T_HOT], box[T_HIGH])):
@@ -204,7 +204,7 @@ def _share_T(T: float, box: Floats) -> float:
 
 @inner
 def _share(x: float, box: Floats, low: int, near: float) -> float:
-    """Which part of a box's samples lie near x: one at either end, the others evenly between."""
+    """Share of a box's samples near x: one at either end, the others uniform between them."""
     span = box[low + 1] - box[low]
     within = min(box[low + 1], x + near) - max(box[low], x - near)
     if within >= span or box[NUMBER] < 2.0:
@@ -214,7 +214,7 @@ def _share(x: float, box: Floats, low: int, near: float) -> float:
 
 @inner
 def _place(x: float, low: float, high: float, cells: int) -> tuple[int, int]:
-    """Which cell along an axis, and where in it, in 1/256."""
+    """Return the cell along an axis, and the position in it, in 1/256."""
     share = (x - low) / (high - low)
     if share < 0.0:
         number, part = 0, 1.0 + max(share, -1.0)
@@ -230,7 +230,7 @@ def _place(x: float, low: float, high: float, cells: int) -> tuple[int, int]:
 def _limits(
     number: int, low: float, high: float, cells: int, cell: Codes, first: int, out: Floats
 ) -> None:
-    """Write what a cell's samples span along one axis."""
+    """Write the limits of a cell's samples along one axis."""
     start, width = _cell(number, low, high, cells)
     out[first] = start + width * cell[first] / FINEST
     out[first + 1] = start + width * (cell[first + 1] + 1.0) / FINEST
@@ -240,7 +240,7 @@ def _limits(
 def _parts(
     number: int, low: float, high: float, cells: int, box: Floats, first: int, cell: Codes
 ) -> None:
-    """Undo `_limits`."""
+    """Inverse of `_limits`."""
     start, width = _cell(number, low, high, cells)
     cell[first] = int(np.rint(FINEST * (box[first] - start) / width))
     cell[first + 1] = int(np.rint(FINEST * (box[first + 1] - start) / width)) - 1
@@ -248,7 +248,7 @@ def _parts(
 
 @inner
 def _cell(number: int, low: float, high: float, cells: int) -> tuple[float, float]:
-    """Where a cell begins, and how wide it is."""
+    """Return the lower limit of a cell, and its width."""
     width = (high - low) / cells
     if number == 0:
         return low - (high - low), high - low
@@ -259,7 +259,7 @@ def _cell(number: int, low: float, high: float, cells: int) -> tuple[float, floa
 
 @inner
 def _warm(cell: Codes, T: int) -> None:
-    """Have the temperatures of a cell contain T, and keep the widest gap between them."""
+    """Extend a cell's temperatures to T, and store their widest gap."""
     low, high = int(cell[T_LOW]), int(cell[T_HIGH])
     cold, hot = int(cell[T_COLD]), int(cell[T_HOT])
     if low > high:  # the first
@@ -281,6 +281,6 @@ def _warm(cell: Codes, T: int) -> None:
 
 @inner
 def _widen(cell: Codes, low: int, x: int) -> None:
-    """Have a box contain x."""
+    """Extend a box to x."""
     cell[low] = min(cell[low], x)
     cell[low + 1] = max(cell[low + 1], x)

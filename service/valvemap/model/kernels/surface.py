@@ -19,7 +19,7 @@ BORDER = 8
 SPLINE_ROW = 16
 FIVE_TERMS = 5
 TREND = BORDER - FIVE_TERMS
-APART = 7  # by so many places in s two of a point's four can differ: -3 to 3
+APART = 7  # offsets in s of two of a point's four parameters: -3 to 3
 PAIRS = 3 * APART + 4  # of parameters that a point can have, one being given: the rest of the band
 # of the inverse is of no concern
 
@@ -104,7 +104,7 @@ def evaluate(
     Q: Floats,
     variance: Floats,
 ) -> None:
-    """Q at N points and its variance over σ²; a T that is not known is taken for 40 °C."""
+    """Q at N points and its variance over σ²; NaN in T is replaced by 40 °C."""
     point, scratch = np.zeros(6), np.empty((4, 4))
     for i in range(len(U)):
         point[1] = U[i] - play * direction[i]
@@ -131,10 +131,10 @@ def evaluate_many(
     Q: Floats,
     variance: Floats,
 ) -> None:
-    """`evaluate` M maps at the same N points in the middle of the hysteresis: Q, variance (M, N).
+    """Evaluate M maps at the same N points in the middle of the hysteresis: Q, variance (M, N).
 
-    Arrays have a leading axis M and are padded; the spline of map m has ``free[m]`` parameters
-    that its variance is made of, 0 where it is eq. (7) alone. NaN for a map of no size.
+    Arrays have a leading axis M and are padded. ``free[m]`` is the number of spline parameters in
+    map m's variance, 0 for eq. (7) alone. NaN for a map of size 0.
     """
     middle = np.zeros(len(U))
     for m in range(len(sizes)):
@@ -172,7 +172,7 @@ def spread(
 ) -> float:
     """Variance of Q̂ over σ² at one point (weight, U, s, T, direction, Q), see `map_fit.fit`.
 
-    ``inverse`` is (n, PAIRS), ``mixed`` (n, TREND): beside a spline there is no eq. (7).
+    ``inverse`` is (n, PAIRS), ``mixed`` (n, TREND): a spline has no additional eq. (7).
     """
     n, n_s, x = len(inverse), len(knots_s) - 4, np.empty(SPLINE_ROW + BORDER)
     at = _row(point, 0.0, knots_U, knots_s, n, x, scratch)
@@ -206,9 +206,9 @@ def _row(
     row: Floats,
     scratch: Floats,
 ) -> int:
-    """Fill the sixteen values of the spline (if there is one) and the border's; give the place.
+    """Fill the sixteen values of the spline (if there is one) and the border's; return the offset.
 
-    Value a of the spline belongs to the parameter a // 4 · n_s + a % 4 behind the place.
+    Value a of the spline belongs to the parameter offset + a // 4 · n_s + a % 4.
     """
     U = point[1] - play * point[4]
     border(U, point[2], point[3], row[SPLINE_ROW:])

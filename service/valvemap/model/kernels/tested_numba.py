@@ -1,4 +1,4 @@
-"""How a kernel is compiled with a numba whose private parts are tested."""
+"""Compilation of a kernel with a numba whose private parts are tested."""
 
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
@@ -27,7 +27,7 @@ _LINKED: Final[dict[str, Any]] = {
 
 
 def called(function: F, *, counts: bool) -> F:
-    """Compile a function that Python calls; references to arrays are counted or not."""
+    """Compile a function that is called from Python; ``counts``: with reference counting."""
     return spliced(function, **_CALLED, _nrt=counts)
 
 
@@ -45,7 +45,7 @@ def spliced(function: F, **options: Any) -> F:  # noqa: ANN401
 
 
 def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's dispatcher
-    """Compile it once, not once for each constant that a kernel calls it with.
+    """Compile it once, not once for each constant argument.
 
     Constants still reach inlined functions. Private part of numba: ``get_call_template``.
     """

@@ -1,8 +1,8 @@
-"""Rank-one steps on the covariance P = U·D·Uᵀ, kept as a triangle in a model's row.
+"""Rank-one steps on the covariance P = U·D·Uᵀ, stored as a triangle in a model's row.
 
-The triangle's row j holds U[0…j-1, j], then D[j]. P cannot become asymmetric or indefinite. All
-vectors are places in the same array ``s``, see :mod:`valvemap.model.kernels.row_layout`;
-all loops run in a fixed order: the same samples give the same bits.
+The triangle's row j holds U[0…j-1, j], then D[j]. P is always symmetric and positive definite. All
+vectors are offsets in the same array ``s``, see :mod:`valvemap.model.kernels.row_layout`; all loops
+run in a fixed order, for bit-identical results.
 """
 
 from valvemap.model.kernels.compiled import inlined
@@ -34,7 +34,7 @@ def take_in(
 ) -> float:
     """P ← growth·(P - weight·P·x·xᵀ·P / (alpha + weight·xᵀ·P·x)), Bierman's recursion.
 
-    ``f`` = Uᵀx. Writes P·x, with the P from before, and returns 1/(alpha + weight·xᵀ·P·x).
+    ``f`` = Uᵀx. Writes P·x of the previous P, and returns 1/(alpha + weight·xᵀ·P·x).
     """
     inverse = 1.0 / alpha
     p = ut
@@ -153,7 +153,7 @@ def rotate(
 def squared_length(size: Size, s: Floats, b: int, V: int, d: int, w: int, L: int) -> float:
     """BᵀV⁻¹b by the factors L·D·Lᵀ of V; ``d``, ``w`` and ``L`` are scratch, for D⁻¹, L⁻¹b, L·D.
 
-    A direction that the others explain but for rounding counts nothing.
+    A direction that the others explain except for rounding errors is ignored.
     """
     total = 0.0
     row = 0

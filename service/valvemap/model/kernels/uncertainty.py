@@ -1,4 +1,4 @@
-"""How well models know their parameters."""
+"""Covariance of the parameters."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from valvemap.model.samples import Floats
 def parameter_variances(rows: Floats, kind: int, scored: int, variances: Floats) -> None:
     """Write the variance of each parameter (M, n) of models in the covariance form.
 
-    ``kind`` is that of forgetting; ``scored`` is 1 of a rule that goes by the scores.
+    ``kind`` is that of forgetting; ``scored`` is 1 for a rule that uses the scores.
     """
     M, n = variances.shape
     P, A, C = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -40,7 +40,7 @@ def parameter_covariance(row: Floats, kind: int, scored: int, C: Floats) -> None
 
 @inner
 def _covariance(s: Floats, kind: int, scored: int, P: Floats, A: Floats, C: Floats) -> None:
-    """P·Z·P with rules that divide P by λ, else P - P·(P⁻¹ - Z)·P, times σ²; or by the scores."""
+    """P·Z·P with rules that divide P by λ, else P - P·(P⁻¹ - Z)·P, times σ²; or from the scores."""
     n = len(C)
     at = places_of(n)
     p = 0
@@ -92,7 +92,7 @@ def _sandwich(P: Floats, A: Floats, C: Floats) -> None:
 
 @inner
 def _samples(s: Floats, at: Places, P: Floats) -> float:
-    """How many samples P holds: n over the trace of P·M."""
+    """Effective number of samples in P: n over the trace of P·M."""
     n = len(P)
     p, trace = 0, 0.0
     for i in range(n):
@@ -104,7 +104,7 @@ def _samples(s: Floats, at: Places, P: Floats) -> float:
 
 @inner
 def _long_run(s: Floats, at: Places, P: Floats, A: Floats, C: Floats) -> None:
-    """Write what the long-run covariance of the scores says; A is scratch."""
+    """Write the covariance from the long-run covariance of the scores; A is scratch."""
     n = len(C)
     p = 0
     for i in range(n):
@@ -121,7 +121,7 @@ def _long_run(s: Floats, at: Places, P: Floats, A: Floats, C: Floats) -> None:
 
 @maker
 def _add_reaction(s: Floats, at: Places, P: Floats, C: Floats) -> None:
-    """Add the square of what regressors that react to the noise make of theta, N·P·Γ."""
+    """Add the squared bias of theta by regressors that react to the noise, N·P·Γ."""
     n = len(C)
     blocks = s[at.detector + BLOCKS]
     reacts, p = False, 0
