@@ -66,7 +66,7 @@ class KernelsAhead(BuildHookInterface):  # type: ignore[type-arg]
             }
             self.app.display_info(f"compiling for {kind} ...")
             self._run([python, "-m", PACKAGE, "warm-up"], environment)
-            drawn = str(self._folder / "drawn.csv")
+            drawn = str(folder.parent / f"drawn-{kind}.csv")
             rig = ["rig", "--offline", "--duration", "1", "--record", drawn]
             self._run([python, "-m", PACKAGE, *rig], environment)
             self._run([python, "-c", TRUTH], environment)

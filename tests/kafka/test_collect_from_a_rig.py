@@ -111,7 +111,7 @@ def test_a_spool_that_is_full_gives_up_the_oldest_and_says_how_much(tmp_path):
     """No broker at all, and room for little."""
 
     async def trial():
-        scenario = scenario_of(40, 6.0, 100.0)
+        scenario = scenario_of(40, 9.0, 100.0)  # 1.5 MB
         file = write(tmp_path, f"127.0.0.1:{free_port()}", spool_mb=1)
         log = tmp_path / "collect.log"
         async with await rig_of(scenario, tmp_path) as rig:

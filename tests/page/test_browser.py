@@ -123,7 +123,7 @@ async def test_whether_u_can_be_trusted_for_a_flow_by_keyboard():
         told = await visitor.text(".inverse .answer")
         assert f"{U:.2f} %" in told
         assert f"95 %: {lower:.2f} to {upper:.2f} %" in told
-        assert "U delivers this flow." in told
+        assert "U delivers the demanded flow at this pressure drop." in told
         assert page.observer.client.writes == []
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from support.processes import free_port, is_open
 
-POM = Path(__file__).parents[1] / "fleet" / "broker" / "pom.xml"
+POM = Path(__file__).parents[1] / "kafka" / "broker" / "pom.xml"
 CLUSTER = "MkU3OEVBNTcwNTJENDM2Qg"
 HEAP = "-Xmx384m"
 _LOG = """\

@@ -74,6 +74,6 @@ class Visit:
 
 def axe(cache):
     """The source of axe-core, which finds what hinders people."""
-    folder = Path(__file__).parents[1] / "dashboard" / "axe"
+    folder = Path(__file__).parents[1] / "page" / "axe"
     package = installed(folder, Path(cache))
     return (package / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
