@@ -50,7 +50,7 @@ def client_settings(broker: BrokerConfig) -> dict[str, Any]:
 
 def silent() -> logging.Logger:
     """Logger for clients whose messages also arrive as exceptions or callbacks: it drops them."""
-    quiet = logging.getLogger("valvemap.kafka")
+    quiet = logging.getLogger("librdkafka")  # not the name of a package of ours
     if not quiet.handlers:
         quiet.addHandler(logging.NullHandler())
     quiet.propagate = False
