@@ -111,7 +111,7 @@ def test_changed_code_is_compiled(shipped, tmp_path):
     file = moved / "kernels_of_a_test.py"
     file.write_text("# A comment.\n" + file.read_text())
     assert run((home, moved), tmp_path, "one_more", **GENERIC) == [[7.0, 1]]
-    file.write_text(file.read_text().replace("3.0 * x", "4.0 * x"))
+    file.write_text(file.read_text().replace("3.0 * x", "4.00 * x"))  # another size: no stale .pyc
     assert run((home, moved), tmp_path, "one_more", **GENERIC) == [[9.0, 0]]
 
 
