@@ -61,6 +61,7 @@ def package(tmp_path):
 
 def run(package, cache=None):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(package.parent), str(ROOT)))}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # bytecode is known by the second alone
     environment.pop("NUMBA_CACHE_DIR", None)
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = str(cache)
