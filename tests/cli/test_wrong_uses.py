@@ -178,3 +178,12 @@ def test_a_wrong_use_is_one_line_with_thing_place_and_remedy(
         assert words in last
     assert "^" not in last  # no regular expression
     assert len(last) < 400
+
+
+def test_each_wrong_field_of_a_configuration_has_a_line(tmp_path, capsys):
+    file = tmp_path / "plant.toml"
+    file.write_text("[source]\nurl = 3\n[alignment]\nreorder_ms = -1\n", encoding="utf-8")
+    assert run(["check-config", str(file)]) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith(f"valvemap: {file}: source.url = 3")
+    assert second.startswith(f"{file}: alignment.reorder_ms = -1")

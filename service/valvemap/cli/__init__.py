@@ -41,7 +41,7 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if not _is_for_the_user(error):
             raise
-        return _say(f"valvemap: {printable(str(error), LINE)}", _exit_code(error))
+        return _say(f"valvemap: {error}", _exit_code(error))
     return int(code or 0)
 
 
