@@ -1,4 +1,4 @@
-"""Causes that explain what the samples of a valve show, each with a code, a label and a sentence."""
+"""Causes that explain the samples of a valve, each with a code, a label and a sentence."""
 
 from dataclasses import dataclass
 
