@@ -83,7 +83,8 @@ def _edge(state: FlowMapState, both: Both, end: float) -> Floats:
     shares = np.abs(Q) / full
     opened = np.flatnonzero(shares > OPENED)
     if not np.isfinite(Q).all() or len(opened) == 0 or shares[0] > MOST_OPENED:
-        return np.nan_to_num(np.stack([gain, np.array([0.0, abs(end)])]))
+        none = np.array([0.0, abs(end)])
+        return np.array([np.nan_to_num(gain), none])
     k = max(int(opened[0]), 1)
     slope = abs(Q[k] - Q[k - 1]) / (abs(end) / (STEPS - 1))
     low = abs(U[k - 1]) + (OPENED * full - abs(Q[k - 1])) / max(slope, 1e-9)
