@@ -36,6 +36,7 @@ OPERATORS: Final = {  # code; what is said of its size
     paths.CHOKE: (FindingCode.CHOKING, "Δp counts up to {:.3g} times the pressure upstream."),
     paths.KNEE: (FindingCode.COMPENSATOR, "Δp counts up to {:.3g} bar."),
     paths.TOP: (FindingCode.METER_END, "The meter ends at {:.3g} l/min."),
+    paths.NEWS: (FindingCode.REACTING_U, "U goes with the noise of the flow in the same sample."),
     paths.LEAST: (FindingCode.METER_START, "The meter shows no flow below {:.3g} l/min."),
 }
 RATES: Final = (

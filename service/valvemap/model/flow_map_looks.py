@@ -91,6 +91,7 @@ def _look(state: FlowMapState, both: Both, T: float) -> None:
     if found[flow_path.PLAY]:
         left, noise = evidence.of(found)[0], flow_causes.noise_of(rows[:, flow_path.LEFT_Q])
         path[flow_path.HYSTERESIS] += _sign(left > rules.OTHER_HYSTERESIS * noise**2)
+    path[flow_path.NEWS] = found[flow_path.NEWS]
     if not _differ(found, given):
         return
     path[: flow_path.PARAMETERS] = found
@@ -166,6 +167,7 @@ def _differ(found: Floats, given: Floats) -> bool:
     """Whether the map would be another one."""
     least = rules.OTHER * np.maximum(found, given)
     least[flow_path.PLAY] = max(least[flow_path.PLAY], rules.PLAY_STEP)
+    least[flow_path.NEWS] = math.inf  # changes nothing of the map
     return bool((np.abs(found - given) > least).any())
 
 

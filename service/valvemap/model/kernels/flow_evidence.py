@@ -39,7 +39,7 @@ def leftover(
 
 def terms_of(axis: Axis) -> int:
     """Number of coefficients of the coarse map."""
-    return ALONG_S * len(axis.sites) + 1
+    return ALONG_S * len(axis.sites) + 2  # the last is that of U's news
 
 
 @kernel
@@ -97,6 +97,9 @@ def _regressors(
         u = min(max(p, low), high)
         s = paths.effective(rows[i, paths.LEFT_DP], rows[i, paths.LEFT_P1], path)
         _row(axis, u, s / top, X[i], work)
+        if given[paths.NEWS] > 0.0 and 0 < i < len(rows) - 1:
+            around = rows[i - 1, paths.LEFT_U] + rows[i + 1, paths.LEFT_U]
+            X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - 0.5 * around
 
 
 @maker
