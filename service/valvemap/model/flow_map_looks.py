@@ -245,7 +245,8 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     state.scalars[flow_fit.VARIANCE] = max(state.scalars[flow_fit.VARIANCE], floor)
     if flow_path.has_filter(state.path):  # what cells hold was corrected by earlier maps
         state.cells[:, [flow_cells.COUNT, flow_cells.WORTH]] *= rules.KEPT_BY_FILTERS
-    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
+    growth = rules.GROWTH_YOUNG if used < rules.YOUNG else rules.GROWTH
+    ahead = min(max(used // growth, 1), rules.MOST_BETWEEN)
     counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
 
 
