@@ -62,6 +62,7 @@ from valvemap.sparkplug.schema import Payload
 from valvemap.sparkplug.sender import _asks_for_births
 from valvemap.storage.points import read_points
 from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 BUDGET = Budget(10_000, 10_000, 100_000, 16)
 NOW = datetime(2030, 1, 1, tzinfo=UTC)
@@ -380,7 +381,7 @@ def _learnt():
     learnt.take_samples(0, plant(300))
     learnt.refresh_maps()
     learnt.approve(VALVE)
-    learnt._alarms.of_service.note(0, 1e9, 1e9, 0.0)
+    learnt._alarms.of_service.note(0, {ServiceAlarm.CHECKPOINT: 1e9})
     return learnt
 
 
