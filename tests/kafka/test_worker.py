@@ -18,6 +18,7 @@ from valvemap.kafka.commands import Command, write_message
 from valvemap.kafka.group import Group
 from valvemap.kafka.memory import read_memory, write_memory
 from valvemap.kafka.result_blocks import read_results
+from valvemap.kafka.settings import TopicsConfig
 from valvemap.kafka.worker import MEMORY, Worker
 from valvemap.pipeline.lane_failures import Step
 from valvemap.vocabulary.statuses import Status
@@ -156,13 +157,69 @@ def test_a_message_whose_processing_raises_is_rejected_and_its_group_is_as_befor
     assert len([one for one in said if "exc_info" in one]) == 1
 
 
-def test_a_memory_that_does_not_fit_stops_the_worker_with_one_line(known):
-    worker, store = Worker(known, RHYTHM), Dictionary()
-    store.set_bytes(MEMORY, b"of another program")
+def test_a_state_of_a_newer_catalogue_stops_the_worker_with_one_line(known):
+    newer = catalogue(version=2)
+    store = Dictionary()
+    store.set_bytes(MEMORY, Group(newer.groups["north.0"], 2).to_bytes())
+    kept = store.get_bytes(MEMORY)
     sent = block(known.groups["north.0"], 1, (5, 5, 5))
-    with pytest.raises(FleetError, match=r"^group north\.0: not a group's memory$"):
-        worker.samples(b"north.0", write_samples(sent), store)
-    assert store.get_bytes(MEMORY) == b"of another program"
+    with pytest.raises(FleetError, match=r"^group north\.0: .* version 2 .* this is version 1"):
+        Worker(known, RHYTHM).samples(b"north.0", write_samples(sent), store)
+    assert store.get_bytes(MEMORY) == kept
+
+
+def damaged(packed):
+    """A state with bytes changed at random positions, cut, or of another program."""
+    rng = np.random.default_rng(34)
+    for _ in range(150):
+        found = bytearray(packed)
+        at = rng.integers(len(packed) if rng.random() < 0.5 else 3_000)
+        found[at] ^= rng.integers(1, 256)
+        yield bytes(found)
+    yield packed[: len(packed) // 2]
+    yield packed + b"x"
+    yield b""
+    yield b"of another program"
+
+
+def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, undisturbed):
+    """Flips at random positions: nothing is learnt from them, and the worker lives."""
+    first, after = (block(known.groups["north.0"], n, (9, 9, 9), first=9 * n) for n in (1, 2))
+    fresh = group(known.groups["north.0"])
+    expected = feed(fresh, [after])
+    kept = group(known.groups["north.0"])
+    feed(kept, [first])
+    worker, other = Worker(known, RHYTHM), Dictionary()
+    with structlog.testing.capture_logs():
+        for k, packed in enumerate(damaged(kept.to_bytes())):
+            store = Dictionary()
+            store.set_bytes(MEMORY, packed)
+            assert worker.samples(b"north.0", write_samples(after), store) == expected
+            (letter,) = worker.rejected()
+            assert letter.key == b"north.0"
+            assert letter.reason.startswith("state set aside, the group starts without it: group ")
+            assert (letter.payload, letter.size) == (packed, len(packed))
+            assert dict(letter.headers(None))["content"] == b"state"
+            if k % 10 == 0:
+                other_block = block(known.groups["north.1"], k // 10 + 1, (9, 9), first=9 * k)
+                worker.samples(b"north.1", write_samples(other_block), other)
+            worker.keep()
+            found = read_memory(store.get_bytes(MEMORY))
+            assert found.counts["damaged"] == 1
+            assert found.number == 2
+            again = group(known.groups["north.0"])
+            again.remember(store.get_bytes(MEMORY))
+            assert again.identification.lane("V0", "RLS").count == 9
+    assert worker._log.count == k + 1
+
+
+def test_a_state_too_large_for_a_dead_letter_is_cut(known):
+    worker, store = Worker(known, RHYTHM, TopicsConfig(message_mb=0.1)), Dictionary()
+    store.set_bytes(MEMORY, bytes(100_000))
+    worker.samples(b"north.0", write_samples(block(known.groups["north.0"], 1, (5, 5, 5))), store)
+    (letter,) = worker.rejected()
+    assert letter.size == 100_000
+    assert len(letter.payload) < 90_000
 
 
 PACKED = Injected(

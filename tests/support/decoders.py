@@ -36,7 +36,7 @@ from valvemap.errors import (
 )
 from valvemap.kafka.blocks import SamplesBlock, read_samples, write_samples
 from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
-from valvemap.kafka.memory import Columns, Memory, read_memory, write_memory
+from valvemap.kafka.memory import Columns, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
 from valvemap.model.auto import Auto
 from valvemap.model.estimator import StateMismatchError
@@ -239,7 +239,9 @@ def _of_kafka():
         "Kafka: results": Decoder(read_results, _results, block),
         "Kafka: commands": Decoder(read_command, lambda: [write_message(command)], block),
         "Kafka: replies": Decoder(read_reply, lambda: [write_message(reply)], block),
-        "Kafka: memories": Decoder(read_memory, lambda: [write_memory(memory)], (FleetError,)),
+        "Kafka: memories": Decoder(
+            read_memory, lambda: [write_memory(memory)], (FleetError,), _with_seal
+        ),
     }
 
 
@@ -387,6 +389,10 @@ def _learnt():
 
 def _with_crc(data):
     return zlib.crc32(data[4:]).to_bytes(4, "big") + data[4:]
+
+
+def _with_seal(data):
+    return sealed(data[len(sealed()) :])
 
 
 def _rows(file):
