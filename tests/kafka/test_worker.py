@@ -14,7 +14,7 @@ from support.fleet import RHYTHM, Dictionary, as_messages, block, catalogue, day
 from valvemap.errors import FleetError
 from valvemap.kafka import worker as worker_module
 from valvemap.kafka.blocks import write_samples
-from valvemap.kafka.commands import Command, write_message
+from valvemap.kafka.commands import Command, is_reply, read_reply, write_message
 from valvemap.kafka.group import Group
 from valvemap.kafka.memory import read_memory, write_memory
 from valvemap.kafka.result_blocks import read_results
@@ -236,10 +236,10 @@ def test_an_error_in_any_step_of_one_valve_costs_a_worker_nothing_else(step, mon
     plan = known.groups["north.0"]
     blocks = [marked(plan, number) for number in range(1, 7)]
     undisturbed = learnt_by(Worker(known, RHYTHM), blocks)
-    worker = Worker(known, RHYTHM)
+    worker, store = Worker(known, RHYTHM), Dictionary()
     with structlog.testing.capture_logs() as said, monkeypatch.context() as patch:
         broken(patch, step)
-        out = learnt_by(worker, blocks)
+        out = learnt_by(worker, blocks, store)
     others = [f"V{v}" for v in range(VALVES) if v != CULPRIT]
     assert newest(out, others) == newest(undisturbed, others)
     errors = [entry for entry in said if entry["event"] == "lane failed"]
@@ -249,6 +249,19 @@ def test_an_error_in_any_step_of_one_valve_costs_a_worker_nothing_else(step, mon
     assert [shown[estimator][0] for estimator in step.stops] == [int(Status.FAILED)] * len(
         step.stops
     )
+    alarm = lane_alarm(out, name)
+    assert (alarm.active, alarm.acked) == (True, False)
+    assert f"{step.said}: RuntimeError: injected" in alarm.text
+    reset = Command("2", "north.0", name, "reset", step.stops[0])
+    out = worker.command(b"north.0", write_message(reset), store)
+    (reply,) = [read_reply(message) for message in out if is_reply(message)]
+    assert reply.done, reply.reason
+    out += worker.samples(b"north.0", marked(plan, 7), store)
+    assert worker.rejected() == []
+    again = newest(out, [name])[name]
+    assert again[step.stops[0]][1] == 20
+    assert [again[estimator][0] for estimator in LANES].count(int(Status.FAILED)) == 0
+    assert not lane_alarm(out, name).active
 
 
 def marked(plan, number):
@@ -259,8 +272,8 @@ def marked(plan, number):
     return write_samples(found)
 
 
-def learnt_by(worker, blocks):
-    store, out = Dictionary(), []
+def learnt_by(worker, blocks, store=None):
+    store, out = store or Dictionary(), []
     demand = Command("1", "north.0", f"V{CULPRIT}", "demand", "", (30.0, 100.0))
     worker.command(b"north.0", write_message(demand), store)
     for message in blocks:
@@ -274,6 +287,8 @@ def newest(out, valves):
     """Status, number of samples and theta of each estimator, as they were published last."""
     found = {}
     for message in out:
+        if is_reply(message):
+            continue
         shown = read_results(message)
         for row, valve in enumerate(shown.results.valves.tolist()):
             if shown.valves[valve] in valves:
@@ -281,4 +296,18 @@ def newest(out, valves):
                     name: (int(r.status[row]), int(r.sample_count[row]), r.theta[row].tobytes())
                     for name, r in shown.results.estimators.items()
                 }
+    return found
+
+
+def lane_alarm(out, valve):
+    """The alarm LaneFailed of a valve, as it was published last."""
+    found = None
+    for message in out:
+        if is_reply(message):
+            continue
+        shown = read_results(message)
+        for row, number in enumerate(shown.results.valves.tolist()):
+            if shown.valves[number] == valve:
+                reports = shown.results.alarms.reports(row)
+                found = next((r for r in reports if r.name == "LaneFailed"), found)
     return found

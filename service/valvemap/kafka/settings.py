@@ -131,7 +131,7 @@ class ServeConfig(Section):
         600.0,
         ge=1.0,
         le=86_400.0,
-        description="time from the newest rejected message to the end of the alarm MessagesRejected",
+        description="time without rejected messages that ends the alarm MessagesRejected, s",
     )
 
 
