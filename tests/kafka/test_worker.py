@@ -226,7 +226,9 @@ PACKED = Injected(
     *("packing", Step.PUBLICATION, LANES, worker_module, "write_results"),
     lambda one: np.isfinite(one.results.signals.values[one.results.valves == CULPRIT]).any(),
 )
-ELSEWHERE = {Step.HISTORY, Step.CHECKPOINT, Step.RECORDING, Step.PUBLICATION}  # not of a worker
+ELSEWHERE = {  # not of a worker
+    *(Step.ALIGNMENT, Step.HISTORY, Step.CHECKPOINT, Step.RECORDING, Step.PUBLICATION),
+}
 OF_A_WORKER = [*(step for step in STEPS if step.step not in ELSEWHERE), PACKED]
 
 
