@@ -344,6 +344,19 @@ def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
     assert again.reports() == alarms.reports()
 
 
+@pytest.mark.parametrize("name", ["over", "active", "value", "causes", "version"])
+def test_alarms_of_the_service_with_arrays_of_another_kind_are_refused(name, monkeypatch):
+    alarms, other = ServiceAlarms(), ServiceAlarms()
+    alarms.note(START, {ServiceAlarm.CHECKPOINT: 70.0})
+    arrays = alarms._states.arrays
+    monkeypatch.setattr(
+        alarms._states, "arrays", lambda: {**arrays(), name: arrays()[name].astype("<U3")}
+    )
+    with pytest.raises(StateMismatchError, match=name):
+        other.from_bytes(alarms.to_bytes())
+    assert other.reports() == ServiceAlarms().reports()
+
+
 def test_each_service_has_its_own_alarms_and_an_alarm_names_the_newest_reason():
     assert [r.name for r in ServiceAlarms().reports()] == [one.label for one in OF_SERVE]
     alarms = ServiceAlarms(FLEET_RULES)

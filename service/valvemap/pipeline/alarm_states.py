@@ -113,7 +113,7 @@ class AlarmStates:
                 )
                 for name, (text, by, t) in json.loads(bytes(packed)).items()
             }
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise StateMismatchError(f"not what was said of alarms: {error}") from error
         for a in range(len(self._names)):
             self._remarks.pop((m, a), None)

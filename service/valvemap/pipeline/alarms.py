@@ -354,10 +354,7 @@ class Alarms:
         """
         kept = _Kept.from_bytes(data, _KEY)
         arrays = self._arrays()
-        for name, array in arrays.items():
-            new = getattr(kept, name)
-            if new.shape != array[m].shape or new.dtype != array.dtype:
-                raise StateMismatchError(f"alarms are kept in another way today: {name}")
+        _check_layout(kept, arrays)
         self._states.remarks_from_bytes(m, kept.remarks)
         for name, array in arrays.items():
             array[m] = getattr(kept, name)
@@ -458,6 +455,7 @@ class ServiceAlarms:
         StateMismatchError
         """
         kept = _KeptOfService.from_bytes(data, self._key)
+        _check_layout(kept, self._states.arrays())
         self._states.remarks_from_bytes(0, kept.remarks)
         for name, array in self._states.arrays().items():
             array[0] = getattr(kept, name)
@@ -465,6 +463,14 @@ class ServiceAlarms:
 
 _LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
 _KEY = f"alarms 2: {' '.join(ALARM_NAMES)}"
+
+
+def _check_layout(kept: State, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Raise if a stored array has another shape or type than a row of the present one."""
+    for name, array in arrays.items():
+        new = getattr(kept, name)
+        if new.shape != array[0].shape or new.dtype != array.dtype:
+            raise StateMismatchError(f"alarms are kept in another way today: {name}")
 
 
 def _limits(rules: list[AlarmRule]) -> Floats:
