@@ -2,6 +2,7 @@
 
 import asyncio
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
@@ -11,6 +12,7 @@ from valvemap.app.connections import build_server_settings, build_sources
 from valvemap.app.warm_up import warm_up
 from valvemap.config.models import Config
 from valvemap.pipeline.identification import Identification
+from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.sources import Sources
 
 log = structlog.get_logger(__name__)
@@ -21,14 +23,13 @@ class Compilation:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._task: asyncio.Task[None] | None = None
+        self._work: asyncio.Future[None] | None = None
 
-    def begin(self) -> asyncio.Task[None]:
-        """Start the compilation unless it was started; return its task."""
-        if self._task is None:
-            compile_all = asyncio.to_thread(warm_up, self._config, _show_progress)
-            self._task = asyncio.create_task(compile_all)
-        return self._task
+    def begin(self) -> "asyncio.Future[None]":
+        """Start the compilation unless it was started; return its future."""
+        if self._work is None:
+            self._work = in_daemon_thread(partial(warm_up, self._config, _show_progress))
+        return self._work
 
     async def ended(self) -> None:
         """Start the compilation if necessary, and wait until it is complete."""

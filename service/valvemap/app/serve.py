@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from functools import partial
 
 import structlog
 
@@ -20,6 +21,7 @@ from valvemap.app.pulse import Pulse
 from valvemap.app.reload import Reload, check_what_stays, in_one_line
 from valvemap.app.service_manager import ServiceManager, feed_watchdog
 from valvemap.app.shown import Shown
+from valvemap.app.warm_up import compile_first
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.errors import StorageError, ValvemapError
@@ -27,6 +29,7 @@ from valvemap.model.kernels.compiled import was_warmed_up
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.sources import supervise_all
@@ -73,6 +76,10 @@ async def serve(
         used; at the end: if the states cannot be stored.
     """
     reload, manager = reload or Reload(lambda: config), manager or ServiceManager()
+    if not was_warmed_up():
+        first = in_daemon_thread(partial(compile_first, config))
+        if not await unless_stopped(stop, first):
+            return
     plan: Plan | None = make_plan(config, server_settings, identification)
     before: Plan | None = None
     known: list[Checkpoint] = []
@@ -135,9 +142,8 @@ async def _live(
     await live.start(known)
     log.info("results served", url=server.url)
     plan.compiled.begin()
-    if not was_warmed_up():
-        await plan.compiled.ended()
-    manager.ready(f"{len(config.valves)} valves at {server.url}")
+    if was_warmed_up() or await unless_stopped(stop, plan.compiled.ended()):
+        manager.ready(f"{len(config.valves)} valves at {server.url}")
     pulse = Pulse(live, clock)
     watched = asyncio.create_task(feed_watchdog(manager, pulse, clock))
     stopping = asyncio.create_task(_pass_on(stop, live, ended, manager))

@@ -190,6 +190,11 @@ def compile_alignment(config: Config) -> None:
     make_one_scan()
 
 
+def compile_first(config: Config) -> None:
+    """Compile what `build_identification` runs, which a first start needs before all else."""
+    _first_maps(_one_of_each_kind(config))
+
+
 def _first_maps(config: Config) -> None:
     """Compile the inverse map, which is published before the first sample."""
     build_identification(config)

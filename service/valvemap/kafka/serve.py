@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
+from functools import partial
 from typing import Final, Protocol
 
 import numpy as np
@@ -34,6 +35,7 @@ from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.ports import AlarmChange, Health, PastCounters, PastStore, Results
 from valvemap.runtime.backoff import backoff
+from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
 from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S
 from valvemap.runtime.past import PastKeeper
 from valvemap.vocabulary.service_alarms import ServiceAlarm
@@ -63,7 +65,8 @@ async def serve(
     catalogue = load_catalogue(config.catalogue)
     name = site_of(catalogue, site)
     given = catalogue.sites[name]
-    await asyncio.to_thread(warm_up, given)
+    if not await unless_stopped(stop, in_daemon_thread(partial(warm_up, given))):
+        return
     settings = server_settings or build_server_settings(given)
     with ExitStack() as opened:
         past = opened.enter_context(build_history(given) or nullcontext())
