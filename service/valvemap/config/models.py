@@ -14,7 +14,7 @@ from pydantic import (
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
-from valvemap.config.estimators import EstimatorConfig, default_estimators
+from valvemap.config.estimators import SECTIONS, EstimatorConfig, default_estimators
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
@@ -25,6 +25,7 @@ from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.quality_gate import PLAUSIBLE, SignalLimits
 
 RIG_NAMESPACE = "urn:valvemap:rig"
+_OF_ANY_RANGE = [f'"{kind}"' for kind, section in SECTIONS.items() if section.any_U_range]
 RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
 RESERVED_ESTIMATORS = (
     "Signals",
@@ -385,12 +386,12 @@ class ValveConfig(Section):
     @classmethod
     def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
         estimators: tuple[EstimatorConfig, ...] = info.data.get("estimators", ())
-        unable = [e.name for e in estimators if e.kind != "RBF"]
+        unable = [e.name for e in estimators if not e.any_U_range]
         if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
             raise ValueError(
                 f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
                 f"with them {ONE_EDGE[0]:g} … {ONE_EDGE[1]:g} is allowed, any range with "
-                'estimators of the kind "RBF" alone'
+                f"estimators of the kind {' or '.join(_OF_ANY_RANGE)} alone"
             )
         return bounds
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.auto import Auto
+from valvemap.model.capabilities import FindsLags, finds_changes
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarms import Alarms
@@ -39,7 +39,6 @@ from valvemap.pipeline.valve_state import (
     Lane,
     ValvePlan,
     ValveState,
-    finds_changes,
     nothing_seen,
 )
 from valvemap.vocabulary.statuses import Quality
@@ -85,7 +84,7 @@ class Fleet:
         self.alarms = Alarms(M, plan.alarms, max(plan.map_Q) - min(plan.map_Q))
         names = [plan.inverse, *plan.estimators]
         self._finder = next((n for n in names if finds_changes(plan.estimators[n])), None)
-        self._laggard = next((n for n in names if isinstance(plan.estimators[n], Auto)), None)
+        self._laggard = next((n for n in names if isinstance(plan.estimators[n], FindsLags)), None)
         self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:

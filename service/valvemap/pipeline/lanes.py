@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.change import Change
 from valvemap.model.estimator import key_of
 from valvemap.model.extrapolation import U_range_of
@@ -27,7 +28,7 @@ from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, Lane, with_forgetting
+from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
 from valvemap.vocabulary.statuses import Quality, Status
 
 ABOUT_CLOSED = 5.0  # %; tolerance of U beyond the estimator's range, for sensor offset
