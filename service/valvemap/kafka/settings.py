@@ -21,7 +21,9 @@ class BrokerConfig(Section):
         ("127.0.0.1:9092",), min_length=1, description="HOST:PORT of some of its brokers"
     )
     tls: bool = Field(default=False, description="encrypt, and check the broker's certificate")
-    ca_file: Path | None = Field(None, description="whom to trust (PEM); none = the system's list")
+    ca_file: Path | None = Field(
+        None, description="trusted certificate authorities (PEM); none = the system's list"
+    )
     certificate_file: Path | None = Field(None, description="our certificate (PEM), if asked for")
     key_file: Path | None = Field(None, description="its key (PEM)")
     user: str | None = Field(None, description="user name (SASL); none = by certificate, or open")
@@ -29,7 +31,7 @@ class BrokerConfig(Section):
     mechanism: Literal["SCRAM-SHA-512", "SCRAM-SHA-256", "PLAIN"] = Field(
         "SCRAM-SHA-512", description="how the password is shown; PLAIN only with tls"
     )
-    timeout_s: float = Field(10.0, gt=0.0, le=600.0, description="longest wait for an answer")
+    timeout_s: float = Field(10.0, gt=0.0, le=600.0, description="longest wait for a response")
 
     @model_validator(mode="after")
     def _secrets_fit(self) -> Self:

@@ -183,7 +183,7 @@ _SERVICE: dict[str, tuple[type[CounterMetricFamily | GaugeMetricFamily], str, st
     "Checkpoint.Age": (
         GaugeMetricFamily,
         "valvemap_checkpoint_age_seconds",
-        "Time since states were last kept.",
+        "Time since the last save of the states.",
     ),
     "Checkpoint.Failures": (
         CounterMetricFamily,
