@@ -18,7 +18,7 @@ class BrokerConfig(Section):
     """Where Kafka is, and how we are known there."""
 
     addresses: tuple[Address, ...] = Field(
-        ("127.0.0.1:9092",), min_length=1, description="HOST:PORT of some of its brokers"
+        ("127.0.0.1:9092",), min_length=1, description="HOST:PORT of one or more of its brokers"
     )
     tls: bool = Field(default=False, description="encrypt, and check the broker's certificate")
     ca_file: Path | None = Field(
@@ -89,10 +89,18 @@ class CollectConfig(Section):
         Path("data/spool"), description="folder of what waits for the broker, a file for each site"
     )
     commit_s: float = Field(
-        0.1, ge=0.01, le=60.0, description="how often what came is made into blocks, and kept"
+        0.1,
+        ge=0.01,
+        le=60.0,
+        description="interval at which received samples are packed into blocks and stored",
     )
     most_mb: float = Field(
-        2_000.0, ge=1.0, le=1e7, description="so much may wait for the broker, MB; the oldest goes"
+        2_000.0,
+        ge=1.0,
+        le=1e7,
+        description=(
+            "size of the queue for the broker, MB; above it the oldest is dropped and counted"
+        ),
     )
 
 
@@ -104,7 +112,7 @@ class WorkConfig(Section):
         0.2,
         ge=0.01,
         le=60.0,
-        description="how often what was learnt is committed; results wait for it",
+        description="interval of commits; results are published after the commit",
     )
     results_s: float = Field(
         1.0, ge=0.0, le=3_600.0, description="source time between results; 0 = with every block"
@@ -113,7 +121,10 @@ class WorkConfig(Section):
         60.0, ge=1.0, le=86_400.0, description="source time between new tables and surveys"
     )
     takeover_s: float = Field(
-        8.0, ge=1.0, le=300.0, description="a worker silent for so long has lost its groups"
+        8.0,
+        ge=1.0,
+        le=300.0,
+        description="silence of a worker after which its groups are reassigned",
     )
 
 
@@ -124,7 +135,7 @@ class ServeConfig(Section):
         5.0,
         ge=0.5,
         le=86_400.0,
-        description="a valve without newer results for so long is Uncertain, for twice as long Bad",
+        description="age of results at which a valve is Uncertain; at twice this age it is Bad",
     )
     answer_s: float = Field(
         10.0, ge=0.5, le=600.0, description="longest that an operator waits for the workers"
