@@ -161,7 +161,7 @@ def _table(found: "Found") -> Table:
     beginning = _beginning([node.node for valve in found.valves for node in valve.nodes.values()])
     nodes = f"; nodes begin with {beginning}" if beginning else ""
     table = Table(
-        title=f"What was seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
+        title=f"Values seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
     )
     table.add_column("signal", no_wrap=True)
     for heading in ("rate\nHz", "skew\nms", "comes", "good\n%", "mean", "noise"):

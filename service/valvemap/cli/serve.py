@@ -67,7 +67,8 @@ def record(
     n = asyncio.run(until_stopped())
     if n == 0:
         raise RecordingError(
-            f"{file}: no sample was made; `valvemap check-config --online` says how signals come"
+            f"{file}: no sample was made; `valvemap check-config --online` shows the timing of "
+            "the signals"
         )
     write_line(f"{file}: {n:,} samples")
 

@@ -164,7 +164,7 @@ def load_fleet(file: Path) -> FleetConfig:
         naming file (or environment variable), field, value and what is allowed.
     """
     if not file.is_file():
-        raise ConfigurationError(f"{file}: no such file; docs/fleet.md shows what is in it")
+        raise ConfigurationError(f"{file}: no such file; docs/fleet.md shows its content")
     config, folder = load_settings(FleetConfig, file), file.parent
     catalogue = config.catalogue
     sites = {name: folder / path for name, path in catalogue.sites.items()}

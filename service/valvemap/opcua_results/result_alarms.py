@@ -63,7 +63,7 @@ _CATEGORY = {
     ),
     **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated"), ConditionClass.PROCESS),
 }
-_COMMENT = Argument("Comment", "What was done about it", type=ua.VariantType.String)
+_COMMENT = Argument("Comment", "Action taken", type=ua.VariantType.String)
 
 Show = Callable[[str, Shown], None]
 AddVariable = Callable[[ua.NodeId, VariableNode, Shown], Awaitable[Any]]
