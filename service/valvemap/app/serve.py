@@ -97,7 +97,7 @@ async def serve(
                 if before is None or stop.is_set():
                     raise
                 reason = in_one_line(error)
-                log.warning("configuration given up, the one before it goes on", reason=reason)
+                log.warning("configuration failed, the previous one is in use again", reason=reason)
                 back = make_plan(before.config, server_settings, after_another=True)
                 back.source.succeed(plan.source)
                 await plan.source.close()
@@ -180,7 +180,9 @@ async def _following(plan: Plan, reload: Reload, ended: asyncio.Event) -> Plan:
         try:
             following = await _checked(plan, reload)
         except (ValvemapError, HardenedError) as error:
-            log.warning("configuration refused, the old one goes on", reason=in_one_line(error))
+            log.warning(
+                "configuration refused, the present one stays in use", reason=in_one_line(error)
+            )
             if not outcome.done():
                 outcome.set_exception(error)
             continue

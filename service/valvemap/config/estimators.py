@@ -25,7 +25,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 
 Name = Annotated[
     str,
-    Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$", description="its name in every node id"),
+    Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$", description="its name in each node id"),
 ]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
 Lag = Annotated[float | None, Field(ge=0.0, le=10.0)]
@@ -50,7 +50,7 @@ class RlsConfig(EstimatorSection):
     kind: Literal["RLS"] = "RLS"
     name: Name = "RLS"
     forgetting: ForgettingRule = Field(
-        "adaptive", description="adaptive: what is seen to drift, and at once after a change"
+        "adaptive", description="adaptive: as fast as drift is found, and at once after a change"
     )
     lam: Lam | None = Field(
         None, description="forgetting factor; by default 1 of adaptive, else 0.998"
@@ -99,8 +99,8 @@ class AutoConfig(EstimatorSection):
     kind: Literal["Auto"] = "Auto"
     name: Name = "Auto"
     lam: Lam = 0.998
-    lag_U_s: Lag = Field(None, description="lag of the effect of U; none: looked for")
-    lag_Q_s: Lag = Field(None, description="lag of the flow meter; none: looked for")
+    lag_U_s: Lag = Field(None, description="lag of the effect of U; none: estimated")
+    lag_Q_s: Lag = Field(None, description="lag of the flow meter; none: estimated")
 
     @field_validator("lam")
     @classmethod
