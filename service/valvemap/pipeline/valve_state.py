@@ -144,6 +144,11 @@ def nothing_seen(plan: ValvePlan) -> Support:
     return Support.none(plan.U_range, (min(0.0, *plan.map_dp), max(plan.map_dp)), max(plan.map_Q))
 
 
+def runs_interpreted(estimator: AnyEstimator) -> bool:
+    """Whether an update takes milliseconds even if its kernels run interpreted."""
+    return not getattr(estimator, "fits_in_bursts", False)
+
+
 def finds_changes(estimator: AnyEstimator) -> bool:
     """Whether an estimator detects and reports abrupt changes of the valve."""
     if isinstance(estimator, RecursiveLeastSquares):
