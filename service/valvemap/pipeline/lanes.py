@@ -345,10 +345,10 @@ for _status, _quality in {
     _QUALITY[_status] = _quality
 
 
-def nothing_of(N: int) -> Trace:
-    """Return the trace of N samples in failed lanes."""
+def nothing_of(N: int, status: Status = Status.FAILED) -> Trace:
+    """Return the trace of N samples in lanes that do not run."""
     predicted, residual, early = np.full((3, N), np.nan)
-    return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
+    return Trace(predicted, residual, early, np.full(N, status, np.uint8))
 
 
 def _allows(estimator: AnyEstimator, lam: float) -> bool:

@@ -108,6 +108,11 @@ def nothing_seen(plan: ValvePlan) -> Support:
     return Support.none(plan.U_range, (min(0.0, *plan.map_dp), max(plan.map_dp)), max(plan.map_Q))
 
 
+def runs_interpreted(estimator: AnyEstimator) -> bool:
+    """Whether an update takes milliseconds even if its kernels run interpreted."""
+    return not getattr(estimator, "fits_in_bursts", False)
+
+
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
     """Return the survey of an estimator's map, at the last temperature."""
     lane = state.lanes[name]
