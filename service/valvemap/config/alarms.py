@@ -11,18 +11,18 @@ from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 
 class AlarmConfig(Section):
-    """One alarm; what is left out is as by default."""
+    """One alarm; omitted fields have their defaults."""
 
     limit: float | None = Field(
-        None, ge=0.0, description="it comes when what is measured is above; in the alarm's own unit"
+        None, ge=0.0, description="the alarm becomes active above this value; in the alarm's unit"
     )
     hysteresis: float | None = Field(
-        None, ge=0.0, description="it goes when that is below the limit less this"
+        None, ge=0.0, description="the alarm becomes inactive below the limit minus this"
     )
     delay_s: float | None = Field(
-        None, ge=0.0, le=2_592_000.0, description="for so long the limit must be exceeded"
+        None, ge=0.0, le=2_592_000.0, description="time for which the limit must be exceeded"
     )
-    severity: int | None = Field(None, ge=1, le=1_000, description="how urgent it is")
+    severity: int | None = Field(None, ge=1, le=1_000, description="severity while it is active")
 
     def rule(self, default: AlarmRule) -> AlarmRule:
         """Return the rule with its defaults; the hysteresis is at most the limit."""

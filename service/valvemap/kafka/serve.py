@@ -125,13 +125,13 @@ def _everything(groups: dict[str, Group], kept: dict[str, bytes]) -> list[Result
     blocks: list[ResultsBlock] = []
     for name, group in groups.items():
         if name not in kept:
-            log.info("nothing is known yet", group=name)
+            log.info("no results yet", group=name)
             continue
         try:
             group.remember(kept[name])
             blocks += group.everything()
         except FleetError as error:
-            log.warning("not what is known of it, its next results are waited for", reason=error)
+            log.warning("kept results rejected; waiting for its next results", reason=error)
     groups.clear()
     return blocks
 

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from valvemap.errors import ConfigurationError, NoSuchFile, StorageError
 from valvemap.model.estimator import Estimator
+from valvemap.model.portable_map import restored, to_map
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
@@ -81,7 +82,7 @@ def save_model(
         if the file cannot be written, or the map is not determined yet; names file or estimator.
     """
     try:
-        section = map_section(estimator, state)
+        section = map_section(to_map(estimator, state))
     except ValueError as error:
         raise StorageError(f"{file}: {valve}.{name} is not saved: {error}") from None
     theta, std = estimator.parameters(state)
@@ -124,7 +125,7 @@ def load_model(file: Path) -> Model:
 
 
 def _model_of(document: ModelDocument) -> Model:
-    estimator, state = map_of(document.map)
+    estimator, state = restored(map_of(document.map))
     return Model(
         valve=document.valve,
         name=document.estimator,
