@@ -11,9 +11,11 @@ from guarded_opcua import HardenedError, ServerSettings
 from valvemap.app.connections import (
     build_history,
     build_live_settings,
+    build_server_settings,
     build_supervisor_settings,
     own_certificate,
 )
+from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.memory import giving_back
 from valvemap.app.plan import Plan, make_plan
 from valvemap.app.pulse import Pulse
@@ -76,6 +78,8 @@ async def serve(
         used; at the end: if the states cannot be stored.
     """
     reload, manager = reload or Reload(lambda: config), manager or ServiceManager()
+    settings = server_settings or build_server_settings(config)
+    allow_descriptors(descriptors_needed(settings.limits.connections, len(config.all_sources)))
     identification = identification or first_identification(config)
     plan: Plan | None = make_plan(config, server_settings, identification)
     before: Plan | None = None

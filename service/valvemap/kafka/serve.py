@@ -16,6 +16,7 @@ from valvemap.app.connections import (
     build_server_settings,
     own_certificate,
 )
+from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.warm_up import warm_up
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import BrokerAway, FleetError
@@ -65,9 +66,10 @@ async def serve(
     catalogue = load_catalogue(config.catalogue)
     name = site_of(catalogue, site)
     given = catalogue.sites[name]
+    settings = server_settings or build_server_settings(given)
+    allow_descriptors(descriptors_needed(settings.limits.connections, sources=0))
     if not await unless_stopped(stop, in_daemon_thread(partial(warm_up, given))):
         return
-    settings = server_settings or build_server_settings(given)
     with ExitStack() as opened:
         past = opened.enter_context(build_history(given) or nullcontext())
         groups = {
