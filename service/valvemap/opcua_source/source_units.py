@@ -121,6 +121,8 @@ def _of_range(name: str, measure: Measure, said: SaidOfNode) -> str | None:
     low, high = said.bounds
     shown = f"[{low:g}, {high:g}]"
     if measure.raw is not None:
+        if measure.scaled is not None and said.bounds == tuple(measure.scaled):
+            return None  # the range is that of the scaled values
         slack = _SLACK * (high - low)
         if min(measure.raw) < low - slack or max(measure.raw) > high + slack:
             return f"has the range {shown}, configured is raw = {list(measure.raw)}"
