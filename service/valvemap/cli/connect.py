@@ -49,7 +49,10 @@ def connect(
     data: FolderOption = Path("data"),
     user: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Else anonymous; VALVEMAP_SOURCE__PASSWORD is its word."),
+        typer.Option(
+            metavar="NAME",
+            help="User name, else anonymous; the password is VALVEMAP_SOURCE__PASSWORD.",
+        ),
     ] = None,
     security: Annotated[
         str | None,
@@ -59,7 +62,7 @@ def connect(
         ),
     ] = None,
     watch: Annotated[
-        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="Watch the signals so long.")
+        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="Duration of the watch.")
     ] = _WATCH_S,
     signal: Annotated[
         list[str] | None,
@@ -94,7 +97,7 @@ def connect(
     ] = None,
     *,
     force: Annotated[
-        bool, typer.Option("--force", is_eager=True, help="Replace files that are there.")
+        bool, typer.Option("--force", is_eager=True, help="Replace files that exist.")
     ] = False,
     yes: Annotated[
         bool,
@@ -110,7 +113,7 @@ def connect(
         bool, typer.Option("--trust-server", help="Trust the certificate that the server shows.")
     ] = False,
 ) -> None:
-    """Find the valves of a server, watch and check their signals, write a configuration."""
+    """Find the valves of a server, check their signals, write a configuration."""
     from valvemap.app.connect import Wanted, look_around
     from valvemap.app.connect_toml import configuration
     from valvemap.app.sheet import sheet_page
@@ -276,7 +279,7 @@ def _table(found: "Found") -> Table:
     beginning = _beginning([n.node for r in readings.values() for n in r.nodes.values()])
     nodes = f"; nodes begin with {beginning}" if beginning else ""
     table = Table(
-        title=f"What was seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
+        title=f"Values seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
     )
     table.add_column("signal", no_wrap=True)
     for heading in ("rate\nHz", "skew\nms", "comes", "good\n%", "mean", "noise"):
