@@ -59,7 +59,7 @@ def _of_valve(verdict: Verdict) -> str:
     if any(_contradictions(reading)):
         lines.append("insist = true # its units differ from those that the server states")
     lines += ["", "[valves.nodes]"]
-    for role in map(Role, MEASURED):
+    for role in map(Role, (*MEASURED, "dp")):
         if role in reading.nodes:
             node = reading.nodes[role]
             shown = printable("/".join(node.path))

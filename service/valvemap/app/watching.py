@@ -49,17 +49,21 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
     lines: list[str] = []
     silent: list[str] = []
     for number, valve in enumerate(config.valves):
+        sources = {role: valve.nodes.source_of(role) for role in MEASURED}
         nodes = {
-            role: node for role in MEASURED if (node := getattr(valve.nodes, role)) is not None
+            role: node
+            for role, name in sources.items()
+            if (node := valve.nodes.of(name)) is not None
         }
         for role, seen in seen_of(changes, number, nodes, watch_s).items():
             comes = "on change" if seen.on_change else "cyclic"
             lines.append(
-                f"{valve.name}.{role}: {seen.rate_hz:.3g} Hz, {comes}, skew {seen.skew_ms:.3g} ms, "
-                f"{100 * seen.good:.0f} % good, mean {seen.mean:.4g}, noise {seen.noise:.2g}"
+                f"{valve.name}.{sources[role]}: {seen.rate_hz:.3g} Hz, {comes}, "
+                f"skew {seen.skew_ms:.3g} ms, {100 * seen.good:.0f} % good, "
+                f"mean {seen.mean:.4g}, noise {seen.noise:.2g}"
             )
             if seen.good == 0.0:
-                silent.append(f"{role} of valve {valve.name} (node '{nodes[role]}')")
+                silent.append(f"{sources[role]} of valve {valve.name} (node '{nodes[role]}')")
             lines += _advice(config, valve.name, role, seen)
     if silent:
         raise SourceRejected(
