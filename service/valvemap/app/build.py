@@ -1,6 +1,6 @@
 """Builds plans, alignment and layouts from the configuration, without importing a server."""
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Collection, Hashable, Iterable
 from typing import Any, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
@@ -16,7 +16,7 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import SENSORS, QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.units import MEASURED, READ, Measure
-from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.pipeline.valve_state import ValvePlan, runs_interpreted
 from valvemap.runtime.state_keeper import KEPT_PER_S
 from valvemap.storage.layout import Layout, ValveLayout
 
@@ -25,14 +25,26 @@ R = TypeVar("R")
 _AXIS_POINTS = 21
 
 
-def build_identification(config: Config) -> Identification:
-    """Return all valves with their estimators, before the first sample."""
+def build_identification(config: Config, *, waits: Collection[str] | None = None) -> Identification:
+    """Return all valves with their estimators, before the first sample.
+
+    With ``waits``, a preview in which the estimators named there do not run: `Identification`.
+    """
     interval_s = max(config.state.checkpoint_interval_s, len(config.valves) / KEPT_PER_S)
     return Identification(
         build_plans(config),
         build_alignment(config),
         build_timing(config),
         config.alarms.rules(interval_s),
+        waits,
+    )
+
+
+def build_preview(config: Config) -> Identification:
+    """As `build_identification`, for interpreted kernels: estimators too slow for these wait."""
+    estimators = [pair for plan in build_plans(config) for pair in plan.estimators.items()]
+    return build_identification(
+        config, waits={name for name, estimator in estimators if not runs_interpreted(estimator)}
     )
 
 

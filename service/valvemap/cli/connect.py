@@ -39,7 +39,10 @@ def connect(
     data: FolderOption = Path("data"),
     user: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Else anonymous; VALVEMAP_SOURCE__PASSWORD is its word."),
+        typer.Option(
+            metavar="NAME",
+            help="User name, else anonymous; the password is VALVEMAP_SOURCE__PASSWORD.",
+        ),
     ] = None,
     security: Annotated[
         str | None,
@@ -49,17 +52,17 @@ def connect(
         ),
     ] = None,
     watch: Annotated[
-        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="Watch the signals so long.")
+        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="Duration of the watch.")
     ] = _WATCH_S,
     *,
     force: Annotated[
-        bool, typer.Option("--force", "--yes", is_eager=True, help="Replace FILE if it is there.")
+        bool, typer.Option("--force", "--yes", is_eager=True, help="Replace FILE if it exists.")
     ] = False,
     trust_server: Annotated[
         bool, typer.Option("--trust-server", help="Trust the certificate that the server shows.")
     ] = False,
 ) -> None:
-    """Find the valves of a server, watch their signals, write a configuration."""
+    """Find the valves of a server, check their signals, write a configuration."""
     from valvemap.app.connect import configuration, look_around, without_unit
     from valvemap.config.template import configuration_template
 
@@ -158,7 +161,7 @@ def _table(found: "Found") -> Table:
     beginning = _beginning([node.node for valve in found.valves for node in valve.nodes.values()])
     nodes = f"; nodes begin with {beginning}" if beginning else ""
     table = Table(
-        title=f"What was seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
+        title=f"Values seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
     )
     table.add_column("signal", no_wrap=True)
     for heading in ("rate\nHz", "skew\nms", "comes", "good\n%", "mean", "noise"):

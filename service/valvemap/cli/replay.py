@@ -40,7 +40,7 @@ def replay(
         Path | None,
         typer.Option(
             metavar="MODEL",
-            help="Save the map (FILE.json), or every map in a folder, for later.",
+            help="Save the map (FILE.json), or every map in a folder.",
             callback=new_models,
         ),
     ] = None,
@@ -48,7 +48,7 @@ def replay(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Draw what was identified: PNG files, and index.html with all.",
+            help="Draw the identified maps: PNG files and an index.html.",
             callback=new_pages,
         ),
     ] = None,
@@ -62,10 +62,10 @@ def replay(
     *,
     force: ForceOption = False,
     insist: Annotated[
-        bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
+        bool, typer.Option("--insist", help="Learn even from implausible signals.")
     ] = False,
 ) -> None:
-    """Identify from recordings, as live."""
+    """Identify valves from recordings, as the live service does."""
     from valvemap.app.models import save_models
     from valvemap.app.replay import as_json
     from valvemap.app.replay import replay as run

@@ -6,25 +6,25 @@ from typing import Final
 
 import numpy as np
 
+from valvemap.model import flow_map_looks
 from valvemap.model.change import Change
-from valvemap.model.fleet import alone, copied, member, update_one
+from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import (
     flow_cells,
     flow_drift,
-    flow_fit,
     flow_look,
     flow_memory,
+    flow_path,
     flow_play,
-    flow_run,
 )
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.vocabulary.statuses import Adaptation, Quality
 
 SECONDS_PER_HOUR: Final = 3600.0
 NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
+NO_ROWS: Final = np.zeros((0, flow_path.COLUMNS), np.float32)
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
@@ -81,6 +81,7 @@ class FlowMap:
             t=samples.t,
             U=samples.U,
             dp=samples.dp,
+            p1=samples.p1,
             T=samples.T,
             Q=samples.Q,
             usable=samples.quality != Quality.BAD,
@@ -88,15 +89,10 @@ class FlowMap:
             residual=residual,
             status=trace.status,
         )
-        both, room = axes(self.U_range, self.dp_range), _room()
+        both = axes(self.U_range, self.dp_range)
         with np.errstate(all="ignore"):
             for m, start, stop in zip(*segments, strict=True):
-                state, row = member(states, int(m)), int(start)
-                memory = _memory(state)
-                while row < stop:
-                    row = flow_run.run(row, int(stop), batch, *both, memory, room)
-                    if state.counters[flow_memory.USED] >= state.counters[flow_memory.NEXT_FIT]:
-                        _refit(state, *both)
+                flow_map_looks.learn(member(states, int(m)), both, batch, int(start), int(stop))
         return trace
 
     def predict(
@@ -104,8 +100,9 @@ class FlowMap:
     ) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
         Q, std = np.empty((2, len(U)))
-        both, room = axes(self.U_range, self.dp_range), _room()
-        memory = _memory(state)._replace(cells=NO_CELLS)  # results are published without cells
+        both, room = axes(self.U_range, self.dp_range), flow_map_looks.new_room()
+        memory = flow_map_looks.memory_of(state)  # results are published without cells and rows
+        memory = memory._replace(cells=NO_CELLS, recent=NO_ROWS)
         flow_look.evaluate(*both, memory, U, dp, T, Q, std, room)
         return Q, std
 
@@ -142,6 +139,11 @@ class FlowMap:
         """Play between U and the spool, %."""
         return 2.0 * float(state.play[flow_play.HALF])
 
+    @property
+    def finds_changes(self) -> bool:
+        """Whether changes are detected: always."""
+        return True
+
     def change_counts(self, states: FlowMapState) -> Times:
         """How many sudden changes were found of each of M valves."""
         return np.asarray(states.counters[..., flow_memory.CHANGES])
@@ -157,38 +159,3 @@ class FlowMap:
             t=int(counters[flow_memory.CHANGE_TIME]),
             size=float(state.stay[flow_memory.CHANGE_SIZE]),
         )
-
-
-def _memory(state: FlowMapState) -> flow_memory.Memory:
-    return flow_memory.Memory(*(getattr(state, name) for name in flow_memory.Memory._fields))
-
-
-def _room() -> flow_memory.Room:
-    shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
-    return flow_memory.Room(np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT))
-
-
-def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
-    """Fit the map, written in place, and set when the next fit is due."""
-    counters = state.counters
-    used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
-    fitted = bool(counters[flow_memory.FITTED])
-    rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
-    counters[flow_memory.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
-    if used >= counters[flow_memory.NEXT_START]:
-        counters[flow_memory.NEXT_START] = 2 * used
-        other = copied(state)
-        better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
-        gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
-        if better and not gained <= 0.0:
-            counters[flow_memory.FITTED] = 1
-            for name in ("theta", "std", "w", "v", "scalars"):
-                getattr(state, name)[:] = getattr(other, name)
-    counters[flow_memory.FITS] += 1
-    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
-    counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
-
-
-def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
-    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
-    return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
 
+from valvemap.vocabulary.service_alarms import ServiceAlarm
+
 SIGNALS = ("U", "p1", "p2", "Q", "T")
 HOUR_S = 3_600.0
 
@@ -50,7 +52,7 @@ class Measured:
     since : int
         Start of the last activation, UTC ns; 0: never.
     reason : str
-        Why a lane stopped.
+        Why a lane stopped, or why the newest message was rejected.
     """
 
     value: float
@@ -148,6 +150,12 @@ def _load(m: Measured) -> str:
     return f"The service works {100.0 * m.value:.0f} % of the time (limit {100.0 * m.limit:g} %)"
 
 
+def _rejected(m: Measured) -> str:
+    """The reason is foreign text: it is bounded and escaped by the caller."""
+    count = f"{m.value:.0f} message{'s were' if m.value != 1.0 else ' was'}"
+    return f"{count} rejected ({m.reason or 'the reason is unknown'})"
+
+
 ALARM_DESCRIPTIONS = {
     "Changed": "The flow changed abruptly; it stays until it is acknowledged.",
     "Residual": "Residuals are larger than they usually are at the same places.",
@@ -159,9 +167,7 @@ ALARM_DESCRIPTIONS = {
     "SamplesLost": "Samples are lost on their way.",
     "LagFound": "A signal lags behind the others.",
     "LaneFailed": "An estimator stopped at an unexpected error.",
-    "Checkpoint": "What is learnt is not kept.",
-    "Certificate": "The service's certificate expires soon.",
-    "Load": "The service can hardly keep up.",
+    **{alarm.label: alarm.sentence for alarm in ServiceAlarm},
 }
 _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
     "Changed": (_changed, (Cause.EDGE.words, Cause.METER.words, Cause.SIGNAL.words)),
@@ -195,4 +201,12 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
     "Checkpoint": (_checkpoint, ("a full disk", "a disk that is too slow", "missing rights")),
     "Certificate": (_certificate, ()),
     "Load": (_load, ("too many valves or clients", "other work on this machine")),
+    "MessagesRejected": (
+        _rejected,
+        (
+            "a sender of another version or with another catalogue",
+            "another program that writes to the fleet's topics",
+            "damage to the state topic",
+        ),
+    ),
 }

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from valvemap.errors import CommandRejected
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.inversion import Inversion
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.lane_failures import Step
-from valvemap.pipeline.valve_state import Forgetful, Required
+from valvemap.pipeline.valve_state import Required
 from valvemap.vocabulary.statuses import Status
 
 

@@ -6,7 +6,7 @@ call each gates, estimates and scores a batch for any number of valves; one valv
 :class:`~valvemap.pipeline.valve_state.ValveState` are copies that later samples do not change.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.auto import Auto
+from valvemap.model.capabilities import FindsLags, finds_changes
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarms import Alarms
@@ -40,10 +40,9 @@ from valvemap.pipeline.valve_state import (
     Lane,
     ValvePlan,
     ValveState,
-    finds_changes,
     nothing_seen,
 )
-from valvemap.vocabulary.statuses import Quality
+from valvemap.vocabulary.statuses import Quality, Status
 
 MISFIT_EVERY_NS = 10_000_000_000  # interval at which the adaptation status is polled: it is slow
 
@@ -61,6 +60,8 @@ class Fleet:
         Number of valves.
     names, failures
         Names of the valves, and the list that collects their lanes' failures.
+    waits
+        Names of the estimators that do not run: their lanes keep their initial states.
     """
 
     def __init__(
@@ -69,8 +70,10 @@ class Fleet:
         M: int,
         names: Sequence[str] | None = None,
         failures: LaneFailures | None = None,
+        waits: Collection[str] = (),
     ) -> None:
         self.plan = plan
+        self.waits = frozenset(waits) & plan.estimators.keys()
         self._names = [plan.name] * M if names is None else names
         self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
@@ -89,7 +92,7 @@ class Fleet:
         self.alarms = Alarms(M, plan.alarms, max(plan.map_Q) - min(plan.map_Q))
         names = [plan.inverse, *plan.estimators]
         self._finder = next((n for n in names if finds_changes(plan.estimators[n])), None)
-        self._laggard = next((n for n in names if isinstance(plan.estimators[n], Auto)), None)
+        self._laggard = next((n for n in names if isinstance(plan.estimators[n], FindsLags)), None)
         self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
@@ -153,6 +156,10 @@ class Fleet:
         judged = self._judged(samples, segments)
         traces, rests = {}, []
         for name, lanes in self._lanes.items():
+            if name in self.waits:
+                traces[name] = nothing_of(len(samples), Status.WARMING_UP)
+                rests.append((traces[name].status, segments._replace(starts=segments.stops)))
+                continue
             stop = partial(self._stop_at, name, Step.LEARNING)
             traces[name], own = lanes.take(judged, segments, stop)
             rests.append((traces[name].status, own))
@@ -201,7 +208,7 @@ class Fleet:
         maps: list[tuple[Floats, Floats] | None] = []
         for name, lanes in self._lanes.items():
             maps.append(None)
-            if lanes.failed[m]:
+            if lanes.failed[m] or name in self.waits:
                 continue
 
             def evaluate(_: NDArray[np.intp], lanes: Lanes = lanes) -> None:

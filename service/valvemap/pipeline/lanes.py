@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.change import Change
 from valvemap.model.estimator import key_of
 from valvemap.model.extrapolation import U_range_of
@@ -27,7 +28,7 @@ from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, Lane, with_forgetting
+from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
 from valvemap.vocabulary.statuses import Quality, Status
 
 ABOUT_CLOSED = 5.0  # %; tolerance of U beyond the estimator's range, for sensor offset
@@ -355,10 +356,10 @@ for _status, _quality in {
     _QUALITY[_status] = _quality
 
 
-def nothing_of(N: int) -> Trace:
-    """Return the trace of N samples in failed lanes."""
+def nothing_of(N: int, status: Status = Status.FAILED) -> Trace:
+    """Return the trace of N samples in lanes that do not run."""
     predicted, residual, early = np.full((3, N), np.nan)
-    return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
+    return Trace(predicted, residual, early, np.full(N, status, np.uint8))
 
 
 def _allows(estimator: AnyEstimator, lam: float) -> bool:

@@ -3,21 +3,18 @@
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, Protocol, Self, cast, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 
-from valvemap.model.change import FindsChanges
+from valvemap.model.capabilities import Forgetful, PathDependent, ResidualStd
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import Estimator, State, StateMismatchError, Template, key_of
 from valvemap.model.extrapolation import U_range_of, trusted
-from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import inverse_table, invert
 from valvemap.model.inversion import Inversion
 from valvemap.model.kernels import lack_of_fit
 from valvemap.model.kernels import residual_spread as of_spread
-from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import TWO_SIDED_95, ResidualSpread
 from valvemap.model.samples import Codes, Floats, Samples
 from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
@@ -41,39 +38,6 @@ _OF_SCORE = [  # never negative
     *(of_score.N, of_score.SQUARES, of_score.SCATTER_Q),
     *(of_score.RECENT, of_score.WEIGHT, of_score.LARGEST),
 ]
-
-
-@runtime_checkable
-class Forgetful(Protocol):
-    """An estimator with a forgetting factor."""
-
-    @property
-    def lam(self) -> float:
-        """The forgetting factor, 0 < lam <= 1."""
-
-    def with_forgetting(self, lam: float) -> Self:
-        """Return a copy with another forgetting factor; its states are compatible."""
-
-
-@runtime_checkable
-class PathDependent(Protocol):
-    """An estimator whose flow depends on the direction of U (hysteresis)."""
-
-    def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - the estimator's state
-        """Direction of U (N,) along a path without a previous U."""
-
-    def predict_along(
-        self,
-        state: Any,  # noqa: ANN401
-        U: Floats,
-        dp: Floats,
-        T: Floats,
-        direction: Floats,
-    ) -> tuple[Floats, Floats]:
-        """Flow and standard deviation, l/min, at N points of given directions."""
-
-    def approached(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401
-        """U (N,) that moves the valve from its present position to the one that ``U`` holds."""
 
 
 @dataclass(frozen=True)
@@ -152,11 +116,9 @@ def nothing_seen(plan: ValvePlan) -> Support:
     return Support.none(plan.U_range, (min(0.0, *plan.map_dp), max(plan.map_dp)), max(plan.map_Q))
 
 
-def finds_changes(estimator: AnyEstimator) -> bool:
-    """Whether an estimator detects and reports abrupt changes of the valve."""
-    if isinstance(estimator, RecursiveLeastSquares):
-        return isinstance(estimator.forgetting, Adaptive)
-    return isinstance(estimator, FindsChanges)
+def runs_interpreted(estimator: AnyEstimator) -> bool:
+    """Whether an update takes milliseconds even if its kernels run interpreted."""
+    return not getattr(estimator, "fits_in_bursts", False)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
@@ -255,8 +217,8 @@ def predicted_measurement(
     Q, std, status = _as_measured(lane, U, dp, T)
     with np.errstate(invalid="ignore"):
         beyond = np.where(status == Status.EXTRAPOLATING, np.maximum(std**2 - own**2, 0.0), 0.0)
-        # the spread of the residuals includes the misfit and the network's own std
-        known = 0.0 * own if isinstance(lane.estimator, RbfNetwork) else own
+        # the spread of the residuals includes the misfit, and a std that is taken from them
+        known = 0.0 * own if isinstance(lane.estimator, ResidualStd) else own
         half = lane.spread.half_width(U, dp, np.sqrt(known**2 + beyond))
         half = np.maximum(half, TWO_SIDED_95 * std)  # of the map, at places left
     if isinstance(lane.estimator, PathDependent):  # U may come from either side

@@ -4,6 +4,7 @@ import math
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_U, surface
@@ -113,5 +114,7 @@ def evaluate(
         side = 0 if U[i] >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
         look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room)
+        width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
+        both = at[SLOPE] * rules.BOTH_BRANCHES * width
         if at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]:
-            Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL])
+            Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + both * both)

@@ -14,7 +14,9 @@ CLOCK = 5  # ns; of the last stay on either side of U = 0: two places
 STAY_CELL, STAY_SIDE, STAY_TIME, SKIPPED = 7, 8, 9, 10
 CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15, 16
 # STAYS: of one visit; BEGAN: samples when the map began again
-COUNTERS = 17
+ROWS_SEEN, LAST_TIME, NEXT_LOOK, CENSORED = 17, 18, 19, 20  # rows of `recent` so far; ns; samples
+WATCHED = 21  # rows of `recent` that were searched for a least flow
+COUNTERS = 22
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
@@ -37,6 +39,8 @@ class Memory(NamedTuple):
     now: Floats
     stay: Floats
     play: Floats
+    path: Floats
+    recent: Singles
 
 
 class Batch(NamedTuple):
@@ -45,6 +49,7 @@ class Batch(NamedTuple):
     t: Times
     U: Floats
     dp: Floats
+    p1: Floats
     T: Floats
     Q: Floats
     usable: np.ndarray
@@ -54,11 +59,12 @@ class Batch(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room to work in: (4, 3); see `Drift`; (AT,)."""
+    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_path.metered`, (4,)."""
 
     work: Floats
     drift: Floats
     at: Floats
+    means: Floats
 
 
 # Places in `Room.at`: what the map says at one point.

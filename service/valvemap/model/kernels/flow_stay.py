@@ -2,8 +2,10 @@
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_path as paths
+from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.compiled import inner
+from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, surface
 from valvemap.model.kernels.flow_cells import (
     COUNT,
@@ -27,11 +29,13 @@ from valvemap.model.kernels.flow_memory import (
     KNOWN_COUNT,
     KNOWN_OFF,
     NEXT_FIT,
+    NEXT_START,
     OF,
     OF_MAP,
     PLACE_S,
     PLACE_U,
     RESIDUAL,
+    ROWS_SEEN,
     SAMPLES,
     SKIPPED,
     STAY_CELL,
@@ -56,6 +60,24 @@ def begin_again(memory: Memory) -> None:
     memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
     for side in range(2):
         drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
+
+
+@lean_kernel
+def begin_replay(memory: Memory, rows: int, T: float) -> None:
+    """Begin again, about to learn from the last ``rows`` samples once more."""
+    begin_again(memory)
+    counters, play = memory.counters, memory.play
+    counters[USED] = max(counters[USED] - rows, 1)
+    counters[BEGAN] = counters[USED]
+    counters[NEXT_FIT] = counters[USED] + rules.FIRST_FIT
+    counters[NEXT_START] = rules.SECOND_START
+    counters[ROWS_SEEN] = counters[SKIPPED] = counters[STAYS] = counters[CLOCK] = 0
+    counters[CLOCK + 1] = 0
+    memory.scalars[fits.FIRST_T] = T
+    memory.path[paths.SEEN] = 0.0
+    memory.stay[:KNOWN_COUNT] = 0.0
+    play[plays.SEEN] = play[plays.SLOPES] = play[plays.ERRORS] = 0.0
+    play[plays.GAINS :] = 0.0
 
 
 @inner
@@ -110,6 +132,8 @@ def end_stay(memory: Memory, room: Room) -> None:
     noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / max(many, 1.0), 1.0)
     alike = rho**many
     noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
+    if paths.filters(memory.path):  # the filter's errors are common to a stay
+        noise = max(noise, rules.STAY_BEHIND_FILTER * scalars[fits.VARIANCE])
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
         cell = memory.cells[counters[STAY_CELL]]
         cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
