@@ -6,25 +6,21 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model import flow_map_looks
+from valvemap.model import flow_findings, flow_map_looks
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import (
-    flow_cells,
     flow_drift,
-    flow_look,
     flow_memory,
-    flow_path,
     flow_play,
 )
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import Adaptation, Quality
 
 SECONDS_PER_HOUR: Final = 3600.0
-NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
-NO_ROWS: Final = np.zeros((0, flow_path.COLUMNS), np.float32)
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
@@ -99,12 +95,7 @@ class FlowMap:
         self, state: FlowMapState, U: Floats, dp: Floats, T: Floats
     ) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
-        Q, std = np.empty((2, len(U)))
-        both, room = axes(self.U_range, self.dp_range), flow_map_looks.new_room()
-        memory = flow_map_looks.memory_of(state)  # results are published without cells and rows
-        memory = memory._replace(cells=NO_CELLS, recent=NO_ROWS)
-        flow_look.evaluate(*both, memory, U, dp, T, Q, std, room)
-        return Q, std
+        return flow_map_looks.predict(state, axes(self.U_range, self.dp_range), U, dp, T)
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
         """Q at the 55 points and its standard deviation."""
@@ -134,6 +125,10 @@ class FlowMap:
         mean, covariance = state.now[:, 0, rates], state.now[:, 1:][:, rates, rates]
         variance = np.diagonal(covariance, axis1=1, axis2=2)
         return mean * SECONDS_PER_HOUR, np.sqrt(np.maximum(variance, 0.0)) * SECONDS_PER_HOUR
+
+    def findings(self, state: FlowMapState) -> tuple[Finding, ...]:
+        """Causes of what the samples show, the likeliest first."""
+        return flow_findings.findings(state, axes(self.U_range, self.dp_range))
 
     def play(self, state: FlowMapState) -> float:
         """Play between U and the spool, %."""

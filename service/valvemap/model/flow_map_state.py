@@ -92,7 +92,10 @@ class FlowMapState(State):
         counters.within(
             0,
             1,
-            [flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED, flow_memory.ALARMED],
+            [
+                *(flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED),
+                *(flow_memory.ALARMED, flow_memory.DOUBTED),
+            ],
         )
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),

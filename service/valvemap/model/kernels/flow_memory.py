@@ -16,13 +16,18 @@ CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15,
 # STAYS: of one visit; BEGAN: samples when the map began again
 ROWS_SEEN, LAST_TIME, NEXT_LOOK, CENSORED = 17, 18, 19, 20  # rows of `recent` so far; ns; samples
 WATCHED = 21  # rows of `recent` that were searched for a least flow
-COUNTERS = 22
+CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus MODELS where U < 0
+DOUBTED = 23  # 1 where a change was called and may be the meter's end
+CALM = 24  # samples when it was last forgotten what moves
+COUNTERS = 25
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
 APART = 3  # sum of squared distances from the cell's mean, in cells
 BY = 4  # sums of derivatives, drifts.STATES places
-KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 12, 13, 14, 15  # what the cell knew when the stay began
+KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE = 12, 13, 14  # what the cell knew when the stay began
+CHANGE_OF, BEFORE = 15, 16  # how much gain or edge changed; gain and edge before, 2 places
+STAY = 18
 
 
 class Memory(NamedTuple):
