@@ -128,6 +128,11 @@ class FlowMap:
         """Play between U and the spool, %."""
         return 2.0 * float(state.play[flow_play.HALF])
 
+    @property
+    def finds_changes(self) -> bool:
+        """Whether changes are detected: always."""
+        return True
+
     def change_counts(self, states: FlowMapState) -> Times:
         """How many sudden changes were found of each of M valves."""
         return np.asarray(states.counters[..., flow_memory.CHANGES])
