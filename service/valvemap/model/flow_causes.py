@@ -97,7 +97,7 @@ def coarse(low: float, high: float) -> Axis:
 
 
 def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
-    """Parameters that the rows need, from ``given`` on, and what each of them gains.
+    """Return the parameters that the rows need, from ``given`` on, and the gain of each.
 
     Operators are added while the rows fit better as if residuals were white, since one of several
     that are missing whitens nothing alone. Those that gain too little in the end are dropped.
@@ -165,7 +165,7 @@ def _settled(evidence: Evidence, at: Floats) -> Floats:
 
 
 def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
-    """Drop what gains too little, the least first; what was there is kept unless refuted."""
+    """Drop operators that gain too little, the least first; known ones are kept unless refuted."""
     while True:
         short = [
             (evidence.gain(at, _with(at, int(k), 0.0)) - bar, int(k))
@@ -184,7 +184,7 @@ def _with(at: Floats, k: int, value: float) -> Floats:
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
-    """Parameters with one more operator, or with another in its place."""
+    """Return the parameters with one more operator, or with a rival instead."""
     for k, values in TRIED.items():
         for value in values:
             if not at[k]:
@@ -202,7 +202,7 @@ def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
 
 
 def least_shown(Q: Floats, noise: float) -> tuple[float, float]:
-    """Least flow that readings in the order of time show, and what they say for its being a bound.
+    """Return the least flow of readings in the order of time, and the evidence for a bound there.
 
     0 where they show flows hardly above the noise, infinite where they show none at all.
 

@@ -118,7 +118,7 @@ def _doubt_change(state: FlowMapState, both: Both) -> None:
 
 
 def _empty_bounds(state: FlowMapState, both: Both) -> None:
-    """Forget what was learnt at the ends of the meter, and what it was taken for."""
+    """Empty the cells at the ends of the meter, and reset drift and changes."""
     cells, path = state.cells, state.path
     size = np.abs(cells[:, flow_cells.MEAN_Q])
     beyond = size > rules.PARTLY_BEYOND * path[flow_path.TOP]
@@ -201,7 +201,7 @@ def _replay(state: FlowMapState, both: Both, T: float) -> None:
     counters[flow_memory.WATCHED] = N
     _begin_coarse(state, both, rows)
     flow_run.run(0, N, batch, *both, memory, room)
-    counters[flow_memory.FITTED] = 0  # the first fit of its own
+    counters[flow_memory.FITTED] = 0  # the next fit starts from the first guess
     _refit(state, *both)
 
 
@@ -245,8 +245,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     state.scalars[flow_fit.VARIANCE] = max(state.scalars[flow_fit.VARIANCE], floor)
     if flow_path.has_filter(state.path):  # what cells hold was corrected by earlier maps
         state.cells[:, [flow_cells.COUNT, flow_cells.WORTH]] *= rules.KEPT_BY_FILTERS
-    growth = rules.GROWTH_YOUNG if used < rules.YOUNG else rules.GROWTH
-    ahead = min(max(used // growth, 1), rules.MOST_BETWEEN)
+    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
     counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
 
 

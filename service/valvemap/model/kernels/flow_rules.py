@@ -14,8 +14,6 @@ MEMORY: Final = 500.0  # samples; what a cell remembers: .05 σ, less than a map
 # Fits.
 FIRST_FIT: Final = 24  # samples; before the first fit: a few more than eq. (7) has parameters
 GROWTH: Final = 5  # a fit is due when the samples grew by 1 / GROWTH: bounds the cost of all fits
-YOUNG: Final = 1000  # samples; until then a fit is due when they grew by 1 / GROWTH_YOUNG
-GROWTH_YOUNG: Final = 3  # half the fits of GROWTH, where fits are most of the cost
 MOST_BETWEEN: Final = 2048  # samples; between two fits: 20 s at 100 Hz
 FIRST_ROUNDS: Final = 8  # rounds of hyper-parameters from the first guess, at most
 LATER_ROUNDS: Final = 2  # rounds from those of the last fit, at most
