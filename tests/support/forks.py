@@ -14,7 +14,7 @@ from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
 from valvemap.config.models import GateConfig, ValveConfig
 from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
-from valvemap.pipeline.kept_states import ALARMS
+from valvemap.pipeline.provenance import ALARMS
 from valvemap.pipeline.ports import Checkpoint
 from valvemap.storage.checkpoints import LOG, CheckpointFile
 

@@ -1,22 +1,23 @@
 """Builds plans, alignment and layouts from the configuration, without importing a server."""
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
 from valvemap.config.models import Config, GateConfig, ValveConfig
-from valvemap.config.signals import SignalsConfig
+from valvemap.config.signals import SignalConfig, SignalsConfig
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.quality_gate import SENSORS, QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.units import MEASURED, READ, Measure
-from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.pipeline.valve_state import Forgetful, ValvePlan
 from valvemap.runtime.state_keeper import KEPT_PER_S
 from valvemap.storage.layout import Layout, ValveLayout
 
@@ -72,7 +73,26 @@ def build_timing(config: Config) -> Timing | None:
 def build_plans(config: Config) -> list[ValvePlan]:
     """Return a plan per valve; objects of equal configuration are created once and shared."""
     shared = _Shared()
-    return [_plan(valve, shared) for valve in config.valves]
+    return [_plan(config, valve, shared) for valve in config.valves]
+
+
+def meaning_of(
+    config: Config, valve: ValveConfig, estimators: Mapping[str, Estimator[Any]]
+) -> Meaning:
+    """Return what a valve's signals mean: it is stored with the states learnt from them."""
+    lam = {name: one.lam for name, one in estimators.items() if isinstance(one, Forgetful)}
+    signals: dict[str, SignalMeaning] = {}
+    for name in READ:
+        node = valve.nodes.of(name)
+        if node is not None and name in MEASURED:
+            given: SignalConfig = getattr(valve.signals, name)
+            scaling = given.measure(name).scaling(name)
+            signals[name] = SignalMeaning(
+                node, given.in_words(name), scaling.gain, scaling.offset, given.error_limit(name)
+            )
+        elif node is not None:
+            signals[name] = SignalMeaning(node)
+    return Meaning(config.source_of(valve).url, signals, lam)
 
 
 def build_layout(config: Config) -> Layout:
@@ -103,7 +123,7 @@ class _Shared:
         return found
 
 
-def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
+def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
     estimators: dict[str, Estimator[Any]] = {
         e.name: shared(build_estimator, e, *ranges) for e in valve.estimators
@@ -122,6 +142,7 @@ def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
         nameplate=valve.identification.nameplate(valve.name),
         nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
         accuracy=shared(_accuracy, valve.signals),
+        meaning=meaning_of(config, valve, estimators),
     )
 
 

@@ -86,6 +86,7 @@ async def serve(
                 log.warning("history damaged", reason=note, lost=past.lost)
         if store.set_aside is not None:
             log.warning("damaged or old state file set aside", file=str(store.set_aside))
+        opened.callback(_name_lost_file, store)
         opened.push_async_callback(shown.end)
         await opened.enter_async_context(giving_back())
         while plan is not None:
@@ -104,6 +105,11 @@ async def serve(
                 plan, before = back, None
             else:
                 plan, before, known = following, plan, states
+
+
+def _name_lost_file(store: CheckpointFile) -> None:
+    if store.renewed:
+        log.warning("state file was lost while in use", file=str(store.path), times=store.renewed)
 
 
 async def _live(

@@ -1,5 +1,6 @@
 """Texts of alarms: the measured value, its beginning, and possible causes. Pure."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -137,6 +138,8 @@ def _lane_failed(m: Measured) -> str:
 
 
 def _checkpoint(m: Measured) -> str:
+    if math.isinf(m.value):
+        return "The state file was removed or replaced while in use; all states are saved again"
     return f"What is learnt was not kept for {_duration(m.value)} (limit {m.limit:g} s)"
 
 
@@ -192,7 +195,10 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
         ("a filter of the flow meter", "the valve's own dynamics", "time stamps made too late"),
     ),
     "LaneFailed": (_lane_failed, ()),
-    "Checkpoint": (_checkpoint, ("a full disk", "a disk that is too slow", "missing rights")),
+    "Checkpoint": (
+        _checkpoint,
+        ("a full disk", "a disk that is too slow", "missing rights", "a removed file"),
+    ),
     "Certificate": (_certificate, ()),
     "Load": (_load, ("too many valves or clients", "other work on this machine")),
 }

@@ -35,6 +35,7 @@ from valvemap.pipeline.ports import (
     ValveDescription,
     ValveResult,
 )
+from valvemap.pipeline.provenance import Reviewed
 from valvemap.pipeline.result_tables import ResultTables, descriptions
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
@@ -315,6 +316,10 @@ class Identification:
     def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return the state beside the estimators as bytes, of the given valves or of all."""
         return self._kept.memories(valves)
+
+    def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
+        """Compare stored checkpoints with the configuration, see :func:`provenance.review`."""
+        return self._kept.review(stored)
 
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Restore the checkpoints that fit, see :meth:`KeptStates.restore`."""

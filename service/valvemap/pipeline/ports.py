@@ -577,6 +577,21 @@ class CheckpointStore(Protocol):
     def load(self) -> Sequence["Checkpoint"]:
         """Return the newest checkpoint of each (valve, estimator)."""
 
+    def put_aside(
+        self,
+        aside: Sequence[tuple["Checkpoint", str]],
+        moved: Mapping[tuple[str, str], tuple[str, str]],
+    ) -> None:
+        """Keep checkpoints that are not restored, each with its reason, and rename others.
+
+        ``moved`` maps (valve, estimator) to its new name.
+
+        Raises
+        ------
+        StorageError
+            naming the file.
+        """
+
     @property
     def size(self) -> int:
         """Size in bytes."""
@@ -588,7 +603,11 @@ class CheckpointStore(Protocol):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """One estimator's state as bytes, and the operator's settings."""
+    """One estimator's state as bytes, and the operator's settings.
+
+    ``meaning`` is that of the valve's signals, see :class:`valvemap.pipeline.meaning.Meaning`;
+    empty: unknown.
+    """
 
     valve: str
     estimator: str
@@ -597,6 +616,7 @@ class Checkpoint:
     state: bytes
     lam: float | None
     frozen: bool
+    meaning: str = ""
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import RULES, Alarm
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
+from valvemap.pipeline.meaning import Meaning
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.score import Score
@@ -83,7 +84,7 @@ class ValvePlan:
     are the axes of the published table. ``feed_forward`` is None if the answer is never written to
     the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is that of the sensors,
     ``nodes`` are their names in messages about missing signals, ``alarms`` the rules of the alarms;
-    ``nameplate`` is published only.
+    ``nameplate`` is published only; ``meaning`` is stored with the states.
     """
 
     name: str
@@ -99,6 +100,7 @@ class ValvePlan:
     nodes: Mapping[str, str] = field(default_factory=dict)
     alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
     nameplate: Nameplate = BLANK
+    meaning: Meaning | None = None
 
 
 @dataclass(frozen=True)
