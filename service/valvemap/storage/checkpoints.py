@@ -1,5 +1,6 @@
 """The newest state of every estimator, in one SQLite file."""
 
+import os
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -100,6 +101,7 @@ class CheckpointFile(Closing):
         self._generations: dict[tuple[str, str], int] = {}  # the newest generation
         self._meanings: dict[str, str] = {}  # texts in the file, by digest
         self._identity = ""
+        self._place: os.stat_result | None = None
         self._lock = Lock()
         with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -247,14 +249,15 @@ class CheckpointFile(Closing):
         StateFileLost
             if so.
         """
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         self._in_use.check()
-        if is_at(self.path, self._place):
+        if self._place is not None and is_at(self.path, self._place):
             return
+        self._place = None  # until another file is open
         with suppress(sqlite3.Error):
             self._connection.close()  # before another file has the name of its log
         if self.path.exists() and not self._is_own():
-            set_aside(self.path)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.set_aside = set_aside(self.path)
         self._open()
         self.renewed += 1
         raise StateFileLost(
