@@ -55,6 +55,7 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "Approve a valve's map as that of the new valve, compare with it, go back to it.",
     ),
     "history": Entry("history", "What signals have been."),
+    "state": Entry("state", "List, adopt, rename, export and import what was learnt."),
     "fleet": Entry("fleet", "Many machines, by way of Kafka."),
     "schema": Entry(
         "package",

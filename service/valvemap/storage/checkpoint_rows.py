@@ -138,6 +138,14 @@ class Row(NamedTuple):
         return digest.digest()
 
 
+class SetAside(NamedTuple):
+    """A state that is set aside: its number in the file, and why."""
+
+    number: int
+    checkpoint: Checkpoint
+    reason: str
+
+
 def meanings_in(connection: sqlite3.Connection) -> dict[str, str]:
     """Return the texts of the meanings by their digests, without damaged ones."""
     rows = connection.execute("SELECT id, said FROM meaning").fetchall()
@@ -153,7 +161,7 @@ def identity_in(connection: sqlite3.Connection) -> str:
 def identity_of(path: Path) -> str:
     """As `identity_in`, of the file at a path; empty if it is none of ours."""
     try:
-        with closing(_read_only(path)) as connection:
+        with closing(read_only(path)) as connection:
             return identity_in(connection)
     except sqlite3.Error:
         return ""
@@ -174,7 +182,7 @@ def migrate(connection: sqlite3.Connection) -> None:
 def salvaged(path: Path) -> tuple[list[Row], dict[str, str]]:
     """Return the rows of a damaged file that are readable and whole, and their meanings."""
     rows, meanings = [], {"": ""}
-    with suppress(sqlite3.Error, TypeError), closing(_read_only(path)) as damaged:
+    with suppress(sqlite3.Error, TypeError), closing(read_only(path)) as damaged:
         with suppress(sqlite3.Error):
             meanings = meanings_in(damaged)
         (last,) = damaged.execute("SELECT max(rowid) FROM checkpoint").fetchone()
@@ -199,7 +207,29 @@ def _row_of_any_version(connection: sqlite3.Connection, number: int) -> Row | No
         return row.signed() if row is not None and row.was_whole() else None
 
 
-def _read_only(path: Path) -> sqlite3.Connection:
+def whole_rows(connection: sqlite3.Connection, version: int) -> list[Row]:
+    """Return the whole rows of a file of any version, in the present form."""
+    if version < SCHEMA_VERSION:
+        found = connection.execute(f"SELECT {_BEFORE_3} FROM checkpoint").fetchall()  # noqa: S608
+        before = [Row(*(*row[:9], "", row[9])) for row in found]
+        return [row.signed() for row in before if row.was_whole()]
+    rows = [Row(*row) for row in connection.execute(SELECT).fetchall()]
+    return [row for row in rows if row.is_whole()]
+
+
+def aside_in(connection: sqlite3.Connection, meanings: Mapping[str, str]) -> list[SetAside]:
+    """Return the states that are set aside, the oldest first."""
+    found = connection.execute(SELECT_ASIDE).fetchall()
+    rows = [(number, Row(*row[:-1]), str(row[-1])) for number, *row in found]
+    return [
+        SetAside(number, row.checkpoint(meanings), reason)
+        for number, row, reason in rows
+        if row.is_whole()
+    ]
+
+
+def read_only(path: Path) -> sqlite3.Connection:
+    """Open a file without changing it."""
     connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     connection.text_factory = text
     return connection

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple
 
 from valvemap.errors import StateFileLost
 from valvemap.pipeline.meaning import digest_of
 from valvemap.pipeline.ports import Checkpoint
 from valvemap.storage import checkpoint_rows as rows_of
-from valvemap.storage.checkpoint_rows import APPLICATION_ID, SCHEMA_VERSION, Row
+from valvemap.storage.checkpoint_rows import APPLICATION_ID, SCHEMA_VERSION, Row, SetAside
 from valvemap.storage.closing import Closing
 from valvemap.storage.sqlite_files import (
     check_owner,
@@ -165,22 +164,15 @@ class CheckpointFile(Closing):
             _fold_log(self._connection)
             self._read()
 
-    def aside(self) -> "list[SetAside]":
+    def aside(self) -> list[SetAside]:
         """Return the states that are set aside, the oldest first."""
         with self._lock, naming(self.path):
-            found = self._connection.execute(rows_of.SELECT_ASIDE).fetchall()
-            rows = [(number, Row(*row[:-1]), str(row[-1])) for number, *row in found]
-            return [
-                SetAside(number, row.checkpoint(self._meanings), reason)
-                for number, row, reason in rows
-                if row.is_whole()
-            ]
+            return rows_of.aside_in(self._connection, self._meanings)
 
-    def take_back(self, number: int, checkpoint: Checkpoint) -> None:
-        """Store a state that is set aside as the present one, in place of that of its name."""
-        self.save([checkpoint])
+    def forget_aside(self, numbers: Sequence[int]) -> None:
+        """Delete states that are set aside, by their numbers."""
         with self._lock, naming(self.path), transaction(self._connection):
-            self._connection.execute(rows_of.DELETE_ASIDE, (number,))
+            self._connection.executemany(rows_of.DELETE_ASIDE, [(n,) for n in numbers])
 
     def load(self) -> list[Checkpoint]:
         """Return the newest valid checkpoint of each (valve, estimator), in order of the names.
@@ -297,14 +289,6 @@ class CheckpointFile(Closing):
         with self._lock, naming(self.path):
             self._connection.close()
             self._in_use.close()
-
-
-class SetAside(NamedTuple):
-    """A state that is set aside: its number in the file, and why."""
-
-    number: int
-    checkpoint: Checkpoint
-    reason: str
 
 
 def _name(one: Checkpoint) -> tuple[str, str]:
