@@ -656,7 +656,7 @@ class PastStore(Protocol):
     lost: int
 
     def save(self, pieces: Iterable[Piece]) -> int:
-        """Save all pieces or none; return the number of values skipped as not newer.
+        """Save all pieces or none; return the number of values skipped as stored already.
 
         Raises
         ------
@@ -664,8 +664,8 @@ class PastStore(Protocol):
             naming the file.
         """
 
-    def forget(self, now: int) -> int:
-        """Drop blocks too old at ``now`` (UTC ns) or over the size limit; return their number."""
+    def forget(self) -> int:
+        """Drop blocks that are too old or over the size limit; return their number."""
 
     def read(
         self,

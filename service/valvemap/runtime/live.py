@@ -273,7 +273,7 @@ class LiveService:
             self.identification.refresh_maps(1.0 / parts)
         self._keeper.keep_in_turn(now)
         if self._past is not None:
-            self._past.tick(now, self._clock.now())
+            self._past.tick(now)
         await self._show_health(now)
 
     async def _doubt(self, now: float) -> None:
@@ -369,7 +369,7 @@ class LiveService:
         """Save all states, or as many as the time limit permits; see `StateKeeper.keep`."""
         end = self._clock.monotonic() + within_s
         if self._past is not None:
-            await self._past.settle()
+            await self._past.end()
         return await self._keeper.keep(end)
 
     def states(self) -> list[Checkpoint]:

@@ -2,7 +2,7 @@
 
 import sqlite3
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -11,12 +11,14 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Floats, Times
+from valvemap.model.samples import Flags
 from valvemap.pipeline.ports import AlarmChange, Past, Piece
-from valvemap.storage import alarm_changes
+from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
 from valvemap.storage.history_blocks import CODES, Examined, T, examine, insert, pack, unpack
 from valvemap.storage.history_mending import Taken, check_blocks, take_over
+from valvemap.storage.history_order import in_order, joined, nothing
+from valvemap.storage.history_rows import Rows, by_time
 from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
 from valvemap.storage.sqlite_files import (
     SALVAGING,
@@ -35,10 +37,12 @@ IN_TURN_S: Final = 0.1  # s; time for the remaining ones after each save, once a
 AGAIN_S: Final = 60.0  # s; shortest time between two files set aside
 _PAGES_AT_ONCE = 1_000  # freed in one step
 _SMALL = """
-    SELECT id, rows FROM block WHERE series = :series AND first > ifnull(
-        (SELECT max(last) FROM block WHERE series = :series AND rows >= :full), -9223372036854775808
-    ) ORDER BY first
-"""  # blocks after the last full one
+    SELECT id, rows FROM block WHERE series = :series AND id > ifnull(
+        (SELECT max(id) FROM block WHERE series = :series AND rows >= :full), -9223372036854775808
+    ) ORDER BY id
+"""  # blocks written after the last full one
+
+_OVERLAPPING = "SELECT id FROM block WHERE series = ? AND first <= ? AND last >= ?"
 
 Result = TypeVar("Result")
 
@@ -56,8 +60,9 @@ class _Series:
 class HistoryFile(Closing):
     """Stores pieces of series and reads them back.
 
-    A series is a table of successive rows: a time, a status code and value columns. Rows are saved
-    in order of time; a row that is not newer than the last of its series is left out. A save is
+    A series is a table of rows: a time, a status code and value columns. Rows may come late: they
+    are read in order of time. A row that is stored already is left out; one that differs from the
+    stored row of its time is left out and counted as lost. A save is
     one transaction, so a kill loses only unsaved rows. Small blocks are joined, so that a day at
     100 Hz is 211 blocks.
 
@@ -73,7 +78,7 @@ class HistoryFile(Closing):
     path
         The file; it and its folder are created if missing.
     keep_s
-        Age at which rows are dropped, block by block, s.
+        Age at which rows are dropped, block by block, s; rows age while the file is open.
     most_bytes
         Maximum size of the file; the oldest blocks are dropped first.
     mends
@@ -117,7 +122,7 @@ class HistoryFile(Closing):
     ) -> None:
         self.path = Path(path)
         self.lost = 0
-        self._keep_ns, self._most_bytes = round(keep_s * 1e9), most_bytes
+        self._keep_s, self._most_bytes = keep_s, most_bytes
         self._writing, self._reading = Lock(), Lock()
         self._mends, self._clock = mends, clock
         self._notes: list[str] = []
@@ -136,7 +141,7 @@ class HistoryFile(Closing):
             self.size = self._bytes()
 
     def save(self, pieces: Iterable[Piece]) -> int:
-        """Store all pieces or none; return how many values were left out as not newer."""
+        """Store all pieces or none; return how many values were left out as stored already."""
         return self._write(lambda: sum([self._append(piece) for piece in pieces]))
 
     def read(
@@ -154,17 +159,19 @@ class HistoryFile(Closing):
 
         def find() -> Past:
             if not self._names.keys() >= {series, column, T, CODES}:
-                return _nothing()
+                return nothing()
             found, wanted = [], skip + most
-            for block in self._blocks(self._names[series], low, high, backwards=backwards):
-                past = self._rows_of(block, series, column)
-                inside = slice(*np.searchsorted(past.t, [low, high + 1]).tolist())
-                past = past[inside]
-                found.append(past[::-1] if backwards else past)
-                wanted -= len(found[-1].t)
+            number = self._names[series]
+            blocks = (
+                (first, last, self._rows_between(block, series, column, low, high))
+                for block, first, last in self._blocks(number, low, high, backwards=backwards)
+            )
+            for rows in in_order(blocks, backwards=backwards):
+                found.append(rows)
+                wanted -= len(rows.t)
                 if wanted <= 0:
                     break
-            return _joined(found)[skip : skip + most]
+            return joined(found)[skip : skip + most]
 
         return self._ask(find)
 
@@ -189,14 +196,23 @@ class HistoryFile(Closing):
             )
         )
 
-    def forget(self, now: int) -> int:
-        """Drop blocks that are too old at ``now`` (UTC ns) or exceed the size; return how many."""
+    def forget(self) -> int:
+        """Drop blocks that are too old or exceed the size, in the order in which they were written.
+
+        A block's age is the time that the file was open since it was written: a clock that steps
+        drops nothing. Returns their number.
+        """
 
         def drop() -> int:
-            alarm_changes.forget(self._writer, now - self._keep_ns)
-            dropped = self._drop("last < ?", (now - self._keep_ns,))
+            now_s = self._ran_s + self._clock() - self._opened_at
+            old, dropped = history_age.expired(self._writer, now_s - self._keep_s), 0
+            if old is not None:
+                alarm_changes.forget(self._writer, old.change)
+                dropped = self._drop("id <= ?", (old.block,))
             excess = self._bytes() - self._most_bytes
-            return dropped + (self._drop_oldest(excess) if excess > 0 else 0)
+            dropped += self._drop_oldest(excess) if excess > 0 else 0
+            history_age.mark(self._writer, now_s)
+            return dropped
 
         def give_back() -> None:
             if not self._pages_checked:
@@ -262,6 +278,7 @@ class HistoryFile(Closing):
         self._reader.text_factory = text
         self._opened += 1
         self._is_open = True
+        self._ran_s, self._opened_at = history_age.ran_s(self._writer), self._clock()
         self._pages_checked = self.path.stat().st_size <= CHECKED_AT_ONCE
         self._begin_chores()
 
@@ -368,17 +385,35 @@ class HistoryFile(Closing):
         series = self._series.get(piece.series)
         if series is None:
             series = self._series[piece.series] = _Series(self._number(piece.series), -(2**63))
-        ordered = np.maximum.accumulate(np.append(series.last, piece.t))
-        newer = piece.t > ordered[:-1]
-        t = piece.t[newer]
+        own = by_time(piece)
+        late = own.t <= series.last
+        if late.any():
+            own = own[~self._is_known(series, own, late)]
+        t = own.t
         if len(t):
-            columns: dict[str, NDArray[Any]] = {T: t, CODES: piece.codes[newer]}
-            columns |= {name: values[newer] for name, values in piece.columns.items()}
+            columns: dict[str, NDArray[Any]] = {T: t, CODES: own.codes, **own.columns}
             series.small.append(self._insert(piece.series, columns))
-            series.last, series.rows = int(t[-1]), series.rows + len(t)
+            series.last, series.rows = max(series.last, int(t[-1])), series.rows + len(t)
             if series.rows >= BLOCK:
                 self._join(piece.series, series)
         return int((len(piece.t) - len(t)) * len(piece.columns))
+
+    def _is_known(self, series: _Series, own: Rows, late: Flags) -> Flags:
+        """Return which rows are stored already (n,); count those of whose time others are stored.
+
+        A row at the last time of its series is a repetition, whatever its values.
+        """
+        known, others = np.zeros((2, len(own.t)), np.bool_)
+        span = int(own.t[late][-1]), int(own.t[late][0])
+        for (block,) in self._writer.execute(_OVERLAPPING, (series.number, *span)).fetchall():
+            stored = self._examined(self._writer, own.series, block)
+            if len(stored.t):
+                place = np.minimum(np.searchsorted(stored.t, own.t), len(stored.t) - 1)
+                there = late & (stored.t[place] == own.t)
+                known |= there
+                others |= there & own.differs(stored.parts, place)
+        self.lost += int((others & (own.t < series.last)).sum())
+        return known
 
     def _insert(self, series: str, columns: Mapping[str, NDArray[Any]]) -> int:
         parts = {name: pack(name, column) for name, column in columns.items()}
@@ -404,7 +439,8 @@ class HistoryFile(Closing):
         self._delete(series.small)
         series.small, series.rows = [], 0
         if columns:
-            self._insert(name, columns)
+            order = np.argsort(columns[T], kind="stable")
+            self._insert(name, {column: rows[order] for column, rows in columns.items()})
 
     def _drop(self, condition: str, values: tuple[int, ...]) -> int:
         select = f"SELECT id FROM block WHERE {condition}"  # noqa: S608 - constant
@@ -416,7 +452,7 @@ class HistoryFile(Closing):
         """Drop the oldest blocks that together hold the given number of bytes."""
         held = self._writer.execute(
             "SELECT block.id, sum(length(data)) FROM block JOIN part ON part.block = block.id "
-            "GROUP BY block.id ORDER BY last"
+            "GROUP BY block.id ORDER BY block.id"
         )
         oldest = []
         for id_, size in held:
@@ -454,18 +490,25 @@ class HistoryFile(Closing):
             self._names[name] = int(insert.lastrowid or 0)
         return int(self._names[name])
 
-    def _blocks(self, series: int, low: int, high: int, *, backwards: bool) -> Iterator[int]:
-        order = "DESC" if backwards else "ASC"
+    def _blocks(
+        self, series: int, low: int, high: int, *, backwards: bool
+    ) -> list[tuple[int, int, int]]:
+        """Return number, first and last time of blocks in a span, see `in_order`."""
+        order = "last DESC" if backwards else "first"
         select = (
-            "SELECT id FROM block WHERE series = ? AND first <= ? AND last >= ? "  # noqa: S608
-            f"ORDER BY first {order}"
+            "SELECT id, first, last FROM block WHERE series = ? AND first <= ? AND last >= ? "  # noqa: S608
+            f"ORDER BY {order}"
         )
-        return (block for (block,) in self._reader.execute(select, (series, high, low)))
+        return self._reader.execute(select, (series, high, low)).fetchall()
+
+    def _rows_between(self, block: int, series: str, column: str, low: int, high: int) -> Past:
+        past = self._rows_of(block, series, column)
+        return past[slice(*np.searchsorted(past.t, [low, high + 1]).tolist())]
 
     def _rows_of(self, block: int, series: str, column: str) -> Past:
         found = self._examined(self._reader, series, block, (T, CODES, column))
         if column not in found.parts:  # the series had no such column then, or it is damaged
-            return _nothing()
+            return nothing()
         codes, values = (unpack(name, found.parts[name]) for name in (CODES, column))
         return Past(found.t, values, codes)
 
@@ -483,20 +526,6 @@ class HistoryFile(Closing):
 
 def _no_chores() -> Generator[None]:
     yield from ()
-
-
-def _nothing() -> Past:
-    return Past(np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint32))
-
-
-def _joined(parts: Sequence[Past]) -> Past:
-    if not parts:
-        return _nothing()
-    columns: list[tuple[Times, Floats, NDArray[np.uint32]]] = [
-        (past.t, past.values, past.codes) for past in parts
-    ]
-    t, values, codes = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return Past(t, values, codes)
 
 
 def _set_aside_before(path: Path) -> list[tuple[Path, Path]]:
