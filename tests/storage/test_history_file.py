@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from valvemap.errors import StorageError
 from valvemap.pipeline.ports import AlarmChange, AlarmReport, Piece
 from valvemap.storage import alarm_changes
-from valvemap.storage.history import BLOCK, HistoryFile
+from valvemap.storage.history import HistoryFile
+from valvemap.storage.history_series import BLOCK
 
 EVER = -(2**63), 2**63 - 1
 S = 1_000_000_000

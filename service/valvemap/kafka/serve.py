@@ -201,8 +201,7 @@ class Show:
                 await self._doubt(server)
                 await self._look_after(server, reader)
         finally:
-            if self._past is not None:
-                await self._past.end()
+            if self._past is not None and await self._past.settle():
                 reader.commit()
 
     async def _take(self, server: ResultsServer, heard: Heard) -> None:

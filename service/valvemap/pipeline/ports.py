@@ -645,15 +645,11 @@ class Past:
 
 
 class PastStore(Protocol):
-    """Stores and returns the history of signals and results; from any thread, one at a time.
+    """Stores and returns the history of signals and results; from any thread, one at a time."""
 
-    Attributes
-    ----------
-    lost : int
-        Rows lost by damage to the file.
-    """
-
-    lost: int
+    @property
+    def lost(self) -> int:
+        """Rows lost by damage to the file, or because others of their time are stored."""
 
     def save(self, pieces: Iterable[Piece]) -> int:
         """Save all pieces or none; return the number of values skipped as stored already.

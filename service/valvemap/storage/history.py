@@ -2,24 +2,21 @@
 
 import sqlite3
 import time
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from threading import Lock
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from valvemap.model.samples import Flags
 from valvemap.pipeline.ports import AlarmChange, Past, Piece
 from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
-from valvemap.storage.history_blocks import CODES, Examined, T, examine, insert, pack, unpack
-from valvemap.storage.history_mending import Taken, check_blocks, take_over
+from valvemap.storage.history_blocks import CODES, T, unpack
+from valvemap.storage.history_mending import check_blocks, take_over
 from valvemap.storage.history_order import in_order, joined, nothing
-from valvemap.storage.history_rows import Rows, by_time
 from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
+from valvemap.storage.history_series import SeriesWriter
 from valvemap.storage.sqlite_files import (
     SALVAGING,
     is_damage,
@@ -31,30 +28,11 @@ from valvemap.storage.sqlite_files import (
     transaction,
 )
 
-BLOCK: Final = 4_096  # rows of a full block: 41 s at 100 Hz, 32 kB per column
 AT_START_S: Final = 1.0  # s; time for checks and copies during the start
 IN_TURN_S: Final = 0.1  # s; time for the remaining ones after each save, once a second
 AGAIN_S: Final = 60.0  # s; shortest time between two files set aside
 _PAGES_AT_ONCE = 1_000  # freed in one step
-_SMALL = """
-    SELECT id, rows FROM block WHERE series = :series AND id > ifnull(
-        (SELECT max(id) FROM block WHERE series = :series AND rows >= :full), -9223372036854775808
-    ) ORDER BY id
-"""  # blocks written after the last full one
-
-_OVERLAPPING = "SELECT id FROM block WHERE series = ? AND first <= ? AND last >= ?"
-
 Result = TypeVar("Result")
-
-
-@dataclass
-class _Series:
-    """The write state of a series: its number, its last row and its small blocks."""
-
-    number: int
-    last: int
-    small: list[int] = field(default_factory=list)
-    rows: int = 0
 
 
 class HistoryFile(Closing):
@@ -92,7 +70,8 @@ class HistoryFile(Closing):
     size : int
         Bytes in use after the last save; reading it needs no disk access.
     lost : int
-        Rows known to be lost by damage; a row with one lost column is included.
+        Rows known to be lost: by damage (a row with one lost column is included), or left out
+        because others of their time are stored.
 
     Raises
     ------
@@ -121,7 +100,8 @@ class HistoryFile(Closing):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = Path(path)
-        self.lost = 0
+        self._lost = 0
+        self._rows: SeriesWriter
         self._keep_s, self._most_bytes = keep_s, most_bytes
         self._writing, self._reading = Lock(), Lock()
         self._mends, self._clock = mends, clock
@@ -142,7 +122,7 @@ class HistoryFile(Closing):
 
     def save(self, pieces: Iterable[Piece]) -> int:
         """Store all pieces or none; return how many values were left out as stored already."""
-        return self._write(lambda: sum([self._append(piece) for piece in pieces]))
+        return self._write(lambda: sum([self._rows.append(piece) for piece in pieces]))
 
     def read(
         self,
@@ -158,10 +138,10 @@ class HistoryFile(Closing):
         """Return rows from ``low`` to ``high`` (UTC ns, both included) after ``skip`` others."""
 
         def find() -> Past:
-            if not self._names.keys() >= {series, column, T, CODES}:
+            if not self._rows.names.keys() >= {series, column, T, CODES}:
                 return nothing()
             found, wanted = [], skip + most
-            number = self._names[series]
+            number = self._rows.names[series]
             blocks = (
                 (first, last, self._rows_between(block, series, column, low, high))
                 for block, first, last in self._blocks(number, low, high, backwards=backwards)
@@ -208,9 +188,9 @@ class HistoryFile(Closing):
             old, dropped = history_age.expired(self._writer, now_s - self._keep_s), 0
             if old is not None:
                 alarm_changes.forget(self._writer, old.change)
-                dropped = self._drop("id <= ?", (old.block,))
+                dropped = self._rows.drop("id <= ?", (old.block,))
             excess = self._bytes() - self._most_bytes
-            dropped += self._drop_oldest(excess) if excess > 0 else 0
+            dropped += self._rows.drop_oldest(excess) if excess > 0 else 0
             history_age.mark(self._writer, now_s)
             return dropped
 
@@ -228,6 +208,11 @@ class HistoryFile(Closing):
                 self._mend(error)
             self.size = self._bytes()
         return dropped
+
+    @property
+    def lost(self) -> int:
+        """Rows known to be lost, see the class."""
+        return self._lost + self._rows.lost
 
     def take_notes(self) -> list[str]:
         """Return the messages on damage since the last call."""
@@ -252,7 +237,7 @@ class HistoryFile(Closing):
                 if isinstance(error, sqlite3.DatabaseError) and is_damage(error):
                     self._mend(error)
                 else:
-                    self._remember()
+                    self._rows.reload()
                 raise
             self._work(IN_TURN_S)
             self.size = self._bytes()
@@ -273,7 +258,10 @@ class HistoryFile(Closing):
                 return work()
 
     def _open(self) -> None:
+        if self._opened:
+            self._lost += self._rows.lost
         self._writer = _open(self.path)
+        self._rows = SeriesWriter(self._writer)
         self._reader = sqlite3.connect(self.path, check_same_thread=False)
         self._reader.text_factory = text
         self._opened += 1
@@ -284,9 +272,9 @@ class HistoryFile(Closing):
 
     def _begin_chores(self) -> None:
         self._chores.close()
-        self.lost, self._recounted = self.lost - self._recounted, 0
+        self._lost, self._recounted = self._lost - self._recounted, 0
         self._finished.clear()
-        self._remember()
+        self._rows.reload()
         self._chores = self._waiting()
 
     def _close(self) -> None:
@@ -294,11 +282,6 @@ class HistoryFile(Closing):
         if self._opened:
             self._writer.close()
             self._reader.close()
-
-    def _remember(self) -> None:
-        """Load names and series from the file."""
-        self._names = dict(self._writer.execute("SELECT name, id FROM name").fetchall())
-        self._series = self._known_series()
 
     def _mend(self, error: sqlite3.Error) -> None:
         """Set a damaged file aside and create a new one.
@@ -347,148 +330,31 @@ class HistoryFile(Closing):
     def _waiting(self) -> Generator[None]:
         """Check each block, then copy the readable blocks of files set aside."""
         dropped = 0
-        for lost in check_blocks(self._writer, self._names):
+        for lost in check_blocks(self._writer, self._rows.names):
             if lost:
-                self.lost, dropped = self.lost + lost, dropped + lost
-                self._series = self._known_series()
+                self._lost, dropped = self._lost + lost, dropped + lost
+                self._rows.reload_series()
             yield
         if dropped:
             self._notes.append(f"{self.path}: columns of {dropped:,} rows are damaged and dropped")
         for marker, damaged in _set_aside_before(self.path):
             kept = lost = 0
-            for taken in take_over(self._writer, damaged, self._number):
+            for taken in take_over(self._writer, damaged, self._rows.number):
                 kept, lost = kept + taken.rows, lost + taken.lost
-                self.lost, self._recounted = self.lost + taken.lost, self._recounted + taken.lost
+                self._lost, self._recounted = self._lost + taken.lost, self._recounted + taken.lost
                 if taken.rows:
-                    self._continue(taken)
+                    self._rows.resume_after(taken)
                 yield
             self._notes.append(
                 f"{damaged.name}: {kept:,} rows are copied; {lost:,} rows lack columns or all"
             )
             self._finished.append(marker)
 
-    def _continue(self, taken: Taken) -> None:
-        """Continue a series after a block copied from a damaged file."""
-        series = self._series.setdefault(
-            taken.series, _Series(self._number(taken.series), taken.last)
-        )
-        series.last = max(series.last, taken.last)
-
     def _bytes(self) -> int:
         pages, free, page = (
             pragma(self._writer, name) for name in ("page_count", "freelist_count", "page_size")
         )
         return (pages - free) * page
-
-    def _append(self, piece: Piece) -> int:
-        """Write a piece as a block, and join small blocks when they fill a large one."""
-        series = self._series.get(piece.series)
-        if series is None:
-            series = self._series[piece.series] = _Series(self._number(piece.series), -(2**63))
-        own = by_time(piece)
-        late = own.t <= series.last
-        if late.any():
-            own = own[~self._is_known(series, own, late)]
-        t = own.t
-        if len(t):
-            columns: dict[str, NDArray[Any]] = {T: t, CODES: own.codes, **own.columns}
-            series.small.append(self._insert(piece.series, columns))
-            series.last, series.rows = max(series.last, int(t[-1])), series.rows + len(t)
-            if series.rows >= BLOCK:
-                self._join(piece.series, series)
-        return int((len(piece.t) - len(t)) * len(piece.columns))
-
-    def _is_known(self, series: _Series, own: Rows, late: Flags) -> Flags:
-        """Return which rows are stored already (n,); count those of whose time others are stored.
-
-        A row at the last time of its series is a repetition, whatever its values.
-        """
-        known, others = np.zeros((2, len(own.t)), np.bool_)
-        span = int(own.t[late][-1]), int(own.t[late][0])
-        for (block,) in self._writer.execute(_OVERLAPPING, (series.number, *span)).fetchall():
-            stored = self._examined(self._writer, own.series, block)
-            if len(stored.t):
-                place = np.minimum(np.searchsorted(stored.t, own.t), len(stored.t) - 1)
-                there = late & (stored.t[place] == own.t)
-                known |= there
-                others |= there & own.differs(stored.parts, place)
-        self.lost += int((others & (own.t < series.last)).sum())
-        return known
-
-    def _insert(self, series: str, columns: Mapping[str, NDArray[Any]]) -> int:
-        parts = {name: pack(name, column) for name, column in columns.items()}
-        return insert(self._writer, series, columns[T], parts, self._number)
-
-    def _join(self, name: str, series: _Series) -> None:
-        """Join a series' small blocks to one; rows without a column have NaN in it."""
-        examined = [self._examined(self._writer, name, block) for block in series.small]
-        blocks = [found for found in examined if len(found.t)]
-        columns = {
-            column: np.concatenate(
-                [
-                    unpack(column, found.parts[column])
-                    if column in found.parts
-                    else np.full(len(found.t), np.nan)
-                    for found in blocks
-                ]
-            )
-            for column in dict.fromkeys(column for found in blocks for column in found.parts)
-        }
-        self.lost += sum(len(found.t) for found in blocks if found.damaged)
-        self.lost += series.rows - sum(len(found.t) for found in blocks)
-        self._delete(series.small)
-        series.small, series.rows = [], 0
-        if columns:
-            order = np.argsort(columns[T], kind="stable")
-            self._insert(name, {column: rows[order] for column, rows in columns.items()})
-
-    def _drop(self, condition: str, values: tuple[int, ...]) -> int:
-        select = f"SELECT id FROM block WHERE {condition}"  # noqa: S608 - constant
-        old = [id_ for (id_,) in self._writer.execute(select, values)]
-        self._delete(old)
-        return len(old)
-
-    def _drop_oldest(self, excess: int) -> int:
-        """Drop the oldest blocks that together hold the given number of bytes."""
-        held = self._writer.execute(
-            "SELECT block.id, sum(length(data)) FROM block JOIN part ON part.block = block.id "
-            "GROUP BY block.id ORDER BY block.id"
-        )
-        oldest = []
-        for id_, size in held:
-            if excess <= 0:
-                break
-            oldest.append(id_)
-            excess -= size
-        self._delete(oldest)
-        return len(oldest)
-
-    def _delete(self, blocks: Sequence[int]) -> None:
-        gone = set(blocks)
-        for series in self._series.values():
-            if gone & set(series.small):
-                series.small = [block for block in series.small if block not in gone]
-        rows = [(block,) for block in blocks]
-        self._writer.executemany("DELETE FROM part WHERE block = ?", rows)
-        self._writer.executemany("DELETE FROM block WHERE id = ?", rows)
-
-    def _known_series(self) -> dict[str, _Series]:
-        """Return the write state of every series in the file."""
-        names = {number: name for name, number in self._names.items()}
-        found = {}
-        last = "SELECT series, max(last) FROM block GROUP BY series"
-        for number, newest in self._writer.execute(last).fetchall():
-            series = found[names[number]] = _Series(number, newest)
-            for block, rows in self._writer.execute(_SMALL, {"series": number, "full": BLOCK}):
-                series.small.append(block)
-                series.rows += rows
-        return found
-
-    def _number(self, name: str) -> int:
-        if name not in self._names:
-            insert = self._writer.execute("INSERT INTO name (name) VALUES (?)", (name,))
-            self._names[name] = int(insert.lastrowid or 0)
-        return int(self._names[name])
 
     def _blocks(
         self, series: int, low: int, high: int, *, backwards: bool
@@ -506,22 +372,11 @@ class HistoryFile(Closing):
         return past[slice(*np.searchsorted(past.t, [low, high + 1]).tolist())]
 
     def _rows_of(self, block: int, series: str, column: str) -> Past:
-        found = self._examined(self._reader, series, block, (T, CODES, column))
+        found = self._rows.examined(self._reader, series, block, (T, CODES, column))
         if column not in found.parts:  # the series had no such column then, or it is damaged
             return nothing()
         codes, values = (unpack(name, found.parts[name]) for name in (CODES, column))
         return Past(found.t, values, codes)
-
-    def _examined(
-        self, connection: sqlite3.Connection, series: str, block: int, columns: Sequence[str] = ()
-    ) -> Examined:
-        """Return the columns of a block with valid checksums; all, or the given ones."""
-        numbers = {self._names[name]: name for name in columns or self._names}
-        chosen = f"AND name IN ({', '.join('?' * len(columns))})" if columns else ""
-        select = f"SELECT name, digest, data FROM part WHERE block = ? {chosen}"  # noqa: S608
-        rows = connection.execute(select, (block, *(numbers if columns else ()))).fetchall()
-        parts = {numbers[n]: (digest, data) for n, digest, data in rows if n in numbers}
-        return examine(series, parts)
 
 
 def _no_chores() -> Generator[None]:
