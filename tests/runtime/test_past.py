@@ -18,6 +18,7 @@ from valvemap.pipeline.ports import (
 )
 from valvemap.runtime import past
 from valvemap.runtime.past import PastKeeper
+from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.statuses import Quality
 
 VALVES = ("V1", "V2", "V3")
@@ -206,6 +207,30 @@ async def test_rows_that_the_disk_refuses_wait_for_the_next_save(keeper, store):
     assert piece.t.tolist() == [10 * second + k for second in range(61) for k in range(3)]
     assert [change.t for change in store.noted] == list(range(60))
     assert keeper.lost == 0
+
+
+@pytest.mark.parametrize("seconds", [22, 60])
+async def test_a_full_disk_loses_no_row(tmp_path, seconds):
+    """Of the real file, whose pages are limited for a while."""
+    with HistoryFile(tmp_path / "history.sqlite") as store:
+        keeper = PastKeeper(store, VALVES)
+        for second in range(seconds + 20):
+            if second == 10:
+                (pages,) = store._writer.execute("PRAGMA page_count").fetchone()
+                store._writer.execute(f"PRAGMA max_page_count = {pages}")
+            if second == 10 + seconds:
+                store._writer.execute("PRAGMA max_page_count = 1000000")
+            keeper.take(samples_of([0, 1, 2], n=100, start=100 * second))
+            keeper.note(results_of([0, 1, 2], t=100 * second + 99))
+            await a_second(keeper, float(second))
+        assert keeper.failures > seconds / 2
+        assert keeper.counters.lost == 0
+        for valve in VALVES:
+            found = store.read(f"{valve}.Signals", "Q", 0, 10**9, most=10**9)
+            assert len(found.t) == 100 * (seconds + 20)
+            assert len(store.read(f"{valve}.RLS", "Residual", 0, 10**9, most=10**9).t) == (
+                seconds + 20
+            )
 
 
 async def test_rows_beyond_the_buffer_are_counted_while_the_disk_refuses(
