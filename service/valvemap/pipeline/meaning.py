@@ -117,6 +117,7 @@ def other_nodes(before: Meaning, after: Meaning, names: tuple[str, ...] = FLOW) 
     if not changed:
         return None
     was, now = [before.node(n) for n in changed], [after.node(n) for n in changed]
+    changed = [_label(name, before, after) for name in changed]
     if len(changed) > 1 and sorted(map(str, was)) == sorted(map(str, now)):
         return f"the nodes of {' and '.join(changed)} are swapped"
     first = f"{changed[0]} came from {was[0] or 'no node'}, now from {now[0] or 'no node'}"
@@ -126,7 +127,13 @@ def other_nodes(before: Meaning, after: Meaning, names: tuple[str, ...] = FLOW) 
 def other_scaling(before: Meaning, after: Meaning, signal: str) -> str:
     """Return the change of a signal's unit or scaling in words."""
     old, new = before.signals[signal], after.signals[signal]
-    return f"{signal} was read as {old.unit}, now as {new.unit}"
+    return f"{_label(signal, before, after)} was read as {old.unit}, now as {new.unit}"
+
+
+def _label(signal: str, *meanings: Meaning) -> str:
+    """Return the name of a signal: dp for p1 where one transmitter measures the difference."""
+    is_drop = signal == "p1" and all(one.node("p2") is None for one in meanings)
+    return "dp" if is_drop else signal
 
 
 def other_accuracies(before: Meaning, after: Meaning) -> Iterator[str]:

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.auto import Auto
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import StateMismatchError, key_of
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.maximum_likelihood import MaximumLikelihood
@@ -31,7 +32,7 @@ from valvemap.pipeline.meaning import (
 from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.units import MEASURED, READ
 from valvemap.pipeline.valve_memory import ValveMemory
-from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, ValvePlan
+from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
 
 MEMORY: Final = "Diagnostics"  # a valve's state beside its estimators; no estimator has this name
 TIMING: Final = "Signals"  # how its signals are stamped; likewise

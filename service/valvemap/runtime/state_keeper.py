@@ -78,7 +78,12 @@ class StateKeeper:
         self._packing_s = self._saving_s = 0.0  # last durations: packing one valve, one save
 
     def age_s(self, now: float) -> float:
-        """Time since the last save, s; before the first, since the start; ∞: the file is lost."""
+        """Time since the last save, s; before the first, since the start; ∞: the file is lost.
+
+        0 in a preview.
+        """
+        if self._is_preview:
+            return 0.0
         if self.file_lost:
             return math.inf
         return now - (self._began if math.isnan(self.kept_at) else self.kept_at)
@@ -104,6 +109,8 @@ class StateKeeper:
             naming the file; the states remain in memory.
         """
         await self.settle()
+        if self._is_preview:
+            return True
         try:
             return await self._keep_all(until)
         except StateFileLost as error:
@@ -132,7 +139,7 @@ class StateKeeper:
         A round saves every valve once, and then the mark of its beginning. A valve leaves the
         round when it is saved: a refused save is repeated, so the mark is never ahead of a state.
         """
-        if self._keeping is not None and not self._keeping.done():
+        if self._is_preview or (self._keeping is not None and not self._keeping.done()):
             return
         M = self._valves
         due = int(M * (now - self._began) / self._interval_s)
@@ -145,6 +152,11 @@ class StateKeeper:
         mark = self._mark_of_round if count >= self._left_in_round else None
         some = ((self._next + np.arange(count)) % M).tolist()
         self._keeping = asyncio.create_task(self._keep(some, mark))
+
+    @property
+    def _is_preview(self) -> bool:
+        """Whether estimators wait; states saved now, and the position, would lose their samples."""
+        return self._identification.journal is not None
 
     async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
         """Save these valves; a refused save is counted and logged, and delays no batch."""
