@@ -233,6 +233,26 @@ async def test_a_full_disk_loses_no_row(tmp_path, seconds):
             )
 
 
+async def test_rows_that_wait_and_rows_that_are_lost_are_measured_for_the_alarm(
+    keeper, store, monkeypatch
+):
+    monkeypatch.setattr(past, "MOST_ROWS", 30)
+    keeper.take(samples_of([0]))
+    await a_second(keeper, 1.0)
+    assert keeper.waits_s(1.5) == 0.0
+    store.broken = True
+    for second in range(2, 13):
+        keeper.take(samples_of([0], start=10 * second))
+        await a_second(keeper, float(second))
+        if second < 12:
+            assert keeper.waits_s(second + 0.5) == second - 1.5
+    assert keeper.waits_s(12.5) == float("inf")  # once: a row found no room
+    assert keeper.waits_s(13.0) == 11.0
+    store.broken = False
+    await a_second(keeper, 14.0)
+    assert keeper.waits_s(14.0) == 0.0
+
+
 async def test_rows_beyond_the_buffer_are_counted_while_the_disk_refuses(
     keeper, store, monkeypatch
 ):

@@ -153,6 +153,12 @@ def _load(m: Measured) -> str:
     return f"The service works {100.0 * m.value:.0f} % of the time (limit {100.0 * m.limit:g} %)"
 
 
+def _history(m: Measured) -> str:
+    if math.isinf(m.value):
+        return "Rows of the history were lost; History.Lost is their number"
+    return f"The history was not saved for {_duration(m.value)} (limit {m.limit:g} s); rows wait"
+
+
 def _rejected(m: Measured) -> str:
     """The reason is foreign text: it is bounded and escaped by the caller."""
     count = f"{m.value:.0f} message{'s were' if m.value != 1.0 else ' was'}"
@@ -207,6 +213,10 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
     ),
     "Certificate": (_certificate, ()),
     "Load": (_load, ("too many valves or clients", "other work on this machine")),
+    "History": (
+        _history,
+        ("a full disk", "missing rights", "a damaged file", "a clock that steps"),
+    ),
     "MessagesRejected": (
         _rejected,
         (

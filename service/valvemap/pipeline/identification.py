@@ -4,6 +4,7 @@ The live service and the replay of recordings both use this object; it reads no 
 I/O.
 """
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
@@ -326,10 +327,15 @@ class Identification:
 
     @changes_state
     def watch_service(
-        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+        self,
+        now: int,
+        checkpoint_age_s: float,
+        days_left: float,
+        load: float,
+        history_waits_s: float = math.nan,
     ) -> tuple[AlarmReport, ...]:
-        """Update the service's alarms: age of the checkpoints, certificate, load."""
-        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load)
+        """Update the service's alarms: age of the checkpoints, certificate, load, history."""
+        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load, history_waits_s)
 
     @changes_state
     def arm(self, valve: str) -> None:

@@ -367,6 +367,7 @@ class LiveService:
             checkpoint_age_s=age_s,
             days_left=(until - utc) / DAY_NS if until else math.nan,
             load=1.0 if self._to_publish.late else share,
+            history_waits_s=math.nan if self._past is None else self._past.waits_s(now),
         )
 
     async def _wait_no_longer(self, now: float) -> None:

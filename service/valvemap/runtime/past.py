@@ -1,6 +1,7 @@
 """Buffers signals and results for the history, and saves them at intervals."""
 
 import asyncio
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 from typing import Final, NamedTuple
@@ -87,6 +88,9 @@ class PastKeeper:
         self._keeping: asyncio.Task[None] | None = None
         self._failed: dict[str, Exception] = {}
         self.lost = self.failures = 0
+        self._failing_since = math.nan  # monotonic s, as of `tick`
+        self._now = 0.0
+        self._lost_before = store.lost
 
     def take_failed(self) -> list[tuple[int, Exception]]:
         """Return the valves whose rows raised an error in saving since the last call."""
@@ -110,6 +114,7 @@ class PastKeeper:
 
     def tick(self, now: float) -> None:
         """Start a save of the buffer if one is due; ``now`` in s."""
+        self._now = now
         if now < self._due or (self._keeping is not None and not self._keeping.done()):
             return
         parts = len({noted.part for noted in self._results} | {_SIGNALS})
@@ -118,6 +123,13 @@ class PastKeeper:
         if forget:
             self._forget_due = now + FORGET_EVERY_S
         self._keeping = asyncio.create_task(self._keep(forget=forget))
+
+    def waits_s(self, now: float) -> float:
+        """Time for which saves have failed, s; ∞ once after rows were lost."""
+        lost, self._lost_before = self.counters.lost > self._lost_before, self.counters.lost
+        if lost:
+            return math.inf
+        return 0.0 if math.isnan(self._failing_since) else now - self._failing_since
 
     async def settle(self) -> bool:
         """Save the whole buffer; return whether no row waits any more."""
@@ -166,8 +178,11 @@ class PastKeeper:
 
         try:
             await asyncio.to_thread(keep)
+            self._failing_since = math.nan
         except StorageError as error:
             self.failures += 1
+            if math.isnan(self._failing_since):
+                self._failing_since = self._now
             self._samples, self._results = samples + self._samples, results + self._results
             self._changes, self._rows = changes + self._changes, rows + self._rows
             log.warning(
