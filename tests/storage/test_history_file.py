@@ -207,6 +207,18 @@ def test_rows_age_only_while_the_file_is_open(path):
         assert whole(store).t[0] == 20 * S  # written 20 s of open file before the last look
 
 
+def test_the_rate_of_growth_is_that_of_the_rows_that_are_there(path):
+    clock = Monotonic()
+    with HistoryFile(path, most_bytes=1_000_000, clock=clock) as store:
+        assert store.bytes_per_s == 0.0
+        for k in range(500):
+            store.save([piece(1_000 * k * S, 1_000, step=S)])
+            clock.now += 60.0
+            store.forget()
+        assert store.size < 1_300_000
+        assert store.bytes_per_s == pytest.approx(16_200 / 60, rel=0.3)
+
+
 DAY = 86_400 * S
 
 

@@ -30,6 +30,7 @@ from valvemap.storage.sqlite_files import (
 
 AT_START_S: Final = 1.0  # s; time for checks and copies during the start
 IN_TURN_S: Final = 0.1  # s; time for the remaining ones after each save, once a second
+MEASURED_S: Final = 3_600.0  # s of writing from which the file's rate of growth is known
 AGAIN_S: Final = 60.0  # s; shortest time between two files set aside
 _PAGES_AT_ONCE = 1_000  # freed in one step
 Result = TypeVar("Result")
@@ -213,6 +214,13 @@ class HistoryFile(Closing):
     def lost(self) -> int:
         """Rows known to be lost, see the class."""
         return self._lost + self._rows.lost
+
+    @property
+    def bytes_per_s(self) -> float:
+        """The rate at which the file has grown, per s that it was open; 0 if too short to tell."""
+        with self._writing, naming(self.path):
+            span_s = history_age.ran_s(self._writer) - history_age.since_s(self._writer)
+            return self._bytes() / span_s if span_s >= MEASURED_S else 0.0
 
     def take_notes(self) -> list[str]:
         """Return the messages on damage since the last call."""

@@ -39,9 +39,16 @@ def ran_s(connection: sqlite3.Connection) -> float:
     return float(found or 0.0)
 
 
+def since_s(connection: sqlite3.Connection) -> float:
+    """Return the file's time at its oldest mark, s: rows have been written since; 0 of none."""
+    (found,) = connection.execute("SELECT min(ran_s) FROM written").fetchone()
+    return float(found or 0.0)
+
+
 def mark(connection: sqlite3.Connection, now_s: float) -> None:
-    """Note that all present rows were there at this time of the file."""
+    """Note that all present rows were there at this time; drop the marks of dropped blocks."""
     newest = connection.execute(_NEWEST).fetchone()
+    connection.execute("DELETE FROM written WHERE block < (SELECT min(id) FROM block)")
     connection.execute("INSERT OR REPLACE INTO written VALUES (?, ?, ?)", (now_s, *newest))
 
 
