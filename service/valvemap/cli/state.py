@@ -10,7 +10,7 @@ from valvemap.cli.output import write_line
 from valvemap.config.loading import load_config
 
 state = typer.Typer(
-    help="List, adopt, rename, export and import what was learnt.", no_args_is_help=True
+    help="List, adopt, rename, export and import learnt states.", no_args_is_help=True
 )
 
 ValveOption = Annotated[
@@ -41,7 +41,7 @@ def adopt(
 
 @state.command()
 def rename(
-    old: Annotated[str, typer.Argument(help="Name of the valve so far.")],
+    old: Annotated[str, typer.Argument(help="Present name of the valve.")],
     new: Annotated[str, typer.Argument(help="Its new name.")],
     config: ConfigOption = None,
 ) -> None:

@@ -9,7 +9,7 @@ from valvemap.pipeline.ports import Checkpoint, CheckpointStore
 from valvemap.pipeline.provenance import BESIDE, Reviewed
 
 NAMED = 8  # valves and estimators named in one log line; the rest are counted
-REMEDY = "`valvemap state list` shows what is kept, `valvemap state adopt` restores one"
+REMEDY = "`valvemap state list` lists them, `valvemap state adopt` restores one"
 
 log = structlog.get_logger(__name__)
 

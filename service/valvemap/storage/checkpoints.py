@@ -253,8 +253,8 @@ class CheckpointFile(Closing):
         self._open()
         self.renewed += 1
         raise StateFileLost(
-            f"{self.path} was removed or replaced while in use: a new file is in its place, and "
-            "all states are saved again"
+            f"{self.path} was removed or replaced while in use: a new file was made, and all "
+            "states are saved again"
         )
 
     def _is_own(self) -> bool:
