@@ -250,8 +250,11 @@ class NodesConfig(Section):
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
     U: str = Field(description="control voltage")
-    p1: str = Field(description="pressure before the valve")
-    p2: str = Field(description="pressure behind the valve")
+    p1: str | None = Field(None, description="pressure before the valve")
+    p2: str | None = Field(None, description="pressure behind the valve")
+    dp: str | None = Field(
+        None, description="p1 - p2 of one transmitter, in place of p1 and p2: p2 is 0 then"
+    )
     Q: str = Field(description="flow")
     T: str | None = Field(None, description="oil temperature, where there is a sensor")
     sequence: str | None = Field(None, description="running number of the sample")
@@ -271,6 +274,16 @@ class NodesConfig(Section):
         return self
 
     @model_validator(mode="after")
+    def _has_pressures(self) -> Self:
+        pair = self.p1 is not None, self.p2 is not None
+        if self.dp is None and not all(pair):
+            missing = "p1" if not pair[0] else "p2"
+            raise ValueError(f"{missing} is missing; p1 and p2 are needed, or dp alone")
+        if self.dp is not None and any(pair):
+            raise ValueError("dp takes the place of p1 and p2; leave out dp, or both of them")
+        return self
+
+    @model_validator(mode="after")
     def _each_once(self) -> Self:
         names: dict[str, str] = {}
         for name in type(self).model_fields:
@@ -287,6 +300,10 @@ class NodesConfig(Section):
         ):
             raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
         return text
+
+    def source_of(self, name: str) -> str:
+        """Return the field that holds a signal's node: dp for p1, where there is dp."""
+        return "dp" if name == "p1" and self.dp is not None else name
 
     def of(self, name: str) -> str | None:
         """Return the node of a signal, if there is one."""

@@ -66,9 +66,13 @@ def predict(
 ) -> tuple[Floats, Floats]:
     """Flow (N,) and its standard deviation (N,), l/min; NaN where they are not known."""
     Q, std = np.empty((2, len(U)))
-    memory = memory_of(state)._replace(cells=NO_CELLS, recent=NO_ROWS)  # published without these
-    flow_look.evaluate(*both, memory, U, dp, T, Q, std, new_room())
+    flow_look.evaluate(*both, bare_memory(state), U, dp, T, Q, std, new_room())
     return Q, std
+
+
+def bare_memory(state: FlowMapState) -> flow_memory.Memory:
+    """`memory_of` without cells and rows: results are published without them."""
+    return memory_of(state)._replace(cells=NO_CELLS, recent=NO_ROWS)
 
 
 def _look(state: FlowMapState, both: Both, T: float) -> None:

@@ -25,9 +25,10 @@ COUNTERS = 25
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
 APART = 3  # sum of squared distances from the cell's mean, in cells
 BY = 4  # sums of derivatives, drifts.STATES places
-KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE = 12, 13, 14  # what the cell knew when the stay began
-CHANGE_OF, BEFORE = 15, 16  # how much gain or edge changed; gain and edge before, 2 places
-STAY = 18
+KNOWN_COUNT = BY + drifts.STATES  # from here on what the cell knew when the stay began
+KNOWN_OFF, CHANGE_SIZE, CHANGE_OF = KNOWN_COUNT + 1, KNOWN_COUNT + 2, KNOWN_COUNT + 3
+BEFORE = KNOWN_COUNT + 4  # gain and edge before the last change; CHANGE_OF: how much it was
+STAY = BEFORE + drifts.LEVELS
 
 
 class Memory(NamedTuple):
@@ -74,4 +75,7 @@ class Room(NamedTuple):
 
 # Places in `Room.at`: what the map says at one point.
 FLOW, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, WARM, OF = 0, 1, 2, 3, 4, 5, 6, 7
-AT = OF + drifts.STATES  # from OF on derivatives by the states of `flow_drift`; WARM: flow due to T
+FLOWS = OF + drifts.STATES  # derivatives at another temperature
+AT = (
+    FLOWS + drifts.STATES
+)  # from OF on derivatives by the states of `flow_drift`; WARM: flow due to T

@@ -97,8 +97,11 @@ PLAY_SURE: Final = 3.0  # standard deviations from which on a correction is made
 # Temperature.
 THINNING: Final = 0.03  # 1/K; rate of the oil's viscosity, ISO VG 32-68 near 40 °C
 WARMTH: Final = 0.1  # of the flow; standard deviation of an effect of viscosity, before it is known
+OTHER_LAW: Final = 0.007  # of an effect, per √K; by how much the oil's law is another one
+WARM_DOUBT: Final = 0.1  # of the flow due to temperature; standard deviation of a stay
 STRONG: Final = 3.0  # times the standard deviation WARMTH; effects where flow is laminar
 LAMINAR: Final = 0.1  # of the largest √|Δp|; below it flow is laminar, about
+CREEPING: Final = 0.03  # of the largest √|Δp|; the same for a smaller Reynolds number
 
 # How samples come from the map.
 ROWS: Final = 1280  # samples that are kept as measured: 13 s at 100 Hz

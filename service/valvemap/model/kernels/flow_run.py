@@ -108,6 +108,7 @@ def _learn(
     place(axis_U, memory, side, u, r, at)
     if counters[USED] == 0:
         scalars[fits.FIRST_T] = batch.T[i] if abs(batch.T[i]) < rules.HUGE else math.nan
+        scalars[fits.NOW_T] = scalars[fits.STAY_T] = scalars[fits.STAY_T + 1] = math.nan
     at[WARM], beyond = 0.0, 0.0  # flow that the meter shows beyond that of the place
     bent = 0.0  # variance of that
     if not is_beyond and paths.filters(path):
@@ -128,6 +129,8 @@ def _learn(
         known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
     if is_beyond:
         return _EXTRAPOLATING
+    if abs(batch.T[i]) < rules.HUGE:
+        scalars[fits.NOW_T] = batch.T[i]
     if paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path):
         counters[USED] += 1
         counters[CENSORED] += 1

@@ -1,5 +1,7 @@
 """Stays: successive samples in one cell, from which drift and sudden changes are learnt."""
 
+import math
+
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_path as paths
@@ -88,6 +90,7 @@ def begin_replay(memory: Memory, rows: int, T: float) -> None:
     counters[ROWS_SEEN] = counters[SKIPPED] = counters[STAYS] = counters[CLOCK] = 0
     counters[CLOCK + 1] = 0
     memory.scalars[fits.FIRST_T] = T
+    memory.scalars[fits.STAY_T : fits.STAY_T + 2] = math.nan
     memory.path[paths.SEEN] = 0.0
     memory.stay[:KNOWN_COUNT] = 0.0
     play[plays.SEEN] = play[plays.SLOPES] = play[plays.ERRORS] = 0.0
@@ -169,13 +172,24 @@ def end_stay(memory: Memory, room: Room) -> None:
         by = stay[BY : BY + drifts.STATES]
         for k in range(drifts.STATES):
             by[k] /= many
+        warm = 0.0
+        for k in range(drifts.RATES, drifts.STATES):
+            warm += by[k] * drift.now[0, k]
+        noise += (rules.WARM_DOUBT * warm) ** 2
         young = counters[USED] - max(counters[BEGAN], counters[CALM]) < rules.MATURE
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
-        drifts.step(
-            drift, dt, jumps, residual, by, counters[STAYS] * (noise + share * of_cell)
-        )  # fmt: skip
+        variance, warmed = counters[STAYS] * (noise + share * of_cell), _warmed(side, scalars)
+        drifts.step(drift, dt, jumps, warmed, residual, by, variance)
         _note_change(drift, side, now, residual, memory)
     stay[:KNOWN_COUNT] = 0.0
+
+
+@inner
+def _warmed(side: int, scalars: Floats) -> float:
+    """By how much the oil is warmer or colder than in the last stay on this side, K."""
+    now, before = scalars[fits.NOW_T], scalars[fits.STAY_T + side]
+    scalars[fits.STAY_T + side] = now
+    return abs(now - before) if math.isfinite(now - before) else 0.0
 
 
 @inner
