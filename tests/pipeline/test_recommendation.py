@@ -4,6 +4,8 @@ import numpy as np
 
 from valvemap.pipeline.places import Ranking
 from valvemap.pipeline.recommendation import recommendation
+from valvemap.pipeline.valve_state import merged_findings
+from valvemap.vocabulary.findings import Finding, FindingCode
 
 NAMES = "RLS", "Auto", "RBF"
 
@@ -31,3 +33,9 @@ def test_none_is_recommended_before_places_were_visited_again():
 def test_an_inverse_that_is_configured_otherwise_is_said():
     found = recommendation(Ranking(1, 0.99, np.array([1.7, 0.42, 5.0]), 32), NAMES, "RLS", None)
     assert "configured to be that of RLS" in found.reason
+
+
+def test_a_cause_that_several_estimators_find_is_named_once_as_the_likelier():
+    play, likelier = (Finding(FindingCode.PLAY, p, f"{p}") for p in (0.6, 0.9))
+    lag = Finding(FindingCode.LAG_U, 0.7, "lag")
+    assert merged_findings([(play,), (likelier, lag), ()]) == (likelier, lag)

@@ -421,9 +421,11 @@ class _Kept(State):
         valves.within(-1.0, kernel.PLACES - 1.0, kernel.NOW)
         valves.within(-1.0, len(self.lanes) - 1.0, kernel.CHOSEN)
         points = Contents(self.points).or_nan((every, kernel.AT_T))
-        positive = every, every, [kernel.JUDGED, kernel.SQUARE]
+        positive = every, every, [kernel.JUDGED, kernel.SQUARE, kernel.STD]
         places = Contents(self.places).within(0.0, where=positive)
-        lanes = Contents(self.lanes).or_infinite((every, kernel.SCORE))
+        lanes = Contents(self.lanes).within(0.0).or_infinite((every, kernel.SCORE))
+        lanes.within(-kernel.LARGEST, kernel.LARGEST, (every, kernel.NEWEST))
+        lanes.within(1.0 / kernel.WIDEST, kernel.WIDEST, (every, kernel.MULTIPLE))
         lanes.within(0.0, max(Adaptation), (every, kernel.FIT))
         return {"axes": axes, "valves": valves, "points": points, "places": places, "lanes": lanes}
 
