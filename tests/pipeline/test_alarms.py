@@ -94,7 +94,7 @@ def test_residuals_larger_than_usual_come_after_the_delay_and_go(known):
     assert (report.active, report.acked, report.count) == (True, False, 1)
     assert START + 300 * S <= report.since <= START + 304 * S
     assert report.at - report.since >= 2 * S
-    assert "times what they usually are (limit 2.5)" in report.text
+    assert "times their usual size (limit 2.5)" in report.text
     watch(known, *later(30, first_s=330))
     report = of(known, "Residual")
     assert (report.active, report.acked, report.count) == (False, False, 1)
@@ -139,7 +139,7 @@ def test_a_sensor_that_is_lost_comes_with_time_and_goes_with_the_first_sample(kn
     watch(known, bad, replace(trace, status=np.full(len(bad), Status.REJECTED, np.uint8)))
     report = of(known, "SensorLost")
     assert (report.active, report.since) == (True, START + 300 * S - S // HZ)
-    assert "No sample of use for" in report.text
+    assert "No usable sample for" in report.text
     watch(known, *later(1, first_s=305))
     assert not of(known, "SensorLost").active
     assert not of(known, "SensorLost").acked
@@ -170,7 +170,7 @@ def test_a_sensor_that_stands_still_while_others_move_is_named(known, signal):
     watch(known, replace(samples, **held), trace)
     report = of(known, "SensorFrozen")
     assert report.active
-    assert report.text.startswith(f"{signal} stood still to the last digit for 1")
+    assert report.text.startswith(f"{signal} was constant to the last digit for 1")
     watch(known, *later(2, first_s=315))
     assert not of(known, "SensorFrozen").active
 

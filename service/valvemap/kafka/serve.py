@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
+from functools import partial
 from typing import Final, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from valvemap.app.connections import (
     build_server_settings,
     own_certificate,
 )
+from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.warm_up import warm_up
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import BrokerAway, FleetError
@@ -34,6 +36,7 @@ from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.ports import AlarmChange, Health, PastCounters, PastStore, Results
 from valvemap.runtime.backoff import backoff
+from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
 from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S
 from valvemap.runtime.past import PastKeeper
 from valvemap.vocabulary.service_alarms import ServiceAlarm
@@ -63,8 +66,10 @@ async def serve(
     catalogue = load_catalogue(config.catalogue)
     name = site_of(catalogue, site)
     given = catalogue.sites[name]
-    await asyncio.to_thread(warm_up, given)
     settings = server_settings or build_server_settings(given)
+    allow_descriptors(descriptors_needed(settings.limits.connections, sources=0))
+    if not await unless_stopped(stop, in_daemon_thread(partial(warm_up, given))):
+        return
     with ExitStack() as opened:
         past = opened.enter_context(build_history(given) or nullcontext())
         groups = {

@@ -120,6 +120,15 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
     return at, gains
 
 
+def end_of_meter(evidence: Evidence, given: Floats) -> float:
+    """Flow at which the meter ends, 0 where the rows do not need one."""
+    tried = [at for at in _others(evidence, given) if at[paths.TOP] != given[paths.TOP]]
+    if not tried:
+        return 0.0
+    at = _refined(evidence, min(tried, key=lambda at: evidence.of(at)[0]), paths.TOP)
+    return float(at[paths.TOP]) if evidence.gain(at, given) >= rules.CLEAR else 0.0
+
+
 def _likeliest(evidence: Evidence, at: Floats) -> Floats:
     """Refine all operators, and try rivals in the place of each."""
     best = _settled(evidence, at)
@@ -219,6 +228,8 @@ def noise_of(Q: Floats) -> float:
 def _refined(evidence: Evidence, at: Floats, k: int) -> Floats:
     """The likeliest value of parameter k nearby."""
     low, high = LIMITS.get(k, (0.0, math.inf))
+    if k == paths.TOP:
+        high = float(np.max(evidence.Q))
     for step in STEPS:
         for factor in (step, 1.0 / step):
             while True:

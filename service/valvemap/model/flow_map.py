@@ -1,31 +1,22 @@
 """`FlowMap`: the map as one Gaussian model, all of whose scales the samples decide."""
 
 from dataclasses import dataclass
-from itertools import product
-from typing import Final
 
 import numpy as np
 
-from valvemap.model import flow_map_looks
+from valvemap.model import flow_findings, flow_map_looks, flow_parameters
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import (
-    flow_cells,
     flow_drift,
-    flow_look,
     flow_memory,
-    flow_path,
     flow_play,
 )
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import Adaptation, Quality
-
-SECONDS_PER_HOUR: Final = 3600.0
-NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
-NO_ROWS: Final = np.zeros((0, flow_path.COLUMNS), np.float32)
-SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
 @dataclass(frozen=True)
@@ -61,8 +52,8 @@ class FlowMap:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the points at which the map is published."""
-        return tuple(f"Q({U}%,{dp}bar)" for U, dp in SITES)
+        """Points at which the map is published, then physical quantities."""
+        return flow_parameters.NAMES
 
     def initial_state(self) -> FlowMapState:
         """State before the first sample."""
@@ -99,22 +90,19 @@ class FlowMap:
         self, state: FlowMapState, U: Floats, dp: Floats, T: Floats
     ) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
-        Q, std = np.empty((2, len(U)))
-        both, room = axes(self.U_range, self.dp_range), flow_map_looks.new_room()
-        memory = flow_map_looks.memory_of(state)  # results are published without cells and rows
-        memory = memory._replace(cells=NO_CELLS, recent=NO_ROWS)
-        flow_look.evaluate(*both, memory, U, dp, T, Q, std, room)
-        return Q, std
+        return flow_map_looks.predict(state, axes(self.U_range, self.dp_range), U, dp, T)
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
-        """Q at the 55 points and its standard deviation."""
-        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
-        return self.predict(state, U, dp, np.full_like(U, np.nan))
+        """Flows and physical quantities, see `flow_parameters`, and their standard deviations."""
+        return flow_parameters.parameters(state, axes(self.U_range, self.dp_range))
 
     def parameters_many(self, states: FlowMapState) -> tuple[Floats, Floats]:
-        """What ``parameters`` gives valve by valve, both (M, 55)."""
+        """What ``parameters`` gives valve by valve, both (M, 65)."""
         found = [self.parameters(member(states, m)) for m in range(len(states.counters))]
-        Q, std = (np.array(x).reshape(len(found), len(SITES)) for x in zip(*found, strict=True))
+        Q, std = (
+            np.array(x).reshape(len(found), len(flow_parameters.NAMES))
+            for x in zip(*found, strict=True)
+        )
         return Q, std
 
     def adaptation(self, state: FlowMapState) -> Adaptation:
@@ -130,10 +118,11 @@ class FlowMap:
 
     def rates(self, state: FlowMapState) -> tuple[Floats, Floats]:
         """Rates of gain (1/h) and edge (%/h), and their standard deviations, (2, 2): by side."""
-        rates = slice(flow_drift.LEVELS, flow_drift.RATES)
-        mean, covariance = state.now[:, 0, rates], state.now[:, 1:][:, rates, rates]
-        variance = np.diagonal(covariance, axis1=1, axis2=2)
-        return mean * SECONDS_PER_HOUR, np.sqrt(np.maximum(variance, 0.0)) * SECONDS_PER_HOUR
+        return flow_parameters.rates(state)
+
+    def findings(self, state: FlowMapState) -> tuple[Finding, ...]:
+        """Causes of what the samples show, the likeliest first."""
+        return flow_findings.findings(state, axes(self.U_range, self.dp_range))
 
     def play(self, state: FlowMapState) -> float:
         """Play between U and the spool, %."""

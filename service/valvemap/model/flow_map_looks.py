@@ -12,6 +12,7 @@ from valvemap.model.kernels import (
     flow_cells,
     flow_drift,
     flow_fit,
+    flow_look,
     flow_memory,
     flow_path,
     flow_play,
@@ -23,6 +24,8 @@ from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.samples import Floats, Times
 
 NANOSECONDS: Final = 1e9
+NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
+NO_ROWS: Final = np.zeros((0, flow_path.COLUMNS), np.float32)
 Both = tuple[Axis, Axis]
 
 
@@ -46,13 +49,30 @@ def learn(state: FlowMapState, both: Both, batch: flow_memory.Batch, start: int,
         began = counters[flow_memory.BEGAN]
         row = flow_run.run(row, stop, batch, *both, memory, room)
         T = float(batch.T[row - 1])
+        T = T if abs(T) < rules.HUGE else math.nan
         if counters[flow_memory.BEGAN] != began:
             _replay(state, both, T)
         if counters[flow_memory.USED] >= counters[flow_memory.NEXT_FIT]:
             _refit(state, *both)
-            _watch(state, both, T)
+            if counters[flow_memory.DOUBTED]:
+                _doubt_change(state, both)
+            _watch(state, both)
             if counters[flow_memory.USED] >= counters[flow_memory.NEXT_LOOK]:
                 _look(state, both, T)
+
+
+def predict(
+    state: FlowMapState, both: Both, U: Floats, dp: Floats, T: Floats
+) -> tuple[Floats, Floats]:
+    """Flow (N,) and its standard deviation (N,), l/min; NaN where they are not known."""
+    Q, std = np.empty((2, len(U)))
+    flow_look.evaluate(*both, bare_memory(state), U, dp, T, Q, std, new_room())
+    return Q, std
+
+
+def bare_memory(state: FlowMapState) -> flow_memory.Memory:
+    """`memory_of` without cells and rows: results are published without them."""
+    return memory_of(state)._replace(cells=NO_CELLS, recent=NO_ROWS)
 
 
 def _look(state: FlowMapState, both: Both, T: float) -> None:
@@ -61,8 +81,7 @@ def _look(state: FlowMapState, both: Both, T: float) -> None:
     used = int(counters[flow_memory.USED])
     later = (at for at in rules.LOOKS if at > used)
     counters[flow_memory.NEXT_LOOK] = next(later, used + rules.MOST_BETWEEN_LOOKS)
-    given = path[: flow_path.PARAMETERS].copy()
-    given[flow_path.PLAY] = play[flow_play.HALF]
+    given = _given(state)
     rows = _rows(state)
     evidence = flow_causes.Evidence(*both, rows)
     found, gains = flow_causes.search(evidence, given)
@@ -77,14 +96,49 @@ def _look(state: FlowMapState, both: Both, T: float) -> None:
     path[: flow_path.PARAMETERS] = found
     play[flow_play.HALF] = found[flow_path.PLAY]
     path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
-    _replay(state, both, T)
+    if (found == given)[: flow_path.TOP].all():
+        _empty_bounds(state, both)
+    else:
+        _replay(state, both, T)
+
+
+def _doubt_change(state: FlowMapState, both: Both) -> None:
+    """Take a change back that is the meter's end, reached for the first time."""
+    counters, path = state.counters, state.path
+    counters[flow_memory.DOUBTED] = 0
+    given = _given(state)
+    if given[flow_path.TOP]:
+        return
+    top = flow_causes.end_of_meter(flow_causes.Evidence(*both, _rows(state)), given)
+    if top:
+        path[flow_path.TOP], path[flow_path.GAINS + flow_path.TOP] = top, rules.CLEAR
+        counters[flow_memory.CHANGES] -= 1
+        _empty_bounds(state, both)
+
+
+def _empty_bounds(state: FlowMapState, both: Both) -> None:
+    """Forget what was learnt at the ends of the meter, and what it was taken for."""
+    cells, path = state.cells, state.path
+    size = np.abs(cells[:, flow_cells.MEAN_Q])
+    beyond = size > rules.PARTLY_BEYOND * path[flow_path.TOP]
+    wrong = (size < 2.0 * path[flow_path.LEAST]) | (beyond & bool(path[flow_path.TOP]))
+    cells[wrong] = 0.0
+    flow_stay.forget_motion(memory_of(state))
+    state.counters[flow_memory.FITTED] = 0
+    _refit(state, *both)
+
+
+def _given(state: FlowMapState) -> Floats:
+    given = state.path[: flow_path.PARAMETERS].copy()
+    given[flow_path.PLAY] = state.play[flow_play.HALF]
+    return given
 
 
 def _sign(says_so: bool) -> float:  # noqa: FBT001
     return 1.0 if says_so else -1.0
 
 
-def _watch(state: FlowMapState, both: Both, T: float) -> None:
+def _watch(state: FlowMapState, both: Both) -> None:
     """Weigh whether the meter has a least flow, by the samples since the last time."""
     path, counters = state.path, state.counters
     seen = int(counters[flow_memory.ROWS_SEEN] - counters[flow_memory.WATCHED])
@@ -103,7 +157,7 @@ def _watch(state: FlowMapState, both: Both, T: float) -> None:
     there = path[at] >= rules.CLEAR
     if there != (path[flow_path.LEAST] > 0.0):
         path[flow_path.LEAST] = path[flow_path.LEAST_SEEN] if there else 0.0
-        _replay(state, both, T)
+        _empty_bounds(state, both)
     elif there:
         path[flow_path.LEAST] = path[flow_path.LEAST_SEEN]
 
@@ -151,8 +205,7 @@ def _replay(state: FlowMapState, both: Both, T: float) -> None:
 
 def _begin_coarse(state: FlowMapState, both: Both, rows: Floats) -> None:
     """Take the coarse map of the rows until all are learnt: a meter's filter is undone by it."""
-    given = state.path[: flow_path.PARAMETERS].copy()
-    given[flow_path.PLAY] = state.play[flow_play.HALF]
+    given = _given(state)
     evidence = flow_causes.Evidence(*both, rows)
     left, _, _ = evidence.of(given)
     evidence.fill(given, *both, state.theta)

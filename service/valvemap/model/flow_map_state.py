@@ -79,7 +79,8 @@ class FlowMapState(State):
         positive = [flow_cells.COUNT, flow_cells.WORTH, flow_cells.VAR_U, flow_cells.VAR_S]
         positive += [flow_cells.REFUSALS]
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
-        scalars.within(-1e9, 1e9, flow_fit.FIRST_T).or_nan(flow_fit.FIRST_T)
+        of_oil = [flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.STAY_T, flow_fit.STAY_T + 1]
+        scalars.within(-1e9, 1e9, of_oil).or_nan(of_oil)
         counters = Contents(self.counters)
         times = [
             flow_memory.CLOCK,
@@ -92,7 +93,10 @@ class FlowMapState(State):
         counters.within(
             0,
             1,
-            [flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED, flow_memory.ALARMED],
+            [
+                *(flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED),
+                *(flow_memory.ALARMED, flow_memory.DOUBTED),
+            ],
         )
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),

@@ -325,6 +325,10 @@ class Alarms:
         self._forget_usual(m)
         self._move_on(np.array([m]), Alarm.CHANGED, np.zeros(1))
 
+    def watch_another_map(self, m: int) -> None:
+        """Reset the usual residuals: those of another estimator are watched from now on."""
+        self._forget_usual(m)
+
     def _forget_usual(self, m: int) -> None:
         fresh = _nothing_seen(1)
         kept = [kernel.T_USUAL, kernel.CHANGES_SEEN, kernel.LAG_BEFORE, *_LOSSES]

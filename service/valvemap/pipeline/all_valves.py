@@ -116,8 +116,13 @@ class AllValves:
 
     def inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
         """Return the plan and the state that a valve's inverse is computed from."""
-        plan = self.plans[valve]
-        return plan, self.state_of(valve, plan.inverse)
+        name = self.inverse(valve)
+        return replace(self.plans[valve], inverse=name), self.state_of(valve, name)
+
+    def inverse(self, valve: int) -> str:
+        """Name of the estimator whose map is inverted at a valve."""
+        fleet, m = self.at(valve)
+        return fleet.inverse(m)
 
     def accuracy(self, valve: int) -> SensorAccuracy:
         """Return the sensors' accuracy, including the deadbands of on-change signals."""
@@ -179,7 +184,7 @@ def _fleets(
     for valve, plan in enumerate(plans):
         estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
         ranges = valve_state.nothing_seen(plan).ranges.tolist()
-        watched = plan.inverse, sorted(plan.alarms.items())
+        watched = plan.inverse, plan.follows, plan.references, sorted(plan.alarms.items())
         key = repr((plan.gate, estimators, ranges, plan.accuracy, watched))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):

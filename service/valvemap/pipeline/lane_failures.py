@@ -31,6 +31,7 @@ class Step(StrEnum):
     GATE = "gate"
     LEARNING = "learning"
     SUPPORT = "support"
+    COMPARISON = "comparison"
     ALARMS = "alarms"
     MAP = "map"
     SURVEY = "survey"

@@ -236,15 +236,16 @@ class ResultTables:
         self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
     ) -> InverseResults:
         M, places = len(valves), self._valves.places[valves]
+        inverses = fleet.inverses(places)
         t, quality = np.zeros(M, np.int64), np.zeros(M, np.uint8)
         for name, found in estimators.items():
-            own = np.array([self._valves.plans[valve].inverse == name for valve in valves])
+            own = np.array([inverse == name for inverse in inverses])
             t[own], quality[own] = found.t[own], found.quality[own]
         U, status = np.full(M, np.nan), np.full(M, np.uint8(InverseStatus.NOT_FINITE))
         demanded = np.isfinite(fleet.demands(places)).all(axis=1)
         for k in np.flatnonzero(demanded):
             (U[k], _, status[k]), _ = self._commands.required(int(valves[k]))
-            if not self._valves.runs(int(valves[k]), fleet.plan.inverse):
+            if not self._valves.runs(int(valves[k]), inverses[k]):
                 quality[k] = Quality.BAD
         guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
         fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))

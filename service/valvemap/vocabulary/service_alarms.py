@@ -15,9 +15,9 @@ from valvemap.vocabulary.statuses import Described
 class ServiceAlarm(Described):
     """Alarms of the service; the label is the name in NodeIds and configuration."""
 
-    CHECKPOINT = 0, "Checkpoint", "What is learnt is not kept."
+    CHECKPOINT = 0, "Checkpoint", "States are not saved."
     CERTIFICATE = 1, "Certificate", "The service's certificate expires soon."
-    LOAD = 2, "Load", "The service can hardly keep up."
+    LOAD = 2, "Load", "The service is close to its limit of processing time."
     MESSAGES_REJECTED = 3, "MessagesRejected", "Messages or states of the fleet are rejected."
 
 

@@ -158,11 +158,13 @@ def _fit(
             Q, weight = rows[i, paths.LEFT_Q], 1.0
             if not used[i]:
                 continue
-            if top > 0.0 and rules.NEAR_TOP * top < Q:
-                if k_round == 0:
+            if top > 0.0 and rules.NEAR_TOP * top < Q:  # tells something where it is contradicted
+                if k_round == 0 or flows[i] >= top:
                     continue
-                Q = max(flows[i], top)
+                Q = top
             elif abs(Q) < rules.NEAR_LEAST * least:
+                if k_round > 0 and abs(flows[i]) <= least:
+                    continue
                 weight = rules.FIRST_WEIGHT if k_round == 0 else 1.0
                 Q = min(max(flows[i], -least), least)
             if abs(residual[i]) > limit:

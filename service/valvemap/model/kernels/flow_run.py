@@ -24,8 +24,10 @@ from valvemap.model.kernels.flow_cells import (
 )
 from valvemap.model.kernels.flow_look import clipped, look, place, viscosity
 from valvemap.model.kernels.flow_memory import (
+    ALARMED,
     BEGAN,
     CENSORED,
+    DOUBTED,
     FITTED,
     FLOW,
     LAST_TIME,
@@ -73,10 +75,14 @@ def run(
         if not (batch.usable[i] and math.isfinite(U + dp + Q)):
             batch.status[i] = _REJECTED
             continue
-        if max(abs(U), abs(dp), abs(Q)) > rules.HUGE:
+        if max(abs(U), abs(dp), abs(Q), abs(batch.p1[i])) > rules.HUGE:
             batch.status[i] = _HELD
             continue
+        alarmed = counters[ALARMED]
         batch.status[i] = _learn(i, batch, axis_U, axis_s, memory, room)
+        if counters[ALARMED] > alarmed:  # may be the meter's end, reached for the first time
+            counters[DOUBTED] = 1
+            counters[NEXT_FIT] = counters[USED]
         if counters[USED] >= counters[NEXT_FIT]:
             end_stay(memory, room)
             if plays.decide(memory.play):
@@ -101,7 +107,8 @@ def _learn(
     known, side = False, 0 if u >= 0.0 else 1
     place(axis_U, memory, side, u, r, at)
     if counters[USED] == 0:
-        scalars[fits.FIRST_T] = batch.T[i]
+        scalars[fits.FIRST_T] = batch.T[i] if abs(batch.T[i]) < rules.HUGE else math.nan
+        scalars[fits.NOW_T] = scalars[fits.STAY_T] = scalars[fits.STAY_T + 1] = math.nan
     at[WARM], beyond = 0.0, 0.0  # flow that the meter shows beyond that of the place
     bent = 0.0  # variance of that
     if not is_beyond and paths.filters(path):
@@ -122,6 +129,8 @@ def _learn(
         known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
     if is_beyond:
         return _EXTRAPOLATING
+    if abs(batch.T[i]) < rules.HUGE:
+        scalars[fits.NOW_T] = batch.T[i]
     if paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path):
         counters[USED] += 1
         counters[CENSORED] += 1

@@ -1,5 +1,7 @@
 """Stays: successive samples in one cell, from which drift and sudden changes are learnt."""
 
+import math
+
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_path as paths
@@ -18,8 +20,12 @@ from valvemap.model.kernels.flow_drift import Drift
 from valvemap.model.kernels.flow_memory import (
     ALARMED,
     APART,
+    BEFORE,
     BEGAN,
     BY,
+    CALM,
+    CHANGE_KIND,
+    CHANGE_OF,
     CHANGE_SAMPLE,
     CHANGE_SIZE,
     CHANGE_TIME,
@@ -63,6 +69,16 @@ def begin_again(memory: Memory) -> None:
 
 
 @lean_kernel
+def forget_motion(memory: Memory) -> None:
+    """Forget what moved in time."""
+    memory.counters[ALARMED] = memory.counters[SKIPPED] = memory.counters[STAYS] = 0
+    memory.counters[CALM] = memory.counters[USED]
+    memory.stay[:KNOWN_COUNT] = 0.0
+    for side in range(2):
+        drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
+
+
+@lean_kernel
 def begin_replay(memory: Memory, rows: int, T: float) -> None:
     """Begin again, about to learn from the last ``rows`` samples once more."""
     begin_again(memory)
@@ -74,6 +90,7 @@ def begin_replay(memory: Memory, rows: int, T: float) -> None:
     counters[ROWS_SEEN] = counters[SKIPPED] = counters[STAYS] = counters[CLOCK] = 0
     counters[CLOCK + 1] = 0
     memory.scalars[fits.FIRST_T] = T
+    memory.scalars[fits.STAY_T : fits.STAY_T + 2] = math.nan
     memory.path[paths.SEEN] = 0.0
     memory.stay[:KNOWN_COUNT] = 0.0
     play[plays.SEEN] = play[plays.SLOPES] = play[plays.ERRORS] = 0.0
@@ -155,17 +172,42 @@ def end_stay(memory: Memory, room: Room) -> None:
         by = stay[BY : BY + drifts.STATES]
         for k in range(drifts.STATES):
             by[k] /= many
-        young = counters[USED] - counters[BEGAN] < rules.MATURE
+        warm = 0.0
+        for k in range(drifts.RATES, drifts.STATES):
+            warm += by[k] * drift.now[0, k]
+        noise += (rules.WARM_DOUBT * warm) ** 2
+        young = counters[USED] - max(counters[BEGAN], counters[CALM]) < rules.MATURE
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
-        drifts.step(
-            drift, dt, jumps, residual, by, counters[STAYS] * (noise + share * of_cell)
-        )  # fmt: skip
-        jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
-        if jumped > rules.CERTAIN and not counters[ALARMED]:
-            counters[ALARMED] = 1
-            counters[CHANGES] += 1
-            counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
-            stay[CHANGE_SIZE] = residual
-        elif jumped < rules.OVER and 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP:
-            counters[ALARMED] = 0
+        variance, warmed = counters[STAYS] * (noise + share * of_cell), _warmed(side, scalars)
+        drifts.step(drift, dt, jumps, warmed, residual, by, variance)
+        _note_change(drift, side, now, residual, memory)
     stay[:KNOWN_COUNT] = 0.0
+
+
+@inner
+def _warmed(side: int, scalars: Floats) -> float:
+    """By how much the oil is warmer or colder than in the last stay on this side, K."""
+    now, before = scalars[fits.NOW_T], scalars[fits.STAY_T + side]
+    scalars[fits.STAY_T + side] = now
+    return abs(now - before) if math.isfinite(now - before) else 0.0
+
+
+@inner
+def _note_change(drift: Drift, side: int, now: int, residual: float, memory: Memory) -> None:
+    """Count a sudden change that is certain, and note how much of what it is."""
+    counters, stay = memory.counters, memory.stay
+    jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
+    if jumped > rules.CERTAIN and not counters[ALARMED]:
+        counters[ALARMED] = 1
+        counters[CHANGES] += 1
+        counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
+        stay[CHANGE_SIZE] = residual
+        for k in range(drifts.LEVELS):
+            stay[BEFORE + k] = drift.x[drifts.STILL, k]
+    elif jumped < rules.OVER and 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP:
+        counters[ALARMED] = 0
+    if counters[ALARMED] and jumped > rules.CERTAIN:
+        of_gain = drift.chance[drifts.OTHER_GAIN] > drift.chance[drifts.OTHER_EDGE]
+        kind, k = (drifts.OTHER_GAIN, 0) if of_gain else (drifts.OTHER_EDGE, 1)
+        counters[CHANGE_KIND] = kind + side * drifts.MODELS
+        stay[CHANGE_OF] = drift.x[kind, k] - stay[BEFORE + k]
