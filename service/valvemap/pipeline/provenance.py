@@ -38,7 +38,8 @@ MEMORY: Final = "Diagnostics"  # a valve's state beside its estimators; no estim
 TIMING: Final = "Signals"  # how its signals are stamped; likewise
 BASELINE: Final = "Baseline"  # its approved map; likewise
 ALARMS: Final = "Alarms"  # the state of its alarms; likewise
-BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS)
+PLACES: Final = "Recommended"  # the errors of its estimators' maps at places; likewise
+BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES)
 
 
 @dataclass(frozen=True)
