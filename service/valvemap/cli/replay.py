@@ -17,7 +17,7 @@ from valvemap.config.loading import load_config
 from valvemap.errors import RecordingError
 from valvemap.owned_files import write_whole
 
-_BEYOND = "beyond_range"  # has a line of its own
+_BEYOND = "beyond_range"  # has a separate line
 
 if TYPE_CHECKING:
     from valvemap.app.replay import EstimatorReport, Report, Tap
