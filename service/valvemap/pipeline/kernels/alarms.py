@@ -313,7 +313,7 @@ def _look_at_residual(
     U, dp, status = seen.U[i], seen.p1[i] - seen.p2[i], seen.status[i]
     if seen.quality[i] == 2 or not (abs(e) < 1e100 and np.isfinite(U) and np.isfinite(dp)):
         return
-    if status > 2 and status != 4:  # Status: OK, WARMING_UP, UNEXCITED, FROZEN
+    if status > 2 and status not in (4, 8):  # OK, WARMING_UP, UNEXCITED; FROZEN, UNRELIABLE
         return
     memory, weight = senses.memory[m], senses.weight[m]
     bias, square = senses.bias[m], senses.square[m]
