@@ -7,20 +7,22 @@ import lzma
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO, BinaryIO, cast
+from typing import IO, BinaryIO, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError, ValvemapError
-from valvemap.model.samples import Codes, Floats, Samples, Times
+from valvemap.model.samples import Codes, Samples
 from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
+from valvemap.storage.arrow_csv import ArrowParser
 from valvemap.storage.columns import CellError
+from valvemap.storage.csv_cells import Cells, TextCells
 from valvemap.storage.dates import DateForm, date_form
 from valvemap.storage.layout import Layout, Part, find_columns
 
@@ -39,6 +41,8 @@ _BLOCK = 2_048  # lines; their cells fit in the CPU cache, nearly twice as fast
 
 Rows = list[list[str]]
 Block = tuple[Samples, NDArray[np.intp]]
+Chunk = tuple[list[Block], RecordingError | None]  # parsed, and the error behind it
+T = TypeVar("T")
 
 
 class CsvReader:
@@ -70,9 +74,9 @@ class CsvReader:
         with _Faults(path, lambda: 0):
             peeked = list(islice(self._text, _PEEKED))
         self._skipped = skipped
-        lines = chain(peeked, self._text)
-        self._lines = csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
+        self._lines = chain(peeked, self._text)
         self._dates = self._date_form(peeked)
+        self._arrow = self._parser(peeked)
 
     @property
     def fraction(self) -> float:
@@ -113,32 +117,68 @@ class CsvReader:
 
         Samples before damage are yielded before the error is raised.
         """
+        for blocks, problem in self._parsed_lines():
+            if blocks:
+                samples, index = zip(*blocks, strict=True)
+                whole = Samples.concatenate(samples)
+                yield from columns.by_valve(whole, list(self._valves), np.concatenate(index))
+            if problem is not None:
+                raise problem
+
+    def _parsed_lines(self) -> Iterator[Chunk]:
+        """Yield chunks of lines, parsed by Arrow as long as no cell is quoted."""
+        while self._arrow is not None:
+            lines: list[str] = []
+            problem = self._taken(self._lines, lines, self._rows)
+            text = "".join(lines)
+            if '"' in text:  # a quoted cell may go over several lines, and chunks
+                self._lines = chain(lines, self._lines if problem is None else _raising(problem))
+                break
+            before, self._skipped = self._skipped, self._skipped + len(lines)
+            blocks = self._parsed_by_arrow(self._arrow, lines, text)
+            if blocks is None:
+                yield from self._parsed_text(lines, before)
+            yield blocks or [], problem
+            if len(lines) < self._rows:
+                return
+        yield from self._parsed_text(self._lines, self._skipped)
+
+    def _parsed_by_arrow(
+        self, arrow: ArrowParser, lines: Sequence[str], text: str
+    ) -> list[Block] | None:
+        """Return the blocks of lines; None if they must be parsed as text."""
+        if max(map(len, lines), default=0) > csv.field_size_limit():
+            return None
+        cells = arrow.parsed(text)
+        try:
+            return None if cells is None else list(self._blocks(cells))
+        except CellError:
+            return None
+
+    def _parsed_text(self, lines: Iterable[str], skipped: int) -> Iterator[Chunk]:
+        """Yield chunks of lines as text; ``skipped`` is the number of lines before them."""
+        reader = csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
         more, problem = True, None
         while more:
             blocks: list[Block] = []
             left = self._rows
             while more and left:
-                limit, before = min(left, _BLOCK), self._lines.line_num + self._skipped
-                rows, problem = self._read(limit)
+                limit, before = min(left, _BLOCK), reader.line_num + skipped
+                rows: Rows = []
+                problem = self._taken(reader, rows, limit)
                 blocks += self._parsed(rows, before)
                 left -= len(rows)
                 more = len(rows) == limit and problem is None
-            if blocks:
-                samples, index = zip(*blocks, strict=True)
-                whole = Samples.concatenate(samples)
-                yield from columns.by_valve(whole, list(self._valves), np.concatenate(index))
-        if problem is not None:
-            raise problem
+            yield blocks, problem
 
-    def _read(self, limit: int) -> tuple[Rows, RecordingError | None]:
-        """Return up to ``limit`` lines, and the error that stopped reading, if any."""
-        rows: Rows = []
+    def _taken(self, items: Iterator[T], taken: list[T], limit: int) -> RecordingError | None:
+        """Append up to ``limit`` items, and return the error that stopped reading, if any."""
         try:
-            with _Faults(self._path, lambda: self._lines.line_num + self._skipped):
-                rows.extend(islice(self._lines, limit))  # keeps the lines before an error
+            with _Faults(self._path, lambda: self._skipped + len(taken)):
+                taken.extend(islice(items, limit))  # keeps those before an error
         except RecordingError as error:
-            return rows, error
-        return rows, None
+            return error
+        return None
 
     def _parsed(self, rows: Rows, before: int) -> list[Block]:
         """Return samples and their valves' numbers; none if all lines are blank."""
@@ -147,19 +187,18 @@ class CsvReader:
             lines, rows = self._without_blank_lines(lines, rows)
         if not rows:
             return []
-        cells = list(zip(*rows, strict=True))
         try:
-            return list(self._blocks(cells))
+            return list(self._blocks(TextCells(rows, self._separator, self._dates)))
         except CellError as error:
             raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
 
-    def _blocks(self, cells: Sequence[Sequence[str]]) -> Iterator[Block]:
+    def _blocks(self, cells: Cells) -> Iterator[Block]:
         """Yield the samples of every part of the file, and their valves' numbers."""
         found = self._columns
-        quality = None if found.quality is None else columns.qualities(cells[found.quality])
+        quality = None if found.quality is None else cells.qualities(found.quality)
         names, index = None, None
         if found.valve is not None:
-            names, index = columns.names(cells[found.valve])
+            names, index = cells.names(found.valve)
         for part in found.parts:
             samples = self._samples(part, cells, quality)
             if part.valve is None and names is not None and index is not None:
@@ -174,29 +213,25 @@ class CsvReader:
             number = self._valves.setdefault(valve, len(self._valves))
             yield samples, np.full(len(samples), number, np.intp)
 
-    def _samples(
-        self, part: Part, cells: Sequence[Sequence[str]], quality: Codes | None
-    ) -> Samples:
+    def _samples(self, part: Part, cells: Cells, quality: Codes | None) -> Samples:
         numbers = {
-            name: scaling(self._numbers(cells[place], name))
+            name: scaling(cells.numbers(place, name))
             for name, (place, scaling) in part.numbers.items()
         }
-        return Samples.of(t=self._times(cells[part.t]), quality=quality, **numbers)
+        return Samples.of(t=cells.times(part.t), quality=quality, **numbers)
 
-    def _numbers(self, cells: Sequence[str], name: str) -> Floats:
-        if self._separator != ",":
-            return columns.numbers(_with_points(cells), name)
-        try:
-            return columns.numbers(cells, name)
-        except CellError:  # a quoted decimal comma
-            if not any("," in cell for cell in cells):
-                raise
-            return columns.numbers(_with_points(cells), name)
-
-    def _times(self, cells: Sequence[str]) -> Times:
-        if self._separator == "," and not any("," in cell for cell in cells):
-            return columns.times(cells, self._dates)
-        return columns.times(_with_points(cells), self._dates)
+    def _parser(self, peeked: Sequence[str]) -> ArrowParser | None:
+        """Return Arrow's parser for the file, if it reads its first lines."""
+        found = self._columns
+        return ArrowParser.of(
+            peeked,
+            len(self._header),
+            self._separator,
+            self._dates,
+            numbers={place for part in found.parts for place, _ in part.numbers.values()},
+            texts={place for place in (found.valve, found.quality) if place is not None},
+            times={part.t for part in found.parts},
+        )
 
     def _without_blank_lines(
         self, numbers: Sequence[int], rows: Rows
@@ -283,8 +318,10 @@ def _unpacked(raw: BinaryIO, packing: str) -> IO[bytes]:
             return raw
 
 
-def _with_points(cells: Sequence[str]) -> list[str]:
-    return [cell.replace(",", ".") for cell in cells]
+def _raising(problem: RecordingError) -> Iterator[str]:
+    """Raise when the first line is asked for."""
+    raise problem
+    yield ""
 
 
 def _encoding(beginning: bytes) -> str:

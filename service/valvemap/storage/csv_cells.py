@@ -1,0 +1,68 @@
+"""The cells of some lines of a CSV file, by column: as text, or parsed by Arrow."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Codes, Floats, Times
+from valvemap.storage import columns
+from valvemap.storage.columns import CellError
+from valvemap.storage.dates import DateForm
+
+
+class Cells(Protocol):
+    """Lines of a file; each method converts the column at ``place``, and may raise a CellError."""
+
+    def numbers(self, place: int, name: str) -> Floats: ...  # noqa: D102
+
+    def times(self, place: int) -> Times: ...  # noqa: D102
+
+    def qualities(self, place: int) -> Codes: ...  # noqa: D102
+
+    def names(self, place: int) -> tuple[list[str], NDArray[np.intp]]: ...  # noqa: D102
+
+
+class TextCells:
+    """Cells as text; a decimal comma is accepted unless the comma separates columns."""
+
+    def __init__(self, rows: Sequence[Sequence[str]], separator: str, dates: DateForm) -> None:
+        self._columns = list(zip(*rows, strict=True))
+        self._separator = separator
+        self._dates = dates
+
+    def numbers(self, place: int, name: str) -> Floats:
+        """Numbers; an empty cell is NaN."""
+        cells = self._columns[place]
+        if self._separator != ",":
+            return columns.numbers(_with_points(cells), name)
+        try:
+            return columns.numbers(cells, name)
+        except CellError:  # a quoted decimal comma
+            if not any("," in cell for cell in cells):
+                raise
+            return columns.numbers(_with_points(cells), name)
+
+    def times(self, place: int) -> Times:
+        """UTC ns."""
+        return times_of_text(self._columns[place], self._separator, self._dates)
+
+    def qualities(self, place: int) -> Codes:
+        """Qualities."""
+        return columns.qualities(self._columns[place])
+
+    def names(self, place: int) -> tuple[list[str], NDArray[np.intp]]:
+        """Distinct names, and the index of each row's name."""
+        return columns.names(self._columns[place])
+
+
+def times_of_text(cells: Sequence[str], separator: str, dates: DateForm) -> Times:
+    """Return UTC ns; a decimal comma is accepted."""
+    if separator == "," and not any("," in cell for cell in cells):
+        return columns.times(cells, dates)
+    return columns.times(_with_points(cells), dates)
+
+
+def _with_points(cells: Sequence[str]) -> list[str]:
+    return [cell.replace(",", ".") for cell in cells]
