@@ -13,7 +13,6 @@ from valvemap.cli.options import ConfigOption, ForceOption, new_file, new_models
 from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
-from valvemap.errors import RecordingError
 from valvemap.owned_files import write_whole
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ def replay(
 ) -> None:
     """Identify from recordings, as live."""
     from valvemap.app.models import save_models
-    from valvemap.app.replay import as_json
+    from valvemap.app.replay import as_json, refuse_if_nothing_was_learnt
     from valvemap.app.replay import replay as run
     from valvemap.report.verification import verification_table
 
@@ -107,7 +106,7 @@ def replay(
             page = write_page(plot, title, tables, notes, pictures)
         for written in (*pictures, page):
             console.print(f"written: {written}", soft_wrap=True)
-    _refuse_if_nothing_was_learnt(report)
+    refuse_if_nothing_was_learnt(report)
 
 
 def _hints(report: "Report") -> Iterator[str]:
@@ -115,19 +114,6 @@ def _hints(report: "Report") -> Iterator[str]:
     for valve, estimators in report.items():
         for hint in dict.fromkeys(hint for r in estimators.values() for hint in r.hints):
             yield f"{valve}: hint: {hint}"
-
-
-def _refuse_if_nothing_was_learnt(report: "Report") -> None:
-    """Raise RecordingError if no sample of a valve could be used; it names the reasons."""
-    empty = []
-    for valve, estimators in report.items():
-        r = next(iter(estimators.values()))
-        if all(r.lane.count == 0 for r in estimators.values()):
-            why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
-            why = why or "they are too few"
-            empty.append(f"{valve}: nothing was learnt from {r.samples} samples: {why}")
-    if empty:
-        raise RecordingError("; ".join(empty))
 
 
 def _not_learnt_from(report: "Report") -> Iterator[str]:

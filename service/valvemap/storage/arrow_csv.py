@@ -147,7 +147,8 @@ class ArrowParser:
             )
         except pa.ArrowException:
             return None
-        known = all(table.column(name).null_count == 0 for name in self._required())
+        required = self._required()
+        known = table.num_rows and all(table.column(x).null_count == 0 for x in required)
         return ArrowCells(table, self._separator, self._dates) if known else None
 
     def _required(self) -> list[str]:

@@ -23,7 +23,7 @@ from valvemap.model.monotone import Monotone
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork, RbfNetworkState
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
+from valvemap.model.residual_spread import EDGES_DP, EDGES_U
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
 
@@ -277,10 +277,10 @@ def map_of(section: MapSection) -> tuple[Estimator[Any], Any]:
             return Auto(), _auto_state(section)
 
 
-def region_section(spread: ResidualSpread) -> RegionSection:
+def region_section(weights: Floats) -> RegionSection:
     """Return the section of the region covered by samples."""
     return RegionSection(
-        U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(spread.weights)
+        U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(weights)
     )
 
 
