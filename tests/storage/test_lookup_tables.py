@@ -84,10 +84,12 @@ def test_the_compiled_table_is_within_its_stated_error_of_the_services_inverse(e
     both = np.isfinite(U) & np.isfinite(exact.U)
     assert both.mean() > 0.95
     assert np.abs(U - exact.U)[both].max() <= table.error_U
+    assert ("certified" in as_structured_text(table, "V")) == table.certified
     T = np.full(int(both.sum()), 40.0)
-    flows = [estimator.predict(state, x[both], dp[both], T)[0] for x in (U, exact.U)]
-    assert np.abs(np.subtract(*flows)).max() <= table.error_Q
-    assert table.error_U < 8.0  # a dead band is a jump of that size
+    demand = np.clip(Q, *(np.interp(dp, table.dp, x) for x in (table.lowest, table.highest)))
+    flow = estimator.predict(state, U[both], dp[both], T)[0]
+    assert np.abs(flow - demand[both]).max() <= table.error_Q
+    assert table.error_U < 10.0  # a dead band is a jump of that size
     assert table.error_Q < 2.0
     inside = both & (exact.lower > 1.0) & (exact.upper < 99.0)
     assert (status[inside] == InverseStatus.OK).mean() > 0.98
@@ -155,7 +157,8 @@ def test_the_csv_reads_back_as_the_table(exported):
     np.testing.assert_allclose(rows, expected, rtol=1e-11, atol=1e-9)
     r = [float(row.split(",")[0].split("r=")[1]) for row in lines[5:]]
     np.testing.assert_allclose(r, np.tile(table.r, 2), rtol=1e-11)
-    assert f"within {table.error_U:.3g} % of U" in lines[1]
+    stated = float(re.search("within (.*) % of U", lines[1])[1])
+    assert table.error_U <= stated <= 1.001 * table.error_U
 
 
 @pytest.mark.parametrize("name", ["eq. (7)", "auto"])
