@@ -155,11 +155,11 @@ def test_the_units_flow_and_required_U_are_within_the_stated_errors(unit, runnin
     assert (found["Q_lower"] <= found["Q"]).all()
 
 
-def test_a_million_flows_are_within_the_certified_error(unit):
+@pytest.mark.parametrize("n", [100_000, pytest.param(1_000_000, marks=pytest.mark.soak)])
+def test_flows_are_within_the_certified_error(unit, n):
     """The table's own interpolation, which the test above compares with the compiled one."""
     _, tables, estimator, state, _ = unit
     forward, rng = tables.forward, np.random.default_rng(6)
-    n = 1_000_000
     U, s = rng.uniform(0, 100, n), rng.uniform(0, forward.s[-1], n)
     i, j = (np.clip(np.searchsorted(a, x) - 1, 0, len(a) - 2) for a, x in axes(forward, U, s))
     u = (U - forward.U[i]) / np.diff(forward.U)[i]

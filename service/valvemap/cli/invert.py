@@ -17,6 +17,7 @@ from valvemap.vocabulary.statuses import InverseStatus
 if TYPE_CHECKING:
     from valvemap.app.flow_model import Model
     from valvemap.config.models import Config
+    from valvemap.model.flow_table import FlowTable
     from valvemap.model.lookup_table import LookupTable
 
 MOST_ROWS: Final = 50
@@ -119,10 +120,12 @@ def export(
 ) -> None:
     """Export the map for a PLC, a program or a simulator: a lookup table with a stated error."""
     from valvemap.app.models import open_model
+    from valvemap.model.flow_table import flow_table
     from valvemap.model.lookup_table import lookup_table
-    from valvemap.storage.lookup_tables import UNIT, check_form, write_table
+    from valvemap.storage import lookup_tables
+    from valvemap.storage.flow_tables import write_flow_table
 
-    check_form(out)
+    lookup_tables.check_form(out)
     loaded = _configured(config)
     with bars() as progress:
         model = open_model(file, valve, estimator, loaded, of_files(progress))
@@ -143,16 +146,21 @@ def export(
     except ValueError as error:
         raise ConfigurationError(f"{file}: {error}") from None
     title = f"{model.valve} by {model.name}"
-    if out.suffix.lower() == UNIT:
-        _write_unit(out, model, table, title)
-    else:
-        write_table(out, table, title)
-    grounds = "certified" if table.certified else "measured"
+    shown: LookupTable | FlowTable = table
+    match out.suffix.lower():
+        case lookup_tables.UNIT:
+            _write_unit(out, model, table, title)
+        case lookup_tables.CSV:
+            shown = flow_table(model.estimator, model.state, table)
+            write_flow_table(out, shown, title)
+        case _:
+            lookup_tables.write_table(out, table, title)
+    grounds = "certified" if shown.certified else "measured"
     write_line(
-        f"written: {out}: {size[0]} x {size[1]} points at {T:g} °C, within {table.error_U:.2g} % "
-        f"of U and {table.error_Q:.2g} l/min of the map ({grounds})"
+        f"written: {out}: {size[0]} x {size[1]} points at {T:g} °C, within {shown.error_U:.2g} % "
+        f"of U and {shown.error_Q:.2g} l/min of the map ({grounds})"
     )
-    share = float(np.mean(table.guessed))
+    share = float(np.mean(shown.guessed))
     if share > 0.0:
         write_line(f"{share:.0%} of the points are extrapolated, and marked so in the table")
 

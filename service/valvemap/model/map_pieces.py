@@ -83,6 +83,11 @@ class MapPieces:
         apart = np.abs(again - flow(between, between)).max()
         if not apart <= TRUE * max(float(np.abs(coefficients).max()), 1.0):
             return None
+        return cls.from_coefficients(U, s, coefficients)
+
+    @classmethod
+    def from_coefficients(cls, U: Floats, s: Floats, coefficients: Floats) -> Self:
+        """Return the pieces with their bounds."""
         widths = np.diff(U)[:, None, None, None], np.diff(s)[None, :, None, None]
         by_U = _derivative(coefficients, 2, widths[0])
         by_s = _derivative(coefficients, 3, widths[1])
@@ -97,6 +102,20 @@ class MapPieces:
             kinks_U=_jumps(by_U[:, :, -1].swapaxes(0, 1), by_U[:, :, 0].swapaxes(0, 1)),
             kinks_s=_jumps(by_s[:, :, :, -1], by_s[:, :, :, 0]),
         )
+
+    def extended(self, below: float, above: float, gain: float) -> "MapPieces":
+        """Return the map also for U < 0 and U > 100: linear, with slopes gain·s."""
+        at_s = self.s[:-1, None] + np.diff(self.s)[:, None] * np.linspace(0, 1, DEGREES[1] + 1)
+
+        def linear(end: Floats, start: float, stop: float) -> Floats:
+            along = np.linspace(start, stop, DEGREES[0] + 1)[:, None]
+            return np.asarray((end[:, None] + gain * along * at_s[:, None])[None])
+
+        lower = linear(self.coefficients[0, :, 0], below, 0.0)
+        upper = linear(self.coefficients[-1, :, -1], 0.0, above - 100.0)
+        U = np.concatenate([[below], self.U, [above]])
+        whole = np.concatenate([lower, self.coefficients, upper])
+        return self.from_coefficients(U, self.s, whole)
 
     def at(self, U: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
         """Flow, dQ/dU and dQ/ds at N points."""

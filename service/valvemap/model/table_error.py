@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valvemap.model.map_pieces import Indices, MapPieces
 from valvemap.model.samples import Floats
@@ -28,6 +29,7 @@ from valvemap.model.samples import Floats
 SLACK: Final = 1.05  # of the largest error found at a centre: a bound below is not refined
 DEEPEST: Final = 12  # splits of a cell along each axis
 MOST: Final = 200_000  # boxes at a time
+END: Final = 100.0  # % of U
 ROUNDING: Final = 1e-4  # % and l/min; literals have 12 digits
 
 
@@ -131,7 +133,36 @@ def _bounds(boxes: _Boxes, pieces: MapPieces) -> tuple[Floats, Floats, Floats]:
     by_both = _product(slopes[:2], U_v) + _product(slopes[2:], s_v)
     plain = F + a * steep_u + b * _largest(by_both, Q_v)
     bounds = np.where(kinked, plain, np.minimum(smooth, plain))
-    return bounds, F, _error_in_U(pieces, low_U, high_U, s, bounds)
+    error_U = _error_in_U(pieces, low_U, high_U, s, bounds)
+    corners = (
+        c.low
+        + c.dlow * ends_v[:, None]
+        + (c.r + c.dr * ends_u) * (c.span + c.dspan * ends_v[:, None])
+    )
+    beyond = _beyond_reach(pieces, (low_U, high_U), s, corners)
+    bounds, F, error_U = (np.where(beyond, 0.0, x) for x in (bounds, F, error_U))
+    return bounds, F, error_U
+
+
+def _beyond_reach(
+    pieces: MapPieces, U: tuple[Floats, Floats], s: Floats, Q: Floats
+) -> NDArray[np.bool_]:
+    """Whether the map is extended, and all U and all demanded flows are beyond the same end.
+
+    There both the table's U and the exact one are limited to that end.
+    """
+    found = np.zeros(len(U[0]), np.bool_)
+    if pieces.U[-1] <= END:
+        return found
+    for end, sign, nearest in ((0.0, -1.0, U[1]), (END, 1.0, U[0])):
+        at = np.full_like(nearest, end)
+        middle = (s[0] + s[1]) / 2.0
+        flow, _, _ = pieces.at(at, middle)
+        slopes, _, _ = pieces.over(at, at, s[0], s[1])
+        most = sign * flow + np.abs(slopes[2:]).max(axis=0) * (s[1] - s[0]) / 2.0
+        demand = (sign * Q).min(axis=(0, 1))
+        found |= (sign * nearest >= sign * end) & (demand >= most)
+    return found
 
 
 def _product(x: Floats, y: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Lookup tables as files: CSV, and C99 or IEC 61131-3 Structured Text for controllers."""
+"""Lookup tables for controllers: C99 and IEC 61131-3 Structured Text."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.errors import ConfigurationError
+from valvemap.model.flow_table import FlowTable
 from valvemap.model.lookup_table import LookupTable
 from valvemap.model.samples import Floats
 from valvemap.owned_files import write_whole
 
 INVALID: Final = -1000.0
+CSV: Final = ".csv"  # of a table over flow and pressure drop, see `flow_tables`
 UNIT: Final = ".fmu"  # of an FMI unit, see `fmi_units`
 FINITE: Final = "1.0e300"  # limit of finite numbers in Structured Text, which has no other test
-_AXES: Final = "r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min"
 STATUSES: Final = {
     "OK": 0,
     "ABOVE_REACH": 1,
@@ -29,7 +30,7 @@ STATUSES: Final = {
 
 
 def write_table(file: Path, table: LookupTable, title: str) -> None:
-    """Write a table in the format of the file's suffix: .csv, .c or .st.
+    """Write a table in the format of the file's suffix: .c or .st.
 
     Raises
     ------
@@ -43,55 +44,23 @@ def write_table(file: Path, table: LookupTable, title: str) -> None:
 
 
 def check_form(file: Path) -> None:
-    """Check that a file's suffix is a supported format: one of a table, or .fmu.
+    """Check that a file's suffix is a supported format: .csv, .c, .st or .fmu.
 
     Raises
     ------
     ConfigurationError
         if it is not.
     """
-    allowed = *_FORMS, UNIT
+    allowed = CSV, *_FORMS, UNIT
     if file.suffix.lower() not in allowed:
         asked = file.suffix or "no ending"
         raise ConfigurationError(f"{file}: {asked}; {', '.join(allowed)} are allowed")
 
 
-def as_csv(table: LookupTable, title: str) -> str:
-    r"""Return the table as CSV: pressure drops, lowest and highest flows, then U over r.
-
-    Cells without a value are empty. The last rows, over the same axes, are 1 where the map is
-    extrapolated.
-
-    >>> axis, at = np.array([0.0, 1.0]), np.array([[False, True], [False, False]])
-    >>> print(as_csv(LookupTable(axis, axis, 9 * axis, axis, np.eye(2), at, 40.0, 0.1, 0.2), "V"))
-    # V; oil at 40 °C; U in % over r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min
-    # bilinearly within 0.1 % of U, 0.2 l/min of Q, measured at 49 points a cell
-    dp,0.0,1.0
-    lowest,0.0,1.0
-    highest,0.0,9.0
-    r=0.0,1.0,0.0
-    r=1.0,0.0,1.0
-    extrapolated r=0.0,0,1
-    extrapolated r=1.0,0,0
-    <BLANKLINE>
-    """
-    lines = [
-        f"# {_in_a_comment(title)}; oil at {table.T:g} °C; U in % over {_AXES}",
-        f"# bilinearly within {_stated(table)}",
-    ]
-    rows = [("dp", table.dp), ("lowest", table.lowest), ("highest", table.highest)]
-    rows += [(f"r={_literal(r)}", row) for r, row in zip(table.r, table.U, strict=True)]
-    for name, row in rows:
-        lines.append(",".join([name, *("" if np.isnan(x) else _literal(x) for x in row)]))
-    for r, marks in zip(table.r, table.guessed, strict=True):
-        lines.append(",".join([f"extrapolated r={_literal(r)}", *(str(int(x)) for x in marks)]))
-    return "\n".join(lines) + "\n"
-
-
 def as_c(table: LookupTable, title: str) -> str:
     """Return one C99 file without dependencies: ``valvemap_required_U(Q, dp, &U)``."""
     statuses = ", ".join(f"VALVEMAP_{name} = {code}" for name, code in STATUSES.items())
-    return f"""/* {_in_a_comment(title)}
+    return f"""/* {in_a_comment(title)}
  *
  * Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
  * drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
@@ -207,7 +176,7 @@ def as_structured_text(table: LookupTable, title: str) -> str:
     """Return a function block of IEC 61131-3 (3rd edition): inputs Q, dp; outputs U, Status."""
     n_r, n_dp = len(table.r), len(table.dp)
     meanings = ", ".join(f"{code} {name}" for name, code in STATUSES.items())
-    return f"""(* {_in_a_comment(title)}
+    return f"""(* {in_a_comment(title)}
 
    Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
    drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
@@ -321,28 +290,28 @@ END_FUNCTION_BLOCK
 
 
 _FORMS: Final[Mapping[str, Callable[[LookupTable, str], str]]] = {
-    ".csv": as_csv,
     ".c": as_c,
     ".st": as_structured_text,
 }
 
 
-def _stated(table: LookupTable) -> str:
+def stated(table: LookupTable | FlowTable) -> str:
+    """Return the table's errors in words."""
     errors = error_text(table.error_U), error_text(table.error_Q)
     return f"{errors[0]} % of U, {errors[1]} l/min of Q, {_grounds(table)}"
 
 
-def _grounds(table: LookupTable) -> str:
+def _grounds(table: LookupTable | FlowTable) -> str:
     return "certified over the whole table" if table.certified else "measured at 49 points a cell"
 
 
 def error_text(error: float) -> str:
     """Return an error rounded up to 4 digits."""
     step = 10.0 ** (math.floor(math.log10(error)) - 3)
-    return _literal(float(f"{math.ceil(error / step) * step:.4g}"))
+    return literal(float(f"{math.ceil(error / step) * step:.4g}"))
 
 
-def _in_a_comment(title: str) -> str:
+def in_a_comment(title: str) -> str:
     """Return a title without line ends and comment delimiters."""
     return "".join(c if c.isalnum() or c in " .,:;=-_%" else "_" for c in title)
 
@@ -353,12 +322,12 @@ def _valid(U: Floats) -> Floats:
 
 def c_numbers(values: Iterable[float], per_line: int = 8) -> str:
     """Return literals with commas between."""
-    texts = [_literal(x) for x in values]
+    texts = [literal(x) for x in values]
     lines = [texts[k : k + per_line] for k in range(0, len(texts), per_line)]
     return ",\n".join("        " + ", ".join(line) for line in lines)
 
 
-def _literal(x: float) -> str:
+def literal(x: float) -> str:
     """Return a number as a floating-point literal of both languages."""
     text = f"{x:.12g}"
     if "e" in text:
