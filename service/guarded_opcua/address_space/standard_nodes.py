@@ -17,7 +17,7 @@ from asyncua.server.standard_address_space import standard_address_space
 
 from guarded_opcua.address_space.packed_nodes import PackedNodes, pack
 from guarded_opcua.logs import bounded_logger
-from guarded_opcua.security.owner_only import write_owner_only
+from guarded_opcua.security.whole_files import write_owner_only
 
 _log = bounded_logger(__name__)
 _HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)
@@ -76,7 +76,7 @@ def _read(file: Path) -> dict[ua.NodeId, bytes] | None:
             raise ValueError("its checksum is wrong")  # noqa: TRY301 - as any other damage
         packed = pickle.loads(content[4:])  # noqa: S301 - only a file of this user, see above
     except Exception as error:  # noqa: BLE001 - a damaged pickle raises anything
-        _log.warning("%s: damaged, made anew: %s", file, error)
+        _log.warning("%s: damaged, created again: %s", file, error)
         return None
     return packed if isinstance(packed, dict) else None
 

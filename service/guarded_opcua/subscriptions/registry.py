@@ -426,7 +426,9 @@ class Subscriptions:
         return ua.TransferResult(StatusCode=ua.StatusCode(), AvailableSequenceNumbers=available)
 
     def _expire(self, subscription: Subscription) -> None:
-        _log.info("subscription %d expired: nobody asks for it", subscription.number)
+        _log.info(
+            "subscription %d expired: no publish request within its lifetime", subscription.number
+        )
         self.end(subscription)
 
 

@@ -49,7 +49,7 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
     """
     if config.sources:
         names = ", ".join(source.name for source in config.sources)
-        raise ConfigurationError(f"there are several sources: --source NAME says which: {names}")
+        raise ConfigurationError(f"there are several sources; name one with --source NAME: {names}")
     own = None if config.source.security == "None" else own_certificate(config)
     settings = SourceSettings(
         url=config.source.url,

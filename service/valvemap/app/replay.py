@@ -27,6 +27,7 @@ from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
+from valvemap.plant.readings import Given
 from valvemap.runtime.failure_log import log_failure
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
@@ -97,6 +98,8 @@ def replay(
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
     read_ahead: bool = True,
+    header: tuple[str, ...] | None = None,
+    given: Mapping[str, Given] | None = None,
 ) -> Report:
     """Run recordings through the pipeline, one after the other; files in constant memory.
 
@@ -124,6 +127,8 @@ def replay(
     read_ahead
         Read the next batch in a thread while one is processed; useless if all processors are
         busy.
+    header, given
+        Headings of files that have none, and answers about foreign headings.
 
     Returns
     -------
@@ -136,7 +141,7 @@ def replay(
     RecordingError, ConfigurationError
     """
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
-    layout = _layout(config, units, columns)
+    layout = replace(_layout(config, units, columns), header=header, given=given or {})
     turn = _one_ahead if read_ahead else iter
     valves: dict[str, _Learnt] = {}
     found = dict[str, None]()

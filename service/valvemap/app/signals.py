@@ -25,7 +25,7 @@ def stop_on_signal(
     loop = asyncio.get_running_loop()
 
     def on_hang(_number: int, _frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(on_hang_up or partial(log.info, "hang-up: goes on"))
+        loop.call_soon_threadsafe(on_hang_up or partial(log.info, "hang-up signal ignored"))
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:
         loop.call_soon_threadsafe(stop.set)

@@ -22,7 +22,7 @@ def baseline(
         str, typer.Option(metavar="URL", help="The running service.")
     ] = "opc.tcp://127.0.0.1:4841/valvemap/service/",
     estimator: Annotated[
-        str, typer.Option(metavar="NAME", help="With compare: whose map.")
+        str, typer.Option(metavar="NAME", help="With compare: estimator whose map is compared.")
     ] = "Auto",
     user: Annotated[
         str | None,
@@ -33,7 +33,7 @@ def baseline(
     ] = "Basic256Sha256",
     data: FolderOption = Path("data"),
 ) -> None:
-    """Approve a valve's map as that of the new valve, compare with it, go back to it."""
+    """Approve a valve's map as reference, compare with it, restore it."""
     from valvemap.app.baseline import Action, act
     from valvemap.app.page_access import Watched
     from valvemap.opcua_client.connection import Security

@@ -20,19 +20,19 @@ class Entry(NamedTuple):
 
 COMMANDS: Final[Mapping[str, Entry]] = {
     "demo": Entry("demo", "Run rig and service, until Ctrl-C."),
-    "rig": Entry("rig", "Run the virtual test rig as an OPC UA server, until Ctrl-C."),
+    "rig": Entry("rig", "Run the virtual test rig, an OPC UA server, until Ctrl-C."),
     "serve": Entry(
         "serve",
         "Subscribe to the source, identify, publish, until Ctrl-C; SIGHUP reads the configuration.",
     ),
     "dashboard": Entry("dashboard", "Serve the live page, until Ctrl-C."),
     "mqtt": Entry(
-        "mqtt", "Send results to an MQTT broker as Sparkplug B, until Ctrl-C; [mqtt] says where."
+        "mqtt", "Send results to the MQTT broker of [mqtt] as Sparkplug B, until Ctrl-C."
     ),
-    "replay": Entry("replay", "Identify from recordings, as live."),
+    "replay": Entry("replay", "Identify valves from recordings, as the live service does."),
     "invert": Entry(
         "invert",
-        "Which control voltage passes a flow at a pressure drop, with its 95 % interval.",
+        "Compute the control voltage for a flow at a pressure drop, with its 95 % interval.",
     ),
     "export": Entry(
         "invert",
@@ -42,20 +42,20 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "report", "Rebuild the paper's figures and tables, and judge its claims (in a clone)."
     ),
     "record": Entry("serve", "Record the source's samples to a file."),
-    "check-config": Entry("serve", "Check a configuration file and say what it would do."),
+    "check-config": Entry("serve", "Check a configuration file and print its effect."),
     "connect": Entry(
-        "connect", "Find the valves of a server, watch their signals, write a configuration."
+        "connect", "Find the valves of a server, check their signals, write a configuration."
     ),
-    "init": Entry("security", "Make certificates, users and configuration."),
+    "init": Entry("security", "Create certificates, users and a configuration."),
     "trust": Entry(
-        "security", "Trust a certificate, of an application or of a user, or list the rejected."
+        "security", "Trust a certificate of an application or user, or list the rejected ones."
     ),
     "baseline": Entry(
         "baseline",
-        "Approve a valve's map as that of the new valve, compare with it, go back to it.",
+        "Approve a valve's map as reference, compare with it, restore it.",
     ),
-    "history": Entry("history", "What signals have been."),
-    "fleet": Entry("fleet", "Many machines, by way of Kafka."),
+    "history": Entry("history", "Past signals, as kept by the service."),
+    "fleet": Entry("fleet", "Identify the valves of many machines, through Kafka."),
     "schema": Entry(
         "package",
         "Print the JSON schema of the configuration, for editors that complete and check TOML.",
@@ -64,6 +64,13 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     "warm-up": Entry("serve", "Compile the estimators ahead (for images)."),
 }
 """All commands; `--help` and shell completion read this table without importing any module."""
+
+
+SERVING: Final = (
+    *(("rig",), ("serve",), ("dashboard",), ("mqtt",)),
+    *(("fleet", "collect"), ("fleet", "work"), ("fleet", "serve")),
+)
+"""Commands that serve until they are stopped: SIGTERM while they start is no failure."""
 
 
 class LazyGroup(TyperGroup):

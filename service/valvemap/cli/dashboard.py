@@ -42,9 +42,13 @@ def dashboard(
     key: Annotated[Path | None, typer.Option(metavar="FILE.pem")] = None,
     data: FolderOption = Path("data"),
     security: SecurityOption = "Basic256Sha256",
-    user: Annotated[str | None, typer.Option(help="Else the one that `init` made.")] = None,
+    user: Annotated[
+        str | None, typer.Option(help="User name; default: the one made by `init`.")
+    ] = None,
     password_file: PasswordFileOption = None,
-    rig_url: Annotated[str | None, typer.Option(help="Of a virtual rig, to play with.")] = None,
+    rig_url: Annotated[
+        str | None, typer.Option(help="Address of a virtual rig, for the page's rig view.")
+    ] = None,
     *,
     check_host_name: HostNameOption = True,
     require_crl: RevocationOption = True,

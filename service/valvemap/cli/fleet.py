@@ -29,12 +29,14 @@ FleetOption = Annotated[
     ),
 ]
 SiteArgument = Annotated[
-    str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
+    str | None, typer.Argument(help="Site of the catalogue; optional if there is one.")
 ]
 CONFIG = Path("config/fleet.toml")
 _NOTES = "done"  # folder of completion records, see `valvemap.kafka.reidentify`
 
-fleet = typer.Typer(help="Many machines, by way of Kafka.", no_args_is_help=True)
+fleet = typer.Typer(
+    help="Identify the valves of many machines, through Kafka.", no_args_is_help=True
+)
 
 
 @fleet.callback()
@@ -46,7 +48,7 @@ def _needs_the_extra() -> None:
 
 @fleet.command()
 def topics(config: FleetOption = CONFIG) -> None:
-    """Make the topics that are missing; check those that are there."""
+    """Create missing topics and check existing ones."""
     from valvemap.kafka.settings import load_fleet
     from valvemap.kafka.topics import create_or_check
 
@@ -67,7 +69,7 @@ def collect(
 
 @fleet.command()
 def work(config: FleetOption = CONFIG) -> None:
-    """Learn from what the topics bring, beside other workers, until Ctrl-C."""
+    """Learn from the topics' samples, beside other workers, until Ctrl-C."""
     from valvemap.kafka.settings import load_fleet
     from valvemap.kafka.work import work as run
 
@@ -81,7 +83,7 @@ def serve(
     site: SiteArgument = None,
     config: FleetOption = CONFIG,
 ) -> None:
-    """Show a site's results to any OPC UA client, until Ctrl-C."""
+    """Serve a site's results to OPC UA clients, until Ctrl-C."""
     from valvemap.kafka.serve import serve as run
 
     _run_until_stopped(run, site, config)
@@ -103,7 +105,7 @@ def reidentify(
     ],
     config: ConfigOption = None,
     processes: Annotated[
-        int, typer.Option(min=1, max=1_024, metavar="N", help="So many learn side by side.")
+        int, typer.Option(min=1, max=1_024, metavar="N", help="Number of processes.")
     ] = os.cpu_count() or 1,
     scheduler: Annotated[
         str | None,
@@ -112,10 +114,10 @@ def reidentify(
     *,
     force: ForceOption = False,
     insist: Annotated[
-        bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
+        bool, typer.Option("--insist", help="Learn even from implausible signals.")
     ] = False,
 ) -> None:
-    """Learn valves anew from recordings, on all processors; go on after a kill."""
+    """Identify valves from recordings again, on all processors; resumes after a kill."""
     from valvemap.config.loading import load_config
     from valvemap.kafka.reidentify import reidentify as run
 
@@ -139,7 +141,7 @@ def reidentify(
 
 @fleet.command()
 def status(config: FleetOption = CONFIG) -> None:
-    """Show each group: who learns it, how far behind, what came of its blocks."""
+    """Show each group's worker, lag and processed blocks."""
     from valvemap.kafka.settings import load_fleet
     from valvemap.kafka.status import lines
     from valvemap.kafka.status import status as look

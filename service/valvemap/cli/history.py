@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _SERVER = "opc.tcp://"
 
-history = typer.Typer(help="What signals have been.", no_args_is_help=True)
+history = typer.Typer(help="Past signals, as kept by the service.", no_args_is_help=True)
 
 
 @history.callback()
@@ -47,7 +47,7 @@ def export(
     *,
     force: ForceOption = False,
 ) -> None:
-    """Write what the service has kept of its signals as a recording."""
+    """Export the service's history of signals as a recording."""
     from valvemap.app.history import export_history
 
     loaded = load_config(config)

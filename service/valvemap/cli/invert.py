@@ -26,7 +26,7 @@ FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE", help="Saved model (.json) or a recording to learn from.")
 ]
 ValveOption = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Valve, if the recording holds several.")
+    str | None, typer.Option(metavar="NAME", help="Valve, if the recording contains several.")
 ]
 EstimatorOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Whose map of a recording.  [default: Auto]")
@@ -47,7 +47,7 @@ def invert(
     ] = None,
     points: Annotated[
         Path | None,
-        typer.Option("--from", metavar="CSV", help="Read Q, dp[, T] from here, line by line."),
+        typer.Option("--from", metavar="CSV", help="Read Q, dp[, T] from this file, line by line."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -64,7 +64,7 @@ def invert(
     *,
     force: ForceOption = False,
 ) -> None:
-    """Which control voltage passes a flow at a pressure drop, with its 95 % interval."""
+    """Compute the control voltage for a flow at a pressure drop, with its 95 % interval."""
     from valvemap.app.models import open_model
     from valvemap.model.inverse_map import invert as run
     from valvemap.storage.points import read_points, write_answers

@@ -24,20 +24,21 @@ def mqtt(
         str | None,
         typer.Option(
             envvar="VALVEMAP_SERVICE_URL",
-            help="The service: opc.tcp://HOST:PORT/PATH; else server.url, on this machine.",
+            help="The service: opc.tcp://HOST:PORT/PATH; default: server.url on this machine.",
         ),
     ] = None,
     data: FolderOption = Path("data"),
     security: SecurityOption = "Basic256Sha256",
     user: Annotated[
-        str | None, typer.Option(help="At the service; else the one that looks, made by `init`.")
+        str | None,
+        typer.Option(help="User at the service; default: the observer made by `init`."),
     ] = None,
     password_file: PasswordFileOption = None,
     *,
     check_host_name: HostNameOption = True,
     require_crl: RevocationOption = True,
 ) -> None:
-    """Send results to an MQTT broker as Sparkplug B, until Ctrl-C; [mqtt] says where."""
+    """Send results to the MQTT broker of [mqtt] as Sparkplug B, until Ctrl-C."""
     loaded = load_config(config)
     try:
         from valvemap.app.mqtt import run_mqtt

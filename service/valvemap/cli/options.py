@@ -23,7 +23,7 @@ ConfigOption = Annotated[
 FolderOption = Annotated[
     Path,
     typer.Option(
-        envvar="VALVEMAP_DATA", metavar="FOLDER", help="Where certificates, users and states live."
+        envvar="VALVEMAP_DATA", metavar="FOLDER", help="Folder of certificates, users and states."
     ),
 ]
 RevocationOption = Annotated[
@@ -45,7 +45,7 @@ ForceOption = Annotated[
     typer.Option(
         "--force",
         is_eager=True,  # outputs are checked first
-        help="Replace files that are there.",
+        help="Replace existing files.",
     ),
 ]
 

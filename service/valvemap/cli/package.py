@@ -87,9 +87,11 @@ def schema() -> None:
 
 def unit(
     config: Annotated[
-        Path, typer.Option("--config", "-c", metavar="FILE", help="Configuration to serve by.")
+        Path, typer.Option("--config", "-c", metavar="FILE", help="Configuration of the service.")
     ],
-    user: Annotated[str, typer.Option(metavar="NAME", help="Who runs it.")] = "valvemap",
+    user: Annotated[
+        str, typer.Option(metavar="NAME", help="User that runs the service.")
+    ] = "valvemap",
 ) -> None:
     """Print a systemd unit that serves a configuration from boot on."""
     from valvemap.config.loading import load_config

@@ -21,7 +21,7 @@ def report(
         ),
     ] = Path("reports"),
     sets: Annotated[
-        int, typer.Option(min=1, max=50, help="Sets of recordings; the median decides.")
+        int, typer.Option(min=1, max=50, help="Sets of recordings; the median is judged.")
     ] = 5,
     rate: Annotated[
         float,

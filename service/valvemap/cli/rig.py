@@ -47,7 +47,7 @@ def rig(
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Record every sample, too.", callback=new_file),
+        typer.Option(metavar="FILE", help="Also record every sample to FILE.", callback=new_file),
     ] = None,
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds of rig time.")
@@ -65,18 +65,18 @@ def rig(
     publishing_interval: Annotated[
         float,
         typer.Option(
-            min=1.0, max=60_000.0, metavar="MS", help="Shortest that a client may ask for."
+            min=1.0, max=60_000.0, metavar="MS", help="Shortest publishing interval for clients."
         ),
     ] = Limits.publishing_interval_ms,
     *,
     force: ForceOption = False,
     require_crl: RevocationOption = True,
     offline: Annotated[
-        bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
+        bool, typer.Option("--offline", help="Record as fast as possible, without a server.")
     ] = False,
     under_demo: Annotated[bool, typer.Option("--under-demo", hidden=True)] = False,
 ) -> None:
-    """Run the virtual test rig as an OPC UA server, until Ctrl-C."""
+    """Run the virtual test rig, an OPC UA server, until Ctrl-C."""
     keep_rig_kernels()
     loaded = load_scenario(scenario)
     if duration is not None:

@@ -21,8 +21,8 @@ from guarded_opcua import (
 )
 from guarded_opcua.security.certificate_rules import Use, name_of
 from guarded_opcua.security.certificates import trust as trust_certificate
-from guarded_opcua.security.owner_only import write_owner_only
 from guarded_opcua.security.peer_certificates import PeerTrust
+from guarded_opcua.security.whole_files import write_owner_only
 from valvemap.app.identities import (
     APPLICATION_NAME,
     APPLICATION_URI,
@@ -57,10 +57,13 @@ def init(
     ] = None,
     operator_password: Annotated[
         str | None,
-        typer.Option(envvar="VALVEMAP_OPERATOR_PASSWORD", help="Else a random one is printed."),
+        typer.Option(
+            envvar="VALVEMAP_OPERATOR_PASSWORD",
+            help="Password of the operator; default: a random one, printed once.",
+        ),
     ] = None,
 ) -> None:
-    """Make certificates, users and configuration."""
+    """Create certificates, users and a configuration."""
     if data.exists() and not data.is_dir():
         raise typer.BadParameter(f"--data {data}: it is a file, a folder is needed")
     make_users(data, operator_password)
@@ -78,7 +81,7 @@ def trust(
     ] = None,
     data: FolderOption = Path("data"),
     of: Annotated[
-        str, typer.Option(help="Who shall trust it: service, rig or dashboard.")
+        str, typer.Option(help="Application that trusts it: service, rig or dashboard.")
     ] = "service",
     user: Annotated[
         str | None, typer.Option(metavar="NAME", help="Let this user log in with it.")
@@ -87,7 +90,7 @@ def trust(
         str | None, typer.Option(help=f"What the user may do: {', '.join(_ROLES)}.")
     ] = None,
 ) -> None:
-    """Trust a certificate, of an application or of a user, or list the rejected."""
+    """Trust a certificate of an application or user, or list the rejected ones."""
     if of not in _OWNERS:
         raise typer.BadParameter(f"--of {of}: allowed is one of {', '.join(_OWNERS)}")
     pki = Pki(data / "pki" / of)

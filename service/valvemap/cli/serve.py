@@ -67,7 +67,8 @@ def record(
     n = asyncio.run(until_stopped())
     if n == 0:
         raise RecordingError(
-            f"{file}: no sample was made; `valvemap check-config --online` says how signals come"
+            f"{file}: no sample was made; `valvemap check-config --online` shows the timing of "
+            "the signals"
         )
     write_line(f"{file}: {n:,} samples")
 
@@ -76,19 +77,22 @@ def check_config(
     config: Annotated[Path, typer.Argument(metavar="FILE", help="Configuration (TOML).")],
     *,
     online: Annotated[
-        bool, typer.Option("--online", help="Connect to the source and watch its signals, too.")
+        bool, typer.Option("--online", help="Also connect to the source and watch its signals.")
     ] = False,
     watch: Annotated[
-        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="With --online: so long.")
+        float,
+        typer.Option(
+            min=1.0, max=3600.0, metavar="S", help="With --online: duration of the watch."
+        ),
     ] = 10.0,
     source: SourceOption = None,
 ) -> None:
-    """Check a configuration file and say what it would do."""
+    """Check a configuration file and print its effect."""
     whole = load_config(config)
     loaded = whole if source is None else of_source(whole, source)
     names = [named.name for named in loaded.sources]
     if online:
-        from valvemap.app.connect import check_online
+        from valvemap.app.watching import check_online
 
         for watched in [of_source(loaded, name) for name in names] or [loaded]:
             with working(f"watching {watched.source.url} for {watch:g} s"):

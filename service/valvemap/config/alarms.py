@@ -6,22 +6,23 @@ from pydantic import Field, model_validator
 
 from valvemap.config.sections import Section
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import RULES, SERVICE_RULES, Alarm, ServiceAlarm
+from valvemap.pipeline.alarms import RULES, SERVICE_RULES, Alarm
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 
 class AlarmConfig(Section):
-    """One alarm; what is left out is as by default."""
+    """One alarm; omitted fields have their defaults."""
 
     limit: float | None = Field(
-        None, ge=0.0, description="it comes when what is measured is above; in the alarm's own unit"
+        None, ge=0.0, description="the alarm becomes active above this value; in the alarm's unit"
     )
     hysteresis: float | None = Field(
-        None, ge=0.0, description="it goes when that is below the limit less this"
+        None, ge=0.0, description="the alarm becomes inactive below the limit minus this"
     )
     delay_s: float | None = Field(
-        None, ge=0.0, le=2_592_000.0, description="for so long the limit must be exceeded"
+        None, ge=0.0, le=2_592_000.0, description="time for which the limit must be exceeded"
     )
-    severity: int | None = Field(None, ge=1, le=1_000, description="how urgent it is")
+    severity: int | None = Field(None, ge=1, le=1_000, description="severity while it is active")
 
     def rule(self, default: AlarmRule) -> AlarmRule:
         """Return the rule with its defaults; the hysteresis is at most the limit."""
@@ -75,7 +76,7 @@ class ServiceAlarmsConfig(Section):
 
     def rules(self, checkpoint_interval_s: float) -> dict[ServiceAlarm, AlarmRule]:
         """Return the rule of each alarm of the service."""
-        found = {a: getattr(self, a.title).rule(SERVICE_RULES[a]) for a in ServiceAlarm}
+        found = {a: getattr(self, a.label).rule(rule) for a, rule in SERVICE_RULES.items()}
         checkpoint = found[ServiceAlarm.CHECKPOINT]
         if self.Checkpoint.limit is None and 3.0 * checkpoint_interval_s > checkpoint.limit:
             found[ServiceAlarm.CHECKPOINT] = AlarmRule(

@@ -8,7 +8,7 @@ from valvemap.config.sections import Section
 
 
 class LogConfig(Section):
-    """What is logged while the service runs."""
+    """The log of the running service."""
 
     level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="least severe event that is logged"

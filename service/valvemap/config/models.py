@@ -14,7 +14,7 @@ from pydantic import (
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
-from valvemap.config.estimators import EstimatorConfig, default_estimators
+from valvemap.config.estimators import SECTIONS, EstimatorConfig, default_estimators
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
@@ -25,6 +25,7 @@ from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.quality_gate import PLAUSIBLE, SignalLimits
 
 RIG_NAMESPACE = "urn:valvemap:rig"
+_OF_ANY_RANGE = [f'"{kind}"' for kind, section in SECTIONS.items() if section.any_U_range]
 RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
 RESERVED_ESTIMATORS = (
     "Signals",
@@ -62,24 +63,24 @@ class SourceConfig(Section):
         default=True, description="the source's certificate must name the host of the url"
     )
     publishing_interval_ms: float = Field(
-        100.0, ge=1.0, le=60_000.0, description="how often the source sends what has changed"
+        100.0, ge=1.0, le=60_000.0, description="interval at which the source sends changes"
     )
     queue_size: int = Field(
-        1_000, ge=1, le=1_000_000, description="samples per signal that the source keeps for us"
+        1_000, ge=1, le=1_000_000, description="samples per signal in the source's queue"
     )
     history_s: float = Field(
         3_600.0,
         ge=0.0,
         le=2_592_000.0,
-        description="how far back its history is asked for what was not heard; 0 = never",
+        description="how far back missed samples are read from its history; 0 = never",
     )
     warm_start_s: float = Field(
         0.0,
         ge=0.0,
         le=2_592_000.0,
-        description="how much of its history is learnt at the first start, before what comes",
+        description="length of its history that is learnt at the first start, before live samples",
     )
-    timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for an answer")
+    timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for a response")
     startup_timeout_s: float = Field(
         10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"
     )
@@ -88,11 +89,11 @@ class SourceConfig(Section):
 class NamedSourceConfig(SourceConfig):
     """One of several servers that publish signals; valves name theirs."""
 
-    name: Name = Field(description="by which valves name it")
+    name: Name = Field(description="name by which valves refer to it")
 
 
 class ServerConfig(Section):
-    """Our own OPC UA server, which publishes the results."""
+    """The service's OPC UA server, which publishes the results."""
 
     url: str = Field(
         "opc.tcp://127.0.0.1:4841/valvemap/service/",
@@ -100,7 +101,7 @@ class ServerConfig(Section):
         description="opc.tcp://ADDRESS:PORT/PATH to listen on",
     )
     host_names: tuple[str, ...] = Field(
-        (), description="names by which clients reach the server, for its certificate"
+        (), description="host names by which clients reach the server, for its certificate"
     )
     anonymous_observer: bool = Field(
         default=False, description="let anonymous users read on the secured endpoints"
@@ -124,41 +125,45 @@ class SecurityConfig(Section):
     users: Path = Field(Path("data/users.json"), description="users and hashed passwords")
     require_crl: bool = Field(
         default=True,
-        description="certificates of an authority need its revocation list; self-signed ones none",
+        description="a certificate of an authority needs its revocation list; a self-signed one"
+        " does not",
     )
 
 
 class StateConfig(Section):
-    """What survives a restart."""
+    """The states that survive a restart."""
 
     file: Path = Field(Path("data/state.sqlite"), description="SQLite file of the states")
     checkpoint_interval_s: float = Field(
-        10.0, ge=0.1, le=86_400.0, description="how often states are kept"
+        10.0, ge=0.1, le=86_400.0, description="interval at which states are saved"
     )
 
 
 class HistoryConfig(Section):
-    """What signals and results have been, for trends that reach back."""
+    """The recorded signals and results, for trends."""
 
     file: Path | None = Field(
         None, description="SQLite file of the history; none: there is no history"
     )
     keep_days: float = Field(
-        7.0, gt=0.0, le=3_650.0, description="what is older is forgotten, in days"
+        7.0, gt=0.0, le=3_650.0, description="age at which rows are deleted, in days"
     )
     most_mb: int = Field(
-        2_000, ge=10, le=1_000_000, description="the oldest goes where the file is larger, in MB"
+        2_000,
+        ge=10,
+        le=1_000_000,
+        description="size above which the oldest rows are deleted, in MB",
     )
 
 
 class AlignmentConfig(Section):
-    """How the signals of one sample find together."""
+    """How the signals of one sample are aligned."""
 
     tolerance_ms: float = Field(
         0.0,
         ge=0.0,
         le=10_000.0,
-        description="largest difference of the times of one sample; 0 = found at the start",
+        description="largest difference of the times within one sample; 0 = found at the start",
     )
     max_wait_s: float = Field(
         2.0, gt=0.0, le=3_600.0, description="longest wait for a signal that is missing"
@@ -167,23 +172,23 @@ class AlignmentConfig(Section):
         1_000.0,
         ge=0.0,
         le=60_000.0,
-        description="longest wait behind a hole in nodes.sequence; valves without one wait so long "
-        "with every sample, but only if this is given",
+        description="longest wait behind a gap in nodes.sequence; if given, valves without a "
+        "sequence wait this long with every sample",
     )
     max_pending: int = Field(
-        4_096, ge=16, le=1_000_000, description="most samples of a valve that wait"
+        4_096, ge=16, le=1_000_000, description="most waiting samples of a valve"
     )
     hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
         default_factory=dict,
-        description="signals whose last value serves for this long; none = found at the start",
+        description="time for which a signal's last value is held; none = found at the start",
     )
     find_timing: bool = Field(
         default=True,
-        description="find out at the start how signals come that carry no common time, unless "
-        "tolerance_ms or hold_s say so",
+        description="find the timing of signals without a common time at the start, unless "
+        "tolerance_ms or hold_s state it",
     )
     stale_after_s: float = Field(
-        2.0, gt=0.0, le=3_600.0, description="without a sample for so long results are Bad"
+        2.0, gt=0.0, le=3_600.0, description="time without a sample after which results are Bad"
     )
 
     @property
@@ -193,15 +198,15 @@ class AlignmentConfig(Section):
 
 
 class LimitsConfig(Section):
-    """Limits of one signal in its own unit; what is left out is not checked."""
+    """Limits of one signal in its unit; an omitted limit is not checked."""
 
-    low: float | None = Field(None, description="lowest value that is believed")
-    high: float | None = Field(None, description="highest value that is believed")
+    low: float | None = Field(None, description="lowest accepted value")
+    high: float | None = Field(None, description="highest accepted value")
     frozen_s: float | None = Field(
-        None, gt=0.0, description="longest time that the value may stand still"
+        None, gt=0.0, description="longest time that the value may be constant"
     )
     max_rate_per_s: float | None = Field(
-        None, gt=0.0, description="fastest change that is believed, per second"
+        None, gt=0.0, description="fastest accepted change, per second"
     )
     spike: float | None = Field(
         None, gt=0.0, description="largest distance from the median of the last five values"
@@ -242,8 +247,11 @@ class NodesConfig(Section):
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
     U: str = Field(description="control voltage")
-    p1: str = Field(description="pressure before the valve")
-    p2: str = Field(description="pressure behind the valve")
+    p1: str | None = Field(None, description="pressure before the valve")
+    p2: str | None = Field(None, description="pressure behind the valve")
+    dp: str | None = Field(
+        None, description="p1 - p2 of one transmitter, in place of p1 and p2: p2 is 0 then"
+    )
     Q: str = Field(description="flow")
     T: str | None = Field(None, description="oil temperature, where there is a sensor")
     sequence: str | None = Field(None, description="running number of the sample")
@@ -253,13 +261,23 @@ class NodesConfig(Section):
     heartbeat: str | None = Field(
         None,
         description="UInt32 that counts while the voltage is written; the source takes its own "
-        "command when it stands still, or is 0",
+        "command when it stops or is 0",
     )
 
     @model_validator(mode="after")
     def _heartbeat_is_of_a_command(self) -> Self:
         if self.heartbeat is not None and self.required_U is None:
             raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
+        return self
+
+    @model_validator(mode="after")
+    def _has_pressures(self) -> Self:
+        pair = self.p1 is not None, self.p2 is not None
+        if self.dp is None and not all(pair):
+            missing = "p1" if not pair[0] else "p2"
+            raise ValueError(f"{missing} is missing; p1 and p2 are needed, or dp alone")
+        if self.dp is not None and any(pair):
+            raise ValueError("dp takes the place of p1 and p2; leave out dp, or both of them")
         return self
 
     @model_validator(mode="after")
@@ -279,6 +297,10 @@ class NodesConfig(Section):
         ):
             raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
         return text
+
+    def source_of(self, name: str) -> str:
+        """Return the field that holds a signal's node: dp for p1, where there is dp."""
+        return "dp" if name == "p1" and self.dp is not None else name
 
     def of(self, name: str) -> str | None:
         """Return the node of a signal, if there is one."""
@@ -324,7 +346,10 @@ class FeedForwardConfig(Section):
     )
     fallback_percent: Percent = Field(0.0, description="U that the ramp goes to")
     max_age_s: float = Field(
-        0.5, ge=0.01, le=60.0, description="oldest sample to go by, by arrival and by the clocks"
+        0.5,
+        ge=0.01,
+        le=60.0,
+        description="greatest age of the sample used, by arrival and by the clocks",
     )
     max_width_percent: float = Field(
         10.0, gt=0.0, le=100.0, description="widest 95 % interval of U"
@@ -346,7 +371,7 @@ class FeedForwardConfig(Section):
 class ValveConfig(Section):
     """One valve."""
 
-    name: Name = Field("Valvistor", description="its name in every node id")
+    name: Name = Field("Valvistor", description="its name in each node id")
     source: Name | None = Field(
         None, description="which of [[sources]] publishes its signals; none with [source]"
     )
@@ -357,11 +382,11 @@ class ValveConfig(Section):
     alarms: AlarmsConfig = AlarmsConfig()
     identification: IdentificationConfig = IdentificationConfig()
     insist: bool = Field(
-        default=False, description="learn from data that look wrong, such as p1 below p2"
+        default=False, description="learn from implausible data, such as p1 below p2"
     )
     estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
     U_range_percent: Range = Field((0.0, 100.0), description="range of U that the map covers")
-    dp_range_bar: Range = Field((0.0, 200.0), description="range of p1 - p2 that it covers")
+    dp_range_bar: Range = Field((0.0, 200.0), description="range of p1 - p2 that the map covers")
     Q_range_l_min: Range = Field((0.0, 200.0), description="range of the flow")
     inverse: str | None = Field(
         None, description="name of the estimator whose map is inverted; none = Auto or the first"
@@ -385,12 +410,12 @@ class ValveConfig(Section):
     @classmethod
     def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
         estimators: tuple[EstimatorConfig, ...] = info.data.get("estimators", ())
-        unable = [e.name for e in estimators if e.kind != "RBF"]
+        unable = [e.name for e in estimators if not e.any_U_range]
         if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
             raise ValueError(
                 f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
                 f"with them {ONE_EDGE[0]:g} … {ONE_EDGE[1]:g} is allowed, any range with "
-                'estimators of the kind "RBF" alone'
+                f"estimators of the kind {' or '.join(_OF_ANY_RANGE)} alone"
             )
         return bounds
 
@@ -429,7 +454,7 @@ class ValveConfig(Section):
 
 
 class RecordingConfig(Section):
-    """Columns of recordings that are no signal of a valve; left out, they are found by name."""
+    """Columns of recordings that are not signals of a valve; if omitted, they are found by name."""
 
     time: str | None = Field(None, min_length=1, description="column of the times")
     valve: str | None = Field(None, min_length=1, description="column of the valves' names")

@@ -31,35 +31,43 @@ class MqttConfig(Section):
         None,
         min_length=1,
         max_length=128,
-        description="by which the broker knows us; none = valvemap-GROUP-EDGE_NODE",
+        description="MQTT client identifier; none = valvemap-GROUP-EDGE_NODE",
     )
     primary_host: _Topic | None = Field(
-        None, description="the host that has to be there; what comes waits for it; none = nobody"
+        None,
+        description="host application that must be online; values wait for it; none = not awaited",
     )
     user: str | None = Field(None, min_length=1, description="user name; none = no log-in")
     password_file: Path | None = Field(None, description="file whose first line is the password")
-    ca_file: Path | None = Field(None, description="whom to trust (PEM); none = the system's list")
+    ca_file: Path | None = Field(
+        None, description="trusted certificate authorities (PEM); none = the system's list"
+    )
     certificate_file: Path | None = Field(None, description="our certificate (PEM), if asked for")
     key_file: Path | None = Field(None, description="its key (PEM)")
     variables: tuple[_Pattern, ...] = Field(
         ("*",),
         min_length=1,
-        description="names of what is sent, such as Auto.* or *.Residual: without the valve's "
-        "name, and Service.* of the service",
+        description="names of the variables sent, such as Auto.* or *.Residual, without the "
+        "valve's name; Service.* of the service",
     )
     interval_s: float = Field(
-        1.0, ge=0.1, le=3_600.0, description="how often what has changed is sent"
+        1.0, ge=0.1, le=3_600.0, description="interval at which changes are sent"
     )
     most_waiting: int = Field(
         100_000,
         ge=1_000,
         le=10_000_000,
-        description="so many values may wait for the broker; the oldest goes, and is counted",
+        description="most values waiting for the broker; above it the oldest is dropped and "
+        "counted",
     )
     keep_alive_s: int = Field(
-        30, ge=5, le=3_600, description="the broker takes us for dead after one and a half of it"
+        30,
+        ge=5,
+        le=3_600,
+        description="the broker closes the connection after one and a half "
+        "of this without a packet",
     )
-    timeout_s: float = Field(10.0, gt=0.0, le=600.0, description="longest wait for an answer")
+    timeout_s: float = Field(10.0, gt=0.0, le=600.0, description="longest wait for a response")
 
     @property
     def tls(self) -> bool:

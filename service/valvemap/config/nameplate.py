@@ -12,9 +12,9 @@ Uri = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9+.-]*:\S+$", max_length=
 
 
 class IdentificationConfig(Section):
-    """What is shown below the valve's Identification (Devices, Machinery); left out: not known."""
+    """The valve's nameplate below Identification (Devices, Machinery); omitted: not known."""
 
-    manufacturer: Said | None = Field(None, description="who made the valve")
+    manufacturer: Said | None = Field(None, description="manufacturer of the valve")
     manufacturer_uri: Uri | None = Field(None, description="the maker's own URI")
     model: Said | None = Field(None, description="the maker's name of the type")
     product_code: Said | None = Field(None, description="the maker's order code")
@@ -24,10 +24,10 @@ class IdentificationConfig(Section):
     )
     hardware_revision: Said | None = Field(None, description="revision of the hardware")
     component_name: Said | None = Field(
-        None, description="what the plant calls it; none = the valve's name"
+        None, description="name in the plant; none = the valve's name"
     )
     asset_id: Said | None = Field(None, description="its number in the plant")
-    location: Said | None = Field(None, description="where it is")
+    location: Said | None = Field(None, description="location in the plant")
 
     def nameplate(self, name: str) -> Nameplate:
         """Return the name plate of the valve ``name``."""

@@ -19,14 +19,15 @@ Range = tuple[float, float]
 
 
 class SignalConfig(Section):
-    """One signal; what is left out is as in the table of recordings: %, bar, l/min, °C."""
+    """One signal; omitted fields are as in the table of recordings: %, bar, l/min, °C."""
 
     column: str | None = Field(None, min_length=1, description="its column in recordings")
     unit: str | None = Field(None, description=f"one of {', '.join(SYMBOLS)}")
     raw: Range | None = Field(
-        None, description="two raw numbers as they come, e.g. [4, 20] for mA; range says what of"
+        None,
+        description="two raw values as received, e.g. [4, 20] for mA; range gives their meaning",
     )
-    range: Range | None = Field(None, description="what the two raw numbers mean, in unit")
+    range: Range | None = Field(None, description="the two values that the raw ones mean, in unit")
 
     accuracy: float = Field(
         0.0, ge=0.0, description="limit ± of the sensor's own error, in unit; 0: none is stated"
@@ -83,6 +84,7 @@ class SignalsConfig(Section):
     U: SignalConfig = SignalConfig()
     p1: SignalConfig = SignalConfig()
     p2: SignalConfig = SignalConfig()
+    dp: SignalConfig = SignalConfig()
     Q: SignalConfig = SignalConfig()
     T: SignalConfig = SignalConfig()
     required_U: SignalConfig = SignalConfig()

@@ -25,6 +25,7 @@ from valvemap.model.samples import Samples, Segments, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.failure_log import log_left_out
 from valvemap.runtime.sources import Sources, supervise_all
 
 _LONGEST_TICK_S: Final = 0.5  # s; the time by which a tick is longer does not count as waiting
@@ -73,7 +74,7 @@ def site_of(catalogue: Catalogue, site: str | None) -> str:
     """
     names = ", ".join(catalogue.sites)
     if site is None and len(catalogue.sites) > 1:
-        raise ConfigurationError(f"there are several sites: SITE says which: {names}")
+        raise ConfigurationError(f"there are several sites; name one as SITE: {names}")
     if site is not None and site not in catalogue.sites:
         raise ConfigurationError(f"no site {site!r} in the catalogue; there are {names}")
     return site or next(iter(catalogue.sites))
@@ -153,10 +154,10 @@ class Collector:
             try:
                 self._arrivals.resume(kept[_ARRIVALS])
             except StateMismatchError as error:
-                log.warning("what was under way into samples is left aside", reason=str(error))
+                log.warning("signals not yet aligned are dropped", reason=str(error))
             if _POSITION in kept and not self._sources.resume_at(kept[_POSITION]):
                 log.warning("not a position at this source: samples may be missing")
-            log.info("collecting goes on", blocks=sum(self._numbers.values()))
+            log.info("collecting continues", blocks=sum(self._numbers.values()))
         self._sources.hold_back()
 
     async def connected(self, source_started: int, valves: Times | None = None) -> None:
@@ -206,6 +207,8 @@ class Collector:
         return np.arange(len(self._held_s)) if valves is None else valves
 
     def _use(self, samples: ByValve) -> None:
+        for valve, error in self._arrivals.new_failures():
+            log_left_out(self._arrivals.names[valve], error)
         self._held_s[samples.segments.members] = 0.0
         if len(samples):
             self._parts.append(samples)

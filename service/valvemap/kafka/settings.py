@@ -18,10 +18,12 @@ class BrokerConfig(Section):
     """Where Kafka is, and how we are known there."""
 
     addresses: tuple[Address, ...] = Field(
-        ("127.0.0.1:9092",), min_length=1, description="HOST:PORT of some of its brokers"
+        ("127.0.0.1:9092",), min_length=1, description="HOST:PORT of one or more of its brokers"
     )
     tls: bool = Field(default=False, description="encrypt, and check the broker's certificate")
-    ca_file: Path | None = Field(None, description="whom to trust (PEM); none = the system's list")
+    ca_file: Path | None = Field(
+        None, description="trusted certificate authorities (PEM); none = the system's list"
+    )
     certificate_file: Path | None = Field(None, description="our certificate (PEM), if asked for")
     key_file: Path | None = Field(None, description="its key (PEM)")
     user: str | None = Field(None, description="user name (SASL); none = by certificate, or open")
@@ -29,7 +31,7 @@ class BrokerConfig(Section):
     mechanism: Literal["SCRAM-SHA-512", "SCRAM-SHA-256", "PLAIN"] = Field(
         "SCRAM-SHA-512", description="how the password is shown; PLAIN only with tls"
     )
-    timeout_s: float = Field(10.0, gt=0.0, le=600.0, description="longest wait for an answer")
+    timeout_s: float = Field(10.0, gt=0.0, le=600.0, description="longest wait for a response")
 
     @model_validator(mode="after")
     def _secrets_fit(self) -> Self:
@@ -87,10 +89,18 @@ class CollectConfig(Section):
         Path("data/spool"), description="folder of what waits for the broker, a file for each site"
     )
     commit_s: float = Field(
-        0.1, ge=0.01, le=60.0, description="how often what came is made into blocks, and kept"
+        0.1,
+        ge=0.01,
+        le=60.0,
+        description="interval at which received samples are packed into blocks and stored",
     )
     most_mb: float = Field(
-        2_000.0, ge=1.0, le=1e7, description="so much may wait for the broker, MB; the oldest goes"
+        2_000.0,
+        ge=1.0,
+        le=1e7,
+        description=(
+            "size of the queue for the broker, MB; above it the oldest is dropped and counted"
+        ),
     )
 
 
@@ -102,7 +112,7 @@ class WorkConfig(Section):
         0.2,
         ge=0.01,
         le=60.0,
-        description="how often what was learnt is committed; results wait for it",
+        description="interval of commits; results are published after the commit",
     )
     results_s: float = Field(
         1.0, ge=0.0, le=3_600.0, description="source time between results; 0 = with every block"
@@ -111,7 +121,10 @@ class WorkConfig(Section):
         60.0, ge=1.0, le=86_400.0, description="source time between new tables and surveys"
     )
     takeover_s: float = Field(
-        8.0, ge=1.0, le=300.0, description="a worker silent for so long has lost its groups"
+        8.0,
+        ge=1.0,
+        le=300.0,
+        description="silence of a worker after which its groups are reassigned",
     )
 
 
@@ -122,10 +135,16 @@ class ServeConfig(Section):
         5.0,
         ge=0.5,
         le=86_400.0,
-        description="a valve without newer results for so long is Uncertain, for twice as long Bad",
+        description="age of results at which a valve is Uncertain; at twice this age it is Bad",
     )
     answer_s: float = Field(
         10.0, ge=0.5, le=600.0, description="longest that an operator waits for the workers"
+    )
+    rejected_quiet_s: float = Field(
+        600.0,
+        ge=1.0,
+        le=86_400.0,
+        description="time without rejected messages that ends the alarm MessagesRejected, s",
     )
 
 
@@ -151,7 +170,7 @@ def load_fleet(file: Path) -> FleetConfig:
         naming file (or environment variable), field, value and what is allowed.
     """
     if not file.is_file():
-        raise ConfigurationError(f"{file}: no such file; docs/fleet.md shows what is in it")
+        raise ConfigurationError(f"{file}: no such file; docs/fleet.md shows its content")
     config, folder = load_settings(FleetConfig, file), file.parent
     catalogue = config.catalogue
     sites = {name: folder / path for name, path in catalogue.sites.items()}

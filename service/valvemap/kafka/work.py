@@ -84,7 +84,7 @@ def work(config: FleetConfig) -> None:
             if time.monotonic() - began > _LONG_ENOUGH_S:
                 pauses = backoff()
             pause = next(pauses)
-            log.warning("broker lost, what was not committed is done again", reason=said)
+            log.warning("broker lost, uncommitted work is repeated", reason=said)
             time.sleep(pause)
         else:
             return

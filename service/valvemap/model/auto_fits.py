@@ -125,7 +125,7 @@ def _climbed(
     """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
     points, top, varied, least, most_steps, is_poor = ground
     progress, counters = state.progress, state.counters
-    rich, rich_elsewhere = np.zeros((2, RICH))  # of these points, nothing is known yet
+    rich, rich_elsewhere = np.zeros((2, RICH))  # of these points, no results yet
     resting = is_resting(challenger, varied, progress[CHALLENGER])
     steps = budget.steps(counters, _cost(points, challenger), most_steps, poor=is_poor)
     steps = min(steps, RESTING_STEPS) if resting else steps

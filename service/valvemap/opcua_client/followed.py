@@ -123,7 +123,7 @@ class Followed(Generic[_Name]):
         self._failure = None
         if number is None or self._publishing is None:
             return
-        with self._connection.errors("ending what is followed"):
+        with self._connection.errors("ending the followed subscriptions"):
             await self._connection.session.end_subscription(number)
             async with asyncio.timeout(self._connection.settings.timeout_s):
                 await self._publishing  # its request now fails with BadNoSubscription

@@ -70,16 +70,16 @@ class Companions:
             as_add_in=True,
         )
         for name, text, words in (
-            ("Manufacturer", plate.manufacturer, "Who made the valve."),
+            ("Manufacturer", plate.manufacturer, "Manufacturer of the valve."),
             ("ManufacturerUri", plate.manufacturer_uri, "The maker's own URI."),
             ("Model", plate.model, "The maker's name of the type."),
             ("ProductCode", plate.product_code, "The maker's order code."),
             ("SerialNumber", plate.serial_number, "Unique among the maker's."),
             ("ProductInstanceUri", plate.product_instance_uri, "Unique in the world."),
             ("HardwareRevision", plate.hardware_revision, "Revision of the hardware."),
-            ("ComponentName", plate.component_name, "What the plant calls the valve."),
+            ("ComponentName", plate.component_name, "Name of the valve in the plant."),
             ("AssetId", plate.asset_id, "Its number in the plant."),
-            (_LOCATION, plate.location, "Where it is."),
+            (_LOCATION, plate.location, "Location in the plant."),
         ):
             if text or name in _NEEDED:
                 at = self.machinery if name == _LOCATION else self.di
@@ -104,7 +104,7 @@ class Companions:
             owner,
             f"{owner.Identifier}.{DEVICE_HEALTH}",
             None,
-            description="By the categories of NAMUR NE 107, from the alarms that are active.",
+            description="Health of the valve by NAMUR NE 107, from its active alarms.",
             type=ua.VariantType.Int32,
             data_type=self._of_di(_HEALTH_ENUMERATION),
             name=ua.QualifiedName("DeviceHealth", self.di),

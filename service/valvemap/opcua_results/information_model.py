@@ -167,8 +167,8 @@ def survey_variables(
     return (
         VariableNode(
             f"{prefix}.Coverage",
-            "Standard deviation of the map over U (rows, Diagnostics.CoverageU) and pressure drop "
-            "(columns, Diagnostics.CoverageDp); NaN where nothing is known.",
+            "Standard deviation of the map over U (rows, Diagnostics.CoverageU) and pressure "
+            "drop (columns, Diagnostics.CoverageDp); NaN where there are no samples.",
             unit=litres,
             range=valve.Q_range,
             dimensions=(0, 0),
@@ -182,23 +182,23 @@ def survey_variables(
         ),
         VariableNode(
             f"{prefix}.CoverageShare",
-            "Part of the regions of Coverage that recent samples lie in.",
+            "Share of the regions of Coverage that contain recent samples.",
             range=(0.0, 1.0),
         ),
         VariableNode(
             f"{prefix}.Conditioning",
-            "How much better the best known combination of parameters is known than the worst; "
-            "infinite while one is not excited at all, NaN where the map has no such parameters.",
+            "Ratio of the largest to the smallest uncertainty among combinations of parameters;"
+            " infinite while one is not excited, NaN where the map has no parameters.",
         ),
         VariableNode(
             f"{prefix}.SuggestedU",
-            "Control voltage of the test point that would make the map surer than any other.",
+            "Control voltage of the test point that would reduce the map's uncertainty most.",
             unit=Unit.PERCENT,
             range=U_RANGE,
         ),
         VariableNode(
             f"{prefix}.SuggestedDp",
-            "Pressure drop of that test point.",
+            "Pressure drop of the suggested test point.",
             unit=Unit.BAR,
             range=valve.dp_range,
         ),
@@ -214,24 +214,24 @@ def discovery_variables(
     changes = (
         VariableNode(
             f"{prefix}.ChangeCount",
-            "Abrupt changes of the valve that were found since the start or the last Reset.",
+            "Abrupt changes of the valve found since the start or the last Reset.",
             ua.VariantType.UInt32,
         ),
         VariableNode(
             f"{prefix}.ChangeTime",
-            "Source time of the last sample before the newest of them, as estimated.",
+            "Source time of the last sample before the newest change, as estimated.",
             ua.VariantType.DateTime,
         ),
         VariableNode(
             f"{prefix}.ChangeSize",
-            "Mean innovation from then on to its detection: less flow is negative.",
+            "Mean innovation between the change and its detection; negative: less flow.",
             unit=Unit.LITRE_PER_MINUTE,
             range=(-Q_max, Q_max),
         ),
     )
     structure = VariableNode(
         f"{prefix}.Structure",
-        "The structure of the map that the estimator has chosen, in words.",
+        "Description of the structure that the estimator has chosen.",
         ua.VariantType.String,
     )
     found = changes if estimator.finds_changes else ()
@@ -242,8 +242,8 @@ def waiting_variable(valve: str) -> VariableNode:
     """The variable that explains why no samples are made of a valve's signals, or none are used."""
     return VariableNode(
         f"{valve}.{WAITING}",
-        "Why no samples are made of the valve's signals, or none are learnt from: a sentence for "
-        "each signal that is to blame, with the setting that would help; empty while all is well.",
+        "Reason why no samples are made of the valve's signals or none are learnt: a sentence "
+        "for each signal at fault, with the setting that would help; empty if there is none.",
         ua.VariantType.String,
         dimensions=(0,),
     )
@@ -253,8 +253,8 @@ def timing_variable(valve: str) -> VariableNode:
     """The variable that describes the timing of a valve's signals."""
     return VariableNode(
         f"{valve}.{TIMING}",
-        "How each of the valve's signals comes, as found at the start and fixed since: with one "
-        "time, one after the other in a scan, or on change.",
+        "Timing of each signal, found at the start and fixed since: a common time, one after "
+        "the other in a scan, or on change.",
         ua.VariantType.String,
         dimensions=(0,),
     )
@@ -264,7 +264,7 @@ def builds_on_variable(valve: str, estimator: str) -> VariableNode:
     """The variable with the version of the approved map that an estimator's results build on."""
     return VariableNode(
         f"{valve}.{estimator}.{BUILDS_ON}",
-        "Version of the approved map that the results build on; empty where none was approved.",
+        "Version of the approved map on which the results build; empty if none was approved.",
         ua.VariantType.String,
     )
 
@@ -274,33 +274,34 @@ def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
     return (
         VariableNode(
             f"{prefix}.Active",
-            "Whether it is there; when that began or ended is its SourceTimestamp.",
+            "Whether the alarm is active; its SourceTimestamp is the time of the last change.",
             ua.VariantType.Boolean,
         ),
         VariableNode(
             f"{prefix}.Severity",
-            "How urgent it is when it is there, 1 to 1,000, as configured.",
+            "Severity of the alarm while it is active, 1 to 1,000, as configured.",
             ua.VariantType.UInt16,
         ),
         VariableNode(
             f"{prefix}.Since",
-            "Source time since when what was measured was beyond the limit, the last time.",
+            "Source time at which the measured value last went beyond its limit.",
             ua.VariantType.DateTime,
         ),
         VariableNode(
             f"{prefix}.Text",
-            "What was measured, since when, and what it may be; empty before the first time.",
+            "Measured value, time of onset and possible cause; empty before the first occurrence.",
             ua.VariantType.String,
         ),
         VariableNode(
             f"{prefix}.Acked",
-            "Whether somebody has acknowledged it since it came last; true before the first time.",
+            "Whether the alarm was acknowledged since it last became active; true before the "
+            "first occurrence.",
             ua.VariantType.Boolean,
         ),
         VariableNode(
             f"{prefix}.Confirmed",
-            "Whether it needs no confirming: false from when it was acknowledged until somebody "
-            "says that it was dealt with.",
+            "Whether the alarm is confirmed: false between its acknowledgement and its "
+            "confirmation.",
             ua.VariantType.Boolean,
         ),
     )
@@ -312,16 +313,17 @@ def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
     return (
         VariableNode(
             f"{prefix}.Version",
-            "The approved map: its running number, and how its hash begins; empty: there is none.",
+            "The approved map: its number and the first digits of its hash; empty if there is "
+            "none.",
             ua.VariantType.String,
         ),
+        VariableNode(f"{prefix}.Time", "Time of the newest sample in it.", ua.VariantType.DateTime),
         VariableNode(
-            f"{prefix}.Time", "Time of the newest sample behind it.", ua.VariantType.DateTime
+            f"{prefix}.DataHash", "SHA-256 of the approved map's content.", ua.VariantType.String
         ),
-        VariableNode(f"{prefix}.DataHash", "SHA-256 of all that it holds.", ua.VariantType.String),
         VariableNode(
             f"{prefix}.LastRefusal",
-            "Why the last action on it that was refused was; empty: none was.",
+            "Reason for the last refused action; empty if none was refused.",
             ua.VariantType.String,
         ),
     )
@@ -333,14 +335,14 @@ def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
     return (
         VariableNode(
             f"{prefix}.CoverageU",
-            "Middles of the rows of each Coverage and CoverageAge.",
+            "Centres of the rows of Coverage and CoverageAge.",
             unit=Unit.PERCENT,
             range=U_RANGE,
             dimensions=(0,),
         ),
         VariableNode(
             f"{prefix}.CoverageDp",
-            "Middles of the columns of each Coverage and CoverageAge.",
+            "Centres of the columns of Coverage and CoverageAge.",
             unit=Unit.BAR,
             range=valve.dp_range,
             dimensions=(0,),
@@ -356,13 +358,13 @@ def lag_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
     return (
         VariableNode(
             f"{prefix}.{LAG_U}",
-            "First-order lag from U to its effect on the flow, as taken into account.",
+            "First-order lag between U and its effect on the flow, as estimated or configured.",
             unit=Unit.SECOND,
             range=(0.0, 1.0),
         ),
         VariableNode(
             f"{prefix}.{LAG_Q}",
-            "First-order lag of the flow meter, as taken into account.",
+            "First-order lag of the flow meter, as estimated or configured.",
             unit=Unit.SECOND,
             range=(0.0, 1.0),
         ),
@@ -373,8 +375,8 @@ def last_action(valve: ValveDescription) -> VariableNode:
     """The variable with the last action on a valve."""
     return VariableNode(
         f"{valve.name}.{LAST_ACTION}",
-        "What a user did to this valve last, and who: the name, a colon, the method or the demand. "
-        "Its SourceTimestamp says when.",
+        "Last action of a user on this valve: user, colon, method or demand. Its "
+        "SourceTimestamp is the time of the action.",
         ua.VariantType.String,
     )
 
@@ -385,14 +387,14 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
     return (
         VariableNode(
             f"{prefix}.FlowDemand",
-            "Flow that the valve shall pass; answered by RequiredU.",
+            "Demanded flow; RequiredU is the answer.",
             unit=Unit.LITRE_PER_MINUTE,
             range=valve.Q_range,
             writable=True,
         ),
         VariableNode(
             f"{prefix}.PressureDrop",
-            "Pressure drop p1 - p2 at which it shall pass it.",
+            "Pressure drop p1 - p2 for FlowDemand.",
             unit=Unit.BAR,
             range=valve.dp_range,
             writable=True,
@@ -405,19 +407,19 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
         ),
         VariableNode(
             f"{prefix}.RequiredUStatus",
-            f"How far RequiredU can be used. {_sentences(InverseStatus)}",
+            f"Whether RequiredU can be used. {_sentences(InverseStatus)}",
             ua.VariantType.Int32,
             statuses=InverseStatus,
         ),
         VariableNode(
             f"{prefix}.{ARMED}",
-            "Whether RequiredU is written to the valve while it may be; see Arm and Disarm.",
+            "Whether writing RequiredU to the valve is armed; see Arm and Disarm.",
             ua.VariantType.Boolean,
         ),
         VariableNode(
             f"{prefix}.{FEED_FORWARD_STATUS}",
-            "Whether RequiredU is written to the valve, and if not, why; the configured fallback "
-            f"acts meanwhile. {_sentences(FeedForwardStatus)}",
+            "Whether RequiredU is written to the valve, and the reason if not; the configured "
+            f"fallback acts until then. {_sentences(FeedForwardStatus)}",
             ua.VariantType.Int32,
             statuses=FeedForwardStatus,
         ),
@@ -480,13 +482,13 @@ def health_variables(valve: str) -> tuple[VariableNode, VariableNode]:
     return (
         VariableNode(
             f"{valve}.{SAMPLE_AGE}",
-            "By how much the newest sample that was learnt is behind the source's clock.",
+            "Delay of the newest learnt sample behind the source's clock.",
             unit=Unit.SECOND,
             range=(0.0, YEAR_S),
         ),
         VariableNode(
             f"{valve}.{PENDING}",
-            "Samples that wait for signals of theirs, or for earlier samples.",
+            "Samples waiting for a missing signal or for earlier samples.",
             ua.VariantType.UInt64,
         ),
     )
@@ -499,64 +501,77 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
         f"{SERVICE}.Checkpoint": (
             VariableNode(
                 f"{SERVICE}.Checkpoint.Age",
-                "Time since states were last kept.",
+                "Time since the last save of the states.",
                 unit=Unit.SECOND,
                 range=(0.0, YEAR_S),
             ),
             VariableNode(
                 f"{SERVICE}.Checkpoint.Failures",
-                "How often states could not be kept since the service started.",
+                "Failed saves of states since the service started.",
                 counts,
             ),
             VariableNode(
                 f"{SERVICE}.Checkpoint.Refused",
-                "States found at the start that were damaged, or of another configuration.",
+                "States rejected at the start: damaged, or of another configuration.",
                 counts,
             ),
-            VariableNode(f"{SERVICE}.Checkpoint.Size", "Bytes that they take on disk.", counts),
+            VariableNode(f"{SERVICE}.Checkpoint.Size", "Size on disk, bytes.", counts),
         ),
         f"{SERVICE}.History": (
             VariableNode(
                 f"{SERVICE}.History.Lost",
-                "Rows of the history that found no room, or that the disk did not take.",
+                "Rows of the history that were lost: the buffer was full or the disk refused them.",
                 counts,
             ),
             VariableNode(
                 f"{SERVICE}.History.Failures",
-                "How often the history could not be kept since the service started.",
+                "Failed writes of the history since the service started.",
                 counts,
             ),
             VariableNode(
-                f"{SERVICE}.History.Size", "Bytes that it takes on disk; 0: there is none.", counts
+                f"{SERVICE}.History.Size", "Size on disk, bytes; 0 if there is no file.", counts
+            ),
+        ),
+        f"{SERVICE}.Start": (
+            VariableNode(
+                f"{SERVICE}.Start.Text",
+                "State of the start: compiling, with the parts done, or complete.",
+                ua.VariantType.String,
+            ),
+            VariableNode(
+                f"{SERVICE}.Start.Compiled",
+                "Share of the kernels that are compiled. Until 100 %, slow estimators wait.",
+                unit=Unit.PERCENT,
+                range=(0.0, 100.0),
             ),
         ),
         f"{SERVICE}.Source": (
             VariableNode(
-                f"{SERVICE}.Source.Notifications", "Changes that the source sent.", counts
+                f"{SERVICE}.Source.Notifications", "Value changes received from the source.", counts
             ),
             VariableNode(
                 f"{SERVICE}.Source.Overflows",
-                "Changes marked Overflow: the source's queue was full, and dropped some.",
+                "Value changes marked Overflow: the source's queue was full and lost others.",
                 counts,
             ),
             VariableNode(
                 f"{SERVICE}.Source.MissingMessages",
-                "Messages that never came and could not be had again.",
+                "Messages lost: not received and not republished.",
                 counts,
             ),
             VariableNode(
                 f"{SERVICE}.Source.Undecodable",
-                "Changes whose value is no number, and messages that cannot be understood.",
+                "Value changes that are not numbers, and messages that cannot be decoded.",
                 counts,
             ),
             VariableNode(
                 f"{SERVICE}.Source.FromHistory",
-                "Changes that were not heard and were read from the source's history.",
+                "Value changes missed live and read from the source's history.",
                 counts,
             ),
             VariableNode(
                 f"{SERVICE}.Source.States",
-                "A line for each source: whether it is connected, and what was lost of it.",
+                "One line per source: connection and losses.",
                 ua.VariantType.String,
                 dimensions=(0,),
             ),
@@ -623,21 +638,22 @@ def _check_unique(what: str, names: Sequence[str], taken: set[str]) -> None:
 
 
 COUNTERS = {
-    "aligned": "Samples whose signals found together.",
-    "late": "Signals that came after their sample had been given up.",
-    "missing": "Samples given up because a signal did not come.",
-    "duplicates": "Signals that came twice for one sample.",
+    "aligned": "Samples whose signals were aligned.",
+    "late": "Signals received after their sample had been dropped.",
+    "missing": "Samples dropped because a signal was missing.",
+    "duplicates": "Signals received twice for one sample.",
     "clock_steps": "Jumps of the source's clock backwards.",
-    "lost_by_time": "Samples that the usual pace shows as lost where no Sequence tells.",
-    "restarts": "How often the source's Sequence began anew.",
-    "gaps": "Samples that the source's Sequence shows as lost.",
+    "lost_by_time": "Samples lost according to the usual sampling interval, where there is no "
+    "Sequence.",
+    "restarts": "Restarts of the source's Sequence.",
+    "gaps": "Samples lost according to the source's Sequence.",
     "bad_status": "Samples rejected for their OPC UA status.",
-    "not_finite": "Samples rejected for a value that is no finite number.",
-    "out_of_range": "Samples rejected for a value that no such sensor can give.",
-    "frozen": "Samples rejected because a signal stood still for too long.",
-    "too_fast": "Samples rejected because a signal changed faster than it can.",
+    "not_finite": "Samples rejected for a value that is not finite.",
+    "out_of_range": "Samples rejected for a value outside the sensor's range.",
+    "frozen": "Samples rejected because a signal was constant for too long.",
+    "too_fast": "Samples rejected because a signal changed faster than its limit.",
     "spike": "Samples rejected because a signal had a spike.",
-    "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
-    "too_fast_for_lag": "Samples that Auto did not learn from: too fast for the signals' lags.",
-    "lane_failures": "How often an estimator stopped at an unexpected error (alarm LaneFailed).",
+    "beyond_range": "Samples not learnt by an estimator: U is outside the range of its structure.",
+    "too_fast_for_lag": "Samples not learnt by Auto: too fast for the signals' lags.",
+    "lane_failures": "Stops of an estimator at an unexpected error (alarm LaneFailed).",
 }

@@ -54,6 +54,7 @@ _KIND = {
     "Changed": ConditionKind.OFF_NORMAL,
     "Extrapolated": ConditionKind.OFF_NORMAL,
     "LaneFailed": ConditionKind.OFF_NORMAL,
+    "MessagesRejected": ConditionKind.OFF_NORMAL,
     "Certificate": ConditionKind.BELOW_LIMIT,
 }
 _CATEGORY = {
@@ -63,7 +64,7 @@ _CATEGORY = {
     ),
     **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated"), ConditionClass.PROCESS),
 }
-_COMMENT = Argument("Comment", "What was done about it", type=ua.VariantType.String)
+_COMMENT = Argument("Comment", "Action taken", type=ua.VariantType.String)
 
 Show = Callable[[str, Shown], None]
 AddVariable = Callable[[ua.NodeId, VariableNode, Shown], Awaitable[Any]]
@@ -203,9 +204,9 @@ class ResultAlarms:
             (
                 "Acknowledge",
                 self._operator.acknowledge,
-                "Say that the alarm was seen. A change of the valve goes with it.",
+                "Acknowledge the alarm. A reported change of the valve is acknowledged with it.",
             ),
-            ("Confirm", self._operator.confirm, "Say that what was seen was dealt with."),
+            ("Confirm", self._operator.confirm, "Confirm that the cause was dealt with."),
         ):
             await add_method(
                 place,

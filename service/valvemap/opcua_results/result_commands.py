@@ -54,15 +54,19 @@ class ResultCommands:
         """Add the commands of an estimator of a valve."""
         command = partial(self._add, place, parent, f"{valve}.{estimator}")
         who = (valve, estimator)
-        await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")
+        await command(
+            "Reset",
+            partial(self._operator.reset, *who),
+            "Reset the estimator: drop all that it has learnt.",
+        )
         await command(
             "Freeze", partial(self._operator.freeze, *who), "Stop adaptation: predict only."
         )
-        await command("Resume", partial(self._operator.resume, *who), "Adapt again.")
+        await command("Resume", partial(self._operator.resume, *who), "Resume adaptation.")
         await command(
             "SetForgettingFactor",
             partial(self._set_forgetting_factor, *who),
-            "Use another forgetting factor from the next sample on; 1 forgets nothing.",
+            "Set the forgetting factor from the next sample on; 1: all samples have equal weight.",
             Argument("ForgettingFactor", "0 < λ <= 1"),
         )
 
@@ -72,12 +76,12 @@ class ResultCommands:
         await command(
             "Arm",
             partial(self._arm, valve),
-            "Write RequiredU to the valve while FeedForwardStatus lets it; a restart disarms.",
+            "Arm writing of RequiredU to the valve; a restart disarms it.",
         )
         await command(
             "Disarm",
             partial(self._disarm, valve),
-            "Write nothing to the valve any more: it is the source's own.",
+            "Disarm: write nothing more to the valve; the source takes its own command.",
         )
 
     async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
@@ -86,17 +90,17 @@ class ResultCommands:
         await command(
             "Approve",
             partial(self._approve, valve),
-            "Keep what is known now as the valve's map when new.",
+            "Approve the present map as the reference for later comparison.",
         )
         await command(
             "RollBack",
             partial(self._operator.roll_back, valve),
-            "Have all estimators know what they knew when approved.",
+            "Restore all estimators to their states at the approval.",
         )
         await command(
             "ValveReplaced",
             partial(self._replace_valve, valve),
-            "Another valve is there: forget what was learnt, and the approved map.",
+            "Declare the valve replaced: reset all estimators and drop the approved map.",
         )
 
     async def _add(

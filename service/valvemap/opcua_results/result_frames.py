@@ -50,7 +50,7 @@ def frame_variables(valve: ValveDescription) -> tuple[VariableNode, VariableNode
     return (
         VariableNode(
             f"{valve.name}.{FRAME}",
-            "All numbers of the newest result in one array; FrameNames names its columns.",
+            "All values of the newest result in one array; FrameNames names its columns.",
             dimensions=(count,),
         ),
         VariableNode(

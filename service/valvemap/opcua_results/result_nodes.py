@@ -62,7 +62,7 @@ class ResultNodes:
             server,
             ua.NodeId(ROOT, server.namespace_index),
             valve.name,
-            description=f"The valve {valve.name} and what is known of it.",
+            description=f"The valve {valve.name} and its results.",
             type_definition=type_of(server, VALVE),
         )
         server.let_emit(folder)

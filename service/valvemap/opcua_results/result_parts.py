@@ -85,7 +85,7 @@ class ResultParts:
             INVERSE: ("The control voltage that a flow demands.", self._add_inverse),
             BASELINE: ("The map that was approved as new.", self._add_baseline),
             DIAGNOSTICS: (words, self._add_diagnostics),
-            ALARMS: ("What needs somebody's attention.", self._add_alarms),
+            ALARMS: ("Conditions that need attention.", self._add_alarms),
         }
 
     async def add_frame(self, place: Place, folder: ua.NodeId, valve: ValveDescription) -> None:
@@ -114,7 +114,7 @@ class ResultParts:
         await add(parent, builds_on_variable(valve.name, estimator.name), "")
         parameters = parameter_variables(valve, estimator)
         if parameters:
-            words, id_ = "The parameters, each by itself.", f"{parent.Identifier}.{PARAMETERS}"
+            words, id_ = "The parameters as single variables.", f"{parent.Identifier}.{PARAMETERS}"
             each = await add_object(place, parent, id_, description=words)
             for node in parameters:
                 await add(each, node, None)

@@ -72,8 +72,8 @@ class ResultQuestions:
                 _STATUS,
             ),
             required=Role.OBSERVER,
-            description="Where a measurement within the next 32 samples will lie: noise and what "
-            f"the structure cannot follow included. Status: {_numbered(Status)}.",
+            description="Prediction of a measurement within the next 32 samples, noise and misfit "
+            f"of the structure included. Status: {_numbered(Status)}.",
         )
 
     async def add_to_inverse(self, place: Place, parent: ua.NodeId, valve: str) -> None:
@@ -111,8 +111,8 @@ class ResultQuestions:
                 Argument("Points", "How many could be compared", type=ua.VariantType.UInt32),
             ),
             required=Role.OBSERVER,
-            description="By how much a map has moved away from the approved one, where both rest "
-            "on measurements.",
+            description="Difference between the present map and the approved one, where both "
+            "rest on measurements.",
         )
 
     def _predict(

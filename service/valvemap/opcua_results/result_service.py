@@ -16,9 +16,10 @@ from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.pipeline.ports import AlarmReport, Health
 
 _PARTS = {
-    f"{SERVICE}.Checkpoint": "Whether what was learnt survives a restart.",
+    f"{SERVICE}.Checkpoint": "State of the checkpoint: saves, failures, size.",
     f"{SERVICE}.History": "What signals and results have been: whether it is kept.",
-    f"{SERVICE}.Source": "What came from the source since the service started.",
+    f"{SERVICE}.Start": "Progress of the start: kernels are compiled at the first one.",
+    f"{SERVICE}.Source": "Changes and losses of the source since the service started.",
 }
 
 
@@ -79,8 +80,8 @@ class ResultService:
                 f"{SERVICE}.Reload",
                 partial(answered, self._on_reload, _done),
                 required=Role.ENGINEER,
-                description="Read the configuration again. Valves that it leaves alone keep what "
-                "they know and miss nothing; a faulty one is refused, and the old one goes on.",
+                description="Read the configuration again. Unchanged valves keep their state and "
+                "lose no sample; a faulty configuration is refused and the present one remains.",
             )
 
     def show(self, health: Health, now: int) -> None:

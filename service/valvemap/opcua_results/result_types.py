@@ -21,8 +21,8 @@ from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 
 VALVE, ESTIMATOR, ALARM = "Valve", "Estimator", "Alarm"
 _NAMES = {
-    VALVE: ("ValveType", "A valve and what is known of it."),
-    ESTIMATOR: ("EstimatorType", "What one estimator has learnt of a valve, and its commands."),
+    VALVE: ("ValveType", "A valve and its results."),
+    ESTIMATOR: ("EstimatorType", "Results and commands of one estimator of a valve."),
     INVERSE: ("InverseMapType", "The control voltage that a flow demands."),
     SIGNALS: ("SignalsType", "The newest sample of a valve."),
     BASELINE: ("BaselineType", "The map that was approved as new."),
@@ -97,7 +97,7 @@ async def add_types(
     async def declare_estimator(place: Declarations, own: ua.NodeId) -> None:
         (estimator,) = _TEMPLATE.estimators
         await add_estimator(estimator, place, own, _TEMPLATE)
-        words = "The parameters, each by itself."
+        words = "The parameters as single variables."
         await add_object(place, own, f"{own.Identifier}.{PARAMETERS}", description=words)
 
     async def declare(add: AddPart, place: Declarations, own: ua.NodeId) -> None:

@@ -247,7 +247,7 @@ class SourceHistory:
 
     def _nothing(self, holes: Holes, why: str) -> tuple[DataChanges, Holes, int]:
         url = self._connection.settings.url
-        _log.warning("%s: what was not heard cannot be had from its history: %s", url, why)
+        _log.warning("%s: missed changes cannot be read from its history: %s", url, why)
         return DataChanges.empty(), holes, int(holes.high.max())
 
 

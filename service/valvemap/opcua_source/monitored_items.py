@@ -157,7 +157,7 @@ def _check_queues(connection: Connection, items: Sequence[Item], asked: int) -> 
     smallest = min(item.queue_size for item in items)
     if smallest < asked:
         _log.warning(
-            "%s: keeps %d values of a node instead of %d while nobody asks for them",
+            "%s: queues %d values of a node instead of the requested %d",
             connection.settings.url,
             smallest,
             asked,

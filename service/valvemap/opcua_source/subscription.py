@@ -211,7 +211,7 @@ class Subscription:
         watched = {item.node.item for item in self._items}
         handle = max((item.handle for item in self._items), default=-1) + 1
         missing = [node for node in nodes if node.item not in watched]
-        with self._connection.errors("changing what is subscribed to"):
+        with self._connection.errors("changing the subscription"):
             if surplus:
                 await delete_items(self._connection, self._id, surplus)
             if missing:

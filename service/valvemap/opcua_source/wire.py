@@ -117,7 +117,7 @@ class Reader:
         """Read the length of an array whose elements take at least ``smallest`` bytes."""
         count = self.i4()
         if count * smallest > self.stop - self.position:
-            raise DecodeError(f"an array of {count} elements does not fit into what is left")
+            raise DecodeError(f"an array of {count} elements exceeds the rest of the message")
         return max(count, 0)
 
     def spend(self, elements: int) -> None:

@@ -80,7 +80,7 @@ class Metrics:
         valve = ["valve"]
         severity = GaugeMetricFamily(
             "valvemap_valve_severity",
-            "How a valve stands: 0 good, 1 note, 2 warning, 3 alarm.",
+            "Health of a valve: 0 good, 1 note, 2 warning, 3 alarm.",
             labels=valve,
         )
         rmse = GaugeMetricFamily(
@@ -152,7 +152,7 @@ class Metrics:
                 yield family(figure, what, value=of_service[name])
         source = CounterMetricFamily(
             "valvemap_source",
-            "What came from the source since the service started.",
+            "Changes and losses of the source since the service started.",
             labels=["what"],
         )
         for name, value in of_service.items():
@@ -183,7 +183,7 @@ _SERVICE: dict[str, tuple[type[CounterMetricFamily | GaugeMetricFamily], str, st
     "Checkpoint.Age": (
         GaugeMetricFamily,
         "valvemap_checkpoint_age_seconds",
-        "Time since states were last kept.",
+        "Time since the last save of the states.",
     ),
     "Checkpoint.Failures": (
         CounterMetricFamily,

@@ -194,7 +194,7 @@ class Observer:
         if thoroughly:
             (version,) = await self._read([VERSION])
             if version.value != self._version:
-                raise SourceLost(f"{self.client.url}: valves came or went; read anew")
+                raise SourceLost(f"{self.client.url}: valves were added or removed; read again")
             await self._look_for_changes()
         frames = {n: self._close_up.newest(n) for n in range(len(self.valves))}
         unknown = [number for number, frame in frames.items() if frame is None]

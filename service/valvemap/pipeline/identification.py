@@ -4,15 +4,17 @@ The live service and the replay of recordings both use this object; it reads no 
 I/O.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.errors import CommandRejected
 from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Samples, Times, Trace
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import SERVICE_RULES, ServiceAlarm
+from valvemap.pipeline.alarms import SERVICE_RULES
 from valvemap.pipeline.alignment import Alignment, ByValve
 from valvemap.pipeline.all_alarms import AllAlarms
 from valvemap.pipeline.all_valves import AllValves
@@ -20,6 +22,7 @@ from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
+from valvemap.pipeline.call_journal import Call, CallJournal, changes_state
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_columns import KeptColumns
@@ -40,6 +43,7 @@ from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValvePlan, ValveState
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 
@@ -56,6 +60,15 @@ class Identification:
         How the signals are aligned, and how their stamping is detected (None: it is configured).
     service_alarms
         Rules of the service's alarms.
+    waits
+        Names of the estimators that do not run in a preview; None: it is none. A preview notes all
+        calls that change its state. An object in which all estimators run repeats them, and takes
+        over.
+
+    Attributes
+    ----------
+    journal : CallJournal or None
+        The noted calls; None if this is no preview.
     """
 
     def __init__(
@@ -64,9 +77,11 @@ class Identification:
         alignment: Alignment,
         timing: Timing | None = None,
         service_alarms: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES,
+        waits: Collection[str] | None = None,
     ) -> None:
+        self.journal = None if waits is None else CallJournal()
         self._arrivals = arrivals = Arrivals([plan.name for plan in plans], alignment, timing)
-        self._valves = valves = AllValves(plans, arrivals.timing)
+        self._valves = valves = AllValves(plans, arrivals.timing, waits or ())
         self._intake = intake = SampleIntake(valves, arrivals)
         self._maps = maps = MapsAndSurveys(valves, intake)
         self._commands = commands = EstimatorCommands(valves)
@@ -78,6 +93,18 @@ class Identification:
         self._columns = KeptColumns(valves, intake, approved)
         self.plans = valves.plans
 
+    def repeat(self, calls: Sequence[Call]) -> None:
+        """Repeat the calls of a preview. A rejected command is rejected again."""
+        for name, args, kws in calls:
+            with suppress(CommandRejected):
+                getattr(self, name)(*args, **kws)
+
+    def take_over(self, successor: "Identification") -> None:
+        """Replace the whole state by that of an object with the same plans."""
+        vars(self).update(vars(successor))
+        self._results.show_all_alarms_again()
+
+    @changes_state
     def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
         """Stop a lane, or (None) all lanes of a valve, after an error outside of this object."""
         self._valves.stop(valve, step, estimator, error)
@@ -90,14 +117,17 @@ class Identification:
         """Return Bad results of one valve, for use when :meth:`results` raises."""
         return self._results.unknown(valve)
 
+    @changes_state
     def take(self, changes: DataChanges) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
         return self._intake.take(changes)
 
+    @changes_state
     def learn(self, arrived: ByValve) -> ByValve:
         """Estimate from aligned samples; return them, with implausible samples marked BAD."""
         return self._intake.learn(arrived)
 
+    @changes_state
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
         """Estimate from one valve's samples; return them as gated, and each estimator's trace."""
         return self._intake.take_samples(valve, samples)
@@ -110,10 +140,12 @@ class Identification:
         """Number of samples of each valve that wait for signals or for earlier samples."""
         return self._arrivals.pending()
 
+    @changes_state
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""
         return self._intake.wait_no_longer(valves)
 
+    @changes_state
     def begin_source_anew(self, valves: Times) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
         return self._intake.begin_source_anew(valves)
@@ -190,18 +222,22 @@ class Identification:
         """Return the descriptions of all valves for a results server."""
         return descriptions(self.plans)
 
+    @changes_state
     def reset(self, valve: str, estimator: str) -> None:
         """Reset the estimator; the operator's settings remain."""
         self._commands.reset(valve, estimator)
 
+    @changes_state
     def freeze(self, valve: str, estimator: str) -> None:
         """Stop adaptation."""
         self._commands.freeze(valve, estimator)
 
+    @changes_state
     def resume(self, valve: str, estimator: str) -> None:
         """Resume adaptation."""
         self._commands.resume(valve, estimator)
 
+    @changes_state
     def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
         """Set the forgetting factor from the next sample on."""
         self._commands.set_forgetting_factor(valve, estimator, lam)
@@ -222,6 +258,7 @@ class Identification:
         """U for a demanded flow at a pressure drop."""
         return self._commands.invert(valve, Q, dp, T)
 
+    @changes_state
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN withdraws it."""
         self._commands.demand(valve, Q, dp)
@@ -230,14 +267,17 @@ class Identification:
         """Return the answer to a valve's standing demand, and its estimator's status."""
         return self._commands.required(valve)
 
+    @changes_state
     def approve(self, valve: str) -> None:
         """Store the estimators' states as the valve's baseline, the map when new."""
         self._approved.approve(valve)
 
+    @changes_state
     def roll_back(self, valve: str) -> None:
         """Restore every estimator's state of the baseline."""
         self._approved.roll_back(valve)
 
+    @changes_state
     def replace_valve(self, valve: str) -> None:
         """Note that the valve was replaced: reset its estimators and delete its baseline."""
         self._approved.replace_valve(valve)
@@ -250,14 +290,17 @@ class Identification:
         """Return the approved map, or None."""
         return self._approved.of(valve)
 
+    @changes_state
     def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
         """Acknowledge an alarm of a valve or (None) of the service."""
         self._alarms.acknowledge(valve, alarm, remark)
 
+    @changes_state
     def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
         """Confirm an acknowledged alarm."""
         self._alarms.confirm(valve, alarm, remark)
 
+    @changes_state
     def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
         """Store an operator's comment on an alarm."""
         self._alarms.remark(valve, alarm, remark)
@@ -270,24 +313,29 @@ class Identification:
         """Return the state of all alarms of a valve or (None) of the service."""
         return self._alarms.reports(valve)
 
+    @changes_state
     def was_away(self) -> None:
         """Note an outage of the service: silence until now is no loss of the sensors."""
         self._alarms.was_away()
 
+    @changes_state
     def say_overdue(self, valves: Times, now: Times) -> list[int]:
         """Note that these valves are silent until ``now``; return those with a new alarm."""
         return self._alarms.say_overdue(valves, now)
 
+    @changes_state
     def watch_service(
         self, now: int, checkpoint_age_s: float, days_left: float, load: float
     ) -> tuple[AlarmReport, ...]:
         """Update the service's alarms: age of the checkpoints, certificate, load."""
         return self._alarms.watch_service(now, checkpoint_age_s, days_left, load)
 
+    @changes_state
     def arm(self, valve: str) -> None:
         """Arm feed-forward: the answer to the standing demand is written to the valve."""
         self._armed.arm(valve)
 
+    @changes_state
     def disarm(self, valve: str) -> None:
         """Disarm feed-forward: nothing is written to the valve."""
         self._armed.disarm(valve)
@@ -300,6 +348,7 @@ class Identification:
         """Return the feed-forward status of the last step."""
         return self._armed.feed_forward(valve)
 
+    @changes_state
     def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
         """Set the feed-forward status to publish."""
         self._armed.note(valve, status)
@@ -316,6 +365,7 @@ class Identification:
         """Return the state beside the estimators as bytes, of the given valves or of all."""
         return self._kept.memories(valves)
 
+    @changes_state
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Restore the checkpoints that fit, see :meth:`KeptStates.restore`."""
         return self._kept.restore(checkpoints)
@@ -324,6 +374,7 @@ class Identification:
         """Return the state of all valves as columns, without baselines."""
         return self._columns.columns()
 
+    @changes_state
     def remember(
         self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
     ) -> set[tuple[str, str]]:

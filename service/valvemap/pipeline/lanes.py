@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.change import Change
 from valvemap.model.estimator import key_of
 from valvemap.model.extrapolation import U_range_of
@@ -27,7 +28,7 @@ from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, Lane, with_forgetting
+from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
 from valvemap.vocabulary.statuses import Quality, Status
 
 ABOUT_CLOSED = 5.0  # %; tolerance of U beyond the estimator's range, for sensor offset
@@ -118,6 +119,16 @@ class Lanes:
         self._spread.learn(samples, trace, segments)
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace, self._of_this_map(began, trace.status, segments)
+
+    def revise(self, status: Codes, segments: Segments) -> None:
+        """Replace the published status of the newest samples of running lanes."""
+        running = segments.of(~self.failed[segments.members])
+        self._notes.status[running.members] = status[running.stops - 1]
+
+    def predicted(self, m: int, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Return flow and standard deviation (N,) of one valve's map, as its estimator gives it."""
+        lane = self.get(m)
+        return lane.estimator.predict(lane.state, U, dp, T)
 
     def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
         """Return the state of all lanes as named arrays over valves."""
@@ -338,16 +349,17 @@ for _status, _quality in {
     Status.UNEXCITED: Quality.UNCERTAIN,
     Status.HELD: Quality.UNCERTAIN,
     Status.EXTRAPOLATING: Quality.UNCERTAIN,
+    Status.UNRELIABLE: Quality.UNCERTAIN,
     Status.REJECTED: Quality.BAD,
     Status.FAILED: Quality.BAD,
 }.items():
     _QUALITY[_status] = _quality
 
 
-def nothing_of(N: int) -> Trace:
-    """Return the trace of N samples in failed lanes."""
+def nothing_of(N: int, status: Status = Status.FAILED) -> Trace:
+    """Return the trace of N samples in lanes that do not run."""
     predicted, residual, early = np.full((3, N), np.nan)
-    return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
+    return Trace(predicted, residual, early, np.full(N, status, np.uint8))
 
 
 def _allows(estimator: AnyEstimator, lam: float) -> bool:

@@ -128,13 +128,15 @@ class Reader:
             self._take(self._service.changes())
             if self._service.lost:
                 self._overflows += self._service.lost
-                raise SourceLost(f"{self._service.url}: it sent more than was taken; read anew")
+                raise SourceLost(f"{self._service.url}: it sent more than was read; read again")
             self._shown.count(OVERFLOWS, self._overflows, self._clock.now())
             if self._clock.monotonic() - asked_at >= _ASK_S:
                 # without a keep-alive, a cut line goes unnoticed
                 _, now = await self._service.read([_CURRENT_TIME, _VERSION])
                 if now.value != version.value:
-                    raise SourceLost(f"{self._service.url}: valves came or went; read anew")
+                    raise SourceLost(
+                        f"{self._service.url}: valves were added or removed; read again"
+                    )
                 asked_at = self._clock.monotonic()
             await asyncio.sleep(_LOOK_S)
 

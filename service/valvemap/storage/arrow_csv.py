@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.storage import columns
-from valvemap.storage.csv_cells import times_of_text
+from valvemap.storage.csv_cells import scaled_times, times_of_text
 from valvemap.storage.dates import DateForm
 
 try:
@@ -39,9 +39,12 @@ class ArrowCells:
         """Numbers; an empty cell is NaN."""
         return _array(self._column(place))
 
-    def times(self, place: int) -> Times:
-        """UTC ns."""
+    def times(self, place: int, seconds: float = 1.0) -> Times:
+        """UTC ns; ``seconds`` is the unit of numbers."""
         column = self._column(place)
+        if seconds != 1.0:
+            values = _array(column)
+            return scaled_times(values, values.tolist(), seconds)
         if pa.types.is_decimal(column.type):
             return _nanoseconds(column)
         if pa.types.is_string(column.type):

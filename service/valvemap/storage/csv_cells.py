@@ -17,7 +17,7 @@ class Cells(Protocol):
 
     def numbers(self, place: int, name: str) -> Floats: ...  # noqa: D102
 
-    def times(self, place: int) -> Times: ...  # noqa: D102
+    def times(self, place: int, seconds: float = 1.0) -> Times: ...  # noqa: D102
 
     def qualities(self, place: int) -> Codes: ...  # noqa: D102
 
@@ -36,16 +36,18 @@ class TextCells:
         """Numbers; an empty cell is NaN."""
         cells = self._columns[place]
         if self._separator != ",":
-            return columns.numbers(_with_points(cells), name)
+            return columns.numbers(with_points(cells), name)
         try:
             return columns.numbers(cells, name)
         except CellError:  # a quoted decimal comma
             if not any("," in cell for cell in cells):
                 raise
-            return columns.numbers(_with_points(cells), name)
+            return columns.numbers(with_points(cells), name)
 
-    def times(self, place: int) -> Times:
-        """UTC ns."""
+    def times(self, place: int, seconds: float = 1.0) -> Times:
+        """UTC ns; ``seconds`` is the unit of numbers."""
+        if seconds != 1.0:
+            return scaled_times(self.numbers(place, "t"), self._columns[place], seconds)
         return times_of_text(self._columns[place], self._separator, self._dates)
 
     def qualities(self, place: int) -> Codes:
@@ -57,12 +59,21 @@ class TextCells:
         return columns.names(self._columns[place])
 
 
+def scaled_times(values: Floats, cells: Sequence[object], seconds: float) -> Times:
+    """Return ns of numbers in a unit of so many seconds."""
+    if not np.isfinite(values).all():
+        row = int(np.argmax(~np.isfinite(values)))
+        raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)
+    return np.rint(values * (seconds * 1e9)).astype(np.int64)
+
+
 def times_of_text(cells: Sequence[str], separator: str, dates: DateForm) -> Times:
     """Return UTC ns; a decimal comma is accepted."""
     if separator == "," and not any("," in cell for cell in cells):
         return columns.times(cells, dates)
-    return columns.times(_with_points(cells), dates)
+    return columns.times(with_points(cells), dates)
 
 
-def _with_points(cells: Sequence[str]) -> list[str]:
+def with_points(cells: Sequence[str]) -> list[str]:
+    """Return the cells with points for commas."""
     return [cell.replace(",", ".") for cell in cells]

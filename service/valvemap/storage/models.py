@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from valvemap.errors import ConfigurationError, NoSuchFile, StorageError
 from valvemap.model.estimator import Estimator
+from valvemap.model.portable_map import restored, to_map
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
@@ -97,7 +98,7 @@ def save_model(
 def write_model(file: Path, model: StoredModel) -> None:
     """Write a model; see :func:`save_model`."""
     try:
-        section = map_section(model.estimator, model.state)
+        section = map_section(to_map(model.estimator, model.state))
     except ValueError as error:
         raise StorageError(f"{file}: {model.valve}.{model.name} is not saved: {error}") from None
     theta, std = model.estimator.parameters(model.state)
@@ -128,16 +129,19 @@ def load_model(file: Path) -> StoredModel:
         if the model is invalid; one line with file, field, value and the allowed values.
     """
     try:
-        document = ModelDocument.model_validate(_content(file))
-        estimator, state = map_of(document.map)
+        return _model_of(ModelDocument.model_validate(_content(file)))
     except FileNotFoundError:
         raise NoSuchFile(f"{file}: no such file") from None
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     except ValidationError as error:
         raise StorageError(f"{file}: {_first(error)}") from None
-    except (ConfigurationError, ValueError) as error:
+    except (ConfigurationError, ValueError, OverflowError) as error:
         raise StorageError(f"{file}: map: {error}") from None
+
+
+def _model_of(document: ModelDocument) -> StoredModel:
+    estimator, state = restored(map_of(document.map))
     return StoredModel(
         valve=document.valve,
         name=document.estimator,

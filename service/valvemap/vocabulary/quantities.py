@@ -91,7 +91,7 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "PredictedFlow",
         "predicted",
-        "Flow that the parameters before the newest sample predicted for it.",
+        "Flow predicted for the newest sample by the parameters before it.",
         unit="l/min",
         bounds=Bounds.FLOW,
         in_frame=True,
@@ -125,8 +125,8 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "NoiseStd",
         "noise_std",
-        "Standard deviation of a recent measurement about the map: noise, and what the "
-        "structure cannot follow.",
+        "Standard deviation of recent measurements about the map: noise and misfit of the "
+        "structure.",
         unit="l/min",
         bounds=Bounds.SPREAD,
         in_frame=True,
@@ -137,8 +137,8 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "SystematicStd",
         "systematic_std",
-        "What the stated accuracy of the sensors makes of the flow at the newest sample, one "
-        "standard deviation: no number of samples averages it out.",
+        "Standard deviation of the flow at the newest sample that follows from the sensors' "
+        "stated accuracy: more samples do not reduce it.",
         unit="l/min",
         bounds=Bounds.SPREAD,
         undetermined=Undetermined.BAD,
@@ -146,7 +146,7 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "SampleCount",
         "sample_count",
-        "Samples taken in since the start or the last Reset.",
+        "Samples processed since the start or the last Reset.",
         Kind.COUNT,
         undetermined=Undetermined.NEVER,
         in_frame=True,
@@ -155,7 +155,7 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "Status",
         "status",
-        "What the estimator did with the newest sample.",
+        "Effect of the newest sample on the estimator.",
         Kind.CODE,
         statuses=Status,
         undetermined=Undetermined.NEVER,
@@ -165,7 +165,7 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "Adaptation",
         "adaptation",
-        "What the estimator makes of its residuals.",
+        "Cause to which the estimator attributes its residuals.",
         Kind.CODE,
         statuses=Adaptation,
         undetermined=Undetermined.NEVER,

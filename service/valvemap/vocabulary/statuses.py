@@ -46,7 +46,14 @@ class Status(Described):
     """An estimator's use of one sample: numerical trouble is a value, not an exception."""
 
     OK = 0, "ok", "The sample was used and the parameters are determined."
-    WARMING_UP = 1, "warming up", "The samples so far do not determine all parameters."
+    WARMING_UP = (
+        1,
+        "warming up",
+        (
+            "The samples so far do not determine all parameters, or the map has not yet predicted "
+            "better than the mean flow."
+        ),
+    )
     UNEXCITED = (
         2,
         "not excited",
@@ -55,7 +62,7 @@ class Status(Described):
     REJECTED = (
         3,
         "rejected",
-        "The sample is not finite or of bad quality; the state was not touched.",
+        "The sample is not finite or of bad quality; the state is unchanged.",
     )
     FROZEN = 4, "frozen", "Adaptation is switched off; the sample was predicted only."
     HELD = 5, "held", "The update would have left the range of numbers; the state was not touched."
@@ -73,6 +80,14 @@ class Status(Described):
         (
             "The estimator stopped at an unexpected error; its last state is kept. Reset starts it "
             "again; the alarm LaneFailed names the reason."
+        ),
+    )
+    UNRELIABLE = (
+        8,
+        "unreliable",
+        (
+            "The sample was used, but at places visited again the flow lies outside the 95 % "
+            "interval too often, however much the interval is widened."
         ),
     )
 
@@ -129,7 +144,7 @@ class InverseStatus(Described):
     ABOVE_REACH = (
         1,
         "above reach",
-        "The valve cannot pass so much at this pressure drop; U = 100 %.",
+        "The valve cannot pass the demanded flow at this pressure drop; U = 100 %.",
     )
     BELOW_REACH = 2, "below reach", "Even the closed valve passes more than demanded; U = 0 %."
     NOT_MONOTONE = 3, "not monotone", "The map falls with U here; no U can be trusted."
@@ -163,8 +178,12 @@ class FeedForwardStatus(Described):
     BAD_SAMPLE = 6, "bad sample", "The newest sample is Bad or was rejected."
     NO_DEMAND = 7, "no demand", "Flow, pressure drop or temperature is not known."
     MAP_NOT_GOOD = 8, "map not good", "The map is not identified there, or falls with U."
-    EXTRAPOLATED = 9, "extrapolated", "Nothing was measured near what is demanded."
-    ABOVE_REACH = 10, "above reach", "The valve cannot pass so much at this pressure drop."
+    EXTRAPOLATED = 9, "extrapolated", "There are no measurements near the demand."
+    ABOVE_REACH = (
+        10,
+        "above reach",
+        "The valve cannot pass the demanded flow at this pressure drop.",
+    )
     OUT_OF_RANGE = 11, "out of range", "RequiredU is outside range_percent."
     TOO_UNSURE = (
         12,
