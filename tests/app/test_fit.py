@@ -116,6 +116,20 @@ def test_units_and_columns_are_said_by_signal(model):
     np.testing.assert_allclose(found.predict(50, 100), model.predict(50, 100), rtol=1e-6)
 
 
+def test_foreign_headings_are_recognised_in_every_form(tmp_path):
+    import pandas as pd
+
+    table = rows()
+    named = {"Zeit [ms]": np.arange(N) * 10.0, "Stellsignal [%]": table["U"]}
+    named |= {"Druck vor Ventil [psi]": table["p1"] * 14.503773773, "T [°C]": 40 + 0 * table["U"]}
+    named |= {"Druck nach Ventil [psi]": table["p2"] * 14.503773773, "Durchfluss": table["Q"]}
+    named["Durchfluss [l/min]"] = named.pop("Durchfluss")
+    frame = pd.DataFrame(named)
+    frame.to_csv(tmp_path / "r.csv", index=False)
+    frame.to_parquet(tmp_path / "r.parquet")
+    assert bits(tmp_path / "r.csv") == bits(tmp_path / "r.parquet") == bits(frame) == bits(named)
+
+
 def test_the_lines_of_the_readme_run(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     (code,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)

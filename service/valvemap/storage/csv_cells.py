@@ -1,7 +1,7 @@
 """The cells of some lines of a CSV file, by column: as text, or parsed by Arrow."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class TextCells:
         return columns.names(self._columns[place])
 
 
-def scaled_times(values: Floats, cells: Sequence[object], seconds: float) -> Times:
+def scaled_times(values: Floats, cells: Any, seconds: float) -> Times:  # noqa: ANN401 - by row
     """Return ns of numbers in a unit of so many seconds."""
     if not np.isfinite(values).all():
         row = int(np.argmax(~np.isfinite(values)))

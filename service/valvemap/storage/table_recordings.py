@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Final, Literal, cast
 
 import numpy as np
@@ -11,7 +12,17 @@ from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
-from valvemap.storage.layout import DEFAULT_VALVE, Layout, Part, find_columns
+from valvemap.storage.csv_cells import scaled_times
+from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
+from valvemap.storage.layout import (
+    DEFAULT_VALVE,
+    Columns,
+    Layout,
+    MissingColumnError,
+    Part,
+    find_columns,
+    with_p2,
+)
 
 try:
     import narwhals as nw
@@ -23,6 +34,8 @@ ALLOWED: Final = (
 )
 
 BACKENDS: Final = ("pandas", "polars", "pyarrow")
+
+_RECOGNISED: Final = 3_000  # rows used to recognise foreign headings
 
 Column = NDArray[Any] | list[str]
 
@@ -43,7 +56,7 @@ class TableReader:
         self.name = type(table).__name__
         self._table = _columns_of(table, self.name)
         self._chunk_rows = chunk_rows
-        self._columns = find_columns(list(self._table), layout, self.name)
+        self._columns = self._find(layout)
         self._rows = _size(next(iter(self._table.values())), self.name)
         self._done = 0
         self.ignored = self._columns.ignored
@@ -70,6 +83,30 @@ class TableReader:
                     here = Samples(**{name: x[rows].copy() for name, x in vars(samples).items()})
                     yield from columns.by_valve(here, valves, index[rows])
 
+    def _find(self, layout: Layout) -> Columns:
+        """Return the columns by our own names, else recognised by headings and first rows."""
+        headings = list(self._table)
+        try:
+            return find_columns(headings, layout, self.name)
+        except MissingColumnError as missing:
+            plain = [self._named(place)[1] for place in range(len(headings))]
+            numeric = [isinstance(x, np.ndarray) and x.dtype.kind in "if" for x in plain]
+            time = time_column(headings, numeric)
+            if not layout.recognises or time is None:
+                raise
+            numbers = {
+                place: np.asarray(column[:_RECOGNISED], np.float64)
+                for place, column in enumerate(plain)
+                if numeric[place] and place != time
+            }
+            begin = plain[time][:_RECOGNISED]
+            try:
+                times = _times(begin, seconds_per_unit(headings[time]))
+            except CellError:
+                raise missing from None
+            begins = Beginning(Path(self.name), headings, numbers, time, times)
+            return recognise(begins, layout, missing)
+
     def _converted(self) -> Iterator[tuple[Samples, list[str], NDArray[np.intp]]]:
         """Yield samples, valves and each row's valve of every part of the table."""
         found = self._columns
@@ -92,7 +129,7 @@ class TableReader:
             signal: scaling(_numbers(*self._named(place), signal))
             for signal, (place, scaling) in part.numbers.items()
         }
-        return Samples.of(t=_times(*self._named(part.t)), quality=quality, **numbers)
+        return with_p2(_times(self._named(part.t)[1], part.seconds), quality, numbers)
 
     def _named(self, place: int) -> tuple[str, Column]:
         name = list(self._table)[place]
@@ -235,7 +272,9 @@ def _numbers(where: str, column: Column, signal: str) -> Floats:
     return column.astype(np.float64)
 
 
-def _times(_where: str, column: Column) -> Times:
+def _times(column: Column, seconds: float) -> Times:
+    if not isinstance(column, list) and column.dtype.kind in "if" and seconds != 1.0:
+        return scaled_times(column.astype(np.float64), column, seconds)
     if isinstance(column, list):
         return columns.times(column)
     if column.dtype.kind == "M":
