@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Samples
-from valvemap.storage import csv_recordings
 from valvemap.storage.arrow_csv import ArrowParser
 from valvemap.storage.recordings import RecordingWriter, read_recording
 
@@ -79,7 +78,7 @@ def test_arrow_reads_the_bits_valves_and_errors_of_the_text(file, text, chunk_ro
     file.write_bytes(text.encode())
     by_arrow = read(file, chunk_rows)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(csv_recordings.ArrowParser, "of", lambda *_, **__: None)
+        patch.setattr(ArrowParser, "of", lambda *_, **__: None)
         assert read(file, chunk_rows) == by_arrow
 
 

@@ -9,18 +9,14 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final, Self
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
+from pyarrow import csv
 
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.storage import columns
 from valvemap.storage.csv_cells import scaled_times, times_of_text
 from valvemap.storage.dates import DateForm
-
-try:
-    import pyarrow as pa
-    from pyarrow import csv
-except ImportError:  # without the extra, all blocks are parsed as text
-    pa = None
 
 _NANO: Final = 9  # decimals of a second in ns
 _PLACES: Final = 38  # digits of a decimal of 128 bits
@@ -113,7 +109,7 @@ class ArrowParser:
         times: Collection[int],
     ) -> Self | None:
         """Return a parser of the file that begins with these lines; None if Arrow reads no such."""
-        if pa is None or not any(line.strip() for line in lines):
+        if not any(line.strip() for line in lines):
             return None
         kinds = [pa.int64(), pa.decimal128(_PLACES, _NANO)]
         kinds += [pa.timestamp("ns"), pa.timestamp("ns", "UTC"), pa.string()]

@@ -9,9 +9,10 @@ import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO, Any, BinaryIO, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from valvemap.errors import NoRecording, RecordingError, ValvemapError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
-from valvemap.storage.arrow_csv import ArrowParser
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import Cells, TextCells, with_points
 from valvemap.storage.dates import DateForm, date_form
@@ -35,6 +35,9 @@ from valvemap.storage.layout import (
     with_p2,
 )
 from valvemap.storage.long_format import MOST_ROWS, LongColumns, long_columns, pivot
+
+if TYPE_CHECKING:
+    from valvemap.storage.arrow_csv import ArrowParser
 
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 
@@ -218,7 +221,7 @@ class CsvReader:
         yield from self._parsed_text(self._lines, self._skipped)
 
     def _parsed_by_arrow(
-        self, arrow: ArrowParser, lines: Sequence[str], text: str
+        self, arrow: "ArrowParser", lines: Sequence[str], text: str
     ) -> list[Block] | None:
         """Return the blocks of lines; None if they must be parsed as text."""
         if max(map(len, lines), default=0) > csv.field_size_limit():
@@ -351,11 +354,13 @@ class CsvReader:
         }
         return with_p2(cells.times(part.t, part.seconds), quality, numbers)
 
-    def _parser(self, peeked: Sequence[str]) -> ArrowParser | None:
+    def _parser(self, peeked: Sequence[str]) -> "ArrowParser | None":
         """Return Arrow's parser for the file, if it reads its first lines."""
         found = self._columns
-        if self._long is not None:
+        if self._long is not None or find_spec("pyarrow") is None:
             return None
+        from valvemap.storage.arrow_csv import ArrowParser  # noqa: PLC0415 - an extra, and large
+
         scaled = {part.t for part in found.parts if part.seconds != 1.0}
         places = {place for part in found.parts for place, _ in part.numbers.values()}
         return ArrowParser.of(

@@ -1,8 +1,11 @@
 """Recordings in memory: data frames (pandas, polars, pyarrow) and mappings of arrays."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, Literal, cast
 
 import numpy as np
@@ -23,11 +26,6 @@ from valvemap.storage.layout import (
     find_columns,
     with_p2,
 )
-
-try:
-    import narwhals as nw
-except ImportError:  # data frames need it, mappings of arrays do not
-    nw = None  # type: ignore[assignment]
 
 ALLOWED: Final = (
     "a path, a data frame (pandas, polars, pyarrow), a dict of arrays by column, or a list of these"
@@ -139,6 +137,12 @@ class TableReader:
             raise RecordingError(f"{self.name}: column {name} is of type {error}") from None
 
 
+@lru_cache(maxsize=1)
+def _narwhals() -> ModuleType | None:
+    """Return narwhals, which data frames need, and mappings of arrays do not; loaded when used."""
+    return import_module("narwhals") if find_spec("narwhals") is not None else None
+
+
 def is_table(given: object) -> bool:
     """Whether it is a data frame or a mapping of arrays."""
     return isinstance(given, Mapping) or _frame(given) is not None
@@ -154,6 +158,7 @@ def data_frame(table: Mapping[str, NDArray[Any]], backend: str) -> Any:  # noqa:
     """
     if backend not in BACKENDS:
         raise ConfigurationError(f"backend {backend!r}; {', '.join(BACKENDS)} are allowed")
+    nw = _narwhals()
     if nw is None or find_spec(backend) is None:
         missing = "narwhals" if nw is None else backend
         raise ConfigurationError(f"a data frame of {backend} needs it: pip install {missing}")
@@ -163,6 +168,7 @@ def data_frame(table: Mapping[str, NDArray[Any]], backend: str) -> Any:  # noqa:
 
 def _frame(given: object) -> Any:  # noqa: ANN401 - narwhals' frame of any library
     """Return a data frame by narwhals; None if it is none."""
+    nw = _narwhals()
     if nw is None:
         return None
     frame = nw.from_native(given, pass_through=True)
@@ -172,11 +178,12 @@ def _frame(given: object) -> Any:  # noqa: ANN401 - narwhals' frame of any libra
 
 
 def _columns_of(table: object, name: str) -> dict[str, object]:
+    nw = _narwhals() if not isinstance(table, Mapping) else None
     if isinstance(table, Mapping):
         found = {str(key): values for key, values in table.items()}
     else:
         frame = _frame(table)
-        if frame is None:
+        if frame is None or nw is None:
             hint = "" if nw else "; data frames need narwhals: pip install 'valvemap[dataframes]'"
             raise RecordingError(f"a {name} is no recording; {ALLOWED} is allowed{hint}")
         found = {key: frame[key] for key in frame.columns}
@@ -210,9 +217,11 @@ def _plain(values: object) -> Column:
     CellError
         if a time is out of range.
     """
-    series = nw.from_native(values, series_only=True, pass_through=True) if nw else values
-    if nw is not None and isinstance(series, nw.Series):
-        return _of_series(series)
+    nw = None if isinstance(values, np.ndarray | list | tuple) else _narwhals()
+    if nw is not None:
+        series = nw.from_native(values, series_only=True, pass_through=True)
+        if isinstance(series, nw.Series):
+            return _of_series(series, nw)
     array = np.asarray(values)
     if array.ndim != 1:
         raise TypeError(f"{array.dtype} and shape {array.shape}; (N,) is allowed")
@@ -227,7 +236,7 @@ def _plain(values: object) -> Column:
     raise TypeError(f"{array.dtype}; numbers, datetimes and text are allowed")
 
 
-def _of_series(series: Any) -> Column:  # noqa: ANN401 - narwhals' series of any library
+def _of_series(series: Any, nw: ModuleType) -> Column:  # noqa: ANN401 - narwhals' series of any library
     kind = series.dtype
     if kind == nw.Date:
         series = series.cast(nw.Datetime("us"))
