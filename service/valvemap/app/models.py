@@ -41,7 +41,8 @@ def fit(
     columns
         Columns with other names, by signal: ``{"t": "Time", "U": "Control signal"}``.
     valve, estimator
-        Valve and estimator; by default a recording's only valve, and Auto (else the first).
+        Valve and estimator; by default a recording's only valve, and the recommended estimator
+        (else Auto or the first). With an estimator, the others do not run.
     config
         Configuration: valves and estimators, columns and units.
     insist
@@ -74,13 +75,12 @@ def fit(
     for file in given:
         if isinstance(file, Path) and is_model(file):
             raise ConfigurationError(f"{file} is a saved model: valvemap.open_model opens it")
-    name = estimator or (PREFERRED if config is None else _first_estimator(config, valve))
     report = replay(
         given,
         config,
         progress=progress,
         only=None if valve is None else [valve],
-        estimators=[name],
+        estimators=None if estimator is None else [estimator],
         insist=insist,
         units=units,
         columns=columns,
@@ -88,6 +88,8 @@ def fit(
     where = given[0] if isinstance(given[0], Path) else type(given[0]).__name__
     valve = _chosen(where, "valve", valve, list(report))
     refuse_if_nothing_was_learnt({valve: report[valve]})
+    names = _recursive(report[valve])
+    name = _chosen(where, "estimator", estimator or _preferred(report, valve) or names[0], names)
     found = report[valve][name]
     return Model(
         valve=valve,
@@ -116,7 +118,8 @@ def open_model(
     file
         A saved model, or recordings to identify from; see :func:`fit`.
     valve, estimator
-        Valve and estimator; by default a recording's only valve, and Auto (else the first).
+        Valve and estimator; by default a recording's only valve, and the recommended estimator
+        (else Auto or the first).
     config
         Configuration for a recording: valves and estimators, columns and units.
     progress
@@ -144,8 +147,9 @@ def open_model(
 def save_models(target: Path, report: "Report") -> list[Path]:
     """Save the models of a replay: one (``target`` ends in .json), or all in a folder.
 
-    A single model is that of the only valve, by `Auto` or the only estimator. In a folder each file
-    is named ``<Valve>.<Estimator>.json``; models with undetermined parameters are left out.
+    A single model is that of the only valve, by the recommended estimator, else by `Auto` or the
+    only estimator. In a folder each file is named ``<Valve>.<Estimator>.json``; models with
+    undetermined parameters are left out.
 
     Raises
     ------
@@ -157,7 +161,7 @@ def save_models(target: Path, report: "Report") -> list[Path]:
     if is_model(target):
         valve = _chosen(target, "valve", None, list(report))
         names = _recursive(report[valve])
-        name = _chosen(target, "estimator", PREFERRED if PREFERRED in names else None, names)
+        name = _chosen(target, "estimator", _preferred(report, valve), names)
         return [_save(target, report, valve, name)]
     _make(target)
     return [
@@ -168,14 +172,11 @@ def save_models(target: Path, report: "Report") -> list[Path]:
     ]
 
 
-def _first_estimator(config: "Config", valve: str | None) -> str:
-    """Return Auto if it is configured, else the first estimator."""
-    for one in config.valves:
-        if valve in (None, one.name):
-            names = [e.name for e in one.estimators]
-            return PREFERRED if PREFERRED in names else names[0]
-    known = ", ".join(one.name for one in config.valves)
-    raise ConfigurationError(f"valve {valve!r} is not there; allowed is {known}")
+def _preferred(report: "Report", valve: str) -> str | None:
+    """Return the estimator whose map to use: the recommended one, else `Auto`, else unknown."""
+    estimators = report[valve]
+    recommended = next(iter(estimators.values())).recommended.name
+    return recommended or (PREFERRED if PREFERRED in estimators else None)
 
 
 def _recursive(estimators: Iterable[str]) -> list[str]:
