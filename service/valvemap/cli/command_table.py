@@ -36,7 +36,7 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     ),
     "export": Entry(
         "invert",
-        "Export the inverse map as a lookup table with a stated error, for a PLC or a program.",
+        "Export the map for a PLC, a program or a simulator: a lookup table with a stated error.",
     ),
     "report": Entry(
         "report", "Rebuild the paper's figures and tables, and judge its claims (in a clone)."

@@ -48,22 +48,24 @@ class ValveLayout:
 class Layout:
     """The layout of recordings; without ``valves`` all valves of a file are read.
 
-    ``time``, ``valve`` and ``quality`` are column names; None: the default names. ``header`` are
-    the headings of a file that has none; ``given`` answers questions about foreign headings, by
-    valve.
+    ``time``, ``valve`` and ``quality`` are column names; None: the default names. ``signals`` are
+    those of all valves without ``valves``. ``header`` are the headings of a file that has none;
+    ``given`` answers questions about foreign headings, by valve.
     """
 
     valves: tuple[ValveLayout, ...] = ()
     time: str | None = None
     valve: str | None = None
     quality: str | None = None
+    signals: Mapping[str, Measure] = field(default_factory=dict)
     header: tuple[str, ...] | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
 
     @property
     def recognises(self) -> bool:
         """Whether foreign headings may be recognised: no column is configured."""
-        return self.valve is None and not any(valve.has_columns for valve in self.valves)
+        every = (*self.valves, ValveLayout("", self.signals))
+        return self.valve is None and not any(valve.has_columns for valve in every)
 
 
 class MissingColumnError(RecordingError):
@@ -151,7 +153,8 @@ class _Finder:
     def _parts(self, valve: int | None) -> Iterator[Part]:
         valves = self._layout.valves
         if not valves:
-            yield self._part(ValveLayout(DEFAULT_VALVE), None if valve is not None else "")
+            every = ValveLayout(DEFAULT_VALVE, self._layout.signals)
+            yield self._part(every, None if valve is not None else "")
             return
         alone = len(valves) == 1
         for own in valves:
@@ -186,7 +189,8 @@ class _Finder:
         return (
             f"{self._where}: column {', '.join(missing)} is missing; the header must hold "
             f"t,U,p1,p2,Q (and may hold T, valve, quality), found {','.join(self._header)[:60]!r}; "
-            'for other names: [valves.signals.U] column = "…" in a --config FILE'
+            'for other names: [valves.signals.U] column = "…" in a --config FILE, or '
+            'columns={"U": "…"} in Python'
         )
 
     def _named(self, column: str | None, field: str) -> int | None:
