@@ -2,6 +2,7 @@
 
 from documentation.tables import table
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
+from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import (
     Adaptation,
     Described,
@@ -30,6 +31,11 @@ _ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
 )
 
 
+_SIGNALS = """\
+A valve has these signals, in these units. Without its node or column, an optional signal is not a
+number, which is no fault; a value outside of the plausible range is one, and the sample is
+rejected."""
+
 _INTRODUCTION = """\
 Each estimator publishes these quantities of each valve as `s=<Valve>.<Estimator>.<name>`.
 The series are those of `/metrics`, labelled by valve and estimator."""
@@ -38,7 +44,9 @@ The series are those of `/metrics`, labelled by valve and estimator."""
 def vocabulary_page() -> str:
     """Return the page."""
     parts = [
-        "# Quantities and statuses",
+        "# Signals, quantities and statuses",
+        _SIGNALS,
+        table(["name", "unit", "need", "plausible", "meaning"], [_signal(s) for s in SENSORS]),
         _INTRODUCTION,
         table(
             ["name", "unit", "in Frame", "in history", "series", "meaning"],
@@ -49,6 +57,17 @@ def vocabulary_page() -> str:
         rows = [[str(int(s)), f"`{s.name}`", s.label, s.sentence] for s in statuses]
         parts += [f"## {title}", where, table(["value", "name", "on the page", "meaning"], rows)]
     return "\n\n".join(parts) + "\n"
+
+
+def _signal(signal: Signal) -> list[str]:
+    low, high = signal.plausible
+    return [
+        f"`{signal.label}`",
+        signal.unit,
+        signal.need.value,
+        f"{low:g} … {high:g}",
+        f"{signal.sentence[0].upper()}{signal.sentence[1:]}.",
+    ]
 
 
 def _row(quantity: Quantity) -> list[str]:

@@ -23,7 +23,7 @@ VALVE = "V7"
 @pytest.fixture
 async def served(tmp_path):
     plan = ValvePlan(VALVE, QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
-    identification = Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     settings = results_settings(users=users, none_on_loopback=True)
     described = identification.descriptions()

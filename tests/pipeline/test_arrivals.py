@@ -14,7 +14,7 @@ from valvemap.pipeline.kernels import waiting as slots
 
 
 def arrivals():
-    return Arrivals(["Valvistor"], Alignment(AlignmentSettings(), has_T=(True,)))
+    return Arrivals(["Valvistor"], Alignment(AlignmentSettings(), optional=(("T",),)))
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ BATCHES = 8
 
 
 def fresh():
-    return Identification(plans(), Alignment(AlignmentSettings(), (True,) * VALVES))
+    return Identification(plans(), Alignment(AlignmentSettings(), (("T",),) * VALVES))
 
 
 def changes_of(number):

@@ -12,7 +12,8 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.maps_and_surveys import SURVEYS_AT_ONCE
-from valvemap.pipeline.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
+from valvemap.vocabulary.signals import SENSORS
 from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 
@@ -169,7 +170,7 @@ def test_every_map_is_surveyed_when_the_inverse_is_tabulated_anew(identification
 
 def test_a_fleet_is_surveyed_in_turns(plan):
     plans = [replace(plan, name=f"V{k}") for k in range(20)]
-    fleet = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 20))
+    fleet = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * 20))
     seen = []
     for _ in range(2):
         fleet.refresh_maps()
@@ -201,7 +202,7 @@ def test_a_U_that_an_estimator_cannot_describe_is_counted_and_teaches_nothing(id
 def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alone(plan):
     doubted = replace(plan, accuracy=SensorAccuracy(p1=1.0, p2=1.0, Q=0.5))
     one, other = (
-        Identification([each], Alignment(AlignmentSettings(), has_T=(True,)))
+        Identification([each], Alignment(AlignmentSettings(), optional=(("T",),)))
         for each in (plan, doubted)
     )
     for identification in (one, other):
@@ -224,7 +225,7 @@ def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alon
 
 def test_samples_too_fast_for_a_meter_are_counted_where_everybody_sees(plan):
     slow = replace(plan, estimators={"Auto": Auto(lag_U=0.0, lag_Q=0.3)}, inverse="Auto")
-    identification = Identification([slow], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([slow], Alignment(AlignmentSettings(), optional=(("T",),)))
     identification.take_samples(0, plant(500))  # U jumps from sample to sample
     assert identification.counters(0)["too_fast_for_lag"] > 400
 
@@ -232,7 +233,7 @@ def test_samples_too_fast_for_a_meter_are_counted_where_everybody_sees(plan):
 def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):
     network = RbfNetwork(U_range=(-100.0, 100.0), dp_range=(0.0, 200.0))
     both = replace(plan, estimators={"RBF": network}, inverse="RBF", U_range=(-100.0, 100.0))
-    identification = Identification([both], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([both], Alignment(AlignmentSettings(), optional=(("T",),)))
     for k in range(4):
         samples = plant(5000, seed=k, first=5000 * k)
         samples.U[::2] *= -1.0
@@ -280,7 +281,7 @@ def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
     assert (result.sample_count, result.status) == (0, Status.REJECTED)
     insisting = Identification(
         [replace(plan, insist=True) for plan in doubting.plans],
-        Alignment(AlignmentSettings(), (True,)),
+        Alignment(AlignmentSettings(), (("T",),)),
     )
     insisting.take(as_changes(swapped))
     assert insisting.result(0).estimators["RLS"].sample_count == 300
@@ -300,14 +301,14 @@ def test_the_newest_sample_is_published_as_the_source_sent_it(identification):
 
 
 GATED = {
-    signal: SignalLimits(*PLAUSIBLE[signal], frozen_s=5.0, max_rate_per_s=1e5, spike=80.0)
+    signal: SignalLimits(*signal.plausible, frozen_s=5.0, max_rate_per_s=1e5, spike=80.0)
     for signal in SENSORS
 }
 
 
 def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
     gated = replace(plan, gate=QualityGate(limits=GATED))
-    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
     changes = as_changes(plant(400))
     lost = np.r_[0 : 6 * 120, 6 * 122 : len(changes)]  # a hole, behind which samples wait
     changes = DataChanges(*(column[lost] for column in vars(changes).values()))
@@ -346,6 +347,6 @@ def test_the_memory_of_a_valve_with_another_gate_is_left_aside(plan, identificat
     identification.take(as_changes(plant(50)))
     kept = [*identification.checkpoints(), *identification.memories()]
     other = replace(plan, gate=QualityGate(limits=GATED))
-    restarted = Identification([other], Alignment(AlignmentSettings(), has_T=(True,)))
+    restarted = Identification([other], Alignment(AlignmentSettings(), optional=(("T",),)))
     restored, refused = restarted.restore(kept)
     assert (len(restored), list(refused)) == (4, ["Valvistor.Diagnostics"])

@@ -38,8 +38,8 @@ def fresh():
         "Auto": Auto(),
     }
     plans = [ValvePlan(name, QualityGate(), estimators, "RLS") for name in ("a", "b")]
-    align = Alignment(AlignmentSettings(), (True,) * TWO, (False,) * TWO)
-    return lambda: Identification(plans, align, Timing(TimingSettings(), (True,) * TWO))
+    align = Alignment(AlignmentSettings(), (("T",),) * TWO, (False,) * TWO)
+    return lambda: Identification(plans, align, Timing(TimingSettings(), (("T",),) * TWO))
 
 
 def changes(n, first=0):

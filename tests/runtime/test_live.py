@@ -99,7 +99,7 @@ async def test_silence_makes_results_bad_once(live, sink, clock):
 @pytest.fixture
 def numbered(plan, source, sink, store, clock):
     """A service whose valve has a running number."""
-    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
     return LiveService(Identification([plan], align), source, sink, store, clock, LiveSettings())
 
 
@@ -248,7 +248,7 @@ async def test_a_restart_disarms(live, store, fresh):
 
 async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
     bare = replace(plan, feed_forward=None)
-    identification = Identification([bare], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([bare], Alignment(AlignmentSettings(), optional=(("T",),)))
     with pytest.raises(CommandRejected, match=r"nodes\.required_U"):
         identification.arm("Valvistor")
     inverse = identification.result(0).inverse
@@ -319,7 +319,7 @@ async def test_an_end_keeps_all_where_there_is_time(live, store, clock):
 
 async def test_states_of_many_valves_are_packed_a_few_at_a_time(plan, source, sink, store, clock):
     plans = [replace(plan, name=f"V{n}") for n in range(100)]
-    many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 100))
+    many = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * 100))
     live = LiveService(many, source, sink, store, clock, LiveSettings())
     most, states = [], live._keeper.states
     live._keeper.states = lambda valves: most.append(len(valves)) or states(valves)
@@ -357,7 +357,7 @@ async def test_where_time_is_short_the_valves_shown_longest_ago_come_first(
 ):
     n = 3 * VALVES_AT_ONCE
     plans = [replace(plan, name=f"V{k}") for k in range(n)]
-    every = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * n))
+    every = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * n))
     settings = LiveSettings(publish_budget_s=0.0)
     live = LiveService(every, source, sink, store, clock, settings)
     one = as_changes(plant(1))
@@ -392,7 +392,7 @@ async def test_publishing_leaves_most_of_the_time_to_what_comes_in(live, sink, c
 async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink, store, clock):
     n = 200
     plans = [replace(plan, name=f"V{k}") for k in range(n)]
-    many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * n))
+    many = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * n))
     live = LiveService(many, source, sink, store, clock, LiveSettings())
     saved = []
     store.save = lambda checkpoints: saved.append([c.valve for c in checkpoints])

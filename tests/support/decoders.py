@@ -159,7 +159,7 @@ def _of_states():
             lambda kept=kept: [kept.state],
             (StateMismatchError,),
         )
-    arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), has_T=(True,)))
+    arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), optional=(("T",),)))
     arrivals.take(as_changes(plant(20)))
     found["state: arrivals"] = Decoder(
         arrivals.resume, lambda: [arrivals.to_bytes()], (StateMismatchError,), _with_crc
@@ -375,8 +375,8 @@ def _fault():
 
 def _learnt():
     plan = ValvePlan(name=VALVE, gate=QualityGate(), estimators=ESTIMATORS, inverse="RLS")
-    alignment = Alignment(AlignmentSettings(), has_T=(True,))
-    learnt = Identification([plan], alignment, Timing(TimingSettings(), (True,)))
+    alignment = Alignment(AlignmentSettings(), optional=(("T",),))
+    learnt = Identification([plan], alignment, Timing(TimingSettings(), (("T",),)))
     learnt.take_samples(0, plant(300))
     learnt.refresh_maps()
     learnt.approve(VALVE)

@@ -14,9 +14,10 @@ from valvemap.foreign_text import LINE, printable, toml_string
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.naming import Candidate, ValveProposal, propose
-from valvemap.pipeline.units import MEASURED, QUANTITY_OF, Measure, Quantity, inside
+from valvemap.pipeline.units import QUANTITY_OF, Measure, Quantity, inside
+from valvemap.vocabulary.signals import MEASURED, PER_VALVE
 
 CLEAR_DP = 2.0  # bar; smallest mean difference that distinguishes p1 from p2
 FEW = 5  # values; a signal with fewer is treated as on change
@@ -291,7 +292,7 @@ def _seen_of(
     changes: DataChanges, number: int, roles: Collection[str], watch_s: float
 ) -> dict[str, Watched]:
     of_signal = {
-        role: changes[changes.item == number * SIGNALS_PER_VALVE + place]
+        role: changes[changes.item == number * PER_VALVE + place]
         for place, role in enumerate(MEASURED)
         if role in roles
     }

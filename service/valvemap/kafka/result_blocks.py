@@ -26,7 +26,6 @@ from valvemap.model.change import Change
 from valvemap.model.samples import Floats
 from valvemap.model.survey import Survey
 from valvemap.pipeline.ports import (
-    SIGNALS,
     AlarmReport,
     AlarmResults,
     EstimatorResults,
@@ -36,6 +35,7 @@ from valvemap.pipeline.ports import (
     Version,
 )
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind
+from valvemap.vocabulary.signals import PUBLISHED
 
 _RESULTS: Final = "results"
 _FLOATS: Final = pa.list_(pa.float64())
@@ -96,7 +96,7 @@ def write_results(block: ResultsBlock) -> bytes:
     if signals is not None:
         columns["signals.t"] = times(signals.t)
         columns["signals.quality"] = pa.array(signals.quality)
-        for k, name in enumerate(SIGNALS):
+        for k, name in enumerate(PUBLISHED):
             columns[f"signals.{name}"] = pa.array(np.ascontiguousarray(signals.values[:, k]))
     for estimator, own in found.estimators.items():
         for name, form in _ESTIMATOR.items():
@@ -177,7 +177,7 @@ def _table_shape(said: object) -> tuple[int, int]:
 def _signals(batch: pa.RecordBatch) -> SignalResults | None:
     if "signals.t" not in batch.schema.names:
         return None
-    columns = [_plain(pa.float64()).values(batch, f"signals.{name}") for name in SIGNALS]
+    columns = [_plain(pa.float64()).values(batch, f"signals.{name}") for name in PUBLISHED]
     return SignalResults(
         t=_plain(TIME).values(batch, "signals.t"),
         quality=_plain(pa.uint8()).values(batch, "signals.quality"),

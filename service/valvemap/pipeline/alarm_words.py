@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
 
-SIGNALS = ("U", "p1", "p2", "Q", "T")
+from valvemap.vocabulary.signals import MEASURED
+
 HOUR_S = 3_600.0
 
 
@@ -110,7 +111,7 @@ def _lost(m: Measured) -> str:
 
 def _frozen(m: Measured) -> str:
     return (
-        f"{SIGNALS[int(m.detail)]} stood still to the last digit for {_duration(m.value)} while "
+        f"{MEASURED[int(m.detail)]} stood still to the last digit for {_duration(m.value)} while "
         f"other signals moved (limit {m.limit:g} s)"
     )
 

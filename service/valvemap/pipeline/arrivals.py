@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Times
-from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.alignment import (
+    COUNTER_NAMES,
+    Alignment,
+    AlignmentSettings,
+    ByValve,
+    presence,
+)
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
@@ -20,6 +26,7 @@ from valvemap.pipeline.kernels.waiting import NEVER, Waiting
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
+from valvemap.vocabulary.signals import COUNT
 
 _BY_SLOT: Final = ("slots", "values", "status")
 _DIGEST_BYTES: Final = 4
@@ -48,7 +55,7 @@ class _Key:
 
     names: tuple[str, ...]
     alignment: AlignmentSettings
-    has_T: tuple[bool, ...]
+    optional: tuple[tuple[str, ...], ...]
     has_sequence: tuple[bool, ...]
     timing: TimingSettings | None
 
@@ -70,7 +77,7 @@ class Arrivals:
 
     Examples
     --------
-    >>> arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), has_T=(False,)))
+    >>> arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), optional=((),)))
     >>> len(arrivals.take(DataChanges.empty()))
     0
     """
@@ -81,7 +88,7 @@ class Arrivals:
         self.names = tuple(names)
         self.alignment = alignment
         self.finds_timing = timing is not None
-        self.timing = timing or Timing(TimingSettings(), alignment.has_T, fixed=True)
+        self.timing = timing or Timing(TimingSettings(), alignment.optional, fixed=True)
         self._waiting = alignment.initial_state()
 
     def take(self, changes: DataChanges) -> ByValve:
@@ -121,12 +128,12 @@ class Arrivals:
 
     def waited_for(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
         """Return the signals that are missing for a valve's samples, and a remedy."""
-        timing, has_T = self.timing.valves[valve], self.alignment.has_T[valve]
+        timing, optional = self.timing.valves[valve], self.alignment.optional[valve]
         newest = np.maximum(self.alignment.newest(self._waiting, valve), timing.newest[:-1])
         if timing.stands == IN_SCANS:
             return (*timing.words.losses(nodes), *timing.words.still(nodes))
-        said = waited_for(newest, self.alignment.settings, has_T=has_T, nodes=nodes)
-        if timing.stands == LISTENING and (newest[: 4 + has_T] != NEVER).all():
+        said = waited_for(newest, self.alignment.settings, optional=optional, nodes=nodes)
+        if timing.stands == LISTENING and (newest[:COUNT][presence([optional])[0]] != NEVER).all():
             return ("how the signals come is not found yet: it takes some seconds of changes",)
         return said
 
@@ -216,7 +223,7 @@ class Arrivals:
             _Key(
                 self.names,
                 self.alignment.settings,
-                self.alignment.has_T,
+                self.alignment.optional,
                 self.alignment.has_sequence,
                 self.timing.settings if self.finds_timing else None,
             )
@@ -231,4 +238,4 @@ class Arrivals:
         return samples
 
 
-_ALIKE: Final = Timing(TimingSettings(), (False,), fixed=True).valves[0].state
+_ALIKE: Final = Timing(TimingSettings(), ((),), fixed=True).valves[0].state

@@ -51,7 +51,9 @@ class KeptStates:
         self._approved = approved
         self._alarms = alarms
         self._maps = maps
-        self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # by fleet, has T, has numbers
+        self._memory_keys: dict[
+            tuple[int, bool | tuple[str, ...], bool], str
+        ] = {}  # by fleet, `_has`
         self._timing_keys: dict[int, str] = {}  # both cached on first use: 0.5 ms each
 
     def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
@@ -209,11 +211,11 @@ class KeptStates:
         return number
 
     def _memory_key(self, valve: int) -> str:
-        has_T, numbered = self._has(valve)
-        kind = self._valves.kind(valve), has_T, numbered
+        optional, numbered = self._has(valve)
+        kind = self._valves.kind(valve), optional, numbered
         if kind not in self._memory_keys:
             gate, settings = self._valves.plans[valve].gate, self._arrivals.alignment.settings
-            self._memory_keys[kind] = key_of(_Through(gate, settings, has_T, numbered))
+            self._memory_keys[kind] = key_of(_Through(gate, settings, optional, numbered))
         return self._memory_keys[kind]
 
     def _timing_key(self, valve: int) -> str:
@@ -222,16 +224,21 @@ class KeptStates:
             self._timing_keys[valve] = key_of(_Comes(settings, nodes, *self._has(valve)))
         return self._timing_keys[valve]
 
-    def _has(self, valve: int) -> tuple[bool, bool]:
-        """Whether a valve has a temperature sensor, and a running number."""
+    def _has(self, valve: int) -> tuple[bool | tuple[str, ...], bool]:
+        """Return a valve's optional signals, as in keys, and whether it has a running number."""
         alignment = self._arrivals.alignment
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
-        return alignment.has_T[valve], numbered
+        optional = alignment.optional[valve]
+        return _IN_KEYS.get(optional, optional), numbered
 
 
 def _beside(valve: str, name: str, state: bytes, t: int, key: str = "") -> Checkpoint:
     """Return a checkpoint of state beside the estimators."""
     return Checkpoint(valve, name, key, t, state, lam=None, frozen=False)
+
+
+# Files of 0.1 knew one optional signal: keys without another one are as in them.
+_IN_KEYS: Mapping[tuple[str, ...], bool] = {(): False, ("T",): True}
 
 
 # A key also hashes its class's name: renaming a class would reject all stored checkpoints.
@@ -241,7 +248,7 @@ class _Through:
 
     gate: QualityGate
     alignment: AlignmentSettings
-    has_T: bool
+    has_T: bool | tuple[str, ...]
     has_sequence: bool
 
 
@@ -251,5 +258,5 @@ class _Comes:
 
     settings: TimingSettings
     nodes: Mapping[str, str]
-    has_T: bool
+    has_T: bool | tuple[str, ...]
     has_sequence: bool

@@ -14,9 +14,8 @@ from itertools import pairwise
 from typing import Final
 
 from valvemap.foreign_text import printable
-from valvemap.pipeline.units import MEASURED, Quantity, Unit
-
-REQUIRED: Final = ("U", "p1", "p2", "Q")
+from valvemap.pipeline.units import Quantity, Unit
+from valvemap.vocabulary.signals import MEASURED, REQUIRED
 
 _PRESSURE = "pressure press druck pression presion pressione 压力 油压 pt pi pit cp p"
 _WORDS: Final[Mapping[str, str]] = {

@@ -260,15 +260,12 @@ class InverseResults:
     feed_forward: Codes
 
 
-SIGNALS = ("U", "p1", "p2", "Q", "dp", "T")
-
-
 @dataclass(frozen=True)
 class SignalResults:
     """The newest sample of each of M valves as received, in the service's units.
 
-    ``values`` (M, 6) are U, p1, p2, Q, dp and T; NaN if absent. ``quality`` (M,) is the source's,
-    BAD if the sensors are lost; ``t`` (M,) is 0 before the first sample.
+    ``values`` has a column for each of ``vocabulary.signals.PUBLISHED``; NaN if absent. ``quality``
+    (M,) is the source's, BAD if the sensors are lost; ``t`` (M,) is 0 before the first sample.
     """
 
     t: Times

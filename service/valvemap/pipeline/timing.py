@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels.scans import Changed
 from valvemap.pipeline.scan_search import Comes
 from valvemap.pipeline.valve_timing import (
@@ -18,6 +18,7 @@ from valvemap.pipeline.valve_timing import (
     TimingState,
     ValveTiming,
 )
+from valvemap.vocabulary.signals import PER_VALVE
 
 __all__ = ["Timing", "TimingSettings", "TimingState"]
 
@@ -27,7 +28,7 @@ class Timing:
 
     Examples
     --------
-    >>> timing = Timing(TimingSettings(), has_T=(False,))
+    >>> timing = Timing(TimingSettings(), optional=((),))
     >>> len(timing.take(DataChanges.empty()))
     0
     """
@@ -35,16 +36,16 @@ class Timing:
     def __init__(
         self,
         settings: TimingSettings,
-        has_T: Sequence[bool],
+        optional: Sequence[tuple[str, ...]],
         has_sequence: Sequence[bool] = (),
         *,
         fixed: bool = False,
     ) -> None:
-        numbered = has_sequence or [False] * len(has_T)
+        numbered = has_sequence or [False] * len(optional)
         self.settings = settings
         self.valves = [
-            ValveTiming(settings, has_T=T, has_sequence=number)
-            for T, number in zip(has_T, numbered, strict=True)
+            ValveTiming(settings, optional=own, has_sequence=number)
+            for own, number in zip(optional, numbered, strict=True)
         ]
         self._special = np.full(len(self.valves), not fixed)
         self._new: list[int] = []
@@ -56,7 +57,7 @@ class Timing:
         """Process changes; return those that are due for alignment."""
         if not self._special.any() or not len(changes):
             return changes
-        valve = changes.item // SIGNALS_PER_VALVE
+        valve = changes.item // PER_VALVE
         special = self._special[valve]
         if not special.any():
             return changes
@@ -65,7 +66,7 @@ class Timing:
             own, before = changes[valve == number], self.valves[number].stands
             out = self.valves[number].take(
                 Changed(
-                    (own.item % SIGNALS_PER_VALVE).astype(np.int64),
+                    (own.item % PER_VALVE).astype(np.int64),
                     own.value,
                     own.status,
                     own.source_time,
@@ -139,5 +140,5 @@ class Timing:
 
 
 def _as_changes(valve: int, out: Changed) -> DataChanges:
-    item = (valve * SIGNALS_PER_VALVE + out.signal).astype(np.int32)
+    item = (valve * PER_VALVE + out.signal).astype(np.int32)
     return DataChanges(item, out.value, out.status, out.time)

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError, ValvemapError
 from valvemap.model.samples import Codes, Floats, Samples, Times
-from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.dates import DateForm, date_form
 from valvemap.storage.layout import Layout, Part, find_columns
+from valvemap.vocabulary.signals import MEASURED
 
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 

@@ -6,18 +6,11 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from valvemap.errors import ConfigurationError, RecordingError
-from valvemap.pipeline.units import (
-    MEASURED,
-    QUANTITY_OF,
-    SYMBOLS,
-    Measure,
-    Quantity,
-    Scaling,
-    Unit,
-    unit_of,
-)
+from valvemap.pipeline.units import QUANTITY_OF, SYMBOLS, Measure, Quantity, Scaling, Unit, unit_of
+from valvemap.vocabulary import signals
+from valvemap.vocabulary.signals import MEASURED
 
-REQUIRED: Final = ("t", "U", "p1", "p2", "Q")
+REQUIRED: Final = ("t", *signals.REQUIRED)
 DEFAULT_VALVE: Final = "Valvistor"
 
 _TIMES = ("time", "timestamp", "datetime", "date time", "date", "zeit", "zeitstempel", "datum")

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
-from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.layout import DEFAULT_VALVE, Columns, Layout, Part, find_columns
+from valvemap.vocabulary.signals import MEASURED
 
 try:
     import pyarrow as pa
