@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from support.plant import START, plant
+from valvemap.pipeline.ports import Command
 
 pa = pytest.importorskip("pyarrow")
 
@@ -100,10 +101,10 @@ def identification():
     for valve in range(3):  # the last one has seen nothing yet
         found.take_samples(valve, plant(150, seed=valve))
     late = np.array([START + 60_000_000_000])
-    found.say_overdue(np.array([0]), late)
+    found.all_alarms.say_overdue(np.array([0]), late)
     found.refresh_maps()
-    found.demand("a", 60.0, 100.0)
-    found.approve("b")
+    found.do(Command.of("demand", "a", 60.0, 100.0))
+    found.do(Command.of("approve", "b"))
     return found
 
 

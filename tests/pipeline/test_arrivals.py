@@ -82,3 +82,11 @@ def test_its_head_is_json(under_way):
     size, special = json.loads(under_way.to_bytes()[4:].partition(b"\n")[0])
     assert size > 0
     assert special == []
+
+
+def test_states_of_valves_with_and_without_a_temperature_have_the_keys_of_0_1():
+    both = Alignment(AlignmentSettings(), optional=(("T",), ()))
+    packed = Arrivals(["V1", "V2"], both).to_bytes()
+    assert b"f1313d23fda406722b07f7b25959b457aad304bd7fe717da49e79cde322e4d72" in packed.replace(
+        b"\0", b""
+    )

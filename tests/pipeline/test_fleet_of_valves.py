@@ -15,6 +15,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Command
 from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
 from valvemap.vocabulary.signals import Signal
 
@@ -59,10 +60,10 @@ def known(identification, valve):
 def test_valves_of_several_plans_learn_together_what_they_learn_alone(plans):
     parts = [plant(n, seed=k) for k, n in enumerate(LENGTHS)]
     together, alone = service(plans), service(plans)
-    together.set_forgetting_factor("c", "RLS", 0.9)
-    alone.set_forgetting_factor("c", "RLS", 0.9)
-    together.freeze("a", "RML")
-    alone.freeze("a", "RML")
+    together.do(Command.of("set_forgetting_factor", "c", "RLS", 0.9))
+    alone.do(Command.of("set_forgetting_factor", "c", "RLS", 0.9))
+    together.do(Command.of("freeze", "a", "RML"))
+    alone.do(Command.of("freeze", "a", "RML"))
     changes = mixed(parts)
     for cut in np.array_split(np.arange(len(changes)), 5):
         together.take(changes[slice(cut[0], cut[-1] + 1)])

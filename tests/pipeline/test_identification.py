@@ -12,6 +12,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.maps_and_surveys import SURVEYS_AT_ONCE
+from valvemap.pipeline.ports import Command
 from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
 from valvemap.vocabulary.signals import SENSORS
 from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
@@ -57,7 +58,7 @@ def test_lost_sensors_make_every_result_bad(identification):
 
 def test_freeze_stops_learning_and_resume_goes_on(identification):
     identification.take_samples(0, plant(300))
-    identification.freeze("Valvistor", "RLS")
+    identification.do(Command.of("freeze", "Valvistor", "RLS"))
     before = thetas(identification)
     identification.take_samples(0, plant(50, seed=2, first=300))
     after = thetas(identification)
@@ -66,15 +67,15 @@ def test_freeze_stops_learning_and_resume_goes_on(identification):
     result = identification.result(0).estimators["RLS"]
     assert (result.status, result.sample_count) == (Status.FROZEN, 300)
     assert np.isfinite(result.residual)
-    identification.resume("Valvistor", "RLS")
+    identification.do(Command.of("resume", "Valvistor", "RLS"))
     identification.take_samples(0, plant(50, seed=3, first=350))
     assert thetas(identification)["RLS"] != before["RLS"]
 
 
 def test_reset_forgets_the_samples_and_keeps_the_settings(identification):
-    identification.set_forgetting_factor("Valvistor", "RLS", 0.97)
+    identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", 0.97))
     identification.take_samples(0, plant(300))
-    identification.reset("Valvistor", "RLS")
+    identification.do(Command.of("reset", "Valvistor", "RLS"))
     assert identification.result(0).estimators["RLS"].sample_count == 0
     assert identification.lane("Valvistor", "RLS").estimator.lam == 0.97
 
@@ -82,30 +83,30 @@ def test_reset_forgets_the_samples_and_keeps_the_settings(identification):
 @pytest.mark.parametrize("lam", [1e-300, 0.0, 0.8, -1.0, 1.01, np.nan, np.inf, -1e308])
 def test_a_forgetting_factor_out_of_range_is_refused(identification, lam):
     with pytest.raises(CommandRejected, match=r"factor .*: allowed is 0\.8333 <= lam <= 1"):
-        identification.set_forgetting_factor("Valvistor", "RLS", lam)
+        identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", lam))
 
 
 def test_a_network_has_no_forgetting_factor(identification):
     with pytest.raises(CommandRejected, match=r"Valvistor\.RBF has no forgetting factor"):
-        identification.set_forgetting_factor("Valvistor", "RBF", 0.99)
+        identification.do(Command.of("set_forgetting_factor", "Valvistor", "RBF", 0.99))
 
 
 def test_the_standing_demand_is_answered_and_predicted_back(identification):
     identification.take_samples(0, plant(2000))
-    identification.demand("Valvistor", 60.0, 100.0)
+    identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
     inverse = identification.result(0).inverse
     assert inverse.status == InverseStatus.OK
     Q, std, status = identification.predict("Valvistor", "RLS", inverse.required_U, 100.0, 40.0)
     assert pytest.approx(60.0, abs=1e-6) == Q
     assert 0 < std < 1
     assert status is Status.OK
-    identification.demand("Valvistor", np.nan, np.nan)
+    identification.do(Command.of("demand", "Valvistor", np.nan, np.nan))
     assert np.isnan(identification.result(0).inverse.required_U)
 
 
 def test_a_restart_goes_on_as_if_there_had_been_none(identification, fresh):
     samples = plant(600)
-    identification.set_forgetting_factor("Valvistor", "RLS", 0.98)
+    identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", 0.98))
     identification.take_samples(0, samples[:300])
     restarted = fresh()
     restored, refused = restarted.restore(identification.checkpoints())
@@ -148,7 +149,7 @@ def test_a_new_measurement_is_expected_within_the_noise_of_the_residuals(identif
         assert 1.0 < (upper - lower) / result.noise_std < 8.0
     checkpoints = identification.checkpoints()
     before = identification.lane("Valvistor", "RLS").spread
-    identification.reset("Valvistor", "RLS")
+    identification.do(Command.of("reset", "Valvistor", "RLS"))
     assert np.isnan(identification.result(0).estimators["RLS"].noise_std)
     identification.restore(checkpoints)
     after = identification.lane("Valvistor", "RLS").spread
@@ -207,7 +208,7 @@ def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alon
     )
     for identification in (one, other):
         identification.take_samples(0, plant(500))
-        identification.demand("Valvistor", 60.0, 80.0)
+        identification.do(Command.of("demand", "Valvistor", 60.0, 80.0))
     point = "Valvistor", "RLS", 50.0, 100.0, 40.0
     sure, doubtful = one.predict(*point), other.predict(*point)
     slope = 0.1 * 50.0 / 20.0 - 0.02
@@ -259,13 +260,13 @@ def test_where_nothing_was_measured_predict_invert_and_the_demand_say_extrapolat
     answer = identification.invert("Valvistor", 100.0, 150.0, 70.0)
     assert answer.status[0] == InverseStatus.EXTRAPOLATING
     assert answer.lower[0] < answer.U[0] < answer.upper[0]
-    identification.demand("Valvistor", 20.0, 50.0)
+    identification.do(Command.of("demand", "Valvistor", 20.0, 50.0))
     assert identification.result(0).inverse.status == InverseStatus.OK
     hot = samples[part][:1]
     hot.T[:] = 80.0
     identification.take_samples(0, hot)
     assert identification.result(0).inverse.status == InverseStatus.EXTRAPOLATING
-    identification.reset("Valvistor", "RLS")
+    identification.do(Command.of("reset", "Valvistor", "RLS"))
     assert len(identification.lane("Valvistor", "RLS").support.boxes) == 0
 
 
@@ -319,13 +320,13 @@ def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
         return Identification([gated], align)
 
     whole = fresh()
-    whole.demand("Valvistor", 50.0, 100.0)
-    whole.freeze("Valvistor", "RML")
+    whole.do(Command.of("demand", "Valvistor", 50.0, 100.0))
+    whole.do(Command.of("freeze", "Valvistor", "RML"))
     whole.take(changes)
     rng = np.random.default_rng(3)
     part, at = fresh(), 0
-    part.demand("Valvistor", 50.0, 100.0)
-    part.freeze("Valvistor", "RML")
+    part.do(Command.of("demand", "Valvistor", 50.0, 100.0))
+    part.do(Command.of("freeze", "Valvistor", "RML"))
     for until in [*np.sort(rng.integers(0, len(changes), 12)).tolist(), len(changes)]:
         part.take(changes[at:until])
         kept, at = [*part.checkpoints(), *part.memories()], until

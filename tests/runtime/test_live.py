@@ -14,6 +14,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kept_states import ALARMS, MEMORY
+from valvemap.pipeline.ports import Command
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.publishing_turns import VALVES_AT_ONCE
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
@@ -155,9 +156,9 @@ async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(
 async def leading(live, source, clock):
     """A service that has led its valve to the answer; returns the samples taken so far."""
     await live.take(as_changes(plant(1000)))
-    live.identification.freeze("Valvistor", "RLS")
-    live.identification.demand("Valvistor", 50.0, 100.0)
-    live.identification.arm("Valvistor")
+    live.identification.do(Command.of("freeze", "Valvistor", "RLS"))
+    live.identification.do(Command.of("demand", "Valvistor", 50.0, 100.0))
+    live.identification.do(Command.of("arm", "Valvistor"))
     clock.advance(10.0)  # the plant's clock: a sample for every 10 ms of the 1,000
     for first in range(1000, 1030):
         clock.advance(0.1)
@@ -171,7 +172,7 @@ def now(samples, clock):
 
 
 async def test_nothing_is_written_before_somebody_arms(live, source):
-    live.identification.demand("Valvistor", 50.0, 100.0)
+    live.identification.do(Command.of("demand", "Valvistor", 50.0, 100.0))
     await live.take(as_changes(plant(1000)))
     await live.tick()
     assert source.written == source.heartbeats == []
@@ -202,7 +203,7 @@ async def test_a_refused_write_is_repeated_and_why_nothing_is_written_is_publish
 ):
     first = await leading(live, source, clock)
     source.refuses = True
-    live.identification.demand("Valvistor", 60.0, 100.0)
+    live.identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
     for k in range(5):
         clock.advance(0.1)
         await live.take(as_changes(now(plant(1, seed=3, first=first + k), clock)))
@@ -239,18 +240,18 @@ async def test_a_lost_source_is_not_written_to_and_the_valve_stays_armed(live, s
 
 
 async def test_a_restart_disarms(live, store, fresh):
-    live.identification.arm("Valvistor")
+    live.identification.do(Command.of("arm", "Valvistor"))
     await live.keep()
     again = fresh()
     again.restore(store.load())
-    assert not again.is_armed(0)
+    assert not again.armed.is_armed(0)
 
 
 async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
     bare = replace(plan, feed_forward=None)
     identification = Identification([bare], Alignment(AlignmentSettings(), optional=(("T",),)))
     with pytest.raises(CommandRejected, match=r"nodes\.required_U"):
-        identification.arm("Valvistor")
+        identification.do(Command.of("arm", "Valvistor"))
     inverse = identification.result(0).inverse
     assert inverse.feed_forward is FeedForwardStatus.NOT_CONFIGURED
 

@@ -50,6 +50,7 @@ from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.page.viewers import Senseless as SenselessRequest
 from valvemap.page.viewers import _request
+from valvemap.pipeline import ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.identification import Identification
@@ -379,7 +380,7 @@ def _learnt():
     learnt = Identification([plan], alignment, Timing(TimingSettings(), (("T",),)))
     learnt.take_samples(0, plant(300))
     learnt.refresh_maps()
-    learnt.approve(VALVE)
+    learnt.do(ports.Command.of("approve", VALVE))
     learnt._alarms.of_service.note(0, 1e9, 1e9, 0.0)
     return learnt
 

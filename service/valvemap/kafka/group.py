@@ -171,8 +171,8 @@ class Group:
                 number=self.number,
                 due=self._due,
                 counts=self.counts,
-                columns=own.columns(),
-                baselines=own.baselines(),
+                columns=own.kept_columns.columns(),
+                baselines=own.kept_columns.baselines(),
                 ahead=self._ahead,
                 replies=[write_message(reply).decode() for reply in self._replies.values()],
             )
@@ -190,7 +190,7 @@ class Group:
         try:
             memory = read_memory(packed)
             self._check(memory)
-            afresh = self.identification.remember(memory.columns, memory.baselines)
+            afresh = self.identification.kept_columns.remember(memory.columns, memory.baselines)
         except (FleetError, StateMismatchError) as error:
             raise FleetError(f"group {self.plan.name}: {error}") from None
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:
@@ -211,7 +211,11 @@ class Group:
                 f"{self._catalogue}: bring the worker's catalogue up to date"
             )
         known = {(kept.key, valve) for kept in memory.columns for valve in kept.valves}
-        own = {(one.key, valve) for one in self.identification.columns() for valve in one.valves}
+        own = {
+            (one.key, valve)
+            for one in self.identification.kept_columns.columns()
+            for valve in one.valves
+        }
         if memory.catalogue == self._catalogue and known != own:
             raise FleetError(
                 f"its valves are configured otherwise under the same version {self._catalogue} of "
@@ -242,7 +246,7 @@ class Group:
         return some(samples, taken)
 
     def _newest(self) -> int:
-        (signals, *_) = self.identification.columns()
+        (signals, *_) = self.identification.kept_columns.columns()
         return int(signals.arrays["newest_t"].max(initial=0))
 
     def _knows(self, command: Command) -> bool:

@@ -259,6 +259,14 @@ def presence(optional: Sequence[tuple[str, ...]]) -> NDArray[np.bool_]:
     return np.array([[name in REQUIRED or name in own for name in MEASURED] for own in optional])
 
 
+def optional_in_keys(optional: tuple[str, ...]) -> bool | tuple[str, ...]:
+    """Return a valve's optional signals as they enter the keys of stored states.
+
+    Version 0.1 knew one and noted whether there is a T: keys without another are as in its files.
+    """
+    return {(): False, ("T",): True}.get(optional, optional)
+
+
 _BY_SLOT = ("slots", "values", "status")
 _NO_VALVES = np.empty(0, np.int64)
 _TIMES = (

@@ -17,6 +17,7 @@ from valvemap.pipeline.alignment import (
     Alignment,
     AlignmentSettings,
     ByValve,
+    optional_in_keys,
     presence,
 )
 from valvemap.pipeline.data_changes import DataChanges
@@ -55,7 +56,7 @@ class _Key:
 
     names: tuple[str, ...]
     alignment: AlignmentSettings
-    optional: tuple[tuple[str, ...], ...]
+    has_T: tuple[bool | tuple[str, ...], ...]
     has_sequence: tuple[bool, ...]
     timing: TimingSettings | None
 
@@ -223,7 +224,7 @@ class Arrivals:
             _Key(
                 self.names,
                 self.alignment.settings,
-                self.alignment.optional,
+                tuple(map(optional_in_keys, self.alignment.optional)),
                 self.alignment.has_sequence,
                 self.timing.settings if self.finds_timing else None,
             )

@@ -227,15 +227,15 @@ class Fleet:
     def _note(self, chosen: Times) -> None:
         """Update the alarms with the estimators' latest changes, lags and adaptation status."""
         if self._finder is not None:
-            found = self._lanes[self._finder].newest_changes(chosen)
+            found = self._lanes[self._finder].states.newest_changes(chosen)
             self.alarms.note_changes(chosen, found["count"], found["t"], found["size"])
         if self._laggard is not None:
-            self.alarms.note_lags(chosen, self._lanes[self._laggard].largest_lags(chosen))
+            self.alarms.note_lags(chosen, self._lanes[self._laggard].states.largest_lags(chosen))
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
         if len(due):
             self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
             lanes = self._lanes[self.plan.inverse]
-            self.alarms.note_misfit(due, lanes.adaptations(due), lanes.recent_rmse(due))
+            self.alarms.note_misfit(due, lanes.states.adaptations(due), lanes.recent_rmse(due))
 
     def lane(self, m: int, name: str) -> Lane:
         """Return one estimator of one valve."""

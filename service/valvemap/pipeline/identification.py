@@ -30,7 +30,7 @@ from valvemap.pipeline.plausibility import Finding
 from valvemap.pipeline.ports import (
     AlarmReport,
     Checkpoint,
-    Remark,
+    Command,
     Results,
     ValveDescription,
     ValveResult,
@@ -38,15 +38,15 @@ from valvemap.pipeline.ports import (
 from valvemap.pipeline.result_tables import ResultTables, descriptions
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
-from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValvePlan, ValveState
-from valvemap.vocabulary.statuses import FeedForwardStatus, Status
+from valvemap.vocabulary.commands import NAMED, Subject
+from valvemap.vocabulary.statuses import Status
 
 
 class Identification:
     """All valves of one service; implements :class:`valvemap.pipeline.ports.Operator`.
 
-    A facade: it builds the parts and forwards each call to one of them.
+    A facade: it builds the parts and forwards calls to them; some parts are public.
 
     Parameters
     ----------
@@ -56,6 +56,16 @@ class Identification:
         How the signals are aligned, and how their stamping is detected (None: it is configured).
     service_alarms
         Rules of the service's alarms.
+
+    Attributes
+    ----------
+    plans : sequence of ValvePlan
+    all_alarms : AllAlarms
+        Alarms of the valves and of the service.
+    armed : ArmedValves
+        Valves armed for feed-forward.
+    kept_columns : KeptColumns
+        The state of all valves as columns.
     """
 
     def __init__(
@@ -71,12 +81,30 @@ class Identification:
         self._maps = maps = MapsAndSurveys(valves, intake)
         self._commands = commands = EstimatorCommands(valves)
         self._approved = approved = ApprovedMaps(valves, self._commands)
-        self._alarms = alarms = AllAlarms(valves, service_alarms)
-        self._armed = armed = ArmedValves(valves)
+        self.all_alarms = alarms = AllAlarms(valves, service_alarms)
+        self.armed = armed = ArmedValves(valves)
         self._results = ResultTables(valves, arrivals, intake, maps, approved, armed, commands)
         self._kept = KeptStates(valves, arrivals, approved, alarms, maps)
-        self._columns = KeptColumns(valves, intake, approved)
+        self.kept_columns = KeptColumns(valves, intake, approved)
+        self._executors = {
+            Subject.ESTIMATOR: commands,
+            Subject.DEMAND: commands,
+            Subject.BASELINE: approved,
+            Subject.INVERSE: armed,
+            Subject.ALARM: alarms,
+        }
         self.plans = valves.plans
+
+    def do(self, command: Command) -> None:
+        """Carry out an operator's command.
+
+        Raises
+        ------
+        CommandRejected
+            with the reason; nothing is changed.
+        """
+        executor = self._executors[NAMED[command.action].on]
+        getattr(executor, command.action)(*command.arguments)
 
     def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
         """Stop a lane, or (None) all lanes of a valve, after an error outside of this object."""
@@ -190,22 +218,6 @@ class Identification:
         """Return the descriptions of all valves for a results server."""
         return descriptions(self.plans)
 
-    def reset(self, valve: str, estimator: str) -> None:
-        """Reset the estimator; the operator's settings remain."""
-        self._commands.reset(valve, estimator)
-
-    def freeze(self, valve: str, estimator: str) -> None:
-        """Stop adaptation."""
-        self._commands.freeze(valve, estimator)
-
-    def resume(self, valve: str, estimator: str) -> None:
-        """Resume adaptation."""
-        self._commands.resume(valve, estimator)
-
-    def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
-        """Set the forgetting factor from the next sample on."""
-        self._commands.set_forgetting_factor(valve, estimator, lam)
-
     def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
@@ -222,25 +234,9 @@ class Identification:
         """U for a demanded flow at a pressure drop."""
         return self._commands.invert(valve, Q, dp, T)
 
-    def demand(self, valve: str, Q: float, dp: float) -> None:
-        """Set the standing demand; NaN withdraws it."""
-        self._commands.demand(valve, Q, dp)
-
     def required(self, valve: int) -> tuple[Required, Status]:
         """Return the answer to a valve's standing demand, and its estimator's status."""
         return self._commands.required(valve)
-
-    def approve(self, valve: str) -> None:
-        """Store the estimators' states as the valve's baseline, the map when new."""
-        self._approved.approve(valve)
-
-    def roll_back(self, valve: str) -> None:
-        """Restore every estimator's state of the baseline."""
-        self._approved.roll_back(valve)
-
-    def replace_valve(self, valve: str) -> None:
-        """Note that the valve was replaced: reset its estimators and delete its baseline."""
-        self._approved.replace_valve(valve)
 
     def compare(self, valve: str, estimator: str) -> Difference:
         """Return the difference of an estimator's map from the baseline's."""
@@ -250,59 +246,13 @@ class Identification:
         """Return the approved map, or None."""
         return self._approved.of(valve)
 
-    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Acknowledge an alarm of a valve or (None) of the service."""
-        self._alarms.acknowledge(valve, alarm, remark)
-
-    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Confirm an acknowledged alarm."""
-        self._alarms.confirm(valve, alarm, remark)
-
-    def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Store an operator's comment on an alarm."""
-        self._alarms.remark(valve, alarm, remark)
-
     def alarmed(self) -> list[str]:
         """Return the valves that have ever had an active alarm."""
-        return self._alarms.alarmed()
+        return self.all_alarms.alarmed()
 
     def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
         """Return the state of all alarms of a valve or (None) of the service."""
-        return self._alarms.reports(valve)
-
-    def was_away(self) -> None:
-        """Note an outage of the service: silence until now is no loss of the sensors."""
-        self._alarms.was_away()
-
-    def say_overdue(self, valves: Times, now: Times) -> list[int]:
-        """Note that these valves are silent until ``now``; return those with a new alarm."""
-        return self._alarms.say_overdue(valves, now)
-
-    def watch_service(
-        self, now: int, checkpoint_age_s: float, days_left: float, load: float
-    ) -> tuple[AlarmReport, ...]:
-        """Update the service's alarms: age of the checkpoints, certificate, load."""
-        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load)
-
-    def arm(self, valve: str) -> None:
-        """Arm feed-forward: the answer to the standing demand is written to the valve."""
-        self._armed.arm(valve)
-
-    def disarm(self, valve: str) -> None:
-        """Disarm feed-forward: nothing is written to the valve."""
-        self._armed.disarm(valve)
-
-    def is_armed(self, valve: int) -> bool:
-        """Whether an operator has armed the valve's feed-forward since the start."""
-        return self._armed.is_armed(valve)
-
-    def feed_forward(self, valve: int) -> FeedForwardStatus:
-        """Return the feed-forward status of the last step."""
-        return self._armed.feed_forward(valve)
-
-    def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
-        """Set the feed-forward status to publish."""
-        self._armed.note(valve, status)
+        return self.all_alarms.reports(valve)
 
     def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return `checkpoints` and `memories` of the given valves, or of all."""
@@ -319,17 +269,3 @@ class Identification:
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Restore the checkpoints that fit, see :meth:`KeptStates.restore`."""
         return self._kept.restore(checkpoints)
-
-    def columns(self) -> list[Columns]:
-        """Return the state of all valves as columns, without baselines."""
-        return self._columns.columns()
-
-    def remember(
-        self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
-    ) -> set[tuple[str, str]]:
-        """Restore columns and baselines; return (key, valve) of the states that were reset."""
-        return self._columns.remember(columns, baselines)
-
-    def baselines(self) -> dict[str, bytes]:
-        """Return the approved maps, packed, by valve."""
-        return self._columns.baselines()

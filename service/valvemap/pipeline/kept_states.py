@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from valvemap.model.estimator import StateMismatchError, key_of
 from valvemap.pipeline import valve_state
-from valvemap.pipeline.alignment import AlignmentSettings
+from valvemap.pipeline.alignment import AlignmentSettings, optional_in_keys
 from valvemap.pipeline.all_alarms import OF_SERVICE, AllAlarms
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
@@ -228,17 +228,12 @@ class KeptStates:
         """Return a valve's optional signals, as in keys, and whether it has a running number."""
         alignment = self._arrivals.alignment
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
-        optional = alignment.optional[valve]
-        return _IN_KEYS.get(optional, optional), numbered
+        return optional_in_keys(alignment.optional[valve]), numbered
 
 
 def _beside(valve: str, name: str, state: bytes, t: int, key: str = "") -> Checkpoint:
     """Return a checkpoint of state beside the estimators."""
     return Checkpoint(valve, name, key, t, state, lam=None, frozen=False)
-
-
-# Files of 0.1 knew one optional signal: keys without another one are as in them.
-_IN_KEYS: Mapping[tuple[str, ...], bool] = {(): False, ("T",): True}
 
 
 # A key also hashes its class's name: renaming a class would reject all stored checkpoints.

@@ -152,7 +152,7 @@ class LiveService:
         restored, refused = self.identification.restore(kept)
         if lost_place:
             refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
-        self.identification.was_away()
+        self.identification.all_alarms.was_away()
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # no sample has arrived yet
         if self._store.damaged:
@@ -287,7 +287,9 @@ class LiveService:
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         silent_now = np.flatnonzero(stale)
-        overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
+        overdue = self.identification.all_alarms.say_overdue(
+            silent_now, self._source_now()[silent_now]
+        )
         self._note_new(overdue)
         await self._doubt_old(ages)
 
@@ -336,7 +338,7 @@ class LiveService:
         self._worked_s, self._worked_since = 0.0, now
         until, utc = self._settings.certificate_until_ns, self._clock.now()
         share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
-        return self.identification.watch_service(
+        return self.identification.all_alarms.watch_service(
             utc,
             checkpoint_age_s=self._keeper.age_s(now),
             days_left=(until - utc) / DAY_NS if until else math.nan,
@@ -471,7 +473,7 @@ class LiveService:
         return (then > self._settings.stale_after_s) & ~self.identification.holds()
 
     def _situation(self, valve: int) -> Situation:
-        armed = self.identification.is_armed(valve)
+        armed = self.identification.armed.is_armed(valve)
         connected = bool(self._connected[valve])
         if not (armed and connected):
             return Situation(armed, connected)
