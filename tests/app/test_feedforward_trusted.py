@@ -185,7 +185,7 @@ async def test_a_killed_service_leaves_the_valve_to_the_rig_and_a_new_one_is_dis
         identification = await asyncio.to_thread(learnt, config)
         async with serving(config, identification) as task:
             await until(lambda: identification.counters(0)["aligned"] > 10, task)
-            assert not identification.armed.is_armed(0)
+            assert not identification.is_armed(0)
         assert len(heard.commands) == written
 
 

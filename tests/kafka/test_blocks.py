@@ -101,7 +101,7 @@ def identification():
     for valve in range(3):  # the last one has seen nothing yet
         found.take_samples(valve, plant(150, seed=valve))
     late = np.array([START + 60_000_000_000])
-    found.all_alarms.say_overdue(np.array([0]), late)
+    found.say_overdue(np.array([0]), late)
     found.refresh_maps()
     found.do(Command.of("demand", "a", 60.0, 100.0))
     found.do(Command.of("approve", "b"))

@@ -232,7 +232,7 @@ async def test_a_condition_is_an_object_of_its_type_and_its_variables_follow(pla
 
 
 async def test_the_services_own_alarms_are_conditions_too(plant, listener):
-    plant.live.all_alarms.watch_service(START, 10.0, 20.0, 0.1)
+    plant.live.watch_service(START, 10.0, 20.0, 0.1)
     index = await listener.namespace()
     alarms = plant.live.alarms(None)
     await plant.server.show_health(Health(np.zeros(1), np.zeros(1, np.int64), alarms=alarms))

@@ -244,7 +244,7 @@ async def test_a_restart_disarms(live, store, fresh):
     await live.keep()
     again = fresh()
     again.restore(store.load())
-    assert not again.armed.is_armed(0)
+    assert not again.is_armed(0)
 
 
 async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):

@@ -75,7 +75,7 @@ class Plant:
         await self.publish()
 
     async def lose_sensors(self):
-        self.live.all_alarms.say_overdue(np.array([0]), np.array([START + 600 * S]))
+        self.live.say_overdue(np.array([0]), np.array([START + 600 * S]))
         await self.publish()
 
     async def calm(self):

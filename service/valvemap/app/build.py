@@ -1,12 +1,12 @@
 """Builds plans, alignment and layouts from the configuration, without importing a server."""
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Collection, Hashable, Iterable
 from dataclasses import fields
 from typing import Any, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
-from valvemap.config.models import Config, GateConfig, ValveConfig
+from valvemap.config.models import Config, GateConfig, NodesConfig, ValveConfig
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
@@ -16,7 +16,7 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.units import Measure
-from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.pipeline.valve_state import ValvePlan, runs_interpreted
 from valvemap.runtime.state_keeper import KEPT_PER_S
 from valvemap.storage.layout import Layout, ValveLayout
 from valvemap.vocabulary.signals import MEASURED, OPTIONAL, READ, SENSORS, Signal
@@ -26,14 +26,26 @@ R = TypeVar("R")
 _AXIS_POINTS = 21
 
 
-def build_identification(config: Config) -> Identification:
-    """Return all valves with their estimators, before the first sample."""
+def build_identification(config: Config, *, waits: Collection[str] | None = None) -> Identification:
+    """Return all valves with their estimators, before the first sample.
+
+    With ``waits``, a preview in which the estimators named there do not run: `Identification`.
+    """
     interval_s = max(config.state.checkpoint_interval_s, len(config.valves) / KEPT_PER_S)
     return Identification(
         build_plans(config),
         build_alignment(config),
         build_timing(config),
         config.alarms.rules(interval_s),
+        waits,
+    )
+
+
+def build_preview(config: Config) -> Identification:
+    """As `build_identification`, for interpreted kernels: estimators too slow for these wait."""
+    estimators = [pair for plan in build_plans(config) for pair in plan.estimators.items()]
+    return build_identification(
+        config, waits={name for name, estimator in estimators if not runs_interpreted(estimator)}
     )
 
 
@@ -127,8 +139,8 @@ def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
         insist=valve.insist,
         alarms=shared(AlarmsConfig.rules, valve.alarms),
         nameplate=valve.identification.nameplate(valve.name),
-        nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
-        accuracy=shared(_accuracy, valve.signals),
+        nodes=_labels(valve.nodes),
+        accuracy=shared(_accuracy, valve.signals, valve.nodes.dp is not None),
     )
 
 
@@ -139,9 +151,22 @@ def _gate(configured: GateConfig) -> QualityGate:
     )
 
 
-def _accuracy(signals: SignalsConfig) -> SensorAccuracy:
+def _labels(nodes: NodesConfig) -> dict[str, str]:
+    """Return each signal's name and node, for messages."""
+    sources = {name: nodes.source_of(name) for name in READ}
+    return {
+        name: f"{source} ({nodes.of(source)})"
+        for name, source in sources.items()
+        if nodes.of(source)
+    }
+
+
+def _accuracy(signals: SignalsConfig, has_dp: bool) -> SensorAccuracy:  # noqa: FBT001 - hashed
     stated = [field.name for field in fields(SensorAccuracy)]
-    return SensorAccuracy(**{name: getattr(signals, name).error_limit(name) for name in stated})
+    limits = {name: getattr(signals, name).error_limit(name) for name in stated}
+    if has_dp:
+        limits |= {"p1": signals.dp.error_limit("dp"), "p2": 0.0}
+    return SensorAccuracy(**limits)
 
 
 def _feed_forward(valve: ValveConfig) -> FeedForward | None:

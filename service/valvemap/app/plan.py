@@ -1,38 +1,14 @@
 """The objects that run under one configuration."""
 
-import asyncio
 from dataclasses import dataclass
-
-import structlog
 
 from guarded_opcua import ServerSettings
 from valvemap.app.build import build_identification
 from valvemap.app.connections import build_server_settings, build_sources
-from valvemap.app.warm_up import warm_up
+from valvemap.app.staged_start import Compilation
 from valvemap.config.models import Config
 from valvemap.pipeline.identification import Identification
 from valvemap.runtime.sources import Sources
-
-log = structlog.get_logger(__name__)
-
-
-class Compilation:
-    """Compiles the kernels of a configuration, or loads them from the cache, in a thread."""
-
-    def __init__(self, config: Config) -> None:
-        self._config = config
-        self._task: asyncio.Task[None] | None = None
-
-    def begin(self) -> asyncio.Task[None]:
-        """Start the compilation unless it was started; return its task."""
-        if self._task is None:
-            compile_all = asyncio.to_thread(warm_up, self._config, _show_progress)
-            self._task = asyncio.create_task(compile_all)
-        return self._task
-
-    async def ended(self) -> None:
-        """Start the compilation if necessary, and wait until it is complete."""
-        await asyncio.shield(self.begin())
 
 
 @dataclass(frozen=True)
@@ -59,9 +35,6 @@ def make_plan(
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
     compiled = Compilation(config)
-    source = build_sources(config, compiled.ended)  # until then samples wait at the source
+    wait = compiled.ended if identification.journal is None else None
+    source = build_sources(config, wait)  # until then samples wait at the source
     return Plan(config, settings, identification, source, compiled, server_settings, after_another)
-
-
-def _show_progress(done: int, of: int) -> None:
-    log.info("compiling, at the first start only", part=done + 1, of=of)

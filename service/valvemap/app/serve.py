@@ -11,22 +11,27 @@ from guarded_opcua import HardenedError, ServerSettings
 from valvemap.app.connections import (
     build_history,
     build_live_settings,
+    build_server_settings,
     build_supervisor_settings,
     own_certificate,
 )
+from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.memory import giving_back
 from valvemap.app.plan import Plan, make_plan
 from valvemap.app.pulse import Pulse
 from valvemap.app.reload import Reload, check_what_stays, in_one_line
 from valvemap.app.service_manager import ServiceManager, feed_watchdog
 from valvemap.app.shown import Shown
+from valvemap.app.staged_start import complete, first_identification
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.errors import StorageError, ValvemapError
+from valvemap.model.kernels import interpreted
 from valvemap.model.kernels.compiled import was_warmed_up
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.runtime.daemon_thread import unless_stopped
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.sources import supervise_all
@@ -73,11 +78,15 @@ async def serve(
         used; at the end: if the states cannot be stored.
     """
     reload, manager = reload or Reload(lambda: config), manager or ServiceManager()
+    settings = server_settings or build_server_settings(config)
+    allow_descriptors(descriptors_needed(settings.limits.connections, len(config.all_sources)))
+    identification = identification or first_identification(config)
     plan: Plan | None = make_plan(config, server_settings, identification)
     before: Plan | None = None
     known: list[Checkpoint] = []
     shown = Shown(reload)
     async with AsyncExitStack() as opened:
+        opened.callback(interpreted.end)
         store = opened.enter_context(CheckpointFile(config.state.file))
         past = build_history(config)
         if past is not None:
@@ -134,26 +143,32 @@ async def _live(
     ended = asyncio.Event()
     await live.start(known)
     log.info("results served", url=server.url)
-    plan.compiled.begin()
-    if not was_warmed_up():
-        await plan.compiled.ended()
-    manager.ready(f"{len(config.valves)} valves at {server.url}")
+    completing = asyncio.create_task(_complete(plan, live, ended))
+    waits = plan.identification.journal is None and not was_warmed_up()
+    if not waits or await unless_stopped(stop, plan.compiled.ended()):
+        manager.ready(f"{len(config.valves)} valves at {server.url}")
     pulse = Pulse(live, clock)
     watched = asyncio.create_task(feed_watchdog(manager, pulse, clock))
     stopping = asyncio.create_task(_pass_on(stop, live, ended, manager))
-    following = asyncio.create_task(_following(plan, reload, ended))
+    following = asyncio.create_task(_following(plan, reload, ended, completing))
     try:
         supervision = build_supervisor_settings(config)
         supervision = replace(supervision, connected_before=plan.after_another)
         await supervise_all(plan.source, pulse, clock, ended, supervision)
     finally:
         server.take_no_commands()
+        plan.compiled.stop()
+        if stop.is_set():
+            completing.cancel()
         for task in (watched, stopping, following):
             task.cancel()
-        await asyncio.gather(watched, stopping, following, return_exceptions=True)
+        tasks = watched, stopping, following, completing
+        await asyncio.gather(*tasks, return_exceptions=True)
         goes_on = not (following.cancelled() or stop.is_set())
         if not goes_on and not await live.keep(within_s=live.time_left_s):
             log.warning("disk too slow to keep the last states, those before are kept")
+    if not completing.cancelled():
+        await completing  # raises if the kernels could not be compiled
     if not goes_on:
         return None, []
     states = live.states()
@@ -162,6 +177,18 @@ async def _live(
     except StorageError as error:
         log.warning("checkpoint not kept", reason=str(error))
     return following.result(), states
+
+
+async def _complete(plan: Plan, live: LiveService, ended: asyncio.Event) -> None:
+    """Compile, and complete a preview; an error ends the service."""
+    try:
+        if plan.identification.journal is None:
+            await plan.compiled.ended()
+        else:
+            await complete(plan.config, plan.compiled, live)
+    except BaseException:
+        ended.set()
+        raise
 
 
 async def _pass_on(
@@ -173,8 +200,14 @@ async def _pass_on(
     ended.set()
 
 
-async def _following(plan: Plan, reload: Reload, ended: asyncio.Event) -> Plan:
-    """Wait for a valid new configuration, end this one, and transfer the source to the new one."""
+async def _following(
+    plan: Plan, reload: Reload, ended: asyncio.Event, completing: asyncio.Task[None]
+) -> Plan:
+    """Wait for a valid new configuration, end this one, and transfer the source to the new one.
+
+    A preview is completed first: the states of its waiting estimators could not be transferred.
+    """
+    await asyncio.shield(completing)
     while True:
         outcome = await reload.asked()
         try:

@@ -4,11 +4,15 @@ import gc
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
 from multiprocessing.sharedctypes import Synchronized
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -46,6 +50,9 @@ _ONE_CHANGE = DataChanges(
 
 Progress = Callable[[int, int], None]  # parts done, parts in total
 _REPORT_EVERY_S = 5.0
+_POLL_S: Final = 0.5  # s; longest delay until a request to end is noticed
+_MOST_HELPERS: Final = 2  # processes; a third finds little work, and each needs 150 MB
+_NICENESS: Final = 5  # the service, which runs meanwhile, comes first
 _OF_ONE = {"name", "nodes", "source", "identification"}  # fields without effect on the kernels
 
 
@@ -70,6 +77,28 @@ def warm_up(
     note_warm_up()
 
 
+def warm_up_aside(
+    config: Config,
+    progress: Progress = lambda _done, _of: None,
+    is_over: Callable[[], bool] = lambda: False,
+) -> None:
+    """Compile every kernel in other processes of low priority, without use of this one's kernels.
+
+    They share the parts as in `warm_up`, and are terminated as soon as ``is_over`` returns True.
+    """
+    config = _one_of_each_kind(config)
+    if was_warmed_up():
+        return
+    with _helpers(config, min(os.cpu_count() or 1, _MOST_HELPERS), _NICENESS) as shared:
+        of = len(_parts(config))
+        while any(helper.is_alive() for helper in shared.helpers) and not is_over():
+            progress(shared.done.value, of)
+            wait([helper.sentinel for helper in shared.helpers if helper.is_alive()], _POLL_S)
+        if is_over():
+            for helper in shared.helpers:
+                helper.terminate()
+
+
 def _one_of_each_kind(config: Config) -> Config:
     """Return the configuration with one valve of each kind, apart from names and nodes."""
     kinds: dict[str, ValveConfig] = {}
@@ -80,25 +109,40 @@ def _one_of_each_kind(config: Config) -> Config:
 
 def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], bool]) -> None:
     """Compile the slow parts, each in one of two processes."""
+    finished, of = threading.Event(), len(_parts(config))
+    with _helpers(config, min((os.cpu_count() or 1) - 1, 1), 0) as shared:
+
+        def report() -> None:
+            while not finished.wait(_REPORT_EVERY_S):
+                progress(shared.done.value, of)
+
+        threading.Thread(target=report, daemon=True).start()
+        try:
+            _take_parts(config, shared.taken, shared.done, is_over)
+        finally:
+            finished.set()
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """Numbers of parts taken and done, shared with the helping processes."""
+
+    taken: "Synchronized[int]"
+    done: "Synchronized[int]"
+    helpers: tuple[SpawnProcess, ...]
+
+
+@contextmanager
+def _helpers(config: Config, number: int, niceness: int) -> Iterator[_Shared]:
+    """Run processes that take parts; wait for their ends."""
     context = get_context("spawn")
     taken, done = context.Value("i", 0), context.Value("i", 0)
-    helper = None
-    if (os.cpu_count() or 1) > 1:
-        given = config, taken, done, gc.get_threshold(), are_shortcuts_asked_for()
-        helper = context.Process(target=_help, args=given, daemon=True)
+    given = config, taken, done, gc.get_threshold(), are_shortcuts_asked_for(), niceness
+    helpers = [context.Process(target=_help, args=given, daemon=True) for _ in range(number)]
+    for helper in helpers:
         helper.start()
-    finished, of = threading.Event(), len(_parts(config))
-
-    def report() -> None:
-        while not finished.wait(_REPORT_EVERY_S):
-            progress(done.value, of)
-
-    threading.Thread(target=report, daemon=True).start()
-    try:
-        _take_parts(config, taken, done, is_over)
-    finally:
-        finished.set()
-    if helper is not None:
+    yield _Shared(taken, done, tuple(helpers))
+    for helper in helpers:
         helper.join()
 
 
@@ -108,14 +152,25 @@ def _help(
     done: "Synchronized[int]",
     collecting: tuple[int, int, int],
     shortcuts: bool,  # noqa: FBT001 - arguments of a process are positional
+    niceness: int,
 ) -> None:
-    """Compile parts in the second process, with the parent's GC thresholds; ignore Ctrl-C."""
+    """Compile parts in another process, with the parent's GC thresholds; ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if hasattr(os, "nice"):
+        os.nice(niceness)
     gc.set_threshold(*collecting)
     if shortcuts:
         take_shortcuts()
     _take_parts(config, taken, done, lambda: False)
     os._exit(0)  # skips the interpreter's shutdown: the parent waits, and it takes 0.5 s
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None  # noqa: S101 - this runs in a child process
+    wait([parent.sentinel])
+    os._exit(1)
 
 
 def _take_parts(

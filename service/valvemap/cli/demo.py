@@ -1,6 +1,7 @@
 """``valvemap demo``: rig and service together; shows the live identification of a valve."""
 
 import asyncio
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,9 +19,10 @@ from valvemap.app.build import build_identification
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PAGE_URI, PRODUCT
 from valvemap.app.serve import serve
 from valvemap.app.signals import stop_on_signal
+from valvemap.app.staged_start import first_identification
 from valvemap.app.warm_up import warm_up
 from valvemap.cli import feedforward
-from valvemap.cli.demo_view import Verdict, status_table, verdict_table
+from valvemap.cli.demo_view import WAITING, Verdict, status_table, verdict_table
 from valvemap.cli.logs import set_up_logs
 from valvemap.cli.output import terminal
 from valvemap.cli.rig_conditions import conditions_in
@@ -61,7 +63,7 @@ def demo(
         fed_forward = scenario == feedforward.NAME
         config = _demo_config(loaded, Path(folder), fed_forward=fed_forward)
         console = terminal()
-        console.print("preparing (the very first start compiles for a minute) ...")
+        console.print("preparing ...")
         run = _feed_forward_demo if fed_forward else _demo
         asyncio.run(run(config, scenario, loaded, duration, console))
 
@@ -69,14 +71,12 @@ def demo(
 async def _demo(
     config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
 ) -> None:
-    identification = build_identification(config)
+    identification = first_identification(config)
     view = _View(identification, scenario)
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     stop = asyncio.Event()
     with stop_on_signal(stop):
-        compiling = asyncio.ensure_future(_compile(config, stop, console))
         async with rig_process(config.source.url, name, password, view.follow) as rig_url:
-            await compiling
             if stop.is_set():
                 return
             serving = asyncio.ensure_future(
@@ -92,6 +92,7 @@ async def _feed_forward_demo(
     config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
 ) -> None:
     """Commission, then follow a flow with three maps until the scenario ends."""
+    console.print("compiling: a minute at the very first start ...")
     identification = build_identification(config)
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     writer = {"user": "operator", "password": SecretStr(password)}
@@ -207,51 +208,60 @@ class _View:
         self._scenario = scenario
         self._worn: dict[str, Condition] = {}
         self._samples = dict.fromkeys((plan.name for plan in identification.plans), 0)
-        self._points = {
-            plan.name: verification_points(scenario, plan.name) for plan in identification.plans
-        }
-        self._best = {name: _best_fit(points) for name, points in self._points.items()}
+        self._truths: dict[str, tuple[VerificationPoints, float]] = {}
 
     def follow(self, line: str) -> None:
-        """Recompute the true map of valves whose condition has changed, from the rig's output."""
+        """Note the condition of valves from the rig's output: their true maps change with it."""
         for name, worn in conditions_in(line).items():
-            if name in self._points and worn != self._worn.get(name, AS_NEW):
-                self._points[name] = verification_points(self._scenario, name, worn=worn)
-                self._best[name] = _best_fit(self._points[name])
+            if name in self._samples and worn != self._worn.get(name, AS_NEW):
                 self._worn[name] = worn
+                self._truths.pop(name, None)
 
     def count(self, valve: str, samples: Samples) -> None:
         """Count the samples of a valve."""
         self._samples[valve] += len(samples)
 
     def table(self) -> Table:
-        """Table of the current state."""
-        return status_table(self.identification, self.verdicts())
+        """Table of the current state; while estimators wait for the compiler, without errors."""
+        if self.identification.journal is None:
+            return status_table(self.identification, self.verdicts())
+        verdicts = [self._verdict(n, {}, math.nan, 0) for n in range(len(self._samples))]
+        return status_table(self.identification, verdicts, title=WAITING)
 
     def lines(self) -> list[str]:
-        """Return one line for each valve."""
+        """Return one line for each valve; while estimators wait for the compiler, one in all."""
+        if self.identification.journal is not None:
+            return [WAITING, *(f"{name}: {n:,} samples" for name, n in self._samples.items())]
         return [verdict.line() for verdict in self.verdicts()]
 
     def verdicts(self) -> list[Verdict]:
         """Compare every estimator's map with the true map."""
-        return [
-            Verdict(
-                valve=plan.name,
-                samples=self._samples[plan.name],
-                rmse=self._rmse(number),
-                best_fit_rmse=self._best[plan.name],
-                points=len(self._points[plan.name].Q),
-            )
-            for number, plan in enumerate(self.identification.plans)
-        ]
+        found = []
+        for number, plan in enumerate(self.identification.plans):
+            points, best = self._truth(plan.name)
+            found.append(self._verdict(number, self._rmse(number, points), best, len(points.Q)))
+        return found
 
-    def _rmse(self, number: int) -> Mapping[str, float]:
-        plan, state = self.identification.plans[number], self.identification.state(number)
-        U, dp, T, Q = self._points[plan.name]
+    def _verdict(
+        self, number: int, rmse: Mapping[str, float], best_fit_rmse: float, points: int
+    ) -> Verdict:
+        name = self.identification.plans[number].name
+        return Verdict(name, self._samples[name], rmse, best_fit_rmse, points)
+
+    def _truth(self, name: str) -> tuple[VerificationPoints, float]:
+        """Points of a valve's true map, and the error of the best fit of eq. (7) to them."""
+        if name not in self._truths:
+            worn = self._worn.get(name, AS_NEW)
+            points = verification_points(self._scenario, name, worn=worn)
+            self._truths[name] = points, _best_fit(points)
+        return self._truths[name]
+
+    def _rmse(self, number: int, points: VerificationPoints) -> Mapping[str, float]:
+        state = self.identification.state(number)
         errors = {}
         for name, lane in state.lanes.items():
-            Q_hat, _ = lane.estimator.predict(lane.state, U, dp, T)
-            errors[name] = float(np.sqrt(np.mean((Q - Q_hat) ** 2)))
+            Q_hat, _ = lane.estimator.predict(lane.state, points.U, points.dp, points.T)
+            errors[name] = float(np.sqrt(np.mean((points.Q - Q_hat) ** 2)))
         return errors
 
 

@@ -1,11 +1,14 @@
 """Tables of the demo."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rich.table import Table
 
 from valvemap.pipeline.identification import Identification
+
+WAITING = "first start: quick estimators run; Auto starts when its kernels are compiled"
 
 
 @dataclass(frozen=True)
@@ -35,9 +38,11 @@ class Verdict:
         )
 
 
-def status_table(identification: Identification, verdicts: Sequence[Verdict]) -> Table:
+def status_table(
+    identification: Identification, verdicts: Sequence[Verdict], *, title: str = "live"
+) -> Table:
     """Live table: one row for each estimator."""
-    table = Table(title="live", title_justify="left")
+    table = Table(title=title, title_justify="left")
     for heading in ("valve", "samples", "gaps", "estimator", "status"):
         table.add_column(heading)
     for heading in ("residual, l/min", "error of the map, l/min"):
@@ -51,7 +56,7 @@ def status_table(identification: Identification, verdicts: Sequence[Verdict]) ->
                 name,
                 estimator.status.name.lower(),
                 f"{estimator.residual_rmse:.3f}",
-                f"{verdict.rmse[name]:.3f}",
+                f"{verdict.rmse.get(name, math.nan):.3f}",
             )
             first = ["", "", ""]
         table.add_row("", "", "", "eq. (7) at best", "", "", f"{verdict.best_fit_rmse:.3f}")

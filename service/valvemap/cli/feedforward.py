@@ -180,7 +180,7 @@ class Course:
 
     def _is_held(self) -> bool:
         names = [plan.name for plan in self._identification.plans]
-        status = self._identification.armed.feed_forward(names.index(LIVING))
+        status = self._identification.feed_forward(names.index(LIVING))
         return status not in {FeedForwardStatus.DISARMED, FeedForwardStatus.WRITING}
 
     def _measure_lead(self, t_s: list[float], U: list[float]) -> None:

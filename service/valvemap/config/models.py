@@ -22,7 +22,7 @@ from valvemap.config.sections import Section, SettingsFile, per_signal
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.extrapolation import ONE_EDGE
 from valvemap.pipeline.quality_gate import SignalLimits
-from valvemap.vocabulary.signals import Measured, Need, Signal
+from valvemap.vocabulary.signals import IN_DIFFERENCE, Measured, Need, Signal
 
 RIG_NAMESPACE = "urn:valvemap:rig"
 _OF_ANY_RANGE = [f'"{kind}"' for kind, section in SECTIONS.items() if section.any_U_range]
@@ -239,6 +239,8 @@ class GateConfig(per_signal("Limits", lambda _: (LimitsConfig, LimitsConfig())))
 
 
 def _node_field(signal: Signal) -> tuple[Any, Any]:
+    if signal.label in IN_DIFFERENCE:
+        return str | None, Field(None, description=signal.sentence)
     if signal.need is Need.REQUIRED:
         return str, Field(description=signal.sentence)
     sensor = ", where there is a sensor" if signal.need is Need.OPTIONAL else ""
@@ -248,6 +250,9 @@ def _node_field(signal: Signal) -> tuple[Any, Any]:
 class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: ignore[misc]
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
+    dp: str | None = Field(
+        None, description="p1 - p2 of one transmitter, in place of p1 and p2: p2 is 0 then"
+    )
     required_U: str | None = Field(
         None, description="where to write the feed-forward voltage, if at all"
     )
@@ -261,6 +266,16 @@ class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: i
     def _heartbeat_is_of_a_command(self) -> Self:
         if self.heartbeat is not None and self.required_U is None:
             raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
+        return self
+
+    @model_validator(mode="after")
+    def _has_pressures(self) -> Self:
+        pair = self.p1 is not None, self.p2 is not None
+        if self.dp is None and not all(pair):
+            missing = "p1" if not pair[0] else "p2"
+            raise ValueError(f"{missing} is missing; p1 and p2 are needed, or dp alone")
+        if self.dp is not None and any(pair):
+            raise ValueError("dp takes the place of p1 and p2; leave out dp, or both of them")
         return self
 
     @model_validator(mode="after")
@@ -280,6 +295,10 @@ class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: i
         ):
             raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
         return text
+
+    def source_of(self, name: str) -> str:
+        """Return the field that holds a signal's node: dp for p1, where there is dp."""
+        return "dp" if name == "p1" and self.dp is not None else name
 
     def of(self, name: str) -> str | None:
         """Return the node of a signal, if there is one."""

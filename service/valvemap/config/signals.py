@@ -81,6 +81,7 @@ class SignalConfig(Section):
 class SignalsConfig(per_signal("Signals", lambda _: (SignalConfig, SignalConfig()))):  # type: ignore[misc]
     """The signals of a valve, and the command that is written."""
 
+    dp: SignalConfig = SignalConfig()
     required_U: SignalConfig = SignalConfig()
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.errors import BlockError, CommandRejected, FleetError
+from valvemap.errors import BlockError, CommandRejected, DamagedState, FleetError
 from valvemap.kafka.blocks import SamplesBlock, renumbered, some
 from valvemap.kafka.catalogue import GroupPlan
 from valvemap.kafka.commands import (
@@ -39,7 +39,8 @@ MISSING: Final = "missing"  # blocks never received
 BEGUN_ANEW: Final = "begun_anew"  # restarts of the block numbers
 REFUSED: Final = "refused"  # messages that could not be decoded
 AHEAD: Final = "ahead"  # samples dated far ahead of the group's clock
-COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED, AHEAD)
+DAMAGED: Final = "damaged"  # states that were set aside
+COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED, AHEAD, DAMAGED)
 _RESULTS: Final = "results"
 _MAPS: Final = "maps"
 _NO_TABLE: Final = np.empty((0, 0))
@@ -171,8 +172,8 @@ class Group:
                 number=self.number,
                 due=self._due,
                 counts=self.counts,
-                columns=own.kept_columns.columns(),
-                baselines=own.kept_columns.baselines(),
+                columns=own.columns(),
+                baselines=own.baselines(),
                 ahead=self._ahead,
                 replies=[write_message(reply).decode() for reply in self._replies.values()],
             )
@@ -183,25 +184,30 @@ class Group:
 
         Raises
         ------
+        DamagedState
+            if the checkpoint is invalid; the group cannot be used then.
         FleetError
-            if the checkpoint is invalid, of a newer catalogue, or of a different catalogue with the
-            same version.
+            if the checkpoint is of a newer format or catalogue, or of a different catalogue with
+            the same version.
         """
         try:
             memory = read_memory(packed)
             self._check(memory)
-            afresh = self.identification.kept_columns.remember(memory.columns, memory.baselines)
-        except (FleetError, StateMismatchError) as error:
+            afresh = self.identification.remember(memory.columns, memory.baselines)
+            replies = [read_reply(packed_reply.encode()) for packed_reply in memory.replies]
+        except (DamagedState, BlockError, StateMismatchError) as error:
+            raise DamagedState(f"group {self.plan.name}: {error}") from None
+        except FleetError as error:
             raise FleetError(f"group {self.plan.name}: {error}") from None
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:
             why = f"{type(error).__name__}: {error}".splitlines()[0]
-            raise FleetError(f"group {self.plan.name}: its memory cannot be used: {why}") from None
+            raise DamagedState(f"group {self.plan.name}: its memory is unusable: {why}") from None
         self.number = memory.number
         self.counts.update(memory.counts)
         self._due = dict(memory.due)
         self._ahead = memory.ahead
-        for packed_reply in memory.replies:
-            self._note(read_reply(packed_reply.encode()))
+        for reply in replies:
+            self._note(reply)
         return sorted(f"{valve}: {key.partition(' ')[0]}" for key, valve in afresh)
 
     def _check(self, memory: Memory) -> None:
@@ -211,11 +217,7 @@ class Group:
                 f"{self._catalogue}: bring the worker's catalogue up to date"
             )
         known = {(kept.key, valve) for kept in memory.columns for valve in kept.valves}
-        own = {
-            (one.key, valve)
-            for one in self.identification.kept_columns.columns()
-            for valve in one.valves
-        }
+        own = {(one.key, valve) for one in self.identification.columns() for valve in one.valves}
         if memory.catalogue == self._catalogue and known != own:
             raise FleetError(
                 f"its valves are configured otherwise under the same version {self._catalogue} of "
@@ -246,7 +248,7 @@ class Group:
         return some(samples, taken)
 
     def _newest(self) -> int:
-        (signals, *_) = self.identification.kept_columns.columns()
+        (signals, *_) = self.identification.columns()
         return int(signals.arrays["newest_t"].max(initial=0))
 
     def _knows(self, command: Command) -> bool:

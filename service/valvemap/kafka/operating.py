@@ -14,7 +14,7 @@ from valvemap.errors import BlockError, CommandRejected
 from valvemap.kafka.commands import ANSWERS, Command, Reply, read_command, write_message
 from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
-from valvemap.pipeline.alarms import SERVICE_ALARM_NAMES, SERVICE_RULES, ServiceAlarm, ServiceAlarms
+from valvemap.pipeline.alarms import FLEET_RULES, ServiceAlarms
 from valvemap.pipeline.ports import AlarmReport, Answer, Remark, Version
 from valvemap.pipeline.ports import Command as Asked
 from valvemap.vocabulary.commands import NAMED, Action
@@ -74,7 +74,7 @@ class FleetOperator:
         self._post, self._answer_s = post, answer_s
         self._quiet = quiet
         self._asked: dict[str, asyncio.Future[Reply]] = {}
-        self.service_alarms = ServiceAlarms(SERVICE_RULES)
+        self.service_alarms = ServiceAlarms(FLEET_RULES)
 
     def take(self, reply: Reply) -> None:
         """Resolve the command that a reply answers; ignore replies to other servers."""
@@ -94,7 +94,7 @@ class FleetOperator:
 
     def _do_here(self, action: Action, command: Asked) -> None:
         act = getattr(self.service_alarms, action.name)
-        if act(_of_service(command.part), command.remark) is False:
+        if act(command.part, command.remark) is False:
             raise CommandRejected(f"Service.{command.part}: there is nothing to {action.name}")
 
     async def _send(self, valve: str, command: Asked) -> None:
@@ -202,10 +202,6 @@ def _code(value: float, allowed: type[IntEnum]) -> int:
 
 
 _NO_ANSWER: Final = "the answer is none that this version knows"
-
-
-def _of_service(alarm: str) -> ServiceAlarm:
-    return ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm))
 
 
 NO_FEED_FORWARD: Final = "in a fleet nothing is written to valves: feed-forward needs `serve`"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,8 @@ class Auto:
     >>> auto.predict(state, np.array([50.0]), np.array([100.0]), np.array([40.0]))[0].round(3)
     array([70.])
     """
+
+    fits_in_bursts: ClassVar[bool] = True  # most updates are quick, some fit maps
 
     lam: float = 0.998
     steps: int = 16

@@ -535,6 +535,19 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 f"{SERVICE}.History.Size", "Size on disk, bytes; 0 if there is no file.", counts
             ),
         ),
+        f"{SERVICE}.Start": (
+            VariableNode(
+                f"{SERVICE}.Start.Text",
+                "State of the start: compiling, with the parts done, or complete.",
+                ua.VariantType.String,
+            ),
+            VariableNode(
+                f"{SERVICE}.Start.Compiled",
+                "Share of the kernels that are compiled. Until 100 %, slow estimators wait.",
+                unit=Unit.PERCENT,
+                range=(0.0, 100.0),
+            ),
+        ),
         f"{SERVICE}.Source": (
             VariableNode(
                 f"{SERVICE}.Source.Notifications", "Value changes received from the source.", counts

@@ -18,6 +18,7 @@ from valvemap.pipeline.ports import AlarmReport, Health
 _PARTS = {
     f"{SERVICE}.Checkpoint": "State of the checkpoint: saves, failures, size.",
     f"{SERVICE}.History": "What signals and results have been: whether it is kept.",
+    f"{SERVICE}.Start": "Progress of the start: kernels are compiled at the first one.",
     f"{SERVICE}.Source": "Changes and losses of the source since the service started.",
 }
 

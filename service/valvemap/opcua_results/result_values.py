@@ -184,6 +184,8 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
     ):
         yield f"{SERVICE}.{name}", count, int(_Codes.Good)
     yield f"{SERVICE}.Source.States", list(health.source_states), int(_Codes.Good)
+    yield f"{SERVICE}.Start.Text", health.start.text, int(_Codes.Good)
+    yield f"{SERVICE}.Start.Compiled", health.start.compiled_percent, int(_Codes.Good)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:

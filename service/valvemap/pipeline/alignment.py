@@ -86,6 +86,21 @@ class ByValve(Mapping[int, Samples]):
         return len(self.segments.members)
 
 
+def together(parts: Sequence[ByValve]) -> ByValve:
+    """Concatenate the samples of different valves, by ascending numbers of the valves."""
+    lengths = np.cumsum([0, *(len(part.samples) for part in parts)])
+    segments = [
+        Segments(part.segments.members, part.segments.starts + at, part.segments.stops + at)
+        for part, at in zip(parts, lengths[:-1], strict=True)
+    ]
+    empty = np.empty(0, np.int64)
+    columns = zip(Segments(empty, empty, empty), *segments, strict=True)
+    return ByValve(
+        Samples.concatenate([part.samples for part in parts]),
+        Segments(*map(np.concatenate, columns)),
+    )
+
+
 @dataclass(frozen=True)
 class Alignment:
     """Aligns the changes of V valves.

@@ -3,7 +3,7 @@
 The parts of :class:`~valvemap.pipeline.identification.Identification` share this object.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TypeVar
@@ -36,6 +36,8 @@ class AllValves:
         Plan of each valve.
     timing
         Timing of their signals, with the deadbands of on-change signals.
+    waits
+        Names of the estimators that do not run.
 
     Attributes
     ----------
@@ -48,11 +50,13 @@ class AllValves:
         Failures of lanes.
     """
 
-    def __init__(self, plans: Sequence[ValvePlan], timing: Timing) -> None:
+    def __init__(
+        self, plans: Sequence[ValvePlan], timing: Timing, waits: Collection[str] = ()
+    ) -> None:
         self.plans = tuple(plans)
         self.numbers = {plan.name: number for number, plan in enumerate(self.plans)}
         self.failures = LaneFailures()
-        self.fleets, self._fleet_of, self.places = _fleets(self.plans, self.failures)
+        self.fleets, self._fleet_of, self.places = _fleets(self.plans, self.failures, waits)
         self._timing = timing
         self._keys = [
             {name: key_of(estimator) for name, estimator in fleet.plan.estimators.items()}
@@ -112,8 +116,13 @@ class AllValves:
 
     def inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
         """Return the plan and the state that a valve's inverse is computed from."""
-        plan = self.plans[valve]
-        return plan, self.state_of(valve, plan.inverse)
+        name = self.inverse(valve)
+        return replace(self.plans[valve], inverse=name), self.state_of(valve, name)
+
+    def inverse(self, valve: int) -> str:
+        """Name of the estimator whose map is inverted at a valve."""
+        fleet, m = self.at(valve)
+        return fleet.inverse(m)
 
     def accuracy(self, valve: int) -> SensorAccuracy:
         """Return the sensors' accuracy, including the deadbands of on-change signals."""
@@ -126,6 +135,11 @@ class AllValves:
         """Whether a lane is running, i.e. has not stopped at an error."""
         fleet, m = self.at(valve)
         return not fleet.has_failed(m, estimator)
+
+    def waits(self, valve: int, estimator: str) -> bool:
+        """Whether a lane does not run because its kernels are not compiled."""
+        fleet, _ = self.at(valve)
+        return estimator in fleet.waits
 
     def stop(self, valve: int, step: Step, estimator: str | None, error: Exception) -> None:
         """Stop a lane, or (None) all lanes of a valve, because of an error, see `Fleet.stop`."""
@@ -158,7 +172,9 @@ def once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
     return cached
 
 
-def _fleets(plans: Sequence[ValvePlan], failures: LaneFailures) -> tuple[list[Fleet], Times, Times]:
+def _fleets(
+    plans: Sequence[ValvePlan], failures: LaneFailures, waits: Collection[str]
+) -> tuple[list[Fleet], Times, Times]:
     """Return the fleets of valves with the same plan, and each valve's fleet and place."""
     numbers: dict[str, int] = {}
     first: list[ValvePlan] = []
@@ -168,7 +184,7 @@ def _fleets(plans: Sequence[ValvePlan], failures: LaneFailures) -> tuple[list[Fl
     for valve, plan in enumerate(plans):
         estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
         ranges = valve_state.nothing_seen(plan).ranges.tolist()
-        watched = plan.inverse, sorted(plan.alarms.items())
+        watched = plan.inverse, plan.follows, plan.references, sorted(plan.alarms.items())
         key = repr((plan.gate, estimators, ranges, plan.accuracy, watched))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
@@ -176,5 +192,7 @@ def _fleets(plans: Sequence[ValvePlan], failures: LaneFailures) -> tuple[list[Fl
             names.append([])
         places[:, valve] = number, len(names[number])
         names[number].append(plan.name)
-    fleets = [Fleet(plan, len(own), own, failures) for plan, own in zip(first, names, strict=True)]
+    fleets = [
+        Fleet(plan, len(own), own, failures, waits) for plan, own in zip(first, names, strict=True)
+    ]
     return fleets, places[0], places[1]

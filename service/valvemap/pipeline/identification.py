@@ -4,15 +4,17 @@ The live service and the replay of recordings both use this object; it reads no 
 I/O.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.errors import CommandRejected
 from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Samples, Times, Trace
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import SERVICE_RULES, ServiceAlarm
+from valvemap.pipeline.alarms import SERVICE_RULES
 from valvemap.pipeline.alignment import Alignment, ByValve
 from valvemap.pipeline.all_alarms import AllAlarms
 from valvemap.pipeline.all_valves import AllValves
@@ -20,6 +22,7 @@ from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
+from valvemap.pipeline.call_journal import Call, CallJournal, changes_state
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_columns import KeptColumns
@@ -38,9 +41,11 @@ from valvemap.pipeline.ports import (
 from valvemap.pipeline.result_tables import ResultTables, descriptions
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
+from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValvePlan, ValveState
 from valvemap.vocabulary.commands import NAMED, Subject
-from valvemap.vocabulary.statuses import Status
+from valvemap.vocabulary.service_alarms import ServiceAlarm
+from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 
 class Identification:
@@ -56,16 +61,15 @@ class Identification:
         How the signals are aligned, and how their stamping is detected (None: it is configured).
     service_alarms
         Rules of the service's alarms.
+    waits
+        Names of the estimators that do not run in a preview; None: it is none. A preview notes all
+        calls that change its state. An object in which all estimators run repeats them, and takes
+        over.
 
     Attributes
     ----------
-    plans : sequence of ValvePlan
-    all_alarms : AllAlarms
-        Alarms of the valves and of the service.
-    armed : ArmedValves
-        Valves armed for feed-forward.
-    kept_columns : KeptColumns
-        The state of all valves as columns.
+    journal : CallJournal or None
+        The noted calls; None if this is no preview.
     """
 
     def __init__(
@@ -74,18 +78,20 @@ class Identification:
         alignment: Alignment,
         timing: Timing | None = None,
         service_alarms: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES,
+        waits: Collection[str] | None = None,
     ) -> None:
+        self.journal = None if waits is None else CallJournal()
         self._arrivals = arrivals = Arrivals([plan.name for plan in plans], alignment, timing)
-        self._valves = valves = AllValves(plans, arrivals.timing)
+        self._valves = valves = AllValves(plans, arrivals.timing, waits or ())
         self._intake = intake = SampleIntake(valves, arrivals)
         self._maps = maps = MapsAndSurveys(valves, intake)
         self._commands = commands = EstimatorCommands(valves)
         self._approved = approved = ApprovedMaps(valves, self._commands)
-        self.all_alarms = alarms = AllAlarms(valves, service_alarms)
-        self.armed = armed = ArmedValves(valves)
+        self._alarms = alarms = AllAlarms(valves, service_alarms)
+        self._armed = armed = ArmedValves(valves)
         self._results = ResultTables(valves, arrivals, intake, maps, approved, armed, commands)
         self._kept = KeptStates(valves, arrivals, approved, alarms, maps)
-        self.kept_columns = KeptColumns(valves, intake, approved)
+        self._columns = KeptColumns(valves, intake, approved)
         self._executors = {
             Subject.ESTIMATOR: commands,
             Subject.DEMAND: commands,
@@ -95,6 +101,18 @@ class Identification:
         }
         self.plans = valves.plans
 
+    def repeat(self, calls: Sequence[Call]) -> None:
+        """Repeat the calls of a preview. A rejected command is rejected again."""
+        for name, args, kws in calls:
+            with suppress(CommandRejected):
+                getattr(self, name)(*args, **kws)
+
+    def take_over(self, successor: "Identification") -> None:
+        """Replace the whole state by that of an object with the same plans."""
+        vars(self).update(vars(successor))
+        self._results.show_all_alarms_again()
+
+    @changes_state
     def do(self, command: Command) -> None:
         """Carry out an operator's command.
 
@@ -106,6 +124,7 @@ class Identification:
         executor = self._executors[NAMED[command.action].on]
         getattr(executor, command.action)(*command.arguments)
 
+    @changes_state
     def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
         """Stop a lane, or (None) all lanes of a valve, after an error outside of this object."""
         self._valves.stop(valve, step, estimator, error)
@@ -118,14 +137,17 @@ class Identification:
         """Return Bad results of one valve, for use when :meth:`results` raises."""
         return self._results.unknown(valve)
 
+    @changes_state
     def take(self, changes: DataChanges) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
         return self._intake.take(changes)
 
+    @changes_state
     def learn(self, arrived: ByValve) -> ByValve:
         """Estimate from aligned samples; return them, with implausible samples marked BAD."""
         return self._intake.learn(arrived)
 
+    @changes_state
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
         """Estimate from one valve's samples; return them as gated, and each estimator's trace."""
         return self._intake.take_samples(valve, samples)
@@ -138,10 +160,12 @@ class Identification:
         """Number of samples of each valve that wait for signals or for earlier samples."""
         return self._arrivals.pending()
 
+    @changes_state
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""
         return self._intake.wait_no_longer(valves)
 
+    @changes_state
     def begin_source_anew(self, valves: Times) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
         return self._intake.begin_source_anew(valves)
@@ -248,11 +272,41 @@ class Identification:
 
     def alarmed(self) -> list[str]:
         """Return the valves that have ever had an active alarm."""
-        return self.all_alarms.alarmed()
+        return self._alarms.alarmed()
 
     def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
         """Return the state of all alarms of a valve or (None) of the service."""
-        return self.all_alarms.reports(valve)
+        return self._alarms.reports(valve)
+
+    @changes_state
+    def was_away(self) -> None:
+        """Note an outage of the service: silence until now is no loss of the sensors."""
+        self._alarms.was_away()
+
+    @changes_state
+    def say_overdue(self, valves: Times, now: Times) -> list[int]:
+        """Note that these valves are silent until ``now``; return those with a new alarm."""
+        return self._alarms.say_overdue(valves, now)
+
+    @changes_state
+    def watch_service(
+        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+    ) -> tuple[AlarmReport, ...]:
+        """Update the service's alarms: age of the checkpoints, certificate, load."""
+        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load)
+
+    def is_armed(self, valve: int) -> bool:
+        """Whether an operator has armed the valve's feed-forward since the start."""
+        return self._armed.is_armed(valve)
+
+    def feed_forward(self, valve: int) -> FeedForwardStatus:
+        """Return the feed-forward status of the last step."""
+        return self._armed.feed_forward(valve)
+
+    @changes_state
+    def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
+        """Set the feed-forward status to publish."""
+        self._armed.note(valve, status)
 
     def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return `checkpoints` and `memories` of the given valves, or of all."""
@@ -266,6 +320,22 @@ class Identification:
         """Return the state beside the estimators as bytes, of the given valves or of all."""
         return self._kept.memories(valves)
 
+    @changes_state
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Restore the checkpoints that fit, see :meth:`KeptStates.restore`."""
         return self._kept.restore(checkpoints)
+
+    def columns(self) -> list[Columns]:
+        """Return the state of all valves as columns, without baselines."""
+        return self._columns.columns()
+
+    @changes_state
+    def remember(
+        self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
+    ) -> set[tuple[str, str]]:
+        """Restore columns and baselines; return (key, valve) of the states that were reset."""
+        return self._columns.remember(columns, baselines)
+
+    def baselines(self) -> dict[str, bytes]:
+        """Return the approved maps, packed, by valve."""
+        return self._columns.baselines()

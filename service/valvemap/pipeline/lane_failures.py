@@ -21,14 +21,17 @@ MOST_WAITING: Final = 100  # failures kept until they are logged; further ones a
 MOST_OF_A_REASON: Final = 200  # characters
 
 Restore = Callable[[], None]
+Stop = Callable[[int, Exception], None]
 
 
 class Step(StrEnum):
     """A step of the work on a lane or a valve."""
 
+    ALIGNMENT = "alignment"
     GATE = "gate"
     LEARNING = "learning"
     SUPPORT = "support"
+    COMPARISON = "comparison"
     ALARMS = "alarms"
     MAP = "map"
     SURVEY = "survey"
@@ -87,7 +90,7 @@ def isolate(
     members: Times,
     do: Callable[[NDArray[np.intp]], None],
     save: Callable[[Times], Restore],
-    stop: Callable[[int, Exception], None],
+    stop: Stop,
 ) -> None:
     """Call ``do`` for K valves together, or, if that raises, valve by valve.
 
@@ -140,13 +143,18 @@ def isolate_last(
     members: Times,
     do: Callable[[NDArray[np.intp]], None],
     save: Callable[[Times], Restore],
-    stop: Callable[[int, Exception], None],
+    stop: Stop,
 ) -> None:
     """As `isolate` for one valve; for several, re-raise: the outer `isolate` finds the valve."""
     if len(members) == 1:
         isolate(members, do, save, stop)
     elif len(members):
         do(np.arange(len(members)))
+
+
+def raised(_: int, error: Exception) -> None:
+    """Raise the error: there are no lanes to stop."""
+    raise error
 
 
 def saved(arrays: Iterable[NDArray[Any]], members: Times) -> Restore:

@@ -119,6 +119,16 @@ class Lanes:
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace, self._of_this_map(began, trace.status, segments)
 
+    def revise(self, status: Codes, segments: Segments) -> None:
+        """Replace the published status of the newest samples of running lanes."""
+        running = segments.of(~self.failed[segments.members])
+        self._notes.status[running.members] = status[running.stops - 1]
+
+    def predicted(self, m: int, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Return flow and standard deviation (N,) of one valve's map, as its estimator gives it."""
+        lane = self.get(m)
+        return lane.estimator.predict(lane.state, U, dp, T)
+
     def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
         """Return the state of all lanes as named arrays over valves."""
         spread = self._spread
@@ -322,16 +332,17 @@ for _status, _quality in {
     Status.UNEXCITED: Quality.UNCERTAIN,
     Status.HELD: Quality.UNCERTAIN,
     Status.EXTRAPOLATING: Quality.UNCERTAIN,
+    Status.UNRELIABLE: Quality.UNCERTAIN,
     Status.REJECTED: Quality.BAD,
     Status.FAILED: Quality.BAD,
 }.items():
     _QUALITY[_status] = _quality
 
 
-def nothing_of(N: int) -> Trace:
-    """Return the trace of N samples in failed lanes."""
+def nothing_of(N: int, status: Status = Status.FAILED) -> Trace:
+    """Return the trace of N samples in lanes that do not run."""
     predicted, residual, early = np.full((3, N), np.nan)
-    return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
+    return Trace(predicted, residual, early, np.full(N, status, np.uint8))
 
 
 def _allows(estimator: AnyEstimator, lam: float) -> bool:

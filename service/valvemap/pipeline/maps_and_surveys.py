@@ -62,8 +62,8 @@ class MapsAndSurveys:
 
     def tabulate(self, valve: int) -> None:
         """Compute the table of one valve, unless its lane has failed."""
-        inverse = self._valves.plans[valve].inverse
-        if self._valves.runs(valve, inverse):
+        inverse = self._valves.inverse(valve)
+        if self._valves.runs(valve, inverse) and not self._valves.waits(valve, inverse):
             with self._valves.bulkhead(valve, Step.MAP, inverse):
                 self.tables[valve] = valve_state.inverse_map(*self._valves.inverted(valve))
                 self._intake.judge(valve)
@@ -83,7 +83,7 @@ class MapsAndSurveys:
         ]
 
     def _refresh_survey(self, valve: int, name: str) -> None:
-        if self._valves.runs(valve, name):
+        if self._valves.runs(valve, name) and not self._valves.waits(valve, name):
             with self._valves.bulkhead(valve, Step.SURVEY, name):
                 plan, state = self._valves.plans[valve], self._valves.state_of(valve, name)
                 found = valve_state.survey_of(plan, state, name)

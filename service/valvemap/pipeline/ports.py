@@ -480,6 +480,17 @@ class PastCounters:
 
 
 @dataclass(frozen=True)
+class StartState:
+    """How far the service's start is: a sentence, and the compiled share of its kernels, %."""
+
+    text: str
+    compiled_percent: float
+
+
+COMPLETE = StartState("complete: all estimators run", 100.0)
+
+
+@dataclass(frozen=True)
 class Health:
     """Freshness of the data and state of the checkpoints; arrays over all valves.
 
@@ -499,6 +510,8 @@ class Health:
         State of the service's alarms.
     history
         Counters of the history.
+    start
+        Progress of the service's start.
     """
 
     age_s: Floats
@@ -511,6 +524,7 @@ class Health:
     checkpoints_refused: int = 0
     alarms: Sequence[AlarmReport] = ()
     history: PastCounters = PastCounters()
+    start: StartState = COMPLETE
 
 
 class ResultSink(Protocol):

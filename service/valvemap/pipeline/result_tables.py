@@ -81,6 +81,11 @@ class ResultTables:
         self._approved = approved
         self._armed = armed
         self._commands = commands
+        self._alarms_base = 0  # added to the versions of alarms
+
+    def show_all_alarms_again(self) -> None:
+        """Let every version of the alarms differ from those of results published before."""
+        self._alarms_base += 1 << 32
 
     def results(
         self,
@@ -157,7 +162,9 @@ class ResultTables:
                 estimators[plan.inverse].t, bad, np.full((1, len(PUBLISHED)), np.nan)
             ),
             baselines=[None],
-            alarms=AlarmResults(fleet.alarms.version[[m]], lambda _: fleet.alarms.reports(m)),
+            alarms=AlarmResults(
+                self._alarms_base + fleet.alarms.version[[m]], lambda _: fleet.alarms.reports(m)
+            ),
             timing=[()],
             waiting=[()],
         )
@@ -183,7 +190,7 @@ class ResultTables:
             signals=self._intake.signals(valves, at_best),
             baselines=[self._approved.of(int(valve)) for valve in valves],
             alarms=AlarmResults(
-                fleet.alarms.version[places],
+                self._alarms_base + fleet.alarms.version[places],
                 lambda m: fleet.alarms.reports(int(places[m])),
             ),
             timing=[
@@ -229,15 +236,16 @@ class ResultTables:
         self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
     ) -> InverseResults:
         M, places = len(valves), self._valves.places[valves]
+        inverses = fleet.inverses(places)
         t, quality = np.zeros(M, np.int64), np.zeros(M, np.uint8)
         for name, found in estimators.items():
-            own = np.array([self._valves.plans[valve].inverse == name for valve in valves])
+            own = np.array([inverse == name for inverse in inverses])
             t[own], quality[own] = found.t[own], found.quality[own]
         U, status = np.full(M, np.nan), np.full(M, np.uint8(InverseStatus.NOT_FINITE))
         demanded = np.isfinite(fleet.demands(places)).all(axis=1)
         for k in np.flatnonzero(demanded):
             (U[k], _, status[k]), _ = self._commands.required(int(valves[k]))
-            if not self._valves.runs(int(valves[k]), fleet.plan.inverse):
+            if not self._valves.runs(int(valves[k]), inverses[k]):
                 quality[k] = Quality.BAD
         guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
         fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))

@@ -35,6 +35,7 @@ class Quantity(Enum):
 
 QUANTITY_OF: Final = {
     **{signal.label: Quantity(signal.unit) for signal in SENSORS},
+    "dp": Quantity.PRESSURE,
     "required_U": Quantity.OPENING,
 }
 """By signal, named as in the configuration."""

@@ -25,6 +25,7 @@ from valvemap.pipeline.alarms import RULES, Alarm
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
 from valvemap.pipeline.nameplate import BLANK, Nameplate
+from valvemap.pipeline.places import MapErrors
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.score import Score
 from valvemap.vocabulary.statuses import InverseStatus, Status
@@ -43,9 +44,10 @@ _OF_SCORE = [  # never negative
 class ValvePlan:
     """Configuration of one valve: gate, estimators, inverse and alarms.
 
-    ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
-    are the axes of the published table. ``feed_forward`` is None if the answer is never written to
-    the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is that of the sensors,
+    ``inverse`` names the estimator whose map is inverted; if ``follows``, the recommended one is,
+    once there is one. ``references`` are estimators that are never recommended. ``map_Q`` (l/min)
+    and ``map_dp`` (bar) are the axes of the published table. ``feed_forward`` is None if the answer
+    is never written to the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is that of the sensors,
     ``nodes`` are their names in messages about missing signals, ``alarms`` the rules of the alarms;
     ``nameplate`` is published only.
     """
@@ -63,11 +65,16 @@ class ValvePlan:
     nodes: Mapping[str, str] = field(default_factory=dict)
     alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
     nameplate: Nameplate = BLANK
+    follows: bool = False
+    references: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
 class Lane:
-    """One estimator on one valve, with its state and the operator's settings."""
+    """One estimator on one valve, with its state and the operator's settings.
+
+    ``errors`` are those of its map at places left, by which intervals are widened; None: not known.
+    """
 
     estimator: AnyEstimator
     state: State
@@ -82,6 +89,7 @@ class Lane:
     residual: float = np.nan
     status: Status | None = None
     accuracy: SensorAccuracy = EXACT
+    errors: MapErrors | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +114,11 @@ def fresh_lane(estimator: AnyEstimator, support: Support | None = None) -> Lane:
 def nothing_seen(plan: ValvePlan) -> Support:
     """Return the support of a map before the first sample."""
     return Support.none(plan.U_range, (min(0.0, *plan.map_dp), max(plan.map_dp)), max(plan.map_Q))
+
+
+def runs_interpreted(estimator: AnyEstimator) -> bool:
+    """Whether an update takes milliseconds even if its kernels run interpreted."""
+    return not getattr(estimator, "fits_in_bursts", False)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
@@ -153,7 +166,10 @@ def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) 
     lane = state.lanes[plan.inverse]
     T = state.T if np.isnan(T) else T
     return invert(
-        *(lane.estimator, lane.state, [Q], [dp], [T]), support=lane.support, accuracy=lane.accuracy
+        *(lane.estimator, lane.state, [Q], [dp], [T]),
+        support=lane.support,
+        accuracy=lane.accuracy,
+        widened=None if lane.errors is None else lane.errors.widened,
     )
 
 
@@ -181,6 +197,8 @@ def systematic(lane: Lane, U: Floats, dp: Floats, T: Floats) -> Floats:
 def _as_measured(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Codes]:
     """As `predicted`, without the sensors' systematic errors."""
     Q, std = lane.estimator.predict(lane.state, U, dp, T)
+    if lane.errors is not None:
+        std = lane.errors.widened(std, U, dp, T)
     std, guessed = trusted(lane.estimator, lane.state, lane.support, (U, dp, T), Q, std)
     own = Status.WARMING_UP if lane.status is None else lane.status
     if own in (Status.WARMING_UP, Status.FAILED):  # these statuses take precedence
@@ -202,6 +220,7 @@ def predicted_measurement(
         # the spread of the residuals includes the misfit, and a std that is taken from them
         known = 0.0 * own if isinstance(lane.estimator, ResidualStd) else own
         half = lane.spread.half_width(U, dp, np.sqrt(known**2 + beyond))
+        half = np.maximum(half, TWO_SIDED_95 * std)  # of the map, at places left
     if isinstance(lane.estimator, PathDependent):  # U may come from either side
         up, down = (
             lane.estimator.predict_along(lane.state, U, dp, T, np.full_like(U, side))[0]

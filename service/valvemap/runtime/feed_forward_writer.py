@@ -100,7 +100,7 @@ class FeedForwardWriter:
         )
 
     def _say(self, valve: int, status: FeedForwardStatus) -> None:
-        self._identification.armed.note(valve, status)
+        self._identification.note_feed_forward(valve, status)
         self._note_new([valve])
         name = self._identification.plans[valve].name
         log.info("feed-forward", valve=name, status=status.name, why=status.sentence)

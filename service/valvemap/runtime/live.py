@@ -20,6 +20,7 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
 from valvemap.pipeline.ports import (
+    COMPLETE,
     AlarmReport,
     AllSources,
     Checkpoint,
@@ -36,6 +37,7 @@ from valvemap.runtime.publishing_turns import PublishingTurns
 from valvemap.runtime.state_keeper import POSITION, StateKeeper
 
 OLD = 2.0  # times `stale_after_s`; a sample older than this makes results Bad
+BEHIND_S = 1.0  # s; a preview with a longer backlog takes no more samples until compilation ends
 LEARN_S = 0.05  # s; target duration of one piece when a backlog is estimated
 FEWEST_AT_ONCE = 600  # changes: 100 samples, 0.1 s if Auto fits all; smaller pieces cost more each
 FIRST_AT_ONCE = 3_000  # changes; size of the first piece, before the pace is measured
@@ -121,6 +123,10 @@ class LiveService:
         self._health_due = now
         self._worked_s, self._worked_since = 0.0, now
         self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # estimated pace
+        if identification.journal is not None:
+            self._changes_per_s = FEWEST_AT_ONCE / LEARN_S  # its kernels run interpreted
+        self._is_whole = asyncio.Event()
+        self.start_state = COMPLETE
         self._end_by = math.inf
         self._refused = 0
         self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
@@ -137,6 +143,17 @@ class LiveService:
             identification, source, clock, self._situation, self._note_new
         )
 
+    async def complete(self, whole: Identification) -> None:
+        """Let ``whole`` repeat all calls of the preview so far, and replace it."""
+        journal = self.identification.journal
+        assert journal is not None  # noqa: S101 - the caller started with a preview
+        while calls := journal.take_new():
+            await asyncio.to_thread(whole.repeat, calls)
+        self.identification.take_over(whole)  # nothing was awaited since the last call
+        self.start_state = COMPLETE
+        self._is_whole.set()
+        self._note_new(range(len(self._lost)))
+
     async def start(self, known: Sequence[Checkpoint] = ()) -> None:
         """Restore the checkpoints and publish all sensors as lost until samples arrive.
 
@@ -152,7 +169,7 @@ class LiveService:
         restored, refused = self.identification.restore(kept)
         if lost_place:
             refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
-        self.identification.all_alarms.was_away()
+        self.identification.was_away()
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # no sample has arrived yet
         if self._store.damaged:
@@ -184,6 +201,7 @@ class LiveService:
         self._heard_at[own] = self._clock.monotonic()
         rest = changes
         while len(rest):
+            await self._wait_if_behind(len(rest))
             began = self._clock.monotonic()
             if began > self._end_by - FAREWELL_S + LAST_S:
                 return  # not acknowledged, so the source resends it
@@ -203,6 +221,15 @@ class LiveService:
                 await asyncio.sleep(0.0)
         self._keeper.mark = self._source.mark
 
+    async def _wait_if_behind(self, changes: int) -> None:
+        """Wait for the whole identification if the preview cannot keep up; the source queues."""
+        journal = self.identification.journal
+        if journal is None or self._is_whole.is_set():
+            return
+        if journal.is_full or changes > BEHIND_S * self._changes_per_s:
+            log.warning("too many samples for interpreted kernels", remedy="wait for compilation")
+            await self._is_whole.wait()
+
     def _note_pace(self, changes: int, took_s: float) -> None:
         if changes >= FEWEST_AT_ONCE and took_s > 0.0:
             quicker = changes / took_s - self._changes_per_s
@@ -211,6 +238,7 @@ class LiveService:
     def end_soon(self) -> None:
         """Start the shutdown time: changes are estimated for another LAST_S, then rejected."""
         self._end_by = self._clock.monotonic() + FAREWELL_S
+        self._is_whole.set()
 
     @property
     def time_left_s(self) -> float:
@@ -287,9 +315,7 @@ class LiveService:
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         silent_now = np.flatnonzero(stale)
-        overdue = self.identification.all_alarms.say_overdue(
-            silent_now, self._source_now()[silent_now]
-        )
+        overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
         self._note_new(overdue)
         await self._doubt_old(ages)
 
@@ -330,6 +356,7 @@ class LiveService:
                 checkpoint_bytes=self._store.size,
                 history=PastCounters() if self._past is None else self._past.counters,
                 alarms=alarms,
+                start=self.start_state,
             )
         )
 
@@ -338,7 +365,7 @@ class LiveService:
         self._worked_s, self._worked_since = 0.0, now
         until, utc = self._settings.certificate_until_ns, self._clock.now()
         share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
-        return self.identification.all_alarms.watch_service(
+        return self.identification.watch_service(
             utc,
             checkpoint_age_s=self._keeper.age_s(now),
             days_left=(until - utc) / DAY_NS if until else math.nan,
@@ -473,7 +500,7 @@ class LiveService:
         return (then > self._settings.stale_after_s) & ~self.identification.holds()
 
     def _situation(self, valve: int) -> Situation:
-        armed = self.identification.armed.is_armed(valve)
+        armed = self.identification.is_armed(valve)
         connected = bool(self._connected[valve])
         if not (armed and connected):
             return Situation(armed, connected)

@@ -75,7 +75,9 @@ class StateKeeper:
         self._packing_s = self._saving_s = 0.0  # last durations: packing one valve, one save
 
     def age_s(self, now: float) -> float:
-        """Time since the last save, s; before the first, since the start."""
+        """Time since the last save, s; before the first, since the start; 0 in a preview."""
+        if self._is_preview:
+            return 0.0
         return now - (self._began if math.isnan(self.kept_at) else self.kept_at)
 
     def states(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
@@ -100,6 +102,8 @@ class StateKeeper:
         """
         M = self._valves
         await self.settle()
+        if self._is_preview:
+            return True
         oldest_first = np.roll(np.arange(M), -self._next).tolist()
         at_once = M if math.isinf(until) else KEPT_AT_ONCE
         for start in range(0, M, at_once):
@@ -120,7 +124,7 @@ class StateKeeper:
         A round saves every valve once, and then the mark of its beginning. A valve leaves the
         round when it is saved: a refused save is repeated, so the mark is never ahead of a state.
         """
-        if self._keeping is not None and not self._keeping.done():
+        if self._is_preview or (self._keeping is not None and not self._keeping.done()):
             return
         M = self._valves
         due = int(M * (now - self._began) / self._interval_s)
@@ -133,6 +137,11 @@ class StateKeeper:
         mark = self._mark_of_round if count >= self._left_in_round else None
         some = ((self._next + np.arange(count)) % M).tolist()
         self._keeping = asyncio.create_task(self._keep(some, mark))
+
+    @property
+    def _is_preview(self) -> bool:
+        """Whether estimators wait; states saved now, and the position, would lose their samples."""
+        return self._identification.journal is not None
 
     async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
         """Save these valves; a refused save is counted and logged, and delays no batch."""

@@ -113,16 +113,19 @@ def load_model(file: Path) -> Model:
         if the model is invalid; one line with file, field, value and the allowed values.
     """
     try:
-        document = ModelDocument.model_validate(_content(file))
-        estimator, state = restored(map_of(document.map))
+        return _model_of(ModelDocument.model_validate(_content(file)))
     except FileNotFoundError:
         raise NoSuchFile(f"{file}: no such file") from None
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     except ValidationError as error:
         raise StorageError(f"{file}: {_first(error)}") from None
-    except (ConfigurationError, ValueError) as error:
+    except (ConfigurationError, ValueError, OverflowError) as error:
         raise StorageError(f"{file}: map: {error}") from None
+
+
+def _model_of(document: ModelDocument) -> Model:
+    estimator, state = restored(map_of(document.map))
     return Model(
         valve=document.valve,
         name=document.estimator,

@@ -111,6 +111,9 @@ READ: Final = tuple(signal.label for signal in Signal)
 PUBLISHED: Final = (*REQUIRED, "dp", *OPTIONAL)
 """Names of what is published of the newest sample."""
 
+IN_DIFFERENCE: Final = ("p1", "p2")
+"""Names of the signals that one transmitter of ``dp`` may replace."""
+
 COUNT: Final = len(SENSORS)
 PER_VALVE: Final = len(Signal)
 IS_OPTIONAL: Final = tuple(signal.need is Need.OPTIONAL for signal in SENSORS)

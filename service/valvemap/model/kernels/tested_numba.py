@@ -5,7 +5,9 @@ from typing import Any, Final, TypeVar
 
 from numba import njit, types
 
-from valvemap.model.kernels.cache import TREES, keep
+from valvemap.model.kernels import cache
+from valvemap.model.kernels.cache import TREES
+from valvemap.model.kernels.interpreted import interpretable
 from valvemap.model.kernels.numba_libraries import OfInnerFunctions, OfKernels
 from valvemap.model.kernels.numba_seams import spare as take_shortcuts
 from valvemap.numba_version import are_shortcuts_asked_for
@@ -42,6 +44,12 @@ def spliced(function: F, **options: Any) -> F:  # noqa: ANN401
     keep(compiled)
     _once_for_all_numbers(compiled)
     return compiled
+
+
+def keep(dispatcher: Any) -> None:  # noqa: ANN401 - numba's dispatcher
+    """Cache a dispatcher's code; until it has code, `interpreted` may run it as plain Python."""
+    cache.keep(dispatcher)
+    interpretable(dispatcher)
 
 
 def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's dispatcher
