@@ -71,18 +71,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", default="")
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
     parser.add_argument("--auto", action="store_true", help="measure Auto alone")
+    parser.add_argument("--alone", action="store_true", help="measure FlowMap alone")
     wanted = parser.parse_args(arguments)
     first = REPORT if wanted.report else 0
     kept = json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else {}
     ratios = []
     for name in (name for name in ROWS if wanted.only in name):
         seeds = range(first, first + wanted.seeds)
-        of_auto = [_of_auto(kept, name, seed) for seed in seeds]
+        of_auto = [] if wanted.alone else [_of_auto(kept, name, seed) for seed in seeds]
         if wanted.auto:
             continue
         ours = [measured(_ours(ROWS[name](seed)), ROWS[name](seed)) for seed in seeds]
         ratios += [_line(name, k, ours, of_auto) for k in range(len(ours[0]["rmse"]))]
-    if ratios:
+    if ratios and not wanted.alone:
         print(f"geometric mean of the ratios {np.exp(np.mean(np.log(ratios))):.2f}")
     return 0
 
@@ -100,21 +101,28 @@ def _of_auto(kept: dict[str, Any], name: str, seed: int) -> Figures:
 
 
 def _line(name: str, k: int, ours: Sequence[Figures], of_auto: Sequence[Figures]) -> float:
-    one, auto = (
-        {key: np.array([f[key][k] for f in found]) for key in found[0] if found[0][key]}
-        for found in (ours, of_auto)
+    one = _at(ours, k)
+    text = (
+        f"{name} [{k}]: {c.rms(one['rmse']):.3f} σ, held {one['held'].mean():.3f} "
+        f"(a quarter {one['least'].mean():.3f}), std {one['width'].mean():.3f} σ, "
+        f"{one['us'].mean():.1f} µs, named {one['named'].mean():.2f}, "
+        f"names too many {one['misnamed'].mean():.2f}"
     )
-    ratio = c.rms(one["rmse"]) / c.rms(auto["rmse"])
-    print(
-        f"{name} [{k}]: {c.rms(one['rmse']):.3f} σ, {ratio:.2f} × Auto's, "
-        f"held {one['held'].mean():.3f} (a quarter {one['least'].mean():.3f}), "
-        f"std {one['width'].mean():.3f} σ, {one['us'].mean():.1f} µs, "
-        f"named {one['named'].mean():.2f}, names too many {one['misnamed'].mean():.2f} | "
-        f"Auto {c.rms(auto['rmse']):.3f} σ, held {auto['held'].mean():.3f}, "
-        f"{auto['us'].mean():.1f} µs",
-        flush=True,
-    )
+    ratio = np.nan
+    if of_auto:
+        auto = _at(of_auto, k)
+        ratio = c.rms(one["rmse"]) / c.rms(auto["rmse"])
+        text += (
+            f" | Auto {c.rms(auto['rmse']):.3f} σ, held {auto['held'].mean():.3f}, "
+            f"{auto['us'].mean():.1f} µs | ratio {ratio:.2f}"
+        )
+    print(text, flush=True)
     return float(ratio)
+
+
+def _at(found: Sequence[Figures], k: int) -> dict[str, np.ndarray]:
+    """Figures of all seeds at the k-th moment."""
+    return {key: np.array([f[key][k] for f in found]) for key in found[0] if found[0][key]}
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ WRITTEN = {  # (command, parameter): the command line, {} is the path; and the f
     ("record", "file", "timing"): ("record {}/r.csv", ".", "r.csv.timing.json"),
     ("rig", "record"): ("rig --offline --duration 1 --record {}", "r.csv", ""),
     ("connect", "out"): ("connect opc.tcp://127.0.0.1:1 --out {}", "valvemap.toml", ""),
+    ("connect", "sheet"): ("connect opc.tcp://127.0.0.1:1 --sheet {}", "sheet.html", ""),
     ("report", "out"): ("report --out {}", "reports", "paper.html"),
     ("history export", "file"): ("history export {}", "r.csv", ""),
     ("fleet reidentify", "out"): ("fleet reidentify r.csv --out {}", "models", "V1.RLS.json"),

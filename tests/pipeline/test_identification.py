@@ -332,7 +332,7 @@ def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
         kept, at = [*part.checkpoints(), *part.memories()], until
         part = fresh()
         restored, refused = part.restore(kept)
-        assert (len(restored), refused) == (5, {})
+        assert (len(restored), refused) == (6, {})
     assert part.checkpoints() == whole.checkpoints()
     assert part.memories() == whole.memories()
     assert part.counters(0) == whole.counters(0)
@@ -350,4 +350,4 @@ def test_the_memory_of_a_valve_with_another_gate_is_left_aside(plan, identificat
     other = replace(plan, gate=QualityGate(limits=GATED))
     restarted = Identification([other], Alignment(AlignmentSettings(), optional=(("T",),)))
     restored, refused = restarted.restore(kept)
-    assert (len(restored), list(refused)) == (4, ["Valvistor.Diagnostics"])
+    assert (len(restored), list(refused)) == (5, ["Valvistor.Diagnostics"])

@@ -24,7 +24,7 @@ from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.valve_state import ValvePlan
 
 CANNOT_BE = (np.nan, np.inf, -np.inf, -1.0, -1e300, 1e300, 2.0**62, 2.5, 77.0)
-KEPT = ("RLS", "window", "RML", "RBF", "Auto", "Diagnostics", "Signals", "Alarms")
+KEPT = ("RLS", "window", "RML", "RBF", "Auto", "Diagnostics", "Signals", "Alarms", "Recommended")
 TWO = 2
 
 

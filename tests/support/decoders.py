@@ -164,6 +164,7 @@ def _of_states():
         "Signals": keeper._take_timing,
         "Baseline": keeper._take_baseline,
         "Alarms": keeper._take_alarms,
+        "Recommended": keeper._take_places,
     }
     found = {}
     for kept in learnt.kept():

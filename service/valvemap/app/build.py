@@ -1,12 +1,12 @@
 """Builds plans, alignment and layouts from the configuration, without importing a server."""
 
-from collections.abc import Callable, Collection, Hashable, Iterable
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
-from valvemap.config.models import Config, GateConfig, NodesConfig, ValveConfig
+from valvemap.config.models import RECOMMENDED, Config, GateConfig, NodesConfig, ValveConfig
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
@@ -24,6 +24,7 @@ from valvemap.vocabulary.signals import MEASURED, OPTIONAL, READ, SENSORS, Signa
 R = TypeVar("R")
 
 _AXIS_POINTS = 21
+PREFERRED: Final = "Auto"
 
 
 def build_identification(config: Config, *, waits: Collection[str] | None = None) -> Identification:
@@ -127,11 +128,13 @@ def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
     estimators: dict[str, Estimator[Any]] = {
         e.name: shared(build_estimator, e, *ranges) for e in valve.estimators
     }
+    follows = valve.inverse in (None, RECOMMENDED) and RECOMMENDED not in estimators
     return ValvePlan(
         name=valve.name,
         gate=shared(_gate, valve.gate),
         estimators=estimators,
-        inverse=valve.inverse or ("Auto" if "Auto" in estimators else valve.estimators[0].name),
+        inverse=_at_first(estimators) if follows else str(valve.inverse),
+        follows=follows,
         U_range=valve.U_range_percent,
         map_Q=shared(_axis, *valve.Q_range_l_min),
         map_dp=shared(_axis, *valve.dp_range_bar),
@@ -142,6 +145,11 @@ def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
         nodes=_labels(valve.nodes),
         accuracy=shared(_accuracy, valve.signals, valve.nodes.dp is not None),
     )
+
+
+def _at_first(estimators: Mapping[str, Estimator[Any]]) -> str:
+    """Name of the estimator whose map is inverted before another is recommended."""
+    return PREFERRED if PREFERRED in estimators else next(iter(estimators))
 
 
 def _gate(configured: GateConfig) -> QualityGate:

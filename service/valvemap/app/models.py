@@ -28,7 +28,8 @@ def open_model(
     file
         A saved model, or a recording to identify from.
     valve, estimator
-        Valve and estimator; by default a recording's only valve, and Auto (else the first).
+        Valve and estimator; by default a recording's only valve, and the recommended estimator
+        (else Auto or the first).
     config
         Configuration for a recording: valves and estimators, columns and units.
     progress
@@ -55,8 +56,7 @@ def open_model(
     report = replay([file], config, progress=progress)
     valve = _chosen(file, "valve", valve, list(report))
     names = _recursive(report[valve])
-    preferred = estimator or (PREFERRED if PREFERRED in names else names[0])
-    name = _chosen(file, "estimator", preferred, names)
+    name = _chosen(file, "estimator", estimator or _preferred(report, valve) or names[0], names)
     found = report[valve][name]
     return Model(
         valve=valve,
@@ -74,8 +74,9 @@ def open_model(
 def save_models(target: Path, report: "Report") -> list[Path]:
     """Save the models of a replay: one (``target`` ends in .json), or all in a folder.
 
-    A single model is that of the only valve, by `Auto` or the only estimator. In a folder each file
-    is named ``<Valve>.<Estimator>.json``; models with undetermined parameters are left out.
+    A single model is that of the only valve, by the recommended estimator, else by `Auto` or the
+    only estimator. In a folder each file is named ``<Valve>.<Estimator>.json``; models with
+    undetermined parameters are left out.
 
     Raises
     ------
@@ -87,7 +88,7 @@ def save_models(target: Path, report: "Report") -> list[Path]:
     if is_model(target):
         valve = _chosen(target, "valve", None, list(report))
         names = _recursive(report[valve])
-        name = _chosen(target, "estimator", PREFERRED if PREFERRED in names else None, names)
+        name = _chosen(target, "estimator", _preferred(report, valve), names)
         return [_save(target, report, valve, name)]
     _make(target)
     return [
@@ -96,6 +97,13 @@ def save_models(target: Path, report: "Report") -> list[Path]:
         for name in _recursive(estimators)
         if _is_determined(report, valve, name)
     ]
+
+
+def _preferred(report: "Report", valve: str) -> str | None:
+    """Return the estimator whose map to use: the recommended one, else `Auto`, else unknown."""
+    estimators = report[valve]
+    recommended = next(iter(estimators.values())).recommended.name
+    return recommended or (PREFERRED if PREFERRED in estimators else None)
 
 
 def _recursive(estimators: Iterable[str]) -> list[str]:

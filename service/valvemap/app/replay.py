@@ -23,12 +23,14 @@ from valvemap.pipeline.fleet import COUNTER_NAMES, Fleet
 from valvemap.pipeline.lane_failures import LaneFailures
 from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
 from valvemap.pipeline.ports import EstimatorResults
+from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
 from valvemap.plant.readings import Given
 from valvemap.runtime.failure_log import log_failure
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 BEST_FIT = "eq. (7), batch LSM"
@@ -59,6 +61,10 @@ class EstimatorReport:
     - ``structure``: the structure chosen by `Auto`.
     - ``samples``: the number of all samples; ``rejected``: the number rejected, by reason.
     - ``hints``: implausible properties of the valve's signals.
+    - ``again``: the error at places visited again, l/min, by which estimators are ranked; NaN for
+      one that is not.
+    - ``findings``: causes that the estimator found in the samples.
+    - ``recommended``: the valve's recommended estimator, and why.
     """
 
     lane: Lane
@@ -78,6 +84,9 @@ class EstimatorReport:
     rejected: Mapping[str, int] = field(default_factory=dict)
     samples: int = 0
     hints: tuple[str, ...] = ()
+    again: float = np.nan
+    recommended: Recommendation = NOT_YET
+    findings: tuple[Finding, ...] = ()
 
 
 Report = Mapping[str, Mapping[str, EstimatorReport]]
@@ -181,6 +190,12 @@ def as_json(report: Report) -> dict[str, Any]:
                 "coverage": _numbers({"share": r.survey.share, "condition": r.survey.condition}),
                 "last_change": None if r.change is None else asdict(r.change),
                 "structure": r.structure,
+                "again": _numbers({"rmse": r.again}),
+                "recommended": name == r.recommended.name,
+                "findings": [
+                    {"code": f.code.name, "probability": f.probability, "sentence": f.sentence}
+                    for f in r.findings
+                ],
             }
             for name, r in estimators.items()
             if name != BEST_FIT
@@ -194,7 +209,8 @@ class _Learnt:
 
     def __init__(self, plan: ValvePlan) -> None:
         best = RecursiveLeastSquares(forgetting=Exponential(1.0))
-        self.plan = replace(plan, estimators={**plan.estimators, BEST_FIT: best})
+        every, references = {**plan.estimators, BEST_FIT: best}, frozenset({BEST_FIT})
+        self.plan = replace(plan, estimators=every, references=references)
         self.last = Samples.empty()
         self._failures = LaneFailures()
         self._fleet = Fleet(self.plan, 1, failures=self._failures)
@@ -244,6 +260,13 @@ class _Learnt:
 
     def state(self) -> ValveState:
         return self._fleet.state(0)
+
+    def rank(self) -> tuple[Mapping[str, float], Recommendation]:
+        """Return each estimator's error at places visited again, and the recommended one."""
+        ranking, names = self._fleet.rank_now(0), list(self.plan.estimators)
+        errors = np.where(np.isfinite(ranking.errors), ranking.errors, np.nan)
+        found = recommendation(ranking, names, self._fleet.inverse(0), None)
+        return dict(zip(names, errors.tolist(), strict=True)), found
 
     @property
     def beyond_range(self) -> int:
@@ -316,6 +339,7 @@ def _report(
     valve: _Learnt, checks: Mapping[str, _Check], *, verified: bool
 ) -> Mapping[str, EstimatorReport]:
     report = {}
+    again, recommended = valve.rank()
     state, results = valve.state(), valve.results()
     for name, lane in state.lanes.items():
         result, names = results[name], lane.estimator.parameter_names
@@ -338,6 +362,9 @@ def _report(
             rejected=valve.rejected(),
             samples=valve.samples,
             hints=valve.hints(),
+            again=again[name],
+            recommended=recommended,
+            findings=valve_state.findings_of(lane),
         )
     return report
 

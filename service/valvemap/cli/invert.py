@@ -26,7 +26,8 @@ ValveOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Valve, if the recording contains several.")
 ]
 EstimatorOption = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Whose map of a recording.  [default: Auto]")
+    str | None,
+    typer.Option(metavar="NAME", help="Whose map of a recording.  [default: recommended]"),
 ]
 
 

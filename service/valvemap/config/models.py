@@ -38,7 +38,10 @@ RESERVED_ESTIMATORS = (
     "Identification",
     "DeviceHealth",
     "NodeVersion",
+    "Recommended",
+    "RecommendedReason",
 )
+RECOMMENDED = "recommended"  # value of ``inverse``
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
@@ -382,7 +385,9 @@ class ValveConfig(Section):
     dp_range_bar: Range = Field((0.0, 200.0), description="range of p1 - p2 that the map covers")
     Q_range_l_min: Range = Field((0.0, 200.0), description="range of the flow")
     inverse: str | None = Field(
-        None, description="name of the estimator whose map is inverted; none = Auto or the first"
+        None,
+        description="name of the estimator whose map is inverted, or recommended: the one with the "
+        "least error at places visited again, until then Auto or the first; none = recommended",
     )
 
     @model_validator(mode="before")
@@ -441,8 +446,9 @@ class ValveConfig(Section):
             raise ValueError("estimators: at least one is needed")
         _unique("estimator", names)
         _not_reserved("estimator", names, RESERVED_ESTIMATORS)
-        if self.inverse is not None and self.inverse not in names:
-            raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {', '.join(names)}")
+        if self.inverse not in (None, RECOMMENDED, *names):
+            allowed = ", ".join((RECOMMENDED, *names))
+            raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {allowed}")
         return self
 
 

@@ -32,6 +32,7 @@ TRIED: Final = {
     paths.DEAD_Q: (0.03, 0.07, 0.15, 0.3, 0.6),
     paths.AVERAGE: (0.06, 0.15, 0.4, 0.7, 1.0, 1.5),
     paths.LAG_Q: (0.02, 0.06, 0.2, 0.6),
+    paths.NEWS: (1.0,),
 }
 LIMITS: Final = {paths.CHOKE: (0.2, 0.98), paths.DEAD_U: (0.0, 1.0), paths.DEAD_Q: (0.0, 1.0)}
 STEPS: Final = (1.25, 1.1, 1.04, 1.015, 1.005, 1.0015, 1.0005)
@@ -96,7 +97,7 @@ def coarse(low: float, high: float) -> Axis:
 
 
 def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
-    """Parameters that the rows need, from ``given`` on, and what each of them gains.
+    """Return the parameters that the rows need, from ``given`` on, and the gain of each.
 
     Operators are added while the rows fit better as if residuals were white, since one of several
     that are missing whitens nothing alone. Those that gain too little in the end are dropped.
@@ -164,7 +165,7 @@ def _settled(evidence: Evidence, at: Floats) -> Floats:
 
 
 def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
-    """Drop what gains too little, the least first; what was there is kept unless refuted."""
+    """Drop operators that gain too little, the least first; known ones are kept unless refuted."""
     while True:
         short = [
             (evidence.gain(at, _with(at, int(k), 0.0)) - bar, int(k))
@@ -183,7 +184,7 @@ def _with(at: Floats, k: int, value: float) -> Floats:
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
-    """Parameters with one more operator, or with another in its place."""
+    """Return the parameters with one more operator, or with a rival instead."""
     for k, values in TRIED.items():
         for value in values:
             if not at[k]:
@@ -201,7 +202,9 @@ def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
 
 
 def least_shown(Q: Floats, noise: float) -> tuple[float, float]:
-    """Least flow that readings in the order of time show, and what they say for its being a bound.
+    """Return the least flow of readings in the order of time, and the evidence for a bound there.
+
+    0 where they show flows hardly above the noise, infinite where they show none at all.
 
     A flow that rises steadily from none passes all sizes. A meter with a least flow jumps over
     them, while its next reading is near the one after the jump.
@@ -209,12 +212,14 @@ def least_shown(Q: Floats, noise: float) -> tuple[float, float]:
     sizes = np.abs(Q)
     none = 0.0 if np.count_nonzero(sizes == 0.0) >= rules.SEEN_BELOW else 4.0 * noise
     above = sizes[sizes > none]
-    least = float(above.min()) if len(above) else math.inf
+    if not len(above):
+        return math.inf, 0.0
+    least = float(above.min())
     before, at, behind = sizes[:-2], sizes[1:-1], sizes[2:]
     up = (before <= none) & (at > none) & (np.abs(behind - at) < 0.5 * least)
     down = (behind <= none) & (at > none) & (np.abs(before - at) < 0.5 * least)
-    if not rules.LEAST_NOISES * noise < least < math.inf or least < 2.0 * none:
-        return least, 0.0
+    if least < max(rules.LEAST_NOISES * noise, 2.0 * none):
+        return 0.0, 0.0
     each = min(0.25 * (least / max(noise, 1e-9)) ** 2, rules.MOST_OF_JUMP)
     return least, each * float(np.count_nonzero(up | down))
 
@@ -228,6 +233,8 @@ def noise_of(Q: Floats) -> float:
 def _refined(evidence: Evidence, at: Floats, k: int) -> Floats:
     """The likeliest value of parameter k nearby."""
     low, high = LIMITS.get(k, (0.0, math.inf))
+    if k == paths.NEWS:
+        return at
     if k == paths.TOP:
         high = float(np.max(evidence.Q))
     for step in STEPS:

@@ -25,7 +25,7 @@ from valvemap.vocabulary.findings import Finding, FindingCode
 
 SECONDS_PER_HOUR: Final = 3600.0
 SIDES: Final = "U ≥ 0", "U < 0"
-OPERATORS: Final = {  # code; what is said of its size
+OPERATORS: Final = {  # code; sentence of its size
     paths.DEAD_U: (FindingCode.DEAD_TIME, "The spool follows U after {:.3g} s."),
     paths.DEAD_Q: (FindingCode.DEAD_TIME, "The meter shows the flow of {:.3g} s ago."),
     paths.LAG_U: (FindingCode.LAG_U, "The spool lags U by a time constant of {:.3g} s."),
@@ -36,6 +36,7 @@ OPERATORS: Final = {  # code; what is said of its size
     paths.CHOKE: (FindingCode.CHOKING, "Δp counts up to {:.3g} times the pressure upstream."),
     paths.KNEE: (FindingCode.COMPENSATOR, "Δp counts up to {:.3g} bar."),
     paths.TOP: (FindingCode.METER_END, "The meter ends at {:.3g} l/min."),
+    paths.NEWS: (FindingCode.REACTING_U, "U goes with the noise of the flow in the same sample."),
     paths.LEAST: (FindingCode.METER_START, "The meter shows no flow below {:.3g} l/min."),
 }
 RATES: Final = (

@@ -91,6 +91,7 @@ def _look(state: FlowMapState, both: Both, T: float) -> None:
     if found[flow_path.PLAY]:
         left, noise = evidence.of(found)[0], flow_causes.noise_of(rows[:, flow_path.LEFT_Q])
         path[flow_path.HYSTERESIS] += _sign(left > rules.OTHER_HYSTERESIS * noise**2)
+    path[flow_path.NEWS] = found[flow_path.NEWS]
     if not _differ(found, given):
         return
     path[: flow_path.PARAMETERS] = found
@@ -117,7 +118,7 @@ def _doubt_change(state: FlowMapState, both: Both) -> None:
 
 
 def _empty_bounds(state: FlowMapState, both: Both) -> None:
-    """Forget what was learnt at the ends of the meter, and what it was taken for."""
+    """Empty the cells at the ends of the meter, and reset drift and changes."""
     cells, path = state.cells, state.path
     size = np.abs(cells[:, flow_cells.MEAN_Q])
     beyond = size > rules.PARTLY_BEYOND * path[flow_path.TOP]
@@ -166,6 +167,7 @@ def _differ(found: Floats, given: Floats) -> bool:
     """Whether the map would be another one."""
     least = rules.OTHER * np.maximum(found, given)
     least[flow_path.PLAY] = max(least[flow_path.PLAY], rules.PLAY_STEP)
+    least[flow_path.NEWS] = math.inf  # changes nothing of the map
     return bool((np.abs(found - given) > least).any())
 
 
@@ -199,7 +201,7 @@ def _replay(state: FlowMapState, both: Both, T: float) -> None:
     counters[flow_memory.WATCHED] = N
     _begin_coarse(state, both, rows)
     flow_run.run(0, N, batch, *both, memory, room)
-    counters[flow_memory.FITTED] = 0  # the first fit of its own
+    counters[flow_memory.FITTED] = 0  # the next fit starts from the first guess
     _refit(state, *both)
 
 

@@ -23,12 +23,14 @@ from valvemap.opcua_results.information_model import (
     counter_variable,
     discovery_variables,
     estimator_variables,
+    finding_variables,
     health_variables,
     inverse_variables,
     lag_variables,
     last_action,
     map_variable,
     parameter_variables,
+    recommended_variables,
     signal_variables,
     survey_axes,
     survey_variables,
@@ -90,10 +92,12 @@ class ResultParts:
         }
 
     async def add_frame(self, place: Place, folder: ua.NodeId, valve: ValveDescription) -> None:
-        """Add the variables Frame and FrameNames of a valve."""
+        """Add the valve's own variables: frame and recommendation."""
         of_frame, of_names = frame_variables(valve)
         await self._variables.add(place, folder, of_names, frame_names(valve))
         await self._variables.add(place, folder, of_frame, None)
+        for node in recommended_variables(valve.name):
+            await self._variables.add(place, folder, node, None)
 
     async def add_estimator(
         self,
@@ -183,6 +187,8 @@ class ResultParts:
             await add(node, middles.tolist())
         await add(waiting_variable(valve.name), [])
         await add(timing_variable(valve.name), [])
+        for node in finding_variables(valve.name):
+            await add(node, [])
         for node in lag_variables(valve):
             await add(node, None)
         await add(last_action(valve), "")

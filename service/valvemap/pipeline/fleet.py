@@ -42,7 +42,7 @@ from valvemap.pipeline.valve_state import (
     ValveState,
     nothing_seen,
 )
-from valvemap.vocabulary.statuses import Quality, Status
+from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 MISFIT_EVERY_NS = 10_000_000_000  # interval at which the adaptation status is polled: it is slow
 
@@ -77,7 +77,8 @@ class Fleet:
         self._names = [plan.name] * M if names is None else names
         self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
-        self._places_key = f"places {key_of(_Compared(_keys_of(plan)))}"
+        self._keys = tuple((name, key_of(one)) for name, one in plan.estimators.items())
+        self._places_key = f"places {key_of(_Compared(self._keys))}"
         self._gate = plan.gate.initial_state(M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
         self._lanes = {
@@ -195,14 +196,14 @@ class Fleet:
         for said, lanes in zip(status, self._lanes.values(), strict=True):
             lanes.revise(said, running)
         for m in running.members[self._places.due(running.members) <= 0]:
-            one = np.array([m])
-            isolate_last(one, lambda _, m=m: self._look_back(int(m)), self._places.saved, stop)
+            look = partial(self._look_back, int(m))
+            isolate_last(np.array([m]), look, self._places.saved, stop)
         return {
             name: replace(trace, status=said)
             for (name, trace), said in zip(traces.items(), status, strict=True)
         }
 
-    def _look_back(self, m: int) -> None:
+    def _look_back(self, m: int, _: NDArray[np.intp]) -> None:
         """Evaluate the maps of one valve at the places that it left, and rank them."""
         points, one = self._places.points(m), np.array([m])
         maps: list[tuple[Floats, Floats] | None] = []
@@ -224,6 +225,13 @@ class Fleet:
     def ranking(self, m: int) -> Ranking:
         """Return which estimator of one valve is recommended."""
         return self._places.ranking(m)
+
+    def rank_now(self, m: int) -> Ranking:
+        """Compare the newest maps of one valve before it is due; return the ranking."""
+        if not self.stopped()[m]:
+            stop = partial(self._stop_at, None, Step.COMPARISON)
+            isolate(np.array([m]), partial(self._look_back, m), self._places.saved, stop)
+        return self.ranking(m)
 
     def inverse(self, m: int) -> str:
         """Name of the estimator whose map is inverted at one valve."""
@@ -343,14 +351,27 @@ class Fleet:
         if len(due):
             self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
             for name, own in self._by_inverse(due):
-                lanes, some = self._lanes[name], due[own]
-                found, rmse = lanes.states.adaptations(some), lanes.recent_rmse(some)
-                self.alarms.note_misfit(some, found, rmse)
+                some, e = due[own], list(self._lanes).index(name)
+                rmse = np.fmax(self._lanes[name].recent_rmse(some), self._places.errors(some, e))
+                self.alarms.note_misfit(some, self._adaptations(some)[e], rmse)
 
     def lane(self, m: int, name: str) -> Lane:
         """Return one estimator of one valve."""
         errors = self._places.of(m, list(self._lanes).index(name))
         return replace(self._lanes[name].get(m), errors=errors)
+
+    def places_to_bytes(self, m: int) -> bytes:
+        """Pack the places of one valve."""
+        return self._places.to_bytes(m, dict(self._keys))
+
+    def places_from_bytes(self, m: int, data: bytes) -> None:
+        """Unpack the places of one valve.
+
+        Raises
+        ------
+        StateMismatchError
+        """
+        self._places.from_bytes(m, data, dict(self._keys))
 
     def forget_errors(self, m: int, name: str) -> None:
         """Forget the errors of one estimator's map, after its reset."""
@@ -387,7 +408,22 @@ class Fleet:
 
     def results(self, chosen: Times) -> Mapping[str, EstimatorResults]:
         """Return the estimators' results of the given valves, without surveys."""
-        return {name: lanes.results(chosen) for name, lanes in self._lanes.items()}
+        found = zip(self._lanes.items(), self._adaptations(chosen), strict=True)
+        return {
+            name: replace(lanes.results(chosen), adaptation=codes) for (name, lanes), codes in found
+        }
+
+    def _adaptations(self, chosen: Times) -> list[Codes]:
+        """Diagnoses of the estimators' residuals, each (K,), for the given valves.
+
+        Where an estimator itself is undecided, its errors at places visited again decide.
+        """
+        fits = self._places.fits(chosen)
+        own = [lanes.states.adaptations(chosen) for lanes in self._lanes.values()]
+        return [
+            np.where(said == Adaptation.UNDECIDED, fit, said).astype(np.uint8)
+            for said, fit in zip(own, fits, strict=True)
+        ]
 
     def unknown(self, m: int) -> Mapping[str, EstimatorResults]:
         """Return Bad results of one valve, for use when `results` raises."""
@@ -441,10 +477,6 @@ class _Compared:
     """The estimators that a valve's places are bound to, in order: names and hashes."""
 
     estimators: tuple[tuple[str, str], ...]
-
-
-def _keys_of(plan: ValvePlan) -> tuple[tuple[str, str], ...]:
-    return tuple((name, key_of(estimator)) for name, estimator in plan.estimators.items())
 
 
 def _nothing_saved(_: Times) -> Restore:

@@ -38,6 +38,7 @@ from valvemap.pipeline.ports import (
     ValveDescription,
     ValveResult,
 )
+from valvemap.pipeline.recommendation import Recommendation
 from valvemap.pipeline.result_tables import ResultTables, descriptions
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
@@ -233,6 +234,10 @@ class Identification:
     def result(self, valve: int) -> ValveResult:
         """Return the results of one valve."""
         return self._results.result(valve)
+
+    def recommendation(self, valve: int) -> Recommendation:
+        """Return which estimator of one valve is recommended, and why."""
+        return self._results.recommendation(valve)
 
     def counters(self, valve: int) -> Mapping[str, int]:
         """Return the counts of one valve's aligned, lost and rejected samples since the start."""

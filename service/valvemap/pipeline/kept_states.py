@@ -23,6 +23,7 @@ MEMORY = "Diagnostics"  # a valve's state beside its estimators; no estimator ha
 TIMING = "Signals"  # how its signals are stamped; likewise
 BASELINE = "Baseline"  # its approved map; likewise
 ALARMS = "Alarms"  # the state of its alarms; likewise
+PLACES = "Recommended"  # the errors of its estimators' maps at places; likewise
 
 
 class KeptStates:
@@ -91,9 +92,10 @@ class KeptStates:
             TIMING: self._take_timing,
             BASELINE: self._take_baseline,
             ALARMS: self._take_alarms,
+            PLACES: self._take_places,
         }
         known: set[int] = set()
-        for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
+        for kept in sorted(checkpoints, key=lambda kept: kept.estimator in (MEMORY, PLACES)):
             name = f"{kept.valve}.{kept.estimator}"
             try:
                 takers.get(kept.estimator, self._take_estimator)(kept)
@@ -139,6 +141,7 @@ class KeptStates:
         key, name = self._memory_key(valve), self._valves.plans[valve].name
         found = [_beside(name, MEMORY, memory.to_bytes(key), state.t, key)]
         found.append(_beside(name, ALARMS, fleet.alarms.to_bytes(m), state.t))
+        found.append(_beside(name, PLACES, fleet.places_to_bytes(m), state.t))
         if self._arrivals.finds_timing:
             key = self._timing_key(valve)
             timing = self._arrivals.timing.valves[valve].state
@@ -203,6 +206,13 @@ class KeptStates:
         else:
             fleet, m = self._valves.at(self._number(kept))
             fleet.alarms.from_bytes(m, kept.state)
+
+    def _take_places(self, kept: Checkpoint) -> None:
+        fleet, m = self._valves.at(self._number(kept))
+        fleet.places_from_bytes(m, kept.state)
+        for name in fleet.plan.estimators:
+            if not fleet.lane(m, name).t:  # the estimator was reset
+                fleet.forget_errors(m, name)
 
     def _number(self, kept: Checkpoint) -> int:
         number = self._valves.numbers.get(kept.valve)

@@ -17,7 +17,9 @@ from valvemap.model.samples import Codes, Floats, Times
 from valvemap.model.survey import Survey
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.nameplate import BLANK, Nameplate
+from valvemap.pipeline.recommendation import Recommendation
 from valvemap.vocabulary.commands import NAMED, Subject
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
 from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
 
@@ -422,7 +424,8 @@ class Results:
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``.
     For each valve, ``waiting`` gives the reasons why its samples are not used, ``timing`` how its
-    signals are stamped, ``baselines`` its approved map, ``alarms`` the state of its alarms.
+    signals are stamped, ``baselines`` its approved map, ``recommended`` the estimator to use,
+    ``findings`` the causes that explain its samples, ``alarms`` the state of its alarms.
     """
 
     valves: Times
@@ -434,6 +437,8 @@ class Results:
     waiting: Sequence[tuple[str, ...]] = ()
     timing: Sequence[tuple[str, ...]] = ()
     baselines: Sequence[Version | None] = ()
+    recommended: Sequence[Recommendation] = ()
+    findings: Sequence[tuple[Finding, ...]] = ()
     alarms: AlarmResults | None = None
 
     def one(self, m: int) -> ValveResult:

@@ -35,6 +35,7 @@ from valvemap.pipeline.ports import (
     ValveDescription,
     ValveResult,
 )
+from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
 from valvemap.vocabulary.signals import PUBLISHED
@@ -119,6 +120,13 @@ class ResultTables:
         (counts,) = self._counts(fleet, np.array([valve])).tolist()
         return dict(zip(COUNTERS, counts, strict=True))
 
+    def recommendation(self, valve: int) -> Recommendation:
+        """Return which estimator of one valve is recommended, and why."""
+        fleet, m = self._valves.at(valve)
+        inverse = fleet.inverse(m)
+        survey = self._maps.surveys[valve].get(inverse)
+        return recommendation(fleet.ranking(m), list(fleet.plan.estimators), inverse, survey)
+
     def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
         """Results of the given valves; stopped valves are separate, and all if one raises."""
         stopped = fleet.stopped()[self._valves.places[valves]]
@@ -162,6 +170,8 @@ class ResultTables:
                 estimators[plan.inverse].t, bad, np.full((1, len(PUBLISHED)), np.nan)
             ),
             baselines=[None],
+            recommended=[NOT_YET],
+            findings=[()],
             alarms=AlarmResults(
                 self._alarms_base + fleet.alarms.version[[m]], lambda _: fleet.alarms.reports(m)
             ),
@@ -189,6 +199,8 @@ class ResultTables:
             counter_names=COUNTERS,
             signals=self._intake.signals(valves, at_best),
             baselines=[self._approved.of(int(valve)) for valve in valves],
+            recommended=[self.recommendation(int(valve)) for valve in valves],
+            findings=[self._maps.findings(int(valve)) for valve in valves],
             alarms=AlarmResults(
                 self._alarms_base + fleet.alarms.version[places],
                 lambda m: fleet.alarms.reports(int(places[m])),

@@ -75,7 +75,7 @@ def step(
 ) -> None:  # fmt: skip
     """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
 
-    Oil that ``warmed`` by so many K tells that the law of its viscosity is another one.
+    ``warmed`` K since the last stay add variance to the effects of T: the law is not exact.
 
     ``residual`` is measured against `now`; ``by`` (STATES,) are its derivatives by the states.
     """

@@ -1,4 +1,4 @@
-"""How well operators of `flow_path` explain the last samples, with a coarse map of their own.
+"""Evidence for operators of `flow_path`: the residual of a coarse map of the last samples.
 
 A map that is linear in its coefficients is filtered by a linear meter as its regressors are. So
 for any parameters the best coarse map follows by least squares, and the residual is evidence.
@@ -21,7 +21,7 @@ ALONG_S = 3
 def leftover(
     axis: Axis, top: float, rows: Floats, given: Floats, b: Floats, out: Floats
 ) -> None:  # fmt: skip
-    """Fill ``out`` (3,): mean square of what is left, lag-1 correlation, rows counted.
+    """Fill ``out`` (3,): mean square of the residual, its lag-1 correlation, rows counted.
 
     ``rows`` (N, paths.COLUMNS) in the order of time; ``given`` (PARAMETERS,); ``axis`` of a coarse
     map along U, ``top`` the largest √Δp. ``b`` (`terms_of`,) becomes the coarse map.
@@ -39,7 +39,7 @@ def leftover(
 
 def terms_of(axis: Axis) -> int:
     """Number of coefficients of the coarse map."""
-    return ALONG_S * len(axis.sites) + 1
+    return ALONG_S * len(axis.sites) + 2  # the last is that of U's news
 
 
 @kernel
@@ -97,6 +97,9 @@ def _regressors(
         u = min(max(p, low), high)
         s = paths.effective(rows[i, paths.LEFT_DP], rows[i, paths.LEFT_P1], path)
         _row(axis, u, s / top, X[i], work)
+        if given[paths.NEWS] > 0.0 and 0 < i < len(rows) - 1:
+            around = rows[i - 1, paths.LEFT_U] + rows[i + 1, paths.LEFT_U]
+            X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - 0.5 * around
 
 
 @maker

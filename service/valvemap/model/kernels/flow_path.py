@@ -20,14 +20,16 @@ PLAY, STICK, RELAYS = 2, 3, 4  # %; half the play; slip of friction; mean half p
 CHOKE, KNEE = 5, 6  # of p1 that Δp counts up to; bar that it counts up to
 DEAD_Q, AVERAGE, LAG_Q = 7, 8, 9  # s
 TOP, LEAST = 10, 11  # l/min
-PARAMETERS = 12
+NEWS = 12  # 1 where Q goes with the news in U from sample to sample: U reacts to noise
+PARAMETERS = 13
 
 # Places in `path` behind the parameters.
 GAINS = PARAMETERS  # log likelihood by which each is needed
-LAGGED, STUCK, SEEN = 24, 25, 26  # %, %; 1 once begun
-LEAST_SEEN, HYSTERESIS = 27, 28  # l/min; looks in which play left much, less the others
-FLOOR = 29  # (l/min)²; least variance of the noise behind a meter's filter
-PARTS = 30  # %; spools behind the relays, RELAY_COUNT places
+LAGGED, STUCK, SEEN = 2 * PARAMETERS, 2 * PARAMETERS + 1, 2 * PARAMETERS + 2  # %, %; 1 once begun
+LEAST_SEEN = 2 * PARAMETERS + 3  # l/min
+HYSTERESIS = 2 * PARAMETERS + 4  # looks in which play left much, less the others
+FLOOR = 2 * PARAMETERS + 5  # (l/min)²; least variance of the noise behind a meter's filter
+PARTS = 2 * PARAMETERS + 6  # %; spools behind the relays, RELAY_COUNT places
 RELAY_COUNT = 8
 PLACES = PARTS + RELAY_COUNT
 

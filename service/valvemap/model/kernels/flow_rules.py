@@ -148,7 +148,7 @@ LEAST_NOISES: Final = 3.0  # standard deviations of the noise; a least flow is l
 MOST_OF_JUMP: Final = 10.0  # log likelihood that one jump over small flows tells at most
 REFINEMENTS: Final = 4  # rounds over all operators that are there
 MEDIAN_TO_STD: Final = 1.4826  # of a Gaussian
-SAME_LEAST: Final = 0.7  # of the least flow seen; a smaller one refutes it
+SAME_LEAST: Final = 0.85  # of the least flow seen; a smaller one refutes it
 OTHER_HYSTERESIS: Final = (
     2.0  # of the noise's variance; what play leaves if it is another hysteresis
 )

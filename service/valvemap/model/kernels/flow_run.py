@@ -150,7 +150,7 @@ def _learn(
         if memory.stay[SAMPLES] == 0.0:
             begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
         known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
-        has_play = path[paths.STICK] + path[paths.RELAYS] == 0.0
+        has_play = path[paths.STICK] + path[paths.RELAYS] + path[paths.NEWS] == 0.0
         if weight > 0.5 and known_well and has_play and not is_young:
             visit = 0.0  # samples in this cell so far: all have the map's misfit in common
             if counters[STAY_CELL] == number:

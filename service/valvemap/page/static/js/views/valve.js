@@ -198,6 +198,10 @@ export function valveView(root, { live, valve, estimator, choose }) {
       const when = of("ChangeTime");
       lines.push(["Abrupt changes", changes ? `${changes}, the last at ${new Date(when).toLocaleTimeString("en-GB")}: ${fixed(of("ChangeSize"), 1)} l/min` : "none"]);
     }
+    const reason = live.get("RecommendedReason")?.value;
+    if (reason) lines.push(["Recommended", `${live.get("Recommended")?.value || "none"}: ${reason}`]);
+    const causes = live.get("Diagnostics.Findings")?.value ?? [], chances = live.get("Diagnostics.FindingProbabilities")?.value ?? [];
+    causes.forEach((sentence, k) => lines.push([k ? "" : "Findings", `${fixed(100 * chances[k], 0)} %: ${sentence}`]));
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     if (waiting) lines.push(["Waiting for", String(waiting)]);
     const action = live.get("Diagnostics.LastAction")?.value;
