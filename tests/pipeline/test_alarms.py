@@ -20,7 +20,7 @@ from valvemap.pipeline.alarms import (
     Alarms,
     ServiceAlarms,
 )
-from valvemap.pipeline.ports import Remark
+from valvemap.pipeline.ports import Command, Remark
 from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.statuses import Quality, Status
 
@@ -388,14 +388,14 @@ def test_alarms_are_resumed_after_a_restart_and_acknowledged_by_name(fresh):
     after = fresh()
     after.restore([*before.checkpoints(), *before.memories()])
     assert after.alarms("Valvistor") == before.alarms("Valvistor")
-    after.acknowledge("Valvistor", "SensorLost", said_at(61))
+    after.do(Command.of("acknowledge", "Valvistor", "SensorLost", said_at(61)))
     assert after.result(0) is not None
     (results,) = after.results([0])
     assert [r.acked for r in results.alarms.reports(0) if r.active] == [True]
     with pytest.raises(CommandRejected, match="nothing to acknowledge"):
-        after.acknowledge("Valvistor", "SensorLost", said_at(62))
+        after.do(Command.of("acknowledge", "Valvistor", "SensorLost", said_at(62)))
     with pytest.raises(CommandRejected, match=r"Service\.Load"):
-        after.acknowledge(None, "Load", said_at(0))
+        after.do(Command.of("acknowledge", None, "Load", said_at(0)))
 
 
 def test_what_was_acknowledged_is_to_be_confirmed_and_remarks_outlive_a_restart(fresh):
@@ -406,17 +406,17 @@ def test_what_was_acknowledged_is_to_be_confirmed_and_remarks_outlive_a_restart(
     assert before.alarmed() == ["Valvistor"]
     lost = "Valvistor", "SensorLost"
     with pytest.raises(CommandRejected, match="nothing to confirm"):
-        before.confirm(*lost, said_at(61))
-    before.acknowledge(*lost, said_at(62, "on my way"))
-    before.remark(*lost, said_at(63, "the cable " + 500 * "x"))
+        before.do(Command.of("confirm", *lost, said_at(61)))
+    before.do(Command.of("acknowledge", *lost, said_at(62, "on my way")))
+    before.do(Command.of("remark", *lost, said_at(63, "the cable " + 500 * "x")))
     after = fresh()
     after.restore([*before.checkpoints(), *before.memories()])
     (report,) = (r for r in after.alarms("Valvistor") if r.name == "SensorLost")
     assert (report.active, report.acked, report.confirmed) == (True, True, False)
     assert (report.comment[:10], len(report.comment)) == ("the cable ", 200)
     assert (report.commented_by, report.commented) == ("operator", START + 63 * S)
-    after.confirm(*lost, said_at(64))
+    after.do(Command.of("confirm", *lost, said_at(64)))
     (report,) = (r for r in after.alarms("Valvistor") if r.name == "SensorLost")
     assert (report.confirmed, report.at, report.comment[:9]) == (True, START + 64 * S, "the cable")
     with pytest.raises(CommandRejected, match="nothing to confirm"):
-        after.confirm(*lost, said_at(65))
+        after.do(Command.of("confirm", *lost, said_at(65)))

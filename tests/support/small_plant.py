@@ -35,7 +35,7 @@ def plan():
 
 @pytest.fixture
 def fresh(plan):
-    return lambda: Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    return lambda: Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """Builds plans, alignment and layouts from the configuration, without importing a server."""
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
+from dataclasses import fields
 from typing import Any, Final, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
@@ -11,16 +12,16 @@ from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
-from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
-from valvemap.pipeline.quality_gate import SENSORS, QualityGate
+from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
-from valvemap.pipeline.units import MEASURED, READ, Measure
+from valvemap.pipeline.units import Measure
 from valvemap.pipeline.valve_state import ValvePlan, runs_interpreted
 from valvemap.runtime.state_keeper import KEPT_PER_S
 from valvemap.storage.layout import Layout, ValveLayout
+from valvemap.vocabulary.signals import MEASURED, OPTIONAL, READ, SENSORS, Signal
 
 R = TypeVar("R")
 
@@ -53,7 +54,6 @@ def build_preview(config: Config) -> Identification:
 
 def build_alignment(config: Config) -> Alignment:
     """Return the alignment of the signals of all valves."""
-    signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
     given, reorder_ns = config.alignment, round(config.alignment.reorder_ms * 1e6)
     settings = AlignmentSettings(
         tolerance_ns=round(given.tolerance_ms * 1e6),
@@ -61,12 +61,19 @@ def build_alignment(config: Config) -> Alignment:
         max_pending=given.max_pending,
         reorder_ns=reorder_ns,
         reorder_by_time_ns=reorder_ns if "reorder_ms" in given.model_fields_set else 0,
-        hold_ns={signals[name]: round(s * 1e9) for name, s in given.hold_s.items()},
+        hold_ns={Signal.of(name): round(s * 1e9) for name, s in given.hold_s.items()},
     )
     return Alignment(
         settings,
-        has_T=tuple(valve.nodes.T is not None for valve in config.valves),
+        optional=_optional(config),
         has_sequence=tuple(valve.nodes.sequence is not None for valve in config.valves),
+    )
+
+
+def _optional(config: Config) -> tuple[tuple[str, ...], ...]:
+    """Return the names of each valve's optional signals."""
+    return tuple(
+        tuple(name for name in OPTIONAL if valve.nodes.of(name)) for valve in config.valves
     )
 
 
@@ -79,7 +86,7 @@ def build_timing(config: Config) -> Timing | None:
     horizon_s = max(given.reorder_ms, 2.0 * slowest_ms) * 1e-3
     return Timing(
         TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
-        has_T=[valve.nodes.T is not None for valve in config.valves],
+        optional=_optional(config),
         has_sequence=[valve.nodes.sequence is not None for valve in config.valves],
     )
 
@@ -170,7 +177,7 @@ def _at_first(estimators: Mapping[str, Estimator[Any]]) -> str:
 
 def _gate(configured: GateConfig) -> QualityGate:
     return QualityGate(
-        limits={s: getattr(configured, name).limits(s) for s, name in _GATES.items()},
+        limits={s: getattr(configured, s.label).limits(s) for s in SENSORS},
         use_uncertain=configured.use_uncertain,
     )
 
@@ -186,7 +193,8 @@ def _labels(nodes: NodesConfig) -> dict[str, str]:
 
 
 def _accuracy(signals: SignalsConfig, has_dp: bool) -> SensorAccuracy:  # noqa: FBT001 - hashed
-    limits = {name: getattr(signals, name).error_limit(name) for name in MEASURED}
+    stated = [field.name for field in fields(SensorAccuracy)]
+    limits = {name: getattr(signals, name).error_limit(name) for name in stated}
     if has_dp:
         limits |= {"p1": signals.dp.error_limit("dp"), "p2": 0.0}
     return SensorAccuracy(**limits)
@@ -205,9 +213,6 @@ def _feed_forward(valve: ValveConfig) -> FeedForward | None:
         max_width_percent=given.max_width_percent,
         has_heartbeat=valve.nodes.heartbeat is not None,
     )
-
-
-_GATES = dict(zip(SENSORS, MEASURED, strict=True))
 
 
 def _axis(low: float, high: float) -> tuple[float, ...]:

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from valvemap.errors import ConfigurationError, RecordingError
-from valvemap.pipeline.units import MEASURED, QUANTITY_OF, UNITS, Measure, Unit, unit_of
+from valvemap.pipeline.units import QUANTITY_OF, UNITS, Measure, Unit, unit_of
 from valvemap.storage.layout import Layout
 from valvemap.storage.table_recordings import ALLOWED, is_table
+from valvemap.vocabulary.signals import MEASURED
 
 OTHERS: Final = ("t", "valve", "quality")  # columns that are no signals
 

@@ -3,8 +3,8 @@
 from typing import Final
 
 from valvemap.config.models import Config, ValveConfig
-from valvemap.pipeline.ports import SIGNALS
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
+from valvemap.vocabulary.signals import PUBLISHED
 
 DAY_S: Final = 86_400.0
 _VALUE: Final = 8  # bytes
@@ -30,4 +30,4 @@ def _bytes_per_s(config: Config, valve: ValveConfig) -> float:
     """Return the bytes per s if every signal changes once per publishing interval."""
     per_s = 1e3 / config.source_of(valve).publishing_interval_ms
     results = len(valve.estimators) * (_VALUE * len(HISTORY_QUANTITIES) + _OF_ROW)
-    return per_s * (_VALUE * len(SIGNALS) + _OF_ROW + results + _VALUE + _OF_ROW)
+    return per_s * (_VALUE * len(PUBLISHED) + _OF_ROW + results + _VALUE + _OF_ROW)

@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, field_validator, model_validator
 
-from valvemap.config.sections import Section
+from valvemap.config.sections import Section, per_signal
 from valvemap.pipeline.units import (
     QUANTITY_OF,
     SYMBOLS,
@@ -94,15 +94,10 @@ class SignalConfig(Section):
         return float(unit.factor) * self.accuracy
 
 
-class SignalsConfig(Section):
+class SignalsConfig(per_signal("Signals", lambda _: (SignalConfig, SignalConfig()))):  # type: ignore[misc]
     """The signals of a valve, and the command that is written."""
 
-    U: SignalConfig = SignalConfig()
-    p1: SignalConfig = SignalConfig()
-    p2: SignalConfig = SignalConfig()
     dp: SignalConfig = SignalConfig()
-    Q: SignalConfig = SignalConfig()
-    T: SignalConfig = SignalConfig()
     required_U: SignalConfig = SignalConfig()
 
     @model_validator(mode="after")

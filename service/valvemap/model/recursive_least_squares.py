@@ -37,7 +37,7 @@ from valvemap.model.least_squares_state import (
     variances,
 )
 from valvemap.model.linear_map import LinearParameters
-from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
+from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior, rows_of
 from valvemap.model.place_grid import grid_of, grid_of_rows
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.vocabulary.statuses import Adaptation, Quality
@@ -132,7 +132,7 @@ class RecursiveLeastSquares:
 
     def update_many(self, states: RlsState, samples: Samples, segments: Segments) -> Trace:
         """Update many models with their samples; their states are written in place."""
-        X = self.structure.regressors(samples.U, samples.dp, samples.T)
+        X = rows_of(self.structure, samples)
         usable = samples.quality != Quality.BAD
         for signal in (samples.U, samples.dp):  # a structure may clip its arguments
             usable &= np.abs(signal) <= LARGEST

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from enum import IntEnum
 
 from valvemap.vocabulary.service_alarms import ServiceAlarm
+from valvemap.vocabulary.signals import MEASURED
 
-SIGNALS = ("U", "p1", "p2", "Q", "T")
 HOUR_S = 3_600.0
 
 
@@ -113,7 +113,7 @@ def _lost(m: Measured) -> str:
 
 def _frozen(m: Measured) -> str:
     return (
-        f"{SIGNALS[int(m.detail)]} was constant to the last digit for {_duration(m.value)} while "
+        f"{MEASURED[int(m.detail)]} was constant to the last digit for {_duration(m.value)} while "
         f"other signals varied (limit {m.limit:g} s)"
     )
 

@@ -38,6 +38,7 @@ from valvemap.pipeline.kernels.alarms import Senses, Watched
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Restore, saved
 from valvemap.pipeline.ports import AlarmReport, Remark
 from valvemap.vocabulary.service_alarms import OF_FLEET, OF_SERVE, ServiceAlarm
+from valvemap.vocabulary.signals import COUNT
 from valvemap.vocabulary.statuses import Adaptation
 
 LOSS_MEMORY_S = 60.0  # s; time constant of the share of lost samples
@@ -169,11 +170,7 @@ class Alarms:
         """Update with gated samples and the watched estimator's trace of them."""
         seen = Watched(
             samples.t,
-            samples.U,
-            samples.p1,
-            samples.p2,
-            samples.Q,
-            samples.T,
+            samples.values,
             samples.quality,
             trace.predicted,
             trace.residual,
@@ -483,7 +480,7 @@ def _limits(rules: list[AlarmRule]) -> Floats:
 
 
 def _nothing_seen(M: int) -> Senses:
-    signals, places = (M, kernel.SIGNALS), (M, kernel.CELLS_U * kernel.CELLS_S)
+    signals, places = (M, COUNT), (M, kernel.CELLS_U * kernel.CELLS_S)
     memory = np.zeros((M, kernel.MEMORY))
     memory[:, kernel.CELL] = -1.0
     memory[:, [kernel.T_USUAL, kernel.Q_BEFORE]] = np.nan

@@ -17,9 +17,9 @@ from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import LaneFailures, Step
-from valvemap.pipeline.quality_gate import SENSORS
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_state import AnyEstimator, Lane, ValvePlan, ValveState
+from valvemap.vocabulary.signals import SENSORS
 
 R = TypeVar("R")
 

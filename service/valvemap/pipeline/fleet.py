@@ -343,10 +343,10 @@ class Fleet:
     def _note(self, chosen: Times) -> None:
         """Update the alarms with the estimators' latest changes, lags and adaptation status."""
         if self._finder is not None:
-            found = self._lanes[self._finder].newest_changes(chosen)
+            found = self._lanes[self._finder].states.newest_changes(chosen)
             self.alarms.note_changes(chosen, found["count"], found["t"], found["size"])
         if self._laggard is not None:
-            self.alarms.note_lags(chosen, self._lanes[self._laggard].largest_lags(chosen))
+            self.alarms.note_lags(chosen, self._lanes[self._laggard].states.largest_lags(chosen))
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
         if len(due):
             self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
@@ -419,7 +419,7 @@ class Fleet:
         Where an estimator itself is undecided, its errors at places visited again decide.
         """
         fits = self._places.fits(chosen)
-        own = [lanes.adaptations(chosen) for lanes in self._lanes.values()]
+        own = [lanes.states.adaptations(chosen) for lanes in self._lanes.values()]
         return [
             np.where(said == Adaptation.UNDECIDED, fit, said).astype(np.uint8)
             for said, fit in zip(own, fits, strict=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from valvemap.model.estimator import StateMismatchError, key_of
 from valvemap.pipeline import valve_state
-from valvemap.pipeline.alignment import AlignmentSettings
+from valvemap.pipeline.alignment import AlignmentSettings, optional_in_keys
 from valvemap.pipeline.all_alarms import OF_SERVICE, AllAlarms
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
@@ -55,7 +55,9 @@ class KeptStates:
         self._approved = approved
         self._alarms = alarms
         self._maps = maps
-        self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # by fleet, has T, has numbers
+        self._memory_keys: dict[
+            tuple[int, bool | tuple[str, ...], bool], str
+        ] = {}  # by fleet, `_has`
         self._timing_keys: dict[int, str] = {}  # both cached on first use: 0.5 ms each
         self._meanings = [
             "" if plan.meaning is None else plan.meaning.to_text() for plan in valves.plans
@@ -230,11 +232,11 @@ class KeptStates:
         return number
 
     def _memory_key(self, valve: int) -> str:
-        has_T, numbered = self._has(valve)
-        kind = self._valves.kind(valve), has_T, numbered
+        optional, numbered = self._has(valve)
+        kind = self._valves.kind(valve), optional, numbered
         if kind not in self._memory_keys:
             gate, settings = self._valves.plans[valve].gate, self._arrivals.alignment.settings
-            self._memory_keys[kind] = key_of(_Through(gate, settings, has_T, numbered))
+            self._memory_keys[kind] = key_of(_Through(gate, settings, optional, numbered))
         return self._memory_keys[kind]
 
     def _timing_key(self, valve: int) -> str:
@@ -243,11 +245,11 @@ class KeptStates:
             self._timing_keys[valve] = key_of(_Comes(settings, nodes, *self._has(valve)))
         return self._timing_keys[valve]
 
-    def _has(self, valve: int) -> tuple[bool, bool]:
-        """Whether a valve has a temperature sensor, and a running number."""
+    def _has(self, valve: int) -> tuple[bool | tuple[str, ...], bool]:
+        """Return a valve's optional signals, as in keys, and whether it has a running number."""
         alignment = self._arrivals.alignment
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
-        return alignment.has_T[valve], numbered
+        return optional_in_keys(alignment.optional[valve]), numbered
 
 
 def _beside(valve: str, name: str, state: bytes, t: int, key: str = "") -> Checkpoint:
@@ -262,7 +264,7 @@ class _Through:
 
     gate: QualityGate
     alignment: AlignmentSettings
-    has_T: bool
+    has_T: bool | tuple[str, ...]
     has_sequence: bool
 
 
@@ -272,5 +274,5 @@ class _Comes:
 
     settings: TimingSettings
     nodes: Mapping[str, str]
-    has_T: bool
+    has_T: bool | tuple[str, ...]
     has_sequence: bool

@@ -11,7 +11,8 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any, Final
 
-from valvemap.pipeline.units import MEASURED, Scaling
+from valvemap.pipeline.units import Scaling
+from valvemap.vocabulary.signals import MEASURED
 
 UNREADABLE: Final = "digest "
 """Begins the meaning of a checkpoint of which only the digest can be read."""

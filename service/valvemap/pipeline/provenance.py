@@ -30,9 +30,9 @@ from valvemap.pipeline.meaning import (
     rescaling,
 )
 from valvemap.pipeline.ports import Checkpoint
-from valvemap.pipeline.units import MEASURED, READ
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
+from valvemap.vocabulary.signals import MEASURED, READ
 
 MEMORY: Final = "Diagnostics"  # a valve's state beside its estimators; no estimator has this name
 TIMING: Final = "Signals"  # how its signals are stamped; likewise

@@ -26,7 +26,6 @@ from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.ports import (
-    SIGNALS,
     AlarmResults,
     EstimatorDescription,
     EstimatorResults,
@@ -39,6 +38,7 @@ from valvemap.pipeline.ports import (
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
+from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
@@ -167,7 +167,7 @@ class ResultTables:
             counters=np.zeros((1, len(COUNTERS)), np.int64),
             counter_names=COUNTERS,
             signals=SignalResults(
-                estimators[plan.inverse].t, bad, np.full((1, len(SIGNALS)), np.nan)
+                estimators[plan.inverse].t, bad, np.full((1, len(PUBLISHED)), np.nan)
             ),
             baselines=[None],
             recommended=[NOT_YET],
@@ -238,7 +238,7 @@ class ResultTables:
             accuracy = self._valves.accuracy(int(valve))
             if not accuracy.is_stated:
                 continue
-            newest = dict(zip(SIGNALS, self._intake.newest.values[valve], strict=True))
+            newest = dict(zip(PUBLISHED, self._intake.newest.values[valve], strict=True))
             point = (np.array([newest[signal]]) for signal in ("U", "dp", "T"))
             lane = replace(fleet.lane(int(self._valves.places[valve]), name), accuracy=accuracy)
             (found[k],) = valve_state.systematic(lane, *point)

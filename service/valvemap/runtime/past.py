@@ -13,15 +13,9 @@ from numpy.typing import NDArray
 from valvemap.errors import StorageError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.ports import (
-    SIGNALS,
-    AlarmChange,
-    PastCounters,
-    PastStore,
-    Piece,
-    Results,
-)
+from valvemap.pipeline.ports import AlarmChange, PastCounters, PastStore, Piece, Results
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
+from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import Quality
 
 REQUIRED_U: Final = "RequiredU"
@@ -227,7 +221,9 @@ def _of_samples(
 
 
 def _signals(valve: str, samples: Sequence[Samples]) -> Piece:
-    columns = {name: np.concatenate([getattr(part, name) for part in samples]) for name in SIGNALS}
+    columns = {
+        name: np.concatenate([getattr(part, name) for part in samples]) for name in PUBLISHED
+    }
     t = np.concatenate([part.t for part in samples])
     quality = np.concatenate([part.quality for part in samples])
     return Piece(signals_of(valve), t, _CODES[quality], columns)
@@ -242,7 +238,7 @@ def _noted(results: Results) -> Iterator[_Noted]:
     yield _Noted(_INVERSE, valves, inverse.quality, inverse.t, {REQUIRED_U: inverse.required_U})
     if signals is not None:
         lost = signals.quality == Quality.BAD
-        columns = dict(zip(SIGNALS, signals.values[lost].T, strict=True))
+        columns = dict(zip(PUBLISHED, signals.values[lost].T, strict=True))
         yield _Noted(_SIGNALS, valves[lost], signals.quality[lost], signals.t[lost], columns)
 
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError, ValvemapError
 from valvemap.model.samples import Codes, Floats, Samples, Times
-from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import Cells, TextCells, with_points
@@ -35,6 +34,7 @@ from valvemap.storage.layout import (
     with_p2,
 )
 from valvemap.storage.long_format import MOST_ROWS, LongColumns, long_columns, pivot
+from valvemap.vocabulary.signals import MEASURED
 
 if TYPE_CHECKING:
     from valvemap.storage.arrow_csv import ArrowParser

@@ -10,7 +10,6 @@ import numpy as np
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.units import (
-    MEASURED,
     QUANTITY_OF,
     SYMBOLS,
     Measure,
@@ -20,8 +19,10 @@ from valvemap.pipeline.units import (
     unit_of,
 )
 from valvemap.plant.readings import Given
+from valvemap.vocabulary import signals
+from valvemap.vocabulary.signals import MEASURED
 
-REQUIRED: Final = ("t", "U", "p1", "p2", "Q")
+REQUIRED: Final = ("t", *signals.REQUIRED)
 DEFAULT_VALVE: Final = "Valvistor"
 
 _TIMES = ("time", "timestamp", "datetime", "date time", "date", "zeit", "zeitstempel", "datum")
