@@ -46,7 +46,7 @@ def runs(pid):
 
 async def test_quick_estimators_publish_while_the_others_wait_and_sigterm_ends_all(demo):
     process, url = demo
-    async with Client(url) as client:
+    async with Client(url, timeout=30) as client:
         index = await client.get_namespace_index("urn:valvemap:service")
 
         async def read(name):
