@@ -23,6 +23,7 @@ from valvemap.pipeline.lane_failures import (
     LaneFailure,
     LaneFailures,
     Restore,
+    Scratch,
     Step,
     all_of,
     isolate,
@@ -62,6 +63,8 @@ class Fleet:
         Names of the valves, and the list that collects their lanes' failures.
     waits
         Names of the estimators that do not run: their lanes keep their initial states.
+    scratch
+        Memory for copies of states; fleets that are not updated at once share it.
     """
 
     def __init__(
@@ -71,8 +74,11 @@ class Fleet:
         names: Sequence[str] | None = None,
         failures: LaneFailures | None = None,
         waits: Collection[str] = (),
+        scratch: Scratch | None = None,
     ) -> None:
         self.plan = plan
+        self._scratch = scratch or Scratch()
+        self._restore: Mapping[str | Step, Restore] = {}  # of each part, by the newest `_saved`
         self.waits = frozenset(waits) & plan.estimators.keys()
         self._names = [plan.name] * M if names is None else names
         self._failures = failures or LaneFailures()
@@ -131,7 +137,7 @@ class Fleet:
                 rests.append((traces[name].status, segments._replace(starts=segments.stops)))
                 continue
             stop = partial(self._stop_at, name, Step.LEARNING)
-            traces[name], own = lanes.take(judged, segments, stop)
+            traces[name], own = lanes.take(judged, segments, self._restore[name], stop)
             rests.append((traces[name].status, own))
         self._support_from(judged, rests, segments)
         running = segments.of(~self.stopped()[segments.members])
@@ -143,7 +149,7 @@ class Fleet:
             self._note(running.members)
 
         stop = partial(self._stop_at, None, Step.ALARMS)
-        isolate_last(running.members, watch, self._alarms_saved, stop)
+        isolate_last(running.members, watch, self._restore[Step.ALARMS], stop)
         return judged, traces
 
     def stopped(self) -> NDArray[np.bool_]:
@@ -192,16 +198,28 @@ class Fleet:
 
     def _saved(self, members: Times) -> Restore:
         """Copy the state of the given valves; the result writes the copies back."""
-        own = saved((*self._gate_arrays, self._t, self._T), members)
-        lanes = [lanes.saved(members) for lanes in self._lanes.values()]
-        return all_of([own, *lanes, self._support.saved(members), self._alarms_saved(members)])
+        self._scratch.clear()
+        scratch = self._scratch
+        self._restore = {
+            Step.GATE: saved(self._gate_arrays, members, scratch),
+            Step.SUPPORT: self._support.saved(members, scratch),
+            Step.ALARMS: self._copy_alarms(members),
+            **{name: lanes.saved(members, scratch) for name, lanes in self._lanes.items()},
+        }
+        times = saved((self._t, self._T), members, scratch)
+        return all_of([times, *self._restore.values()])
 
     @property
     def _gate_arrays(self) -> tuple[NDArray[Any], ...]:
         return *self._gate.memory, self._gate.bad_status
 
     def _alarms_saved(self, members: Times) -> Restore:
-        return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
+        self._scratch.clear()
+        return self._copy_alarms(members)
+
+    def _copy_alarms(self, members: Times) -> Restore:
+        due = saved([self._misfit_due], members, self._scratch)
+        return all_of([self.alarms.saved(members, self._scratch), due])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
         """Return the gated samples; all samples of a stopped valve are BAD."""
@@ -218,7 +236,7 @@ class Fleet:
                 quality[start:stop] = found[start:stop]
 
         stop_at = partial(self._stop_at, None, Step.GATE)
-        isolate_last(running.members, judge, partial(saved, self._gate_arrays), stop_at)
+        isolate_last(running.members, judge, self._restore[Step.GATE], stop_at)
         return replace(samples, quality=quality)
 
     def _support_from(
@@ -231,7 +249,7 @@ class Fleet:
             self._support.learn(judged, some, segments.of(running))
 
         stop = partial(self._stop_at, None, Step.SUPPORT)
-        isolate_last(segments.members[running], learn, self._support.saved, stop)
+        isolate_last(segments.members[running], learn, self._restore[Step.SUPPORT], stop)
 
     def _note(self, chosen: Times) -> None:
         """Update the alarms with the estimators' latest changes, lags and adaptation status."""
