@@ -2,7 +2,8 @@
 
 A line per row and moment: RMSE of the map inside the data in σ, its ratio to `Auto`'s, the share of
 true flows inside the 95 % interval, and the least such share over the quarters of U and of Δp; each
-the mean over the seeds, RMSE the root mean square. ``--report`` takes the seeds that nothing is
+the mean over the seeds, RMSE the root mean square. *Named* is the share of the causes found,
+*names too many* the number of others. ``--report`` takes the seeds that nothing is
 tuned on. `Auto`'s figures are kept in benchmarks/results/one_model.json.
 """
 
@@ -33,20 +34,27 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
     """Error, share held, least share of a quarter, after each of the row's moments; µs a sample."""
     state, start, spent = estimator.initial_state(), 0, 0.0
     found: Figures = {"rmse": [], "held": [], "least": [], "width": [], "us": []}
+    found |= {"named": [], "misnamed": []}
     for end, truth in zip(row.ends, row.truths, strict=True):
         began = time.process_time()
         state, _ = estimator.update(state, row.samples[start:end])
         spent, start = spent + time.process_time() - began, end
         at = inside(row, end)
+        asked = truth(at.U, at.dp) < row.below
+        at = c.Region(at.U[asked], at.dp[asked])
         Q, std = estimator.predict(state, at.U, at.dp, np.full(len(at.U), row.T))
         error = Q - truth(at.U, at.dp)
         held = np.abs(error) <= c.TWO_SIDED_95 * std  # a flow that is not known is not held
         error, std = (x[np.isfinite(Q)] for x in (error, std))
-        found["rmse"].append(c.rms(error) / c.SIGMA)
+        found["rmse"].append(c.rms(error) / row.sigma)
         found["held"].append(float(held.mean()))
         found["least"].append(min(held[q].mean() for x in (at.U, at.dp) for q in _quarters(x)))
-        found["width"].append(c.rms(std) / c.SIGMA)
+        found["width"].append(c.rms(std) / row.sigma)
         found["us"].append(1e6 * spent / end)
+        if isinstance(estimator, FlowMap):
+            codes = {one.code for one in estimator.findings(state)}
+            found["named"].append(len(codes & row.causes) / max(len(row.causes), 1))
+            found["misnamed"].append(float(len(codes - row.causes)))
     return found
 
 
@@ -80,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _ours(row: Row) -> FlowMap:
-    return FlowMap(U_range=row.U_range)
+    return FlowMap(U_range=row.U_range, dp_range=row.dp_range)
 
 
 def _of_auto(kept: dict[str, Any], name: str, seed: int) -> Figures:
@@ -93,13 +101,15 @@ def _of_auto(kept: dict[str, Any], name: str, seed: int) -> Figures:
 
 def _line(name: str, k: int, ours: Sequence[Figures], of_auto: Sequence[Figures]) -> float:
     one, auto = (
-        {key: np.array([f[key][k] for f in found]) for key in found[0]} for found in (ours, of_auto)
+        {key: np.array([f[key][k] for f in found]) for key in found[0] if found[0][key]}
+        for found in (ours, of_auto)
     )
     ratio = c.rms(one["rmse"]) / c.rms(auto["rmse"])
     print(
         f"{name} [{k}]: {c.rms(one['rmse']):.3f} σ, {ratio:.2f} × Auto's, "
         f"held {one['held'].mean():.3f} (a quarter {one['least'].mean():.3f}), "
-        f"std {one['width'].mean():.3f} σ, {one['us'].mean():.1f} µs | "
+        f"std {one['width'].mean():.3f} σ, {one['us'].mean():.1f} µs, "
+        f"named {one['named'].mean():.2f}, names too many {one['misnamed'].mean():.2f} | "
         f"Auto {c.rms(auto['rmse']):.3f} σ, held {auto['held'].mean():.3f}, "
         f"{auto['us'].mean():.1f} µs",
         flush=True,

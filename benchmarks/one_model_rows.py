@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks import circumstances as c
 from valvemap.model.samples import Samples
+from valvemap.vocabulary.findings import FindingCode
 
 SIX: Final = ("ordinary", "dead band", "S-shape", "eq. (7)", "saturating", "laminar")
 MINUTES: Final = (5, 20, 60)
@@ -32,8 +33,14 @@ class Row:
         Numbers of samples after which the map is asked.
     truths : (K,)
         The true flow at each of these moments.
-    U_range
-        Of the valve, %.
+    U_range, dp_range
+        Of the valve, %, bar.
+    sigma
+        Of the noise, l/min.
+    below
+        Only smaller flows are asked, l/min.
+    causes
+        That there are.
     """
 
     samples: Samples
@@ -41,6 +48,10 @@ class Row:
     truths: tuple[Flow, ...]
     T: float = 40.0
     U_range: tuple[float, float] = (0.0, 100.0)
+    dp_range: tuple[float, float] = (0.0, 200.0)
+    sigma: float = c.SIGMA
+    below: float = np.inf
+    causes: frozenset[FindingCode] = frozenset()
 
 
 def both_ways(U, dp, lap=(3.0, 5.0), gain=(14.0, 9.0)):
@@ -101,7 +112,8 @@ def knee(kind, N, seed):
     """A compensator."""
     U, dp = _points(seed, kind, N)
     Q = compensated(U, dp) + c.white(seed, N)
-    return Row(c.samples_of(U, dp, Q), (N,), (compensated,))
+    causes = frozenset({FindingCode.COMPENSATOR})
+    return Row(c.samples_of(U, dp, Q), (N,), (compensated,), causes=causes)
 
 
 def coloured(name, N, seed):
@@ -141,7 +153,8 @@ def fading(name, fs, seed, per_hour=-0.15):
     valve, hours = c.VALVES[name], np.arange(N) / fs / 3600.0
     Q = valve(U, dp) * (1.0 + per_hour * hours) + c.white(seed, N)
     truths = tuple(partial(_times, valve, 1.0 + per_hour * end / fs / 3600.0) for end in ends)
-    return Row(timed(U, dp, Q, fs), ends, truths)
+    causes = frozenset({FindingCode.GAIN_DRIFT})
+    return Row(timed(U, dp, Q, fs), ends, truths, causes=causes)
 
 
 def growing(fs, seed, first=5.0, per_hour=4.0):
@@ -152,7 +165,8 @@ def growing(fs, seed, first=5.0, per_hour=4.0):
     hours = np.arange(N) / fs / 3600.0
     Q = overlapping(U, dp, first + per_hour * hours) + c.white(seed, N)
     truths = tuple(partial(overlapping, lap=first + per_hour * end / fs / 3600.0) for end in ends)
-    return Row(timed(U, dp, Q, fs), ends, truths)
+    causes = frozenset({FindingCode.EDGE_DRIFT})
+    return Row(timed(U, dp, Q, fs), ends, truths, causes=causes)
 
 
 def damaged(name, seed, at=10_000, size=-0.1):
@@ -162,7 +176,8 @@ def damaged(name, seed, at=10_000, size=-0.1):
     valve = c.VALVES[name]
     Q = valve(U, dp) * (1.0 + size * (np.arange(N) >= at)) + c.white(seed, N)
     now = partial(_times, valve, 1.0 + size)
-    return Row(c.samples_of(U, dp, Q), (at + 250, N), (now, now))
+    causes = frozenset({FindingCode.GAIN_CHANGE})
+    return Row(c.samples_of(U, dp, Q), (at + 250, N), (now, now), causes=causes)
 
 
 def behind(U, width):
@@ -178,7 +193,77 @@ def slack(name, width, seed, N=20_000):
     """A spool with play; the truth is the middle of the loop."""
     U, dp = c.cycle(seed, N)
     valve = c.VALVES[name]
-    return Row(c.samples_of(U, dp, valve(behind(U, width), dp) + c.white(seed, N)), (N,), (valve,))
+    samples = c.samples_of(U, dp, valve(behind(U, width), dp) + c.white(seed, N))
+    return Row(samples, (N,), (valve,), causes=frozenset({FindingCode.PLAY}))
+
+
+def averaged(Q, samples):
+    """A meter that shows a moving average."""
+    sums = np.cumsum(np.concatenate([np.full(samples, Q[0]), Q]))
+    return (sums[samples:] - sums[:-samples]) / samples
+
+
+def late(x, samples):
+    """Dead time."""
+    return np.concatenate([np.full(samples, x[0]), x[:-samples]])
+
+
+def lagging(x, tau):
+    """A first-order lag, s."""
+    values, share = x.tolist(), 1.0 - np.exp(-1.0 / (c.FS * tau))
+    for i in range(1, len(x)):
+        values[i] = values[i - 1] + share * (values[i] - values[i - 1])
+    return np.array(values)
+
+
+def slipping(U, slip):
+    """Friction: the spool moves once U is ``slip`` % off."""
+    values, p = U.tolist(), U[0]
+    for i, u in enumerate(values):
+        p = u if abs(u - p) > slip else p
+        values[i] = p
+    return np.array(values)
+
+
+def relays(U, width, many=40):
+    """Preisach's hysteresis: a mean of plays."""
+    return np.mean([behind(U, w) for w in np.linspace(0.0, 2.0 * width, many)], axis=0)
+
+
+def shown(name, how, cause, seed, N=20_000, below=np.inf):
+    """A valve whose flow is shown as ``how(valve, U, dp, noise)``."""
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    samples = c.samples_of(U, dp, how(valve, U, dp, c.white(seed, N)))
+    return Row(samples, (N,), (valve,), below=below, causes=frozenset(cause))
+
+
+def choked(name, seed, N=20_000, share=0.7):
+    """Δp counts up to a share of p1; p2 varies by itself."""
+    U, dp = c.cycle(seed, N)
+    p2 = c.ramps_and_holds(np.random.default_rng([seed, 7]), N, 2.0, 60.0)
+    valve = c.VALVES[name]
+    Q = valve(U, np.minimum(dp, share * (dp + p2))) + c.white(seed, N)
+    samples = replace(c.samples_of(U, dp, Q), p1=dp + p2, p2=p2)
+    return Row(samples, (N,), (valve,), causes=frozenset({FindingCode.CHOKING}))
+
+
+def scaled(name, flows, pressures, seed, N=20_000):
+    """Flows and pressures of another size; the noise as large a part."""
+    row = plain(name, "cycle", N, seed)
+    valve, dp = c.VALVES[name], pressures * row.samples.dp
+    samples = c.samples_of(row.samples.U, dp, flows * row.samples.Q)
+    return Row(
+        samples,
+        (N,),
+        (partial(_of_other_size, valve, flows, pressures),),
+        dp_range=(0.0, 200.0 * pressures),
+        sigma=flows * c.SIGMA,
+    )
+
+
+def _of_other_size(valve, flows, pressures, U, dp):
+    return flows * valve(U, dp / pressures)
 
 
 def oily(U, dp, T):
@@ -198,6 +283,65 @@ def warmed(asked, seed, N=120_000):
 
 def _times(valve, factor, U, dp):
     return factor * valve(U, dp)
+
+
+SHOWN: Final = {
+    "dead time .15 s": (
+        lambda valve, U, dp, e: late(valve(U, dp), 15) + e,
+        {FindingCode.DEAD_TIME},
+        np.inf,
+    ),
+    "dead time of U .15 s": (
+        lambda valve, U, dp, e: valve(late(U, 15), dp) + e,
+        {FindingCode.DEAD_TIME},
+        np.inf,
+    ),
+    "averaging 1 s": (
+        lambda valve, U, dp, e: averaged(valve(U, dp) + e, 100),
+        {FindingCode.AVERAGING},
+        np.inf,
+    ),
+    "averaging .8 s before the noise": (
+        lambda valve, U, dp, e: averaged(valve(U, dp), 80) + e,
+        {FindingCode.AVERAGING},
+        np.inf,
+    ),
+    "lag of U .1 s": (
+        lambda valve, U, dp, e: valve(lagging(U, 0.1), dp) + e,
+        {FindingCode.LAG_U},
+        np.inf,
+    ),
+    "lag of Q .2 s": (
+        lambda valve, U, dp, e: lagging(valve(U, dp), 0.2) + e,
+        {FindingCode.LAG_Q},
+        np.inf,
+    ),
+    "meter ends at 80": (
+        lambda valve, U, dp, e: np.minimum(valve(U, dp) + e, 80.0),
+        {FindingCode.METER_END},
+        75.0,
+    ),
+    "meter dead below 3": (
+        lambda valve, U, dp, e: np.where(valve(U, dp) + e < 3.0, 0.0, valve(U, dp) + e),
+        {FindingCode.METER_START},
+        np.inf,
+    ),
+    "friction 2 %": (
+        lambda valve, U, dp, e: valve(slipping(U, 2.0), dp) + e,
+        {FindingCode.HYSTERESIS},
+        np.inf,
+    ),
+    "relays 3 %": (
+        lambda valve, U, dp, e: valve(relays(U, 3.0), dp) + e,
+        {FindingCode.HYSTERESIS},
+        np.inf,
+    ),
+    "dead time of U, play 3 %, averaging .4 s": (
+        lambda valve, U, dp, e: averaged(valve(behind(late(U, 10), 3.0), dp), 40) + e,
+        {FindingCode.DEAD_TIME, FindingCode.PLAY, FindingCode.AVERAGING},
+        np.inf,
+    ),
+}
 
 
 ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
@@ -227,4 +371,13 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
         for name in ("ordinary", "saturating")
         for width in (2, 4, 6)
     },
+    **{
+        f"{what}, {name}": partial(shown, name, how, cause, below=below)
+        for what, (how, cause, below) in SHOWN.items()
+        for name in ("ordinary", "S-shape")
+    },
+    "choked, ordinary": partial(choked, "ordinary"),
+    "flows × .01, ordinary": partial(scaled, "ordinary", 0.01, 1.0),
+    "flows × 10, ordinary": partial(scaled, "ordinary", 10.0, 1.0),
+    "Δp × 2, ordinary": partial(scaled, "ordinary", 1.0, 2.0),
 }

@@ -2,6 +2,7 @@
 
 from documentation.tables import table
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
+from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.statuses import (
     Adaptation,
     Described,
@@ -34,6 +35,10 @@ _INTRODUCTION = """\
 Each estimator publishes these quantities of each valve as `s=<Valve>.<Estimator>.<name>`.
 The series are those of `/metrics`, labelled by valve and estimator."""
 
+_ALARMS = """\
+`s=Service.Alarms.<name>` of `valvemap serve` and `valvemap fleet serve`, see
+[Alarms](../alarms.md)."""
+
 
 def vocabulary_page() -> str:
     """Return the page."""
@@ -48,7 +53,13 @@ def vocabulary_page() -> str:
     for statuses, title, where in _ENUMERATIONS:
         rows = [[str(int(s)), f"`{s.name}`", s.label, s.sentence] for s in statuses]
         parts += [f"## {title}", where, table(["value", "name", "on the page", "meaning"], rows)]
+    of = [[f"`{one.label}`", _owner(one), one.sentence] for one in ServiceAlarm]
+    parts += ["## Alarms of the service", _ALARMS, table(["name", "published by", "meaning"], of)]
     return "\n\n".join(parts) + "\n"
+
+
+def _owner(alarm: ServiceAlarm) -> str:
+    return "both" if alarm in OF_SERVE else "`valvemap fleet serve`"
 
 
 def _row(quantity: Quantity) -> list[str]:

@@ -43,7 +43,16 @@ NAMES = (
     *("file: points", "file: users", "file: configuration", "file: certificates"),
     *("file: trusted certificates", "file: revocation lists", "wire: certificates"),
     *("page: requests", "Sparkplug: states", "Sparkplug: commands"),
-    *("Kafka: samples", "Kafka: results", "Kafka: commands", "Kafka: replies", "Kafka: memories"),
+    *("state: arrays", "file: models", "history: blocks", "history: alarms", "MQTT: packets"),
+    *(
+        "MQTT: client",
+        "Kafka: states",
+        "Kafka: samples",
+        "Kafka: results",
+        "Kafka: commands",
+        "Kafka: replies",
+        "Kafka: memories",
+    ),
 )
 
 

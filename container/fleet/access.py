@@ -35,7 +35,7 @@ TOPICS = {  # by user: operations on topics; READ and WRITE imply DESCRIBE
         "samples": (READ,),
         "state": (READ,),
         "commands": (WRITE,),
-        "rejected": (WRITE,),
+        "rejected": (READ, WRITE),
     },
 }
 GROUPS = {"work": "work", "serve": "serve."}  # consumer groups, by how their names begin

@@ -10,7 +10,8 @@
     │   └── NoSuchFile            what was named is not there, exit code 2
     ├── FleetError                broker, topics or memory of a fleet cannot be used
     │   ├── BrokerAway            worth another try: no broker can be reached
-    │   └── BlockError            a message is no block that can be read
+    │   ├── BlockError            a message is no block that can be read
+    │   └── DamagedState          a group's state is damaged; the group can start without it
     ├── CommandRejected           an operator's command cannot be carried out
     ├── SinkError                 the MQTT broker cannot be used
     │   ├── SinkLost              worth another try: connection refused, cut, silent
@@ -63,6 +64,10 @@ class BrokerAway(FleetError):  # noqa: N818 - it says what happened
 
 class BlockError(FleetError):
     """A message is no block that can be read."""
+
+
+class DamagedState(FleetError):  # noqa: N818 - it says what happened
+    """A group's state is damaged: it is set aside, and the group starts without it."""
 
 
 class CommandRejected(ValvemapError):  # noqa: N818 - it says what happened, not what broke

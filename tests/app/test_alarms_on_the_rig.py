@@ -78,9 +78,9 @@ FAULTS = [
     ("offset", 5.0, 0.0, "Changed", Cause.METER.words),
     ("offset.p1", 8.0, 0.0, "Changed", Cause.SIGNAL.words),
     ("lag", 0.25, 0.0, "LagFound", "A signal lags by 0.2"),
-    ("frozen", 1.0, 0.0, "SensorFrozen", "Q stood still"),
-    ("frozen.p2", 1.0, 0.0, "SensorFrozen", "p2 stood still"),
-    ("bad_quality", 1.0, 0.0, "SensorLost", "No sample of use"),
+    ("frozen", 1.0, 0.0, "SensorFrozen", "Q was constant"),
+    ("frozen.p2", 1.0, 0.0, "SensorFrozen", "p2 was constant"),
+    ("bad_quality", 1.0, 0.0, "SensorLost", "No usable sample"),
     ("temperature_ramp", 22.0, 40.0, "Residual", Cause.OIL.words),
 ]
 

@@ -1,5 +1,7 @@
 """From a foreign server's address to a configuration that loads, without an editor."""
 
+import shlex
+
 import pytest
 
 from support.foreign import PLANT, Foreign
@@ -46,14 +48,44 @@ def test_two_valves_of_a_foreign_server_become_a_configuration(foreign, tmp_path
     assert (data / "users.json").exists()
 
 
-def test_what_is_open_is_asked_and_written_into_the_proposal(foreign, tmp_path, capsys):
+def test_what_is_open_is_asked_and_nothing_is_written(foreign, tmp_path, capsys):
     names = {name: PLANT[name] for name in ("Stellwert", "Druck vor Ventil", "Volumenstrom")}
     out = tmp_path / "plant.toml"
     url = foreign(names, ("Ventil 1",))
     asked = ["connect", url, "--out", str(out), "--data", str(tmp_path), "--watch", "1", "--yes"]
     assert run(asked) == 1
     assert "p2: no node was found" in capsys.readouterr().err
-    assert '# p2 = "" # decide: no node was found' in out.read_text(encoding="utf-8")
+    assert not out.exists()
+
+
+def remedies(said):
+    """The commands that a question offers, as arguments."""
+    lines = [
+        line.split("answer: valvemap ", 1)[1] for line in said.splitlines() if "answer: " in line
+    ]
+    return [shlex.split(line) for line in lines]
+
+
+def test_a_question_names_commands_and_each_obeyed_writes_what_it_says(foreign, tmp_path, capsys):
+    names = {**PLANT, "Volumenstrom": (None, None)}
+    out, sheet = tmp_path / "plant.toml", tmp_path / "sheet.html"
+    url = foreign(names, ("Ventil 1",))
+    asked = ["connect", url, "--out", str(out), "--data", str(tmp_path), "--watch", "2"]
+    assert run(asked) == 1
+    said, failed = capsys.readouterr()
+    assert "Ventil_1.Q: nothing states the unit" in failed
+    assert not out.exists()
+    units = {}
+    for command in remedies(said):
+        assert run([*command, "--force", "--sheet", str(sheet)]) == 0, capsys.readouterr().err
+        units[command[-3]] = load_config(out).valves[0].signals.Q.unit
+    assert units["--scale=Ventil_1.Q=gpm"] == "gpm"
+    assert units["--scale=Ventil_1.Q=l/min"] is None
+    page = sheet.read_text(encoding="utf-8")
+    assert "Druck vor Ventil" in page
+    assert "Signature" in page
+    skipped = next(line for line in said.splitlines() if "to leave it out: " in line)
+    assert run(shlex.split(skipped.split("valvemap ", 1)[1])) == 2
 
 
 def test_an_existing_configuration_is_checked_against_its_server(foreign, tmp_path, capsys):

@@ -83,7 +83,7 @@ def url():
 @pytest.mark.waits
 def test_among_a_thousand_hostile_names_the_good_valves_are_found(url, tmp_path, capfd):
     out = tmp_path / "plant.toml"
-    run(["connect", url, "--out", str(out), "--data", str(tmp_path), "--watch", "3"])
+    run(["connect", url, "--out", str(out), "--data", str(tmp_path), "--watch", "3", "--yes"])
     said, failed = capfd.readouterr()
     for line in (said + failed).split("\n"):
         assert line.isprintable(), ascii(line)

@@ -15,7 +15,7 @@ from valvemap.app.build import build_identification
 from valvemap.config.estimators import AutoConfig, RlsConfig
 from valvemap.errors import BlockError, FleetError
 from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
-from valvemap.kafka.memory import MAGIC, Memory, read_memory, write_memory
+from valvemap.kafka.memory import MAGIC, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import read_results
 from valvemap.pipeline.valve_columns import Columns
 
@@ -251,11 +251,12 @@ def test_a_memory_of_another_configuration_is_refused_in_one_line(undisturbed, p
         (group(plan), b"", "not a group's memory"),
         (group(plan), undisturbed[1][:-9], "a group's memory is damaged"),
         (group(plan), undisturbed[1] + b"x", "a group's memory is damaged"),
-        (group(plan), MAGIC + b"\x00" * 8, "a group's memory is damaged"),
+        (group(plan), MAGIC + b"\n" + b"\x00" * 8, "a group's memory is damaged"),
+        (group(plan), sealed(b"\x00" * 8), "a group's memory is damaged"),
         (
             group(plan),
-            undisturbed[1].replace(b'"format": 2', b'"format": 7'),
-            "a memory of format 7, this one knows up to 2",
+            sealed(undisturbed[1][len(sealed()) :].replace(b'"format": 3', b'"format": 7')),
+            "a memory of format 7, this one knows up to 3",
         ),
     ):
         with pytest.raises(FleetError, match=r"^group north\.0: ") as refused:
@@ -311,7 +312,7 @@ def test_a_memory_that_compressed_nothing_is_read_and_what_is_kept_otherwise_now
     said = json.dumps(head).encode()
     body = b"".join(a.tobytes() for one in columns for a in one.arrays.values())
     one = group(plan)
-    afresh = one.remember(MAGIC + struct.pack("<Q", len(said)) + said + body)
+    afresh = one.remember(MAGIC + b"\n" + struct.pack("<Q", len(said)) + said + body)
     estimator = lanes.key.partition(" ")[0]
     assert afresh == [f"{valve}: {estimator}" for valve in lanes.valves]
     before = group(plan)
@@ -327,10 +328,10 @@ def test_damage_of_a_memorys_head_is_refused_or_read_and_never_more(undisturbed)
     assert write_memory(read_memory(undisturbed[1])) == undisturbed[1]
     refused = 0
     for _ in range(300):
-        damaged = bytearray(undisturbed[1])
+        damaged = bytearray(undisturbed[1][len(sealed()) :])
         damaged[rng.integers(4000)] = rng.integers(256)
         try:
-            read_memory(bytes(damaged))
+            read_memory(sealed(damaged))
         except FleetError:
             refused += 1
     assert refused > 50

@@ -66,15 +66,25 @@ def largest_kB(process):
     return int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
 
 
-async def counts(port, names):
-    """How many samples were learnt from, as a client of the results server reads it."""
+async def read(port, names):
+    """Values of the results server's nodes, as a client reads them."""
     client = Client(f"opc.tcp://127.0.0.1:{port}/valvemap/service/", timeout=60.0)
     client.set_user("operator")
     client.set_password(PASSWORD)
     async with client:
-        nodes = [client.get_node(ua.NodeId(f"{name}.RLS.SampleCount", 1)) for name in names]
+        nodes = [client.get_node(ua.NodeId(name, 1)) for name in names]
         found = [await one.read_data_value(raise_on_bad_status=False) for one in nodes]
         return [one.Value.Value for one in found]
+
+
+def samples(port, names):
+    return asyncio.run(read(port, [f"{name}.RLS.SampleCount" for name in names]))
+
+
+def alarm(port):
+    """Whether the alarm of rejected messages is active, and its text."""
+    names = [f"Service.Alarms.MessagesRejected.{one}" for one in ("Active", "Text")]
+    return asyncio.run(read(port, names))
 
 
 def bad_rows(trial, good_results):
@@ -95,6 +105,7 @@ def test_hostile_messages_end_neither_worker_nor_server_and_honest_ones_are_lear
         wait_for(log, "results served", server, 240.0)
         trial.send(0, 20)
         trial.until_each_is_behind(15)
+        assert alarm(port)[0] is False
         honest = everything(broker, "hostile.results")
         good = next(m.value() for m in honest if m.key() == b"north.0" and not is_reply(m.value()))
         before = largest_kB(worker), largest_kB(server)
@@ -114,7 +125,10 @@ def test_hostile_messages_end_neither_worker_nor_server_and_honest_ones_are_lear
             feed(alone, trial.days[name])
             for plan in alone.plan.plans:
                 expected[plan.name] = alone.identification.lane(plan.name, "RLS").count
-        until(lambda: asyncio.run(counts(port, expected)) == [*expected.values()], 60.0)
+        until(lambda: samples(port, expected) == [*expected.values()], 60.0)
+        every = sum(map(len, attacker.sent.values()))
+        until(lambda: f"{every} messages were rejected (" in (alarm(port)[1] or ""), 60.0)
+        assert alarm(port)[0] is True
         grown = [
             now - was for now, was in zip(map(largest_kB, (worker, server)), before, strict=True)
         ]

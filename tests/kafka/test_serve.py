@@ -20,6 +20,7 @@ from valvemap.kafka.commands import is_reply, read_reply, write_message
 from valvemap.kafka.group import Group
 from valvemap.kafka.mirror import Mirror
 from valvemap.kafka.reading import Heard
+from valvemap.kafka.rejections import Rejection
 from valvemap.kafka.result_blocks import read_results
 from valvemap.kafka.serve import Show
 from valvemap.kafka.settings import FleetConfig, ServeConfig
@@ -55,6 +56,9 @@ class Wire:
         one = block(plan, number, lengths, seed=number, first=number * n)
         self._out(self._worker.samples(group.encode(), write_samples(one), self.stores[group]))
 
+    def poison(self, group, message):
+        self._out(self._worker.samples(group.encode(), message, self.stores[group]))
+
     def send(self, command, refused):
         if self.deaf:
             return
@@ -66,6 +70,10 @@ class Wire:
 
     def _out(self, messages):
         self._worker.keep()
+        self._heard.rejected += [
+            Rejection.from_headers(letter.key, letter.headers(None), 0)
+            for letter in self._worker.rejected()
+        ]
         for message in messages:
             if is_reply(message):
                 self._heard.replies.append(read_reply(message))
@@ -252,6 +260,38 @@ async def test_silence_makes_results_uncertain_then_bad_and_news_makes_them_good
         await until(is_(BAD))
         wire.learn(GROUPS[0], 60)
         await until(is_(GOOD))
+
+
+async def test_rejected_messages_raise_the_services_alarm_until_none_came_for_a_while(known):
+    wire, clock = Wire(known), ManualClock(START)
+    name = "Service.Alarms.MessagesRejected"
+    async with served(known, wire, clock) as (show, client):
+
+        def is_(active, *words):
+            async def found():
+                clock.advance(0.5)  # the alarms are judged once a second
+                is_active = await value(client, f"{name}.Active")
+                text = await value(client, f"{name}.Text")
+                return is_active is active and all(word in text for word in words)
+
+            return found
+
+        wire.learn(GROUPS[0])
+        await until(is_(False))
+        wire.poison(GROUPS[0], b"nonsense")
+        await until(is_(True, "1 message was rejected (north.0: ", "Arrow"))
+        assert await value(client, f"{name}.Acked") is False
+        wire.poison(GROUPS[1], b"nonsense")
+        await until(is_(True, "2 messages were rejected (north.1: "))
+        show._note("north.1", RuntimeError("not shown"))
+        await until(is_(True, "3 messages were rejected (north.1: unexpected RuntimeError"))
+        await call(client, f"{name}.Acknowledge", "seen")
+        await until(lambda: value(client, f"{name}.Acked"))
+        clock.advance(CONFIG.serve.rejected_quiet_s)
+        await until(is_(False))
+        wire.poison(GROUPS[0], b"nonsense")
+        await until(is_(True, "1 message was rejected (north.0: "))
+        assert await value(client, f"{name}.Acked") is False
 
 
 async def test_a_restart_shows_what_the_state_holds_as_bad_until_something_comes(known):

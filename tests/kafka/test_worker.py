@@ -14,10 +14,11 @@ from support.fleet import RHYTHM, Dictionary, as_messages, block, catalogue, day
 from valvemap.errors import FleetError
 from valvemap.kafka import worker as worker_module
 from valvemap.kafka.blocks import write_samples
-from valvemap.kafka.commands import Command, write_message
+from valvemap.kafka.commands import Command, is_reply, read_reply, write_message
 from valvemap.kafka.group import Group
 from valvemap.kafka.memory import read_memory, write_memory
 from valvemap.kafka.result_blocks import read_results
+from valvemap.kafka.settings import TopicsConfig
 from valvemap.kafka.worker import MEMORY, Worker
 from valvemap.pipeline.lane_failures import Step
 from valvemap.vocabulary.statuses import Status
@@ -156,20 +157,78 @@ def test_a_message_whose_processing_raises_is_rejected_and_its_group_is_as_befor
     assert len([one for one in said if "exc_info" in one]) == 1
 
 
-def test_a_memory_that_does_not_fit_stops_the_worker_with_one_line(known):
-    worker, store = Worker(known, RHYTHM), Dictionary()
-    store.set_bytes(MEMORY, b"of another program")
+def test_a_state_of_a_newer_catalogue_stops_the_worker_with_one_line(known):
+    newer = catalogue(version=2)
+    store = Dictionary()
+    store.set_bytes(MEMORY, Group(newer.groups["north.0"], 2).to_bytes())
+    kept = store.get_bytes(MEMORY)
     sent = block(known.groups["north.0"], 1, (5, 5, 5))
-    with pytest.raises(FleetError, match=r"^group north\.0: not a group's memory$"):
-        worker.samples(b"north.0", write_samples(sent), store)
-    assert store.get_bytes(MEMORY) == b"of another program"
+    with pytest.raises(FleetError, match=r"^group north\.0: .* version 2 .* this is version 1"):
+        Worker(known, RHYTHM).samples(b"north.0", write_samples(sent), store)
+    assert store.get_bytes(MEMORY) == kept
+
+
+def damaged(packed):
+    """A state with bytes changed at random positions, cut, or of another program."""
+    rng = np.random.default_rng(34)
+    for _ in range(150):
+        found = bytearray(packed)
+        at = rng.integers(len(packed) if rng.random() < 0.5 else 3_000)
+        found[at] ^= rng.integers(1, 256)
+        yield bytes(found)
+    yield packed[: len(packed) // 2]
+    yield packed + b"x"
+    yield b""
+    yield b"of another program"
+
+
+def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, undisturbed):
+    """Flips at random positions: nothing is learnt from them, and the worker lives."""
+    first, after = (block(known.groups["north.0"], n, (9, 9, 9), first=9 * n) for n in (1, 2))
+    fresh = group(known.groups["north.0"])
+    expected = feed(fresh, [after])
+    kept = group(known.groups["north.0"])
+    feed(kept, [first])
+    worker, other = Worker(known, RHYTHM), Dictionary()
+    with structlog.testing.capture_logs():
+        for k, packed in enumerate(damaged(kept.to_bytes())):
+            store = Dictionary()
+            store.set_bytes(MEMORY, packed)
+            assert worker.samples(b"north.0", write_samples(after), store) == expected
+            (letter,) = worker.rejected()
+            assert letter.key == b"north.0"
+            assert letter.reason.startswith("state set aside, the group starts without it: group ")
+            assert (letter.payload, letter.size) == (packed, len(packed))
+            assert dict(letter.headers(None))["content"] == b"state"
+            if k % 10 == 0:
+                other_block = block(known.groups["north.1"], k // 10 + 1, (9, 9), first=9 * k)
+                worker.samples(b"north.1", write_samples(other_block), other)
+            worker.keep()
+            found = read_memory(store.get_bytes(MEMORY))
+            assert found.counts["damaged"] == 1
+            assert found.number == 2
+            again = group(known.groups["north.0"])
+            again.remember(store.get_bytes(MEMORY))
+            assert again.identification.lane("V0", "RLS").count == 9
+    assert worker._log.count == k + 1
+
+
+def test_a_state_too_large_for_a_dead_letter_is_cut(known):
+    worker, store = Worker(known, RHYTHM, TopicsConfig(message_mb=0.1)), Dictionary()
+    store.set_bytes(MEMORY, bytes(100_000))
+    worker.samples(b"north.0", write_samples(block(known.groups["north.0"], 1, (5, 5, 5))), store)
+    (letter,) = worker.rejected()
+    assert letter.size == 100_000
+    assert len(letter.payload) < 90_000
 
 
 PACKED = Injected(
     *("packing", Step.PUBLICATION, LANES, worker_module, "write_results"),
     lambda one: np.isfinite(one.results.signals.values[one.results.valves == CULPRIT]).any(),
 )
-ELSEWHERE = {Step.HISTORY, Step.CHECKPOINT, Step.RECORDING, Step.PUBLICATION}  # not of a worker
+ELSEWHERE = {  # not of a worker
+    *(Step.ALIGNMENT, Step.HISTORY, Step.CHECKPOINT, Step.RECORDING, Step.PUBLICATION),
+}
 OF_A_WORKER = [*(step for step in STEPS if step.step not in ELSEWHERE), PACKED]
 
 
@@ -179,10 +238,10 @@ def test_an_error_in_any_step_of_one_valve_costs_a_worker_nothing_else(step, mon
     plan = known.groups["north.0"]
     blocks = [marked(plan, number) for number in range(1, 7)]
     undisturbed = learnt_by(Worker(known, RHYTHM), blocks)
-    worker = Worker(known, RHYTHM)
+    worker, store = Worker(known, RHYTHM), Dictionary()
     with structlog.testing.capture_logs() as said, monkeypatch.context() as patch:
         broken(patch, step)
-        out = learnt_by(worker, blocks)
+        out = learnt_by(worker, blocks, store)
     others = [f"V{v}" for v in range(VALVES) if v != CULPRIT]
     assert newest(out, others) == newest(undisturbed, others)
     errors = [entry for entry in said if entry["event"] == "lane failed"]
@@ -192,6 +251,19 @@ def test_an_error_in_any_step_of_one_valve_costs_a_worker_nothing_else(step, mon
     assert [shown[estimator][0] for estimator in step.stops] == [int(Status.FAILED)] * len(
         step.stops
     )
+    alarm = lane_alarm(out, name)
+    assert (alarm.active, alarm.acked) == (True, False)
+    assert f"{step.said}: RuntimeError: injected" in alarm.text
+    reset = Command("2", "north.0", name, "reset", step.stops[0])
+    out = worker.command(b"north.0", write_message(reset), store)
+    (reply,) = [read_reply(message) for message in out if is_reply(message)]
+    assert reply.done, reply.reason
+    out += worker.samples(b"north.0", marked(plan, 7), store)
+    assert worker.rejected() == []
+    again = newest(out, [name])[name]
+    assert again[step.stops[0]][1] == 20
+    assert [again[estimator][0] for estimator in LANES].count(int(Status.FAILED)) == 0
+    assert not lane_alarm(out, name).active
 
 
 def marked(plan, number):
@@ -202,8 +274,8 @@ def marked(plan, number):
     return write_samples(found)
 
 
-def learnt_by(worker, blocks):
-    store, out = Dictionary(), []
+def learnt_by(worker, blocks, store=None):
+    store, out = store or Dictionary(), []
     demand = Command("1", "north.0", f"V{CULPRIT}", "demand", "", (30.0, 100.0))
     worker.command(b"north.0", write_message(demand), store)
     for message in blocks:
@@ -217,6 +289,8 @@ def newest(out, valves):
     """Status, number of samples and theta of each estimator, as they were published last."""
     found = {}
     for message in out:
+        if is_reply(message):
+            continue
         shown = read_results(message)
         for row, valve in enumerate(shown.results.valves.tolist()):
             if shown.valves[valve] in valves:
@@ -224,4 +298,18 @@ def newest(out, valves):
                     name: (int(r.status[row]), int(r.sample_count[row]), r.theta[row].tobytes())
                     for name, r in shown.results.estimators.items()
                 }
+    return found
+
+
+def lane_alarm(out, valve):
+    """The alarm LaneFailed of a valve, as it was published last."""
+    found = None
+    for message in out:
+        if is_reply(message):
+            continue
+        shown = read_results(message)
+        for row, number in enumerate(shown.results.valves.tolist()):
+            if shown.valves[number] == valve:
+                reports = shown.results.alarms.reports(row)
+                found = next((r for r in reports if r.name == "LaneFailed"), found)
     return found

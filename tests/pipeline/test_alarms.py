@@ -14,13 +14,14 @@ from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarm_words import Cause
 from valvemap.pipeline.alarms import (
     ALARM_NAMES,
+    FLEET_RULES,
     RULES,
     Alarm,
     Alarms,
-    ServiceAlarm,
     ServiceAlarms,
 )
 from valvemap.pipeline.ports import Remark
+from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.statuses import Quality, Status
 
 S = 1_000_000_000
@@ -93,7 +94,7 @@ def test_residuals_larger_than_usual_come_after_the_delay_and_go(known):
     assert (report.active, report.acked, report.count) == (True, False, 1)
     assert START + 300 * S <= report.since <= START + 304 * S
     assert report.at - report.since >= 2 * S
-    assert "times what they usually are (limit 2.5)" in report.text
+    assert "times their usual size (limit 2.5)" in report.text
     watch(known, *later(30, first_s=330))
     report = of(known, "Residual")
     assert (report.active, report.acked, report.count) == (False, False, 1)
@@ -138,7 +139,7 @@ def test_a_sensor_that_is_lost_comes_with_time_and_goes_with_the_first_sample(kn
     watch(known, bad, replace(trace, status=np.full(len(bad), Status.REJECTED, np.uint8)))
     report = of(known, "SensorLost")
     assert (report.active, report.since) == (True, START + 300 * S - S // HZ)
-    assert "No sample of use for" in report.text
+    assert "No usable sample for" in report.text
     watch(known, *later(1, first_s=305))
     assert not of(known, "SensorLost").active
     assert not of(known, "SensorLost").acked
@@ -169,7 +170,7 @@ def test_a_sensor_that_stands_still_while_others_move_is_named(known, signal):
     watch(known, replace(samples, **held), trace)
     report = of(known, "SensorFrozen")
     assert report.active
-    assert report.text.startswith(f"{signal} stood still to the last digit for 1")
+    assert report.text.startswith(f"{signal} was constant to the last digit for 1")
     watch(known, *later(2, first_s=315))
     assert not of(known, "SensorFrozen").active
 
@@ -330,16 +331,48 @@ def test_the_clock_that_goes_back_raises_nothing(known):
 
 def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
     alarms = ServiceAlarms()
-    alarms.note(START, 10.0, 400.0, 0.2)
-    alarms.note(START + S, 70.0, 29.0, 0.95)
+    checkpoint, certificate, load = OF_SERVE
+    alarms.note(START, {checkpoint: 10.0, certificate: -400.0, load: 0.2})
+    alarms.note(START + S, {checkpoint: 70.0, certificate: -29.0, load: 0.95})
     assert [r.name for r in alarms.reports() if r.active] == ["Checkpoint", "Certificate"]
     assert "valid for 29 more days (limit 30)" in alarms.reports()[1].text
-    alarms.note(START + 40 * S, 1.0, np.nan, 0.95)
+    alarms.note(START + 40 * S, {checkpoint: 1.0, certificate: np.nan, load: 0.95})
     assert [r.name for r in alarms.reports() if r.active] == ["Certificate", "Load"]
-    assert alarms.acknowledge(ServiceAlarm.LOAD, said_at(41, "busy"))
+    assert alarms.acknowledge("Load", said_at(41, "busy"))
     again = ServiceAlarms()
     again.from_bytes(alarms.to_bytes())
     assert again.reports() == alarms.reports()
+
+
+@pytest.mark.parametrize("name", ["over", "active", "value", "causes", "version"])
+def test_alarms_of_the_service_with_arrays_of_another_kind_are_refused(name, monkeypatch):
+    alarms, other = ServiceAlarms(), ServiceAlarms()
+    alarms.note(START, {ServiceAlarm.CHECKPOINT: 70.0})
+    arrays = alarms._states.arrays
+    monkeypatch.setattr(
+        alarms._states, "arrays", lambda: {**arrays(), name: arrays()[name].astype("<U3")}
+    )
+    with pytest.raises(StateMismatchError, match=name):
+        other.from_bytes(alarms.to_bytes())
+    assert other.reports() == ServiceAlarms().reports()
+
+
+def test_each_service_has_its_own_alarms_and_an_alarm_names_the_newest_reason():
+    assert [r.name for r in ServiceAlarms().reports()] == [one.label for one in OF_SERVE]
+    alarms = ServiceAlarms(FLEET_RULES)
+    rejected = ServiceAlarm.MESSAGES_REJECTED
+    alarms.note(START, {rejected: 0.0})
+    assert alarms.reports()[-1].text == ""
+    for count, reason in enumerate(("north.0: not JSON", "north.1: too large"), 1):
+        alarms.give_reason(rejected, reason)
+        alarms.note(START + count * S, {rejected: float(count)})
+    *others, last = alarms.reports()
+    assert not any(one.active for one in others)
+    assert (last.name, last.active, last.acked, last.count) == ("MessagesRejected", True, False, 1)
+    assert last.text.startswith("2 messages were rejected (north.1: too large), since 2027")
+    alarms.note(START + 600 * S, {rejected: 0.0})
+    assert not alarms.reports()[-1].active
+    assert alarms.acknowledge("MessagesRejected", said_at(601, "seen"))
 
 
 def test_alarms_are_resumed_after_a_restart_and_acknowledged_by_name(fresh):

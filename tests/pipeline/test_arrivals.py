@@ -6,11 +6,14 @@ import zlib
 import numpy as np
 import pytest
 
-from support.plant import as_changes, plant
+from support.plant import START, as_changes, plant
 from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels import waiting as slots
+from valvemap.pipeline.timing import Timing, TimingSettings
+from valvemap.pipeline.valve_timing import ValveTiming
 
 
 def arrivals():
@@ -82,3 +85,107 @@ def test_its_head_is_json(under_way):
     size, special = json.loads(under_way.to_bytes()[4:].partition(b"\n")[0])
     assert size > 0
     assert special == []
+
+
+VALVES, CULPRIT, STEP_NS, SKEW_NS = 3, 1, 20_000_000, 2_000_000
+
+
+def batches(staggered, count=30, n=25):
+    """Changes of some valves; ``staggered``: each signal is stamped after the one before."""
+    for number in range(count):
+        parts = []
+        for v in range(VALVES):
+            samples = plant(n, seed=50 * v + number)
+            t = START + (number * n + np.arange(n)) * STEP_NS
+            values = [samples.U, samples.p1, samples.p2, samples.Q, samples.T]
+            skew = np.arange(len(values)) * (SKEW_NS if staggered else 0)
+            parts.append(
+                DataChanges(
+                    item=np.tile(np.arange(5, dtype=np.int32) + np.int32(6 * v), n),
+                    value=np.stack(values, axis=1).ravel(),
+                    status=np.zeros(5 * n, np.uint32),
+                    source_time=(t[:, None] + skew).ravel(),
+                )
+            )
+        yield DataChanges.concatenate(parts)
+
+
+def of_three():
+    timing = Timing(TimingSettings(), (True,) * VALVES)
+    alignment = Alignment(AlignmentSettings(), (True,) * VALVES)
+    return Arrivals([f"V{v}" for v in range(VALVES)], alignment, timing)
+
+
+def bits(found, valve):
+    return [
+        b"".join(column.tobytes() for column in vars(samples[valve]).values())
+        for samples in found
+        if valve in samples
+    ]
+
+
+@pytest.mark.parametrize(
+    ("owner", "staggered", "at"),
+    [
+        (Alignment, False, 0),
+        (Alignment, False, 20),
+        (Alignment, True, 20),
+        (ValveTiming, False, 0),
+        (ValveTiming, True, 0),
+        (ValveTiming, True, 5),
+        (ValveTiming, True, 20),
+    ],
+)
+def test_an_error_at_one_valve_costs_the_others_no_bit_and_it_starts_again(
+    owner, staggered, at, monkeypatch
+):
+    undisturbed, one = of_three(), of_three()
+    expected = [undisturbed.take(some) for some in batches(staggered)]
+    whole, culprit = owner.take, one.timing.valves[CULPRIT]
+
+    def raising(self, *args, **kwargs):
+        found = whole(self, *args, **kwargs)  # what it has written is to be undone
+        if self is culprit or (owner is Alignment and CULPRIT in args[1].item // 6):
+            raise RuntimeError("injected")
+        return found
+
+    found = []
+    for number, some in enumerate(batches(staggered)):
+        with monkeypatch.context() as patch:
+            if number == at:
+                patch.setattr(owner, "take", raising)
+            found.append(one.take(some))
+        assert one.failed.tolist() == [False, number >= at, False]
+    ((valve, error),) = one.new_failures()
+    assert (valve, str(error)) == (CULPRIT, "injected")
+    for v in (0, 2):
+        assert bits(found, v) == bits(expected, v)
+    assert not any(CULPRIT in some for some in found[at:])
+    assert not one.waits()[CULPRIT]
+    assert len(one.wait_no_longer(np.array([CULPRIT]))) == 0
+    one.start_again(CULPRIT)
+    assert CULPRIT in [one.take(some) for some in batches(staggered, count=60)][-1]
+    assert one.new_failures() == []
+
+
+@pytest.mark.parametrize("call", ["flush", "begin_anew"])
+def test_an_error_while_one_valve_is_flushed_or_begins_anew_is_isolated_too(call, monkeypatch):
+    one, every, whole = of_three(), np.arange(VALVES), getattr(Alignment, call)
+    for some in batches(staggered=False, count=4):
+        one.take(some)
+
+    def raising(self, waiting, valves):
+        found = whole(self, waiting, valves)
+        if CULPRIT in valves:
+            raise RuntimeError("injected")
+        return found
+
+    act = one.wait_no_longer if call == "flush" else one.begin_source_anew
+    with monkeypatch.context() as patch:
+        patch.setattr(Alignment, call, raising)
+        act(every)
+    assert one.failed.tolist() == [False, True, False]
+    later = list(batches(staggered=False, count=6))[-1]
+    assert list(one.take(later)) == [0, 2]
+    one.begin_source_anew(every)
+    assert not one.failed.any()

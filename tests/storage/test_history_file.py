@@ -3,6 +3,7 @@
 import sqlite3
 import subprocess
 import sys
+import zlib
 from contextlib import closing
 
 import numpy as np
@@ -14,6 +15,7 @@ from valvemap.errors import StorageError
 from valvemap.pipeline.ports import AlarmChange, AlarmReport, Piece
 from valvemap.storage import alarm_changes
 from valvemap.storage.history import BLOCK, HistoryFile
+from valvemap.storage.history_blocks import MOST_ROWS, unpack
 
 EVER = -(2**63), 2**63 - 1
 S = 1_000_000_000
@@ -94,6 +96,30 @@ def test_a_damaged_change_of_an_alarm_is_left_out(path):
 
 
 SPANS = st.tuples(st.integers(-5, 60), st.integers(-5, 60), st.integers(0, 12), st.integers(1, 40))
+
+
+@pytest.mark.parametrize(
+    "report",
+    ["no JSON", "5", "{}", '{"name": "LagFound"}', '{"at": "Infinity"}', "[" * 10_000],
+)
+def test_a_change_that_is_none_is_left_out_though_its_checksum_is_right(path, report):
+    with HistoryFile(path) as store:
+        store.note([changed(1), changed(2), changed(3)])
+    with closing(sqlite3.connect(path)) as file, file:
+        checksum = zlib.crc32(report.encode())
+        file.execute(
+            "UPDATE alarm_change SET report = ?, checksum = ? WHERE t = 2", (report, checksum)
+        )
+    with HistoryFile(path) as store:
+        assert [change.t for change in store.changes(None, *EVER, most=10)] == [1, 3]
+
+
+def test_a_column_that_inflates_beyond_any_block_is_refused():
+    bomb = zlib.compress(bytes(8 * MOST_ROWS + 8))
+    assert len(bomb) < 20_000
+    for name in ("t", "codes"):
+        with pytest.raises(ValueError, match="longer than any block"):
+            unpack(name, bomb)
 
 
 @given(

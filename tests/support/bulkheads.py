@@ -18,6 +18,8 @@ from valvemap.pipeline import (
     shared_support,
     valve_state,
 )
+from valvemap.pipeline.alignment import Alignment
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
@@ -122,6 +124,10 @@ def _of(plan, *_):
 
 
 STEPS = (
+    Injected(
+        *("alignment", Step.ALIGNMENT, LANES, Alignment, "take"),
+        lambda _alignment, _waiting, changes: CULPRIT in changes.item // SIGNALS_PER_VALVE,
+    ),
     Injected(
         *("gate", Step.GATE, LANES, QualityGate, "judge"),
         lambda _gate, _state, samples, segments: _among(samples, segments),

@@ -2,10 +2,11 @@
 
 import gzip
 import json
+import sqlite3
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from itertools import count
 
@@ -13,6 +14,8 @@ import numpy as np
 from asyncua import ua
 from asyncua.ua import ua_binary
 from cryptography.hazmat.primitives import serialization
+from paho.mqtt.client import MQTTv311
+from paho.mqtt.enums import CallbackAPIVersion
 
 from guarded_opcua import Role
 from guarded_opcua import errors as hardened
@@ -23,8 +26,10 @@ from guarded_opcua.security.certificates import Pki, load_certificate
 from guarded_opcua.security.trust_folders import TrustFolders
 from guarded_opcua.security.users import UserStore
 from support import certificates
+from support.fleet import block, catalogue, feed, group
 from support.mutations import requests
-from support.plant import as_changes, plant
+from support.plant import START, as_changes, plant
+from valvemap.config.estimators import RlsConfig
 from valvemap.config.loading import load_config
 from valvemap.errors import (
     BlockError,
@@ -36,10 +41,10 @@ from valvemap.errors import (
 )
 from valvemap.kafka.blocks import SamplesBlock, read_samples, write_samples
 from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
-from valvemap.kafka.memory import Columns, Memory, read_memory, write_memory
+from valvemap.kafka.memory import Columns, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
 from valvemap.model.auto import Auto
-from valvemap.model.estimator import StateMismatchError
+from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
@@ -53,15 +58,22 @@ from valvemap.page.viewers import _request
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import AlarmReport
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.pipeline.valve_timing import TimingSettings
+from valvemap.sparkplug.broker import _GuardedClient
 from valvemap.sparkplug.host import PrimaryHost
+from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
 from valvemap.sparkplug.schema import Payload
 from valvemap.sparkplug.sender import _asks_for_births
+from valvemap.storage import alarm_changes
+from valvemap.storage.history_blocks import checksum, examine, pack, unpack
+from valvemap.storage.models import load_model, save_model
 from valvemap.storage.points import read_points
 from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 BUDGET = Budget(10_000, 10_000, 100_000, 16)
 NOW = datetime(2030, 1, 1, tzinfo=UTC)
@@ -94,6 +106,7 @@ def decoders(folder):
         **_of_states(),
         **_of_files(folder),
         **_of_messages(),
+        **_of_history(),
         **_of_kafka(),
     }
 
@@ -161,10 +174,19 @@ def _of_states():
         )
     arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), has_T=(True,)))
     arrivals.take(as_changes(plant(20)))
+    found["state: arrays"] = Decoder(_arrays_of, _arrays, (StateMismatchError,))
     found["state: arrivals"] = Decoder(
         arrivals.resume, lambda: [arrivals.to_bytes()], (StateMismatchError,), _with_crc
     )
     return found
+
+
+def _of_history():
+    """Columns of a block and alarms' changes, under the checksums that belong to them."""
+    return {
+        "history: blocks": Decoder(_block_of, lambda: [_block()]),
+        "history: alarms": Decoder(_alarms_of(sqlite3.connect(":memory:")), lambda: [_alarm()]),
+    }
 
 
 def _of_files(folder):
@@ -186,6 +208,7 @@ def _of_files(folder):
         "file: CSV.gz": of_file("r.csv.gz", _rows, lambda: [gzip.compress(_CSV)], RecordingError),
         "file: Parquet": of_file("r.parquet", _rows, lambda: [_parquet(folder)], RecordingError),
         "file: points": of_file("p.csv", read_points, lambda: [_POINTS], StorageError),
+        "file: models": of_file("m.json", load_model, lambda: _models(folder), StorageError),
         "file: users": of_file(
             "users.json", UserStore.load, lambda: [_users(folder)], hardened.ConfigurationError
         ),
@@ -217,6 +240,10 @@ def _of_messages():
             PrimaryHost("SCADA").hear, lambda: [b'{"online": true, "timestamp": 5}']
         ),
         "Sparkplug: commands": Decoder(_asks_for_births, lambda: [_command()]),
+        "MQTT: packets": Decoder(
+            lambda data: PacketGuard("mqtt://x").receive(data), _packets, (PacketRefused,)
+        ),
+        "MQTT: client": Decoder(_read_by_client, _packets),
     }
 
 
@@ -238,7 +265,12 @@ def _of_kafka():
         "Kafka: results": Decoder(read_results, _results, block),
         "Kafka: commands": Decoder(read_command, lambda: [write_message(command)], block),
         "Kafka: replies": Decoder(read_reply, lambda: [write_message(reply)], block),
-        "Kafka: memories": Decoder(read_memory, lambda: [write_memory(memory)], (FleetError,)),
+        "Kafka: memories": Decoder(
+            read_memory, lambda: [write_memory(memory)], (FleetError,), _with_seal
+        ),
+        "Kafka: states": Decoder(
+            _fresh_group().remember, lambda: [_learnt_group().to_bytes()], (FleetError,), _with_seal
+        ),
     }
 
 
@@ -373,19 +405,109 @@ def _fault():
     return ua_binary.struct_to_binary(fault)
 
 
-def _learnt():
+@dataclass(frozen=True)
+class _Arrays(State):
+    """A state of one array, whose type and shape the bytes decide."""
+
+    array: np.ndarray
+
+
+def _arrays():
+    """Records that numpy reads, with arrays of all its plain types."""
+    kinds = ("<f8", ">f4", "<i8", "<u2", "|b1", "|S3", "<U4", "<c16", "<M8[ns]", "<m8[s]", "<f2")
+    shapes = ((), (0,), (3,), (2, 3))
+    return [_Arrays(np.zeros(shape, kind)).to_bytes("key") for kind in kinds for shape in shapes]
+
+
+def _arrays_of(data):
+    found = _Arrays.from_bytes(data, "key")
+    found.check(_Arrays(np.zeros(found.array.shape, found.array.dtype)))
+
+
+def _fresh_group():
+    return group(catalogue(1, estimators=(RlsConfig(),)).groups["north.0"])
+
+
+def _learnt_group():
+    learnt = _fresh_group()
+    feed(learnt, [block(learnt.plan, 1, (30,))])
+    return learnt
+
+
+def _models(folder):
+    found = []
+    for name, samples in (("RLS", 40), ("RBF", 40), ("Auto", 300)):
+        learnt = _learnt(samples)
+        lane, file = learnt.lane(VALVE, name), folder / f"seed-{name}.json"
+        save_model(file, VALVE, name, lane.estimator, lane.state, lane.spread, lane.support)
+        said = json.loads(file.read_bytes())
+        found.append(json.dumps(said, separators=(",", ":")).encode())
+    return found
+
+
+_COLUMNS = ("t", "codes", "U")
+
+
+def _block():
+    """The packed columns of a block, each behind its length."""
+    t, rows = START + np.arange(50) * 10_000_000, np.ones(50)
+    columns = (pack("t", t), pack("codes", rows.astype(np.uint32)), pack("U", rows))
+    return b"".join(struct.pack("<H", len(one)) + one for one in columns)
+
+
+def _block_of(data):
+    """Examine and unpack columns whose checksums are right."""
+    parts, at = {}, 0
+    for name in _COLUMNS:
+        (length,) = struct.unpack_from("<H", data.ljust(at + 2, b"\0"), at)
+        parts[name] = data[at + 2 : at + 2 + length]
+        at += 2 + length
+    try:
+        first = int(unpack("t", parts["t"])[0])
+    except (zlib.error, ValueError, IndexError):
+        first = 0
+    found = examine(
+        "V1.Signals", {n: (checksum(x, "V1.Signals", n, first), x) for n, x in parts.items()}
+    )
+    for name, one in found.parts.items():
+        unpack(name, one)
+
+
+def _alarm():
+    report = AlarmReport("Changed", True, False, 600, START, START, 1, "The flow changed")  # noqa: FBT003
+    return json.dumps(asdict(report)).encode()
+
+
+def _alarms_of(file):
+    """Select a change whose checksum is right from a file."""
+    alarm_changes.prepare(file)
+
+    def select(data):
+        text = data.decode("utf-8", "replace")
+        row = 1, START, "V1", "digest", text, zlib.crc32(text.encode("utf-8", "replace"))
+        file.execute("INSERT OR REPLACE INTO alarm_change VALUES (?, ?, ?, ?, ?, ?)", row)
+        alarm_changes.select(file, None, (0, 2**62), backwards=False, skip=0, most=10)
+
+    return select
+
+
+def _learnt(samples=300):
     plan = ValvePlan(name=VALVE, gate=QualityGate(), estimators=ESTIMATORS, inverse="RLS")
     alignment = Alignment(AlignmentSettings(), has_T=(True,))
     learnt = Identification([plan], alignment, Timing(TimingSettings(), (True,)))
-    learnt.take_samples(0, plant(300))
+    learnt.take_samples(0, plant(samples))
     learnt.refresh_maps()
     learnt.approve(VALVE)
-    learnt._alarms.of_service.note(0, 1e9, 1e9, 0.0)
+    learnt._alarms.of_service.note(0, {ServiceAlarm.CHECKPOINT: 1e9})
     return learnt
 
 
 def _with_crc(data):
     return zlib.crc32(data[4:]).to_bytes(4, "big") + data[4:]
+
+
+def _with_seal(data):
+    return sealed(data[len(sealed()) :])
 
 
 def _rows(file):
@@ -436,3 +558,56 @@ def _command():
     payload = Payload(timestamp=5)
     payload.metrics.add(name="Node Control/Rebirth", datatype=11, boolean_value=True)
     return payload.SerializeToString()
+
+
+def _packets():
+    """CONNACK, SUBACK, PINGRESP, PUBLISH of QoS 0 and 1, PUBACK, and all of them together."""
+    topic = b"\x00\x05STATE"
+    found = [
+        b"\x20\x02\x00\x00",
+        b"\x90\x03\x00\x01\x01",
+        b"\xd0\x00",
+        bytes([0x30, len(topic) + 2]) + topic + b"{}",
+        bytes([0x32, len(topic) + 4]) + topic + b"\x00\x07{}",
+        b"\x40\x02\x00\x01",
+    ]
+    return [*found, b"".join(found)]
+
+
+class _Wire:
+    """A socket that has received some bytes, and then nothing more."""
+
+    def __init__(self, data):
+        self._data = data
+
+    def recv(self, size):
+        taken, self._data = self._data[:size], self._data[size:]
+        if not taken:
+            raise BlockingIOError
+        return taken
+
+    def send(self, data):
+        return len(data)
+
+    def fileno(self):
+        return -1
+
+    def close(self):
+        self._data = b""
+
+
+def _read_by_client(data):
+    """Have the MQTT client read packets, as its thread does."""
+    client = _GuardedClient(
+        PacketGuard("mqtt://x"),
+        CallbackAPIVersion.VERSION2,
+        client_id="x",
+        protocol=MQTTv311,
+        reconnect_on_failure=False,
+    )
+    client._sock = wire = _Wire(data)
+    try:
+        while client._sock is wire and wire._data:
+            client.loop_read()
+    finally:
+        client._reset_sockets()

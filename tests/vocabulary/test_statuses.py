@@ -3,6 +3,7 @@
 import pytest
 
 from valvemap.page.judgement import INVERSE_SEVERITIES, Reason, Standing, judge
+from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import (
     Adaptation,
     FeedForwardStatus,
@@ -10,7 +11,7 @@ from valvemap.vocabulary.statuses import (
     Status,
 )
 
-PUBLISHED = [Status, Adaptation, InverseStatus, FeedForwardStatus, Reason]
+PUBLISHED = [Status, Adaptation, InverseStatus, FeedForwardStatus, FindingCode, Reason]
 
 
 @pytest.mark.parametrize("statuses", PUBLISHED)

@@ -17,7 +17,7 @@ from asyncua.server.standard_address_space import standard_address_space
 
 from guarded_opcua.address_space.packed_nodes import PackedNodes, pack
 from guarded_opcua.logs import bounded_logger
-from guarded_opcua.security.owner_only import write_owner_only
+from guarded_opcua.security.whole_files import write_owner_only
 
 _log = bounded_logger(__name__)
 _HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)

@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from guarded_opcua.errors import CertificateError
 from guarded_opcua.logs import bounded_logger, escaped
-from guarded_opcua.security.owner_only import write_owner_only
+from guarded_opcua.security.whole_files import write_owner_only, write_readable
 
 _log = bounded_logger(__name__)
 
@@ -123,7 +123,7 @@ def ensure_certificate(
             key = rsa.generate_private_key(public_exponent=65537, key_size=KEY_BITS)
             write_owner_only(paths.key, _key_bytes(key))
         certificate = make_certificate(key, application_uri, host_names, name)
-        paths.certificate.write_bytes(certificate.public_bytes(serialization.Encoding.DER))
+        write_readable(paths.certificate, certificate.public_bytes(serialization.Encoding.DER))
     except OSError as error:
         raise CertificateError(f"{error.filename}: cannot be written: {error.strerror}") from error
     return paths
@@ -213,7 +213,7 @@ def trust(pki: Pki, thumbprint_or_file: str | Path) -> Path:
     certificate = load_certificate(source)
     target = pki.trusted / f"{thumbprint(certificate)}.der"
     try:
-        target.write_bytes(certificate.public_bytes(serialization.Encoding.DER))
+        write_readable(target, certificate.public_bytes(serialization.Encoding.DER))
         if source.parent == pki.rejected:
             source.unlink()
     except OSError as error:
@@ -235,7 +235,7 @@ def reject(pki: Pki, certificate: bytes) -> Path | None:
             pki.rejected.mkdir(parents=True, exist_ok=True)
             for old in rejected(pki)[MAX_REJECTED - 1 :]:
                 old.unlink(missing_ok=True)
-            target.write_bytes(certificate)
+            write_readable(target, certificate)
     except OSError as error:
         _log.warning("%s: cannot be kept: %s", target, error.strerror)
         return None

@@ -22,7 +22,7 @@ from guarded_opcua.logs import bounded_logger
 from guarded_opcua.security.certificate_rules import UNREADABLE, extension
 from guarded_opcua.security.certificates import fingerprint, thumbprint
 from guarded_opcua.security.lock_out import Failures
-from guarded_opcua.security.owner_only import write_owner_only
+from guarded_opcua.security.whole_files import write_owner_only
 
 _log = bounded_logger(__name__)
 

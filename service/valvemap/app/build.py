@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
-from valvemap.config.models import Config, GateConfig, ValveConfig
+from valvemap.config.models import Config, GateConfig, NodesConfig, ValveConfig
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
@@ -132,8 +132,8 @@ def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
         insist=valve.insist,
         alarms=shared(AlarmsConfig.rules, valve.alarms),
         nameplate=valve.identification.nameplate(valve.name),
-        nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
-        accuracy=shared(_accuracy, valve.signals),
+        nodes=_labels(valve.nodes),
+        accuracy=shared(_accuracy, valve.signals, valve.nodes.dp is not None),
     )
 
 
@@ -144,8 +144,21 @@ def _gate(configured: GateConfig) -> QualityGate:
     )
 
 
-def _accuracy(signals: SignalsConfig) -> SensorAccuracy:
-    return SensorAccuracy(**{name: getattr(signals, name).error_limit(name) for name in MEASURED})
+def _labels(nodes: NodesConfig) -> dict[str, str]:
+    """Return each signal's name and node, for messages."""
+    sources = {name: nodes.source_of(name) for name in READ}
+    return {
+        name: f"{source} ({nodes.of(source)})"
+        for name, source in sources.items()
+        if nodes.of(source)
+    }
+
+
+def _accuracy(signals: SignalsConfig, has_dp: bool) -> SensorAccuracy:  # noqa: FBT001 - hashed
+    limits = {name: getattr(signals, name).error_limit(name) for name in MEASURED}
+    if has_dp:
+        limits |= {"p1": signals.dp.error_limit("dp"), "p2": 0.0}
+    return SensorAccuracy(**limits)
 
 
 def _feed_forward(valve: ValveConfig) -> FeedForward | None:

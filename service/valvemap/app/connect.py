@@ -1,70 +1,69 @@
-"""Creates a configuration from a foreign server: browse, propose, monitor, write."""
+"""Finds the valves of a foreign server: browse, watch, judge names, units, ranges and physics."""
 
-import asyncio
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
-from valvemap.app.connections import build_source
-from valvemap.clock import SystemClock
-from valvemap.config.models import Config
+from valvemap.app.watching import Watched, changes_of, seen_beside
 from valvemap.errors import ConfigurationError, SourceRejected
-from valvemap.foreign_text import LINE, printable, toml_string
+from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
 from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
-from valvemap.pipeline.naming import Candidate, ValveProposal, propose
-from valvemap.pipeline.units import MEASURED, QUANTITY_OF, Measure, Quantity, inside
+from valvemap.plant.answers import of_valve
+from valvemap.plant.candidates import Candidate
+from valvemap.plant.evidence import Rating
+from valvemap.plant.grouping import Group, group
+from valvemap.plant.readings import Given, Record
+from valvemap.plant.verdict import Verdict, judge
 
-CLEAR_DP = 2.0  # bar; smallest mean difference that distinguishes p1 from p2
-FEW = 5  # values; a signal with fewer is treated as on change
-UNSTEADY = 5.0  # ratio of long to short intervals; a larger one means not cyclic
-_ELECTRICAL_SPANS = {"mA": (4.0, 20.0), "V": (0.0, 10.0)}
+_PER_LOT: Final = 5  # nodes watched under one name
+_MOST_OF_A_VALVE: Final = 30  # variables of one valve that are watched
+_MOST_TIMES: Final = 1_500  # of a record
 
 
 @dataclass(frozen=True)
-class Watched:
-    """The observed statistics of one signal.
+class Wanted:
+    """Answers by valve, the name plate, and valves to leave out; ``assume`` accepts our units."""
 
-    ``rate_hz`` values per second, ``skew_ms`` distance from the valve's fastest signal (98 %
-    quantile), ``on_change`` if it is not cyclic, ``good`` the share of Good values, ``mean`` and
-    ``noise`` in our units, ``longest_s`` the longest interval.
-    """
-
-    values: int
-    rate_hz: float
-    skew_ms: float
-    on_change: bool
-    good: float
-    mean: float
-    noise: float
-    longest_s: float
+    given: Mapping[str, Given] = field(default_factory=dict)
+    rating: Rating = field(default_factory=Rating)
+    skip: frozenset[str] = frozenset()
+    assume: bool = False
 
 
 @dataclass(frozen=True)
 class Found:
-    """Valves with their nodes, observations, and open questions.
+    """The verdicts on a server's valves, the statistics of their nodes, and the unusable nodes.
 
-    ``skipped`` names the nodes and valves that cannot be used, each with the reason.
+    ``watched`` is by valve and node; ``skipped`` has a line for each unusable node or valve.
     """
 
-    valves: tuple[ValveProposal, ...]
+    verdicts: tuple[Verdict, ...]
     watched: Mapping[str, Mapping[str, Watched]]
     skipped: tuple[str, ...] = ()
 
     @property
-    def questions(self) -> tuple[str, ...]:
-        """The open decisions, one line each."""
-        return tuple(f"{valve.name}.{text}" for valve in self.valves for text in valve.open)
+    def accepted(self) -> list[Verdict]:
+        """Verdicts without a question."""
+        return [verdict for verdict in self.verdicts if verdict.question is None]
+
+    @property
+    def open(self) -> list[Verdict]:
+        """Verdicts with a question."""
+        return [verdict for verdict in self.verdicts if verdict.question is not None]
 
 
-async def look_around(settings: SourceSettings, watch_s: float) -> Found:
-    """Browse a server, propose its valves, and monitor their signals for ``watch_s``.
+async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) -> Found:
+    """Browse a server, monitor the candidates of its valves for ``watch_s``, and judge.
 
     Raises
     ------
+    ConfigurationError
+        if an answer names a valve or node that is not there.
     SourceLost, SourceRejected
     """
     connection = await open_connection(settings)
@@ -72,276 +71,155 @@ async def look_around(settings: SourceSettings, watch_s: float) -> Found:
         numbers, skipped = await find_numbers(connection)
     finally:
         await connection.close()
-    valves = propose(numbers)
-    whole = [valve for valve in valves if not valve.missing]
-    watched, refused = await _watch(settings, whole, watch_s)
-    settled = [
-        _settled(valve, watched.get(valve.name, {}))
-        for valve in valves
-        if valve.name not in refused
-    ]
-    return Found(tuple(settled), watched, (*skipped, *refused.values()))
+    groups = [with_answers(one, numbers, wanted) for one in group(numbers)]
+    check_answers(wanted, [one.name for one in groups])
+    groups = [one for one in groups if one.name not in wanted.skip]
+    values, refused = await _watch(settings, groups, watch_s)
+    verdicts, watched = [], {}
+    for one in groups:
+        if one.name in refused:
+            continue
+        given = of_valve(wanted.given, one.name, assume=wanted.assume)
+        verdict = judge(one, record_of(values, one), given, wanted.rating)
+        verdicts.append(verdict)
+        watched[one.name] = _statistics(verdict, values, watch_s)
+    return Found(tuple(verdicts), watched, (*skipped, *refused.values()))
 
 
-async def check_online(config: Config, watch_s: float) -> list[str]:
-    """Connect as `serve` would, monitor every signal, and return a line of statistics for each.
+def with_answers(one: Group, numbers: Sequence[Candidate], wanted: Wanted) -> Group:
+    """Add the variables that answers name to a valve's own.
 
     Raises
     ------
-    SourceLost, SourceRejected
-        also if a signal sent no Good value; names signal, node and valve.
+    ConfigurationError
+        if there is no such variable.
     """
-    changes = await _changes(build_source(config), watch_s)
-    lines: list[str] = []
-    silent: list[str] = []
-    for number, valve in enumerate(config.valves):
-        nodes = {
-            role: node for role in MEASURED if (node := getattr(valve.nodes, role)) is not None
-        }
-        for role, seen in _seen_of(changes, number, nodes, watch_s).items():
-            comes = "on change" if seen.on_change else "cyclic"
-            lines.append(
-                f"{valve.name}.{role}: {seen.rate_hz:.3g} Hz, {comes}, skew {seen.skew_ms:.3g} ms, "
-                f"{100 * seen.good:.0f} % good, mean {seen.mean:.4g}, noise {seen.noise:.2g}"
+    there = {candidate.node for candidate in one.all}
+    more = []
+    for role, node in of_valve(wanted.given, one.name).nodes.items():
+        if node in there:
+            continue
+        named = [candidate for candidate in numbers if candidate.node == node]
+        if not named:
+            raise ConfigurationError(
+                f"--signal {one.name}.{role}={printable(node)}: no readable number has this node"
             )
-            if seen.good == 0.0:
-                silent.append(f"{role} of valve {valve.name} (node '{nodes[role]}')")
-            lines += _advice(config, valve.name, role, seen)
-    if silent:
-        raise SourceRejected(
-            f"{config.source.url}: nothing good came in {watch_s:g} s from {', '.join(silent)}; "
-            "is it the right node, and is it written?"
-        )
-    return lines
+        more += named
+    return replace(one, own=(*one.own, *more))
 
 
-def _advice(config: Config, valve: str, role: str, seen: Watched) -> Iterator[str]:
-    """Yield the settings that the observed timing of a signal requires."""
-    if config.alignment.finds_timing:
-        return
-    held = {str(name): s for name, s in config.alignment.hold_s.items()}.get(role, 0.0)
-    if seen.on_change and held < seen.longest_s:
-        yield (
-            f"{valve}.{role}: hint: it comes on change, {seen.longest_s:.1f} s apart: "
-            f"alignment.hold_s = {{ {role} = {max(10.0, 5 * seen.longest_s):.0f} }}"
-        )
-    elif not seen.on_change and seen.skew_ms > config.alignment.tolerance_ms:
-        yield (
-            f"{valve}.{role}: hint: it is stamped {seen.skew_ms:.3g} ms beside the others: "
-            f"alignment.tolerance_ms = {np.ceil(2 * seen.skew_ms):.0f}"
-        )
+def check_answers(wanted: Wanted, names: Sequence[str]) -> None:
+    """Refuse answers for valves that are not there.
 
-
-def configuration(found: Found, settings: SourceSettings, template: str) -> str:
-    """Return the configuration (TOML) of the valves found, based on the one of ``init``.
-
-    Open decisions are comments in the section of their valve.
+    Raises
+    ------
+    ConfigurationError
+        naming the valves that are.
     """
-    head = template.split("[alignment]", maxsplit=1)[0]
-    source = _of_source(settings)
-    start, end = head.index("[source]"), head.index("[server]")
-    lines = [head[:start] + source + head[end:] + _of_alignment(found)]
-    lines += [_of_valve(valve) for valve in found.valves]
-    return "\n".join(lines)
+    unknown = ({*wanted.given} - {""} | wanted.skip) - {*names}
+    if unknown:
+        there = ", ".join(printable(name) for name in names[:20]) or "none"
+        raise ConfigurationError(f"{min(unknown)}: no such valve was found; there are: {there}")
 
 
-def _of_source(settings: SourceSettings) -> str:
-    lines = [
-        "[source]",
-        f"url = {toml_string(settings.url)}",
-        f"security = {toml_string(str(settings.security))}",
-        f"publishing_interval_ms = {settings.publishing_interval_ms:g}",
-    ]
-    if settings.user is not None:
-        lines.append(f"user = {toml_string(settings.user)}")
-        lines.append("# the password: VALVEMAP_SOURCE__PASSWORD, or password_file here")
-    if not settings.check_host_name:
-        lines.append("check_host_name = false")
-    return "\n".join([*lines, "", ""])
+def record_of(values: Mapping[str, DataChanges], one: Group) -> Record:
+    """Return the values of a valve's variables at the times of its most frequent signal.
+
+    Each value is the newest at half a step past the time, so that values of one scan stamped one
+    after the other are taken together.
+    """
+    own = {node.node: _good(values[node.node]) for node in one.all if node.node in values}
+    lengths = {node: len(changes) for node, changes in own.items()}
+    if not lengths or max(lengths.values()) < 2:
+        still = {node: c.value[-1:] for node, c in own.items() if len(c)}
+        return Record(still or {}, 1.0)
+    clock = np.unique(own[max(lengths, key=lambda node: lengths[node])].source_time)
+    step = int(np.median(np.diff(clock))) if len(clock) > 1 else 10**9
+    begins = max((c.source_time.min() for c in own.values() if len(c) > 1), default=clock[0])
+    clock = clock[clock >= begins][-_MOST_TIMES:]
+    found = {}
+    for node, changes in own.items():
+        order = np.argsort(changes.source_time, kind="stable")
+        times, numbers = changes.source_time[order], changes.value[order]
+        place = np.searchsorted(times, clock + step // 2, side="right") - 1
+        if len(numbers):
+            found[node] = np.where(place >= 0, numbers[np.maximum(place, 0)], np.nan)
+    return Record(found, step * 1e-9)
 
 
-def _of_alignment(found: Found) -> str:
-    """Return the observed timing as comments; the service detects the timing at its start."""
-    lines = ["[alignment]", "# how signals come is found at the start; when watched:"]
-    for valve, signals in found.watched.items():
-        for name, seen in signals.items():
-            comes = "on change" if seen.on_change else f"{seen.rate_hz:.3g} Hz"
-            lines.append(f"#   {valve}.{name}: {comes}, {seen.skew_ms:.3g} ms beside the others")
-    return "\n".join([*lines, ""])
+def _good(changes: DataChanges) -> DataChanges:
+    return changes[(changes.status >> 30 == 0) & np.isfinite(changes.value)]
 
 
-def _of_valve(valve: ValveProposal) -> str:
-    lines = ["[[valves]]", f"name = {toml_string(valve.name)}", "", "[valves.nodes]"]
-    for role in MEASURED:
-        if role in valve.nodes:
-            shown = printable("/".join(valve.nodes[role].path))
-            lines.append(f"{role} = {toml_string(valve.nodes[role].node)} # {shown}")
-        elif role != "T":
-            lines.append(f'# {role} = "" # decide: no node was found')
-    units = [line for role, node in valve.nodes.items() for line in _of_unit(role, node)]
-    if units:
-        lines += ["", "[valves.signals]", *units]
-    lines += _assumed(valve)
-    lines += [f"# decide: {printable(text, LINE)}" for text in valve.open]
-    return "\n".join([*lines, ""])
-
-
-def _assumed(valve: ValveProposal) -> list[str]:
-    """Return comments on the units assumed where the server has none."""
-    roles = without_unit(valve)
-    if not roles:
-        return []
-    taken = ", ".join(f"{role} in {inside(QUANTITY_OF[role]).symbol}" for role in roles)
-    return [
-        f"# the server says no unit of {', '.join(roles)}: taken as {taken};",
-        "# if not so, [valves.signals] says what is, such as",
-        '#   U = { raw = [4, 20], range = [0, 100] } or p1 = { unit = "psi" }',
-    ]
-
-
-def _of_unit(role: str, node: Candidate) -> list[str]:
-    measure = measure_of(role, node)
-    if measure.raw is not None:
-        raw, scaled = list(measure.raw), list(measure.scaled or ())
-        return [f"{role} = {{ raw = {raw}, range = {scaled} }}"]
-    if node.unit is None or measure.unit == inside(QUANTITY_OF[role]):
-        return []
-    return [f"{role} = {{ unit = {toml_string(node.unit.symbol)} }}"]
-
-
-def measure_of(role: str, node: Candidate) -> Measure:
-    """Return the unit of a node; a raw U is scaled from its range to 0 to 100 %."""
-    unit = node.unit
-    if unit is not None and unit.quantity is Quantity.ELECTRICAL:
-        span = node.bounds or _ELECTRICAL_SPANS.get(unit.symbol)
-        if role == "U" and span is not None:
-            return Measure(raw=span, scaled=(0.0, 100.0))
-        return Measure()
-    if role == "U" and unit is None and node.bounds in {(4.0, 20.0), (0.0, 10.0)}:
-        return Measure(raw=node.bounds, scaled=(0.0, 100.0))
-    return Measure(unit=unit)
-
-
-def without_unit(valve: ValveProposal) -> list[str]:
-    """Return the signals of a valve for which the server has no unit."""
-    nodes = valve.nodes
-    return [
-        role for role in MEASURED if role in nodes and measure_of(role, nodes[role]) == Measure()
-    ]
+def _statistics(
+    verdict: Verdict, values: Mapping[str, DataChanges], watch_s: float
+) -> dict[str, Watched]:
+    if verdict.reading is None:
+        return {}
+    nodes = {role: node.node for role, node in verdict.reading.nodes.items()}
+    own = {node: values[node] for node in nodes.values() if node in values}
+    if not own:
+        return {}
+    clock = max(own.values(), key=len)
+    scales = verdict.reading.scales
+    found = {}
+    for role, node in nodes.items():
+        if node in own:
+            scaled = replace(own[node], value=scales[role](own[node].value, role))
+            found[node] = seen_beside(scaled, clock, watch_s)
+    return found
 
 
 async def _watch(
-    settings: SourceSettings, valves: Sequence[ValveProposal], watch_s: float
-) -> tuple[dict[str, dict[str, Watched]], dict[str, str]]:
-    """Monitor each valve; return also the valves that the server rejects, with the reason."""
-    nodes, refused = {}, {}
-    for valve in valves:
+    settings: SourceSettings, groups: Sequence[Group], watch_s: float
+) -> tuple[dict[str, DataChanges], dict[str, str]]:
+    """Monitor all variables; return their changes by node, and refused valves with the reason."""
+    lots: dict[str, list[ValveNodes]] = {}
+    refused: dict[str, str] = {}
+    for one in groups:
         try:
-            nodes[valve.name] = _nodes_of(valve)
+            lots[one.name] = list(_lots(one))
         except ConfigurationError as error:
-            refused[valve.name] = f"{valve.name}: {printable(str(error))}"
-    if not nodes:
+            refused[one.name] = f"{printable(one.name)}: {printable(str(error))}"
+    if not lots:
         return {}, refused
     try:
-        changes = await _changes(OpcUaSource(settings, list(nodes.values())), watch_s)
+        changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
     except SourceRejected:  # find the valve
-        for name, own in list(nodes.items()):
+        for name, own in list(lots.items()):
             try:
-                await _changes(OpcUaSource(settings, [own]), 0.0)
+                await changes_of(OpcUaSource(settings, own), 0.0)
             except SourceRejected as error:
-                refused[name] = f"{name}: {printable(str(error))}"
-                del nodes[name]
-        if not nodes:
+                refused[name] = f"{printable(name)}: {printable(str(error))}"
+                del lots[name]
+        if not lots:
             raise
-        changes = await _changes(OpcUaSource(settings, list(nodes.values())), watch_s)
-    roles = {valve.name: valve.nodes for valve in valves}
-    seen = {
-        name: _seen_of(changes, number, roles[name], watch_s) for number, name in enumerate(nodes)
-    }
-    return seen, refused
+        changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
+    return _by_node(changes, _all(lots)), refused
 
 
-def _nodes_of(valve: ValveProposal) -> ValveNodes:
-    return ValveNodes(
-        valve=valve.name,
-        **{role: node.node for role, node in valve.nodes.items()},
-        measures={role: measure_of(role, node) for role, node in valve.nodes.items()},
-        insist=True,
-    )
+def _lots(one: Group) -> Iterator[ValveNodes]:
+    """Yield a valve's variables in lots as the source client reads them, without scaling."""
+    nodes = [candidate.node for candidate in one.all[:_MOST_OF_A_VALVE]]
+    for start in range(0, len(nodes), _PER_LOT):
+        lot = nodes[start : start + _PER_LOT]
+        U, p1, p2, Q = (*lot, *[lot[-1]] * 3)[:4]
+        T = lot[4] if len(lot) == _PER_LOT else None
+        yield ValveNodes(one.name, U, p1, p2, Q, T, insist=True)
 
 
-async def _changes(source: OpcUaSource, watch_s: float) -> DataChanges:
-    """Return all data changes that a source sends within ``watch_s``."""
-    clock, parts = SystemClock(), list[DataChanges]()
-    await source.connect()
-    try:
-        ends = clock.monotonic() + watch_s
-        while (left := ends - clock.monotonic()) > 0.0:
-            try:
-                async with asyncio.timeout(left):
-                    parts.append(await source.receive())
-            except TimeoutError:
-                break
-    finally:
-        await source.close()
-    return DataChanges.concatenate(parts)
+def _all(lots: Mapping[str, Sequence[ValveNodes]]) -> list[ValveNodes]:
+    return [lot for own in lots.values() for lot in own]
 
 
-def _seen_of(
-    changes: DataChanges, number: int, roles: Collection[str], watch_s: float
-) -> dict[str, Watched]:
-    of_signal = {
-        role: changes[changes.item == number * SIGNALS_PER_VALVE + place]
-        for place, role in enumerate(MEASURED)
-        if role in roles
-    }
-    clock_signal = max(of_signal.values(), key=len)
-    return {role: _seen(own, clock_signal, watch_s) for role, own in of_signal.items()}
-
-
-def _seen(own: DataChanges, others: DataChanges, watch_s: float) -> Watched:
-    steps = np.diff(np.unique(own.source_time)) * 1e-9
-    short, long = np.quantile(steps, [0.1, 0.9]) if len(steps) else (0.0, 0.0)
-    seldom = len(own) < 0.5 * len(others)
-    good = own.value[(own.status >> 30 == 0) & np.isfinite(own.value)]
-    second = np.diff(good, n=2)
-    return Watched(
-        values=len(own),
-        rate_hz=len(own) / watch_s,
-        skew_ms=_skew_ms(own.source_time, others.source_time),
-        on_change=bool(len(own) < FEW or seldom or long > UNSTEADY * short),
-        good=len(good) / max(len(own), 1),
-        mean=float(good.mean()) if len(good) else np.nan,
-        noise=float(np.median(np.abs(second)) / (0.6745 * 6.0**0.5)) if len(second) else np.nan,
-        longest_s=float(steps.max()) if len(steps) else watch_s,
-    )
-
-
-def _skew_ms(times: np.ndarray, others: np.ndarray) -> float:
-    """Return the distance to the nearest value of another signal, 98 % quantile, ms."""
-    if not len(times) or not len(others):
-        return 0.0
-    ordered = np.sort(others)
-    right = np.clip(np.searchsorted(ordered, times), 0, len(ordered) - 1)
-    left = np.maximum(right - 1, 0)
-    distance = np.minimum(np.abs(ordered[right] - times), np.abs(times - ordered[left]))
-    return float(np.quantile(distance, 0.98)) * 1e-6
-
-
-def _settled(valve: ValveProposal, seen: Mapping[str, Watched]) -> ValveProposal:
-    """Assign p1 and p2 by their mean values where their names are ambiguous."""
-    open_ = [text for text in valve.open if text.startswith(("p1:", "p2:"))]
-    if "p1" not in seen or "p2" not in seen:
-        return valve
-    dp = seen["p1"].mean - seen["p2"].mean
-    only_two = len(open_) == 1 and open_[0].count(" or ") == 1
-    if open_ and only_two and abs(dp) > CLEAR_DP:
-        nodes = dict(valve.nodes)
-        if dp < 0.0:
-            nodes["p1"], nodes["p2"] = nodes["p2"], nodes["p1"]
-        rest = tuple(text for text in valve.open if text not in open_)
-        return replace(valve, nodes=nodes, open=rest)
-    if dp < -CLEAR_DP:
-        said = f"p1: it lies {-dp:.3g} bar below p2; are the two swapped?"
-        return replace(valve, open=(*valve.open, said))
-    return valve
+def _by_node(changes: DataChanges, lots: Sequence[ValveNodes]) -> dict[str, DataChanges]:
+    found: dict[str, DataChanges] = {}
+    order = np.argsort(changes.item, kind="stable")
+    items = changes.item[order]
+    for number, lot in enumerate(lots):
+        for signal, _, node in lot.signals():
+            item = number * SIGNALS_PER_VALVE + signal
+            low, high = np.searchsorted(items, [item, item + 1])
+            if node not in found or len(found[node]) < high - low:
+                found[node] = changes[order[low:high]]
+    return found

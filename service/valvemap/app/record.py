@@ -18,6 +18,7 @@ from valvemap.owned_files import write_whole
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.failure_log import log_left_out
 from valvemap.runtime.supervisor import supervise
 from valvemap.storage.recordings import RecordingWriter
 
@@ -130,6 +131,8 @@ class _Recorder:
         write_whole(beside, json.dumps(found, indent=2, ensure_ascii=False))
 
     def _append(self, samples: ByValve) -> None:
+        for left_out, error in self._arrivals.new_failures():
+            log_left_out(self._names[left_out], error)
         for valve, batch in samples.items():
             self._writer.append(self._names[valve], batch)
             self.samples += len(batch)

@@ -25,6 +25,7 @@ from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
+from valvemap.plant.readings import Given
 from valvemap.runtime.failure_log import log_failure
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
@@ -92,6 +93,8 @@ def replay(
     insist: bool = False,
     only: Collection[str] | None = None,
     read_ahead: bool = True,
+    header: tuple[str, ...] | None = None,
+    given: Mapping[str, Given] | None = None,
 ) -> Report:
     """Run recordings through the pipeline, file after file, in constant memory.
 
@@ -112,6 +115,8 @@ def replay(
     read_ahead
         Read the next batch in a thread while one is processed; useless if all processors are
         busy.
+    header, given
+        Headings of files that have none, and answers about foreign headings.
 
     Returns
     -------
@@ -124,7 +129,8 @@ def replay(
     RecordingError, ConfigurationError
     """
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
-    layout = None if config is None else build_layout(config)
+    layout = Layout() if config is None else build_layout(config)
+    layout = replace(layout, header=header, given=given or {})
     valves: dict[str, _Learnt] = {}
     turn = _one_ahead if read_ahead else iter
     for file in files:

@@ -11,9 +11,11 @@ from guarded_opcua import HardenedError, ServerSettings
 from valvemap.app.connections import (
     build_history,
     build_live_settings,
+    build_server_settings,
     build_supervisor_settings,
     own_certificate,
 )
+from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.memory import giving_back
 from valvemap.app.plan import Plan, make_plan
 from valvemap.app.pulse import Pulse
@@ -29,6 +31,7 @@ from valvemap.model.kernels.compiled import was_warmed_up
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.runtime.daemon_thread import unless_stopped
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.sources import supervise_all
@@ -75,6 +78,8 @@ async def serve(
         used; at the end: if the states cannot be stored.
     """
     reload, manager = reload or Reload(lambda: config), manager or ServiceManager()
+    settings = server_settings or build_server_settings(config)
+    allow_descriptors(descriptors_needed(settings.limits.connections, len(config.all_sources)))
     identification = identification or first_identification(config)
     plan: Plan | None = make_plan(config, server_settings, identification)
     before: Plan | None = None
@@ -139,9 +144,9 @@ async def _live(
     await live.start(known)
     log.info("results served", url=server.url)
     completing = asyncio.create_task(_complete(plan, live, ended))
-    if plan.identification.journal is None and not was_warmed_up():
-        await plan.compiled.ended()
-    manager.ready(f"{len(config.valves)} valves at {server.url}")
+    waits = plan.identification.journal is None and not was_warmed_up()
+    if not waits or await unless_stopped(stop, plan.compiled.ended()):
+        manager.ready(f"{len(config.valves)} valves at {server.url}")
     pulse = Pulse(live, clock)
     watched = asyncio.create_task(feed_watchdog(manager, pulse, clock))
     stopping = asyncio.create_task(_pass_on(stop, live, ended, manager))
@@ -153,6 +158,8 @@ async def _live(
     finally:
         server.take_no_commands()
         plan.compiled.stop()
+        if stop.is_set():
+            completing.cancel()
         for task in (watched, stopping, following):
             task.cancel()
         tasks = watched, stopping, following, completing
@@ -160,7 +167,8 @@ async def _live(
         goes_on = not (following.cancelled() or stop.is_set())
         if not goes_on and not await live.keep(within_s=live.time_left_s):
             log.warning("disk too slow to keep the last states, those before are kept")
-    await completing  # raises if the kernels could not be compiled
+    if not completing.cancelled():
+        await completing  # raises if the kernels could not be compiled
     if not goes_on:
         return None, []
     states = live.states()

@@ -19,6 +19,7 @@ from valvemap.model.kernels.compiled import was_warmed_up
 from valvemap.numba_version import is_tested
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import StartState
+from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.live import LiveService
 
 log = structlog.get_logger(__name__)
@@ -46,14 +47,14 @@ class Compilation:
     def __init__(self, config: Config) -> None:
         self.parts = 0, 0
         self._config = config
-        self._task: asyncio.Task[None] | None = None
+        self._work: asyncio.Future[None] | None = None
         self.is_over = False
 
-    def begin(self) -> asyncio.Task[None]:
-        """Start the compilation unless it was started; return its task."""
-        if self._task is None:
-            self._task = asyncio.create_task(asyncio.to_thread(self._compile))
-        return self._task
+    def begin(self) -> "asyncio.Future[None]":
+        """Start the compilation unless it was started; return its future."""
+        if self._work is None:
+            self._work = in_daemon_thread(self._compile)
+        return self._work
 
     async def ended(self) -> None:
         """Start the compilation if necessary, and wait until it is complete."""

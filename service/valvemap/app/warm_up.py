@@ -21,11 +21,11 @@ from valvemap.config.models import Config, ValveConfig
 from valvemap.model import fit_budget, lag_search, map_search
 from valvemap.model.auto import Auto
 from valvemap.model.auto_state import CHAMPION, surface_of
+from valvemap.model.capabilities import ChoosesStructure, FindsChanges
 from valvemap.model.estimator import Estimator, key_of
 from valvemap.model.kernels import cells, grid, held, lag, reaction
 from valvemap.model.kernels.compiled import note_warm_up, take_shortcuts, was_warmed_up
 from valvemap.model.map_shapes import Shape, Variety
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.model.support import Support
@@ -199,12 +199,12 @@ def _parts(config: Config) -> list[Callable[[], None]]:
         for plan in build_plans(config)
         for estimator in plan.estimators.values()
     }
-    finds_structure = any(isinstance(one, Auto) for one in estimators.values())
-    others = [one for one in estimators.values() if not isinstance(one, Auto)]
+    finds_structure = any(isinstance(one, ChoosesStructure) for one in estimators.values())
+    others = [one for one in estimators.values() if not isinstance(one, ChoosesStructure)]
     return [
         *([_fit] if finds_structure else []),
-        *(partial(_learn, one) for one in others if isinstance(one, RecursiveLeastSquares)),
-        *(partial(_learn, one) for one in others if not isinstance(one, RecursiveLeastSquares)),
+        *(partial(_learn, one) for one in others if isinstance(one, FindsChanges)),
+        *(partial(_learn, one) for one in others if not isinstance(one, FindsChanges)),
         *([_fill_cells] if finds_structure else []),
         partial(compile_alignment, config),
         _look_around,
@@ -298,7 +298,7 @@ def compile_here(config: Config) -> None:
         identification.result(valve)
     identification.refresh_maps()
     plans = identification.plans
-    if any(isinstance(one, Auto) for plan in plans for one in plan.estimators.values()):
+    if any(isinstance(one, ChoosesStructure) for plan in plans for one in plan.estimators.values()):
         _what_auto_seldom_needs()
 
 

@@ -1,13 +1,14 @@
 """The command ``valvemap``: exit code 0, 1 (the command failed) or 2 (usage error)."""
 
 import gc
+import signal
 import sys
 from typing import Annotated, Any
 
 import typer
 from typer.main import get_command
 
-from valvemap.cli.command_table import COMMANDS, LazyGroup
+from valvemap.cli.command_table import COMMANDS, SERVING, LazyGroup
 from valvemap.errors import ValvemapError
 from valvemap.foreign_text import LINE, printable, printable_lines
 from valvemap.numba_version import ask_for_shortcuts
@@ -19,11 +20,18 @@ _UsageError: Any = typer.BadParameter.__base__  # typer exports its children onl
 
 def main() -> None:
     """Run the command line; errors of the user are one line without a traceback."""
+    if any(tuple(sys.argv[1 : 1 + len(words)]) == words for words in SERVING):
+        signal.signal(signal.SIGTERM, _end)  # the command replaces it, once it can be stopped
     ask_for_shortcuts()
     gc.set_threshold(50_000, 20, 20)  # imports and address spaces create little garbage
     code = run(sys.argv[1:])
     gc.freeze()  # skip the collection at exit
     sys.exit(code)
+
+
+def _end(_number: int, _frame: object) -> None:
+    """End a service that has not begun: nothing is to be saved."""
+    raise SystemExit(0)
 
 
 def run(arguments: list[str]) -> int:

@@ -66,6 +66,13 @@ COMMANDS: Final[Mapping[str, Entry]] = {
 """All commands; `--help` and shell completion read this table without importing any module."""
 
 
+SERVING: Final = (
+    *(("rig",), ("serve",), ("dashboard",), ("mqtt",)),
+    *(("fleet", "collect"), ("fleet", "work"), ("fleet", "serve")),
+)
+"""Commands that serve until they are stopped: SIGTERM while they start is no failure."""
+
+
 class LazyGroup(TyperGroup):
     """The commands of the table, each imported when the command line names it."""
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,20 +16,29 @@ from valvemap.cli.output import terminal, write_line
 from valvemap.cli.progress import working
 from valvemap.cli.security import make_users
 from valvemap.errors import ConfigurationError, SourceRejected, StorageError
-from valvemap.foreign_text import printable
+from valvemap.foreign_text import LINE, printable
 from valvemap.owned_files import write_whole
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from valvemap.app.connect import Found
     from valvemap.opcua_source.client import SourceSettings
+    from valvemap.plant.verdict import Verdict
 
 _WATCH_S = 30.0
 _MOST_SKIPPED = 20  # lines; further ones are counted only
 
 
+def _also_force(context: typer.Context, value: bool) -> bool:  # noqa: FBT001 - typer's callback
+    """Let ``--yes`` replace files, too."""
+    if value:
+        context.params["force"] = True
+    return value
+
+
 def connect(
+    context: typer.Context,
     url: Annotated[str, typer.Argument(metavar="URL", help="opc.tcp://HOST:PORT/PATH")],
     out: Annotated[
         Path,
@@ -54,50 +64,157 @@ def connect(
     watch: Annotated[
         float, typer.Option(min=1.0, max=3600.0, metavar="S", help="Duration of the watch.")
     ] = _WATCH_S,
+    signal: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="VALVE.SIGNAL=NODE", help="Answer: the node of U, p1, p2, Q, T or dp."
+        ),
+    ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="VALVE.SIGNAL=UNIT",
+            help="Answer: a unit, or raw numbers and values, such as 0..27648:0..250bar.",
+        ),
+    ] = None,
+    skip: Annotated[
+        list[str] | None, typer.Option(metavar="VALVE", help="Leave out a valve that was found.")
+    ] = None,
+    rated_pressure: Annotated[
+        float, typer.Option(min=0.0, metavar="BAR", help="Of the name plate, to check p1.")
+    ] = 0.0,
+    rated_flow: Annotated[
+        float, typer.Option(min=0.0, metavar="L_MIN", help="Of the name plate, to check Q.")
+    ] = 0.0,
+    rated_drop: Annotated[
+        float, typer.Option(min=0.1, metavar="BAR", help="Pressure drop of the rated flow.")
+    ] = 35.0,
+    sheet: Annotated[
+        Path | None,
+        typer.Option(
+            "--sheet", metavar="FILE", help="Write the sheet of signals (HTML).", callback=new_file
+        ),
+    ] = None,
     *,
     force: Annotated[
-        bool, typer.Option("--force", "--yes", is_eager=True, help="Replace FILE if it exists.")
+        bool, typer.Option("--force", is_eager=True, help="Replace files that exist.")
+    ] = False,
+    yes: Annotated[
+        bool,
+        typer.Option(
+            "--yes",
+            is_eager=True,
+            callback=_also_force,
+            help="As --force; take units that nothing states as %, bar, l/min, °C, where that is "
+            "plausible; write the valves that are decided.",
+        ),
     ] = False,
     trust_server: Annotated[
         bool, typer.Option("--trust-server", help="Trust the certificate that the server shows.")
     ] = False,
 ) -> None:
     """Find the valves of a server, check their signals, write a configuration."""
-    from valvemap.app.connect import configuration, look_around, without_unit
+    from valvemap.app.connect import Wanted, look_around
+    from valvemap.app.connect_toml import configuration
+    from valvemap.app.sheet import sheet_page
     from valvemap.config.template import configuration_template
+    from valvemap.plant.answers import parse_answers
+    from valvemap.plant.evidence import Rating
 
     console = terminal()
+    wanted = Wanted(
+        parse_answers(signal or (), scale or ()),
+        Rating(rated_pressure, rated_flow, rated_drop),
+        frozenset(skip or ()),
+        assume=yes,
+    )
     console.print(f"looking around at {url}, then watching for {watch:g} s ...", soft_wrap=True)
 
     def look(policy: str) -> "tuple[SourceSettings, Found]":
         settings = _settings(url, data, user, policy, check_host_name=not trust_server)
         try:
-            return settings, asyncio.run(look_around(settings, watch))
+            return settings, asyncio.run(look_around(settings, watch, wanted))
         except SourceRejected as refused:
             if not trust_server or not _trust(data, refused):
                 raise
-            return settings, asyncio.run(look_around(settings, watch))
+            return settings, asyncio.run(look_around(settings, watch, wanted))
 
     with working(f"watching for {watch:g} s"):
         settings, found = _by_the_best(look) if security is None else look(security)
     console.print(f"security: {settings.security}", soft_wrap=True)
     for line in _skipped(found):
         console.print(f"skipped: {line}", soft_wrap=True)
-    if not found.valves:
+    if not found.verdicts:
         raise ConfigurationError(
             f"{url}: no valve was found: U, two pressures and a flow are needed; write "
             "[valves.nodes] by hand: `valvemap init` makes a configuration to begin with"
         )
     console.print(_table(found))
-    make_users(data, None)
-    write_whole(out, configuration(found, settings, configuration_template(data)))
-    for valve in found.valves:
-        if roles := without_unit(valve):
-            unsaid = f"{valve.name}: the server says no unit of {', '.join(roles)};"
-            console.print(f"{unsaid} {out} says what is taken for it", soft_wrap=True)
-    console.print(f"written: {out}; `valvemap serve --config {out}` starts", soft_wrap=True)
-    if found.questions:
-        raise StorageError(f"{out}: to be decided: {'; '.join(found.questions)}")
+    if found.accepted:
+        console.print(_sheet(found))
+    command = _command(context)
+    for line in (line for verdict in found.open for line in _question(verdict, command)):
+        console.print(line, soft_wrap=True, highlight=False)
+    is_written = bool(found.accepted) and (yes or not found.open)
+    if is_written:
+        make_users(data, None)
+        pages = {out: configuration(found, settings, configuration_template(data))}
+        pages |= {sheet: sheet_page(url, found.accepted)} if sheet is not None else {}
+        for file, text in pages.items():
+            write_whole(file, text)
+        console.print(f"written: {', '.join(map(str, pages))}", soft_wrap=True)
+        console.print(f"`valvemap serve --config {out}` starts", soft_wrap=True)
+    _refuse_if_open(found, out, "written without these valves" if is_written else "not written")
+
+
+def _refuse_if_open(found: "Found", out: Path, what: str) -> None:
+    """Raise StorageError if a valve is undecided."""
+    if found.open:
+        about = "; ".join(f"{v.valve}.{v.question.about}" for v in found.open if v.question)
+        raise StorageError(f"{out}: {what}: to be decided: {printable(about, LINE)}")
+
+
+def _question(verdict: "Verdict", command: str) -> "Iterator[str]":
+    """Yield the lines of a question: the readings, their consequences, and the command of each."""
+    question = verdict.question
+    if question is None:
+        return
+    yield f"{verdict.valve}: {question.about}"
+    for number, option in enumerate(question.options, 1):
+        yield f"  {number}. {option.text} ({100 * option.probability:.0f} %)"
+        yield f"     {option.consequence}"
+        yield f"     answer: {command} {' '.join(map(shlex.quote, option.answers))}"
+    yield f"  to leave it out: {command} --skip={verdict.valve}"
+
+
+def _command(context: typer.Context) -> str:
+    """Return the command with the options that were given, for a terminal."""
+    parts = ["valvemap", "connect", str(context.params["url"])]
+    for option in context.command.params:
+        given = context.params.get(option.name or "")
+        if option.param_type_name != "option" or given in (None, option.get_default(context), ()):
+            continue
+        name = option.opts[0]
+        if given is True:
+            parts.append(name)
+        else:
+            parts += [f"{name}={one}" for one in (given if isinstance(given, list) else [given])]
+    return " ".join(shlex.quote(printable(part)) for part in parts)
+
+
+def _sheet(found: "Found") -> Table:
+    from valvemap.app.sheet import HEADINGS, rows
+
+    table = Table(title="Sheet of signals", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for heading in HEADINGS:
+        table.add_column(heading, overflow="fold")
+    valve = None
+    for row in rows(found.accepted):
+        if row.valve != valve:
+            valve = row.valve
+            table.add_row(Text(printable(valve), style="bold"))
+        table.add_row(*(Text(cell) for cell in row.cells))
+    return table
 
 
 def _skipped(found: "Found") -> list[str]:
@@ -158,7 +275,8 @@ def _trust(data: Path, refused: SourceRejected) -> bool:
 
 def _table(found: "Found") -> Table:
     """Table of the signals; it fits a terminal of 80 columns if names are short."""
-    beginning = _beginning([node.node for valve in found.valves for node in valve.nodes.values()])
+    readings = {v.valve: v.reading for v in found.verdicts if v.reading is not None}
+    beginning = _beginning([n.node for r in readings.values() for n in r.nodes.values()])
     nodes = f"; nodes begin with {beginning}" if beginning else ""
     table = Table(
         title=f"Values seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
@@ -167,17 +285,17 @@ def _table(found: "Found") -> Table:
     for heading in ("rate\nHz", "skew\nms", "comes", "good\n%", "mean", "noise"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("node", overflow="fold")
-    for valve in found.valves:
-        table.add_row(Text(printable(valve.name), style="bold"))
-        for role, node in valve.nodes.items():
-            seen = found.watched.get(valve.name, {}).get(role)
+    for valve, reading in readings.items():
+        table.add_row(Text(printable(valve), style="bold"))
+        for role, node in reading.nodes.items():
+            seen = found.watched.get(valve, {}).get(node.node)
             figures = ["", "", "", "", "", ""]
             if seen is not None:
                 comes = "on change" if seen.on_change else "cyclic"
                 numbers = seen.rate_hz, seen.skew_ms, 100.0 * seen.good, seen.mean, seen.noise
                 rate, skew, good, mean, noise = (f"{number:.3g}" for number in numbers)
                 figures = [rate, skew, comes, good, mean, noise]
-            table.add_row(role, *figures, printable(node.node.removeprefix(beginning)))
+            table.add_row(role, *figures, Text(printable(node.node.removeprefix(beginning))))
     return table
 
 

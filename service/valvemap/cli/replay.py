@@ -16,8 +16,15 @@ from valvemap.config.loading import load_config
 from valvemap.errors import RecordingError
 from valvemap.owned_files import write_whole
 
+_BEYOND = "beyond_range"  # has a line of its own
+
 if TYPE_CHECKING:
-    from valvemap.app.replay import Report
+    from collections.abc import Mapping
+
+    from valvemap.app.replay import Report, Tap
+    from valvemap.model.samples import Samples, Trace
+    from valvemap.pipeline.row_tallies import RowTallies
+    from valvemap.report.replay_plots import ReplayPlots
 
 
 def replay(
@@ -59,6 +66,21 @@ def replay(
     until: Annotated[
         str | None, typer.Option("--to", metavar="T", help="Of a history: last time; none = now.")
     ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Columns of a file without headings: t,U,p1,p2,Q."),
+    ] = None,
+    signal: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SIGNAL=HEADING", help="Answer: the column of U, p1, p2, Q, T, dp."),
+    ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SIGNAL=UNIT",
+            help="Answer: a unit, or raw numbers and values, such as 0..27648:0..250bar.",
+        ),
+    ] = None,
     *,
     force: ForceOption = False,
     insist: Annotated[
@@ -69,17 +91,28 @@ def replay(
     from valvemap.app.models import save_models
     from valvemap.app.replay import as_json
     from valvemap.app.replay import replay as run
+    from valvemap.pipeline.row_tallies import RowTallies
+    from valvemap.plant.answers import parse_answers
     from valvemap.report.verification import verification_table
 
     loaded = None if config is None else load_config(config)
+    rows = RowTallies()
     plots = None
     if plot is not None:  # matplotlib is an extra
         from valvemap.report.replay_plots import ReplayPlots
 
         plots = ReplayPlots(plot)
     with recordings_of(files, config, since, until) as recordings, bars() as progress:
-        taps = [] if plots is None else [plots.take]
-        report = run(recordings, loaded, verify, of_files(progress), *taps, insist=insist)
+        report = run(
+            recordings,
+            loaded,
+            verify,
+            of_files(progress),
+            _tap(rows, plots),
+            insist=insist,
+            header=tuple(columns.split(",")) if columns else None,
+            given=parse_answers(signal or (), scale or ()),
+        )
     console = terminal()
     one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
     tables = [verification_table("One step ahead, before each update", one_step)]
@@ -89,7 +122,7 @@ def replay(
     tables.append(_trust_table(report))
     for table in tables:
         console.print(table)
-    notes = [*_not_learnt_from(report), *_hints(report)]
+    notes = [*_not_learnt_from(report), *_dropped(report), *rows.lines(), *_hints(report)]
     for line in notes:
         console.print(line, soft_wrap=True, highlight=False)
     if json_out is not None:
@@ -108,6 +141,27 @@ def replay(
         for written in (*pictures, page):
             console.print(f"written: {written}", soft_wrap=True)
     _refuse_if_nothing_was_learnt(report)
+
+
+def _tap(rows: "RowTallies", plots: "ReplayPlots | None") -> "Tap":
+    """Return a tap that counts rows, and draws them if they are to be drawn."""
+
+    def tap(valve: str, samples: "Samples", traces: "Mapping[str, Trace]") -> None:
+        rows.count(valve, samples)
+        if plots is not None:
+            plots.take(valve, samples, traces)
+
+    return tap
+
+
+def _dropped(report: "Report") -> Iterator[str]:
+    """Yield a line for each valve with samples that were not learnt from."""
+    for valve, estimators in report.items():
+        r = next(iter(estimators.values()))
+        why = {reason.replace("_", " "): n for reason, n in r.rejected.items() if reason != _BEYOND}
+        if why:
+            reasons = ", ".join(f"{reason} {n:,}" for reason, n in why.items())
+            yield f"{valve}: rows dropped: {sum(why.values()):,} of {r.samples:,} ({reasons})"
 
 
 def _hints(report: "Report") -> Iterator[str]:

@@ -21,8 +21,8 @@ from guarded_opcua import (
 )
 from guarded_opcua.security.certificate_rules import Use, name_of
 from guarded_opcua.security.certificates import trust as trust_certificate
-from guarded_opcua.security.owner_only import write_owner_only
 from guarded_opcua.security.peer_certificates import PeerTrust
+from guarded_opcua.security.whole_files import write_owner_only
 from valvemap.app.identities import (
     APPLICATION_NAME,
     APPLICATION_URI,

@@ -92,7 +92,7 @@ def check_config(
     loaded = whole if source is None else of_source(whole, source)
     names = [named.name for named in loaded.sources]
     if online:
-        from valvemap.app.connect import check_online
+        from valvemap.app.watching import check_online
 
         for watched in [of_source(loaded, name) for name in names] or [loaded]:
             with working(f"watching {watched.source.url} for {watch:g} s"):

@@ -6,7 +6,8 @@ from pydantic import Field, model_validator
 
 from valvemap.config.sections import Section
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import RULES, SERVICE_RULES, Alarm, ServiceAlarm
+from valvemap.pipeline.alarms import RULES, SERVICE_RULES, Alarm
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 
 class AlarmConfig(Section):
@@ -75,7 +76,7 @@ class ServiceAlarmsConfig(Section):
 
     def rules(self, checkpoint_interval_s: float) -> dict[ServiceAlarm, AlarmRule]:
         """Return the rule of each alarm of the service."""
-        found = {a: getattr(self, a.title).rule(SERVICE_RULES[a]) for a in ServiceAlarm}
+        found = {a: getattr(self, a.label).rule(rule) for a, rule in SERVICE_RULES.items()}
         checkpoint = found[ServiceAlarm.CHECKPOINT]
         if self.Checkpoint.limit is None and 3.0 * checkpoint_interval_s > checkpoint.limit:
             found[ServiceAlarm.CHECKPOINT] = AlarmRule(

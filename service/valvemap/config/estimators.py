@@ -1,9 +1,9 @@
 """Configuration of the estimators, a class per kind, and the function that builds them."""
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, assert_never
+from typing import Annotated, Any, ClassVar, Final, Literal, assert_never, get_args
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import BaseModel, Field, ValidationInfo, field_validator
 
 from valvemap.config.sections import Section
 from valvemap.model.auto import Auto
@@ -38,7 +38,13 @@ ForgettingRule = Literal[
 ]
 
 
-class RlsConfig(Section):
+class EstimatorSection(Section):
+    """Base of the sections of estimators; each has a ``kind`` and a ``name``."""
+
+    any_U_range: ClassVar[bool] = False  # whether its map covers any range of U, not 0 … 100 % only
+
+
+class RlsConfig(EstimatorSection):
     """Recursive least squares on eq. (7)."""
 
     kind: Literal["RLS"] = "RLS"
@@ -60,7 +66,7 @@ class RlsConfig(Section):
         return lam
 
 
-class RmlConfig(Section):
+class RmlConfig(EstimatorSection):
     """Recursive maximum likelihood on eq. (7), noise coloured by a moving average."""
 
     kind: Literal["RML"] = "RML"
@@ -74,8 +80,10 @@ class RmlConfig(Section):
         return MaximumLikelihood(lam=lam).lam
 
 
-class RbfConfig(Section):
+class RbfConfig(EstimatorSection):
     """The paper's radial basis function network, trained by gradient descent."""
+
+    any_U_range: ClassVar[bool] = True
 
     kind: Literal["RBF"] = "RBF"
     name: Name = "RBF"
@@ -85,7 +93,7 @@ class RbfConfig(Section):
     alpha: float = Field(0.1, ge=0.0, lt=1.0, description="momentum")
 
 
-class AutoConfig(Section):
+class AutoConfig(EstimatorSection):
     """The structure of the map chosen online."""
 
     kind: Literal["Auto"] = "Auto"
@@ -100,7 +108,7 @@ class AutoConfig(Section):
         return Auto(lam=lam).lam
 
 
-class FlowMapConfig(Section):
+class FlowMapConfig(EstimatorSection):
     """The map as one Gaussian model, all of whose scales the samples decide."""
 
     kind: Literal["FlowMap"] = "FlowMap"
@@ -109,6 +117,16 @@ class FlowMapConfig(Section):
 
 AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig | FlowMapConfig
 EstimatorConfig = Annotated[AnyEstimatorConfig, Field(discriminator="kind")]
+
+
+def kind_of(section: type[BaseModel]) -> str | None:
+    """Return the kind of a class of sections, None if it has none."""
+    field = section.model_fields.get("kind")
+    return None if field is None else str(field.default)
+
+
+SECTIONS: Final = {str(kind_of(section)): section for section in get_args(AnyEstimatorConfig)}
+KINDS: Final = tuple(SECTIONS)
 
 
 def default_estimators() -> tuple[AnyEstimatorConfig, ...]:

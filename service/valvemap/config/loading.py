@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, SettingsError
 
+from valvemap.config.estimators import KINDS, kind_of
 from valvemap.config.models import Config
 from valvemap.errors import ConfigurationError
 
@@ -52,16 +53,20 @@ def load_settings(kind: type[S], file: Path | None) -> S:
 
 def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
     """Return a hint with the closest field name, if one is similar."""
-    section: Any = kind
+    sections: list[Any] = [kind]
     for key in path[:-1]:
         if isinstance(key, int):
             continue
-        field = section.model_fields.get(key) if hasattr(section, "model_fields") else None
-        section = next(iter(_models(field.annotation)), None) if field is not None else None
-    if section is None or not hasattr(section, "model_fields"):
+        if key in KINDS:  # the path contains the tag of a union
+            sections = [section for section in sections if kind_of(section) == key]
+            continue
+        field = sections[0].model_fields.get(key) if sections else None
+        sections = list(_models(field.annotation)) if field is not None else []
+    if not sections:
         return ""
-    near = get_close_matches(str(path[-1]), section.model_fields, n=1)
-    return f"; is {near[0]} meant?" if near else f"; there are {', '.join(section.model_fields)}"
+    fields = sections[0].model_fields
+    near = get_close_matches(str(path[-1]), fields, n=1)
+    return f"; is {near[0]} meant?" if near else f"; there are {', '.join(fields)}"
 
 
 def _models(annotation: Any) -> Iterator[Any]:  # noqa: ANN401 - any type
@@ -81,7 +86,7 @@ def _sentence(details: ErrorDetails) -> str:
     if kind == "union_tag_invalid":
         return f"kind {context['tag']!r}: allowed is one of {context['expected_tags']}"
     if kind == "union_tag_not_found":
-        return "kind is missing: allowed is one of RLS, RML, RBF, Auto"
+        return f"kind is missing: allowed is one of {', '.join(KINDS)}"
     if kind in _SHAPES:
         return _SHAPES[kind]
     message = details["msg"].removeprefix("Value error, ")
@@ -122,14 +127,14 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) -> str:
     # The path contains the tag of a union, which is not a key of the file.
-    path = [key for key in details["loc"] if key not in {"RLS", "RML", "RBF", "Auto"}]
+    path = [key for key in details["loc"] if key not in KINDS]
     field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
     prefix = kind.model_config.get("env_prefix", "")
     variable = prefix + "__".join(str(key).upper() for key in path)
     where = f"environment variable {variable}" if variable in os.environ else (file or "defaults")
     message = _sentence(details)
     if details["type"] == "extra_forbidden":
-        return f"{where}: {field}: there is no such field{_nearest(kind, path)}"
+        return f"{where}: {field}: there is no such field{_nearest(kind, details['loc'])}"
     if details["type"] == "missing":
         return f"{where}: {field}: this field is required"
     value = details["input"]

@@ -14,7 +14,7 @@ from pydantic import (
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
-from valvemap.config.estimators import EstimatorConfig, default_estimators
+from valvemap.config.estimators import SECTIONS, EstimatorConfig, default_estimators
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
@@ -25,6 +25,7 @@ from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.quality_gate import PLAUSIBLE, SignalLimits
 
 RIG_NAMESPACE = "urn:valvemap:rig"
+_OF_ANY_RANGE = [f'"{kind}"' for kind, section in SECTIONS.items() if section.any_U_range]
 RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
 RESERVED_ESTIMATORS = (
     "Signals",
@@ -246,8 +247,11 @@ class NodesConfig(Section):
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
     U: str = Field(description="control voltage")
-    p1: str = Field(description="pressure before the valve")
-    p2: str = Field(description="pressure behind the valve")
+    p1: str | None = Field(None, description="pressure before the valve")
+    p2: str | None = Field(None, description="pressure behind the valve")
+    dp: str | None = Field(
+        None, description="p1 - p2 of one transmitter, in place of p1 and p2: p2 is 0 then"
+    )
     Q: str = Field(description="flow")
     T: str | None = Field(None, description="oil temperature, where there is a sensor")
     sequence: str | None = Field(None, description="running number of the sample")
@@ -267,6 +271,16 @@ class NodesConfig(Section):
         return self
 
     @model_validator(mode="after")
+    def _has_pressures(self) -> Self:
+        pair = self.p1 is not None, self.p2 is not None
+        if self.dp is None and not all(pair):
+            missing = "p1" if not pair[0] else "p2"
+            raise ValueError(f"{missing} is missing; p1 and p2 are needed, or dp alone")
+        if self.dp is not None and any(pair):
+            raise ValueError("dp takes the place of p1 and p2; leave out dp, or both of them")
+        return self
+
+    @model_validator(mode="after")
     def _each_once(self) -> Self:
         names: dict[str, str] = {}
         for name in type(self).model_fields:
@@ -283,6 +297,10 @@ class NodesConfig(Section):
         ):
             raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
         return text
+
+    def source_of(self, name: str) -> str:
+        """Return the field that holds a signal's node: dp for p1, where there is dp."""
+        return "dp" if name == "p1" and self.dp is not None else name
 
     def of(self, name: str) -> str | None:
         """Return the node of a signal, if there is one."""
@@ -392,12 +410,12 @@ class ValveConfig(Section):
     @classmethod
     def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
         estimators: tuple[EstimatorConfig, ...] = info.data.get("estimators", ())
-        unable = [e.name for e in estimators if e.kind != "RBF"]
+        unable = [e.name for e in estimators if not e.any_U_range]
         if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
             raise ValueError(
                 f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
                 f"with them {ONE_EDGE[0]:g} … {ONE_EDGE[1]:g} is allowed, any range with "
-                'estimators of the kind "RBF" alone'
+                f"estimators of the kind {' or '.join(_OF_ANY_RANGE)} alone"
             )
         return bounds
 

@@ -84,6 +84,7 @@ class SignalsConfig(Section):
     U: SignalConfig = SignalConfig()
     p1: SignalConfig = SignalConfig()
     p2: SignalConfig = SignalConfig()
+    dp: SignalConfig = SignalConfig()
     Q: SignalConfig = SignalConfig()
     T: SignalConfig = SignalConfig()
     required_U: SignalConfig = SignalConfig()

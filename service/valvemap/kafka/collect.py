@@ -25,6 +25,7 @@ from valvemap.model.samples import Samples, Segments, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.failure_log import log_left_out
 from valvemap.runtime.sources import Sources, supervise_all
 
 _LONGEST_TICK_S: Final = 0.5  # s; the time by which a tick is longer does not count as waiting
@@ -206,6 +207,8 @@ class Collector:
         return np.arange(len(self._held_s)) if valves is None else valves
 
     def _use(self, samples: ByValve) -> None:
+        for valve, error in self._arrivals.new_failures():
+            log_left_out(self._arrivals.names[valve], error)
         self._held_s[samples.segments.members] = 0.0
         if len(samples):
             self._parts.append(samples)

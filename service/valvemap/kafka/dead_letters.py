@@ -1,11 +1,12 @@
-"""Dead letters: rejected messages with the reason and their offset.
+"""Dead letters: rejected messages, and damaged states, with the reason and their offset.
 
-A dead letter holds the beginning of the payload and its length. The whole message stays in its
-topic until its retention time ends.
+The dead letter of a message holds the beginning of the payload and its length. The whole message
+stays in its topic until its retention time ends. The dead letter of a state holds all of it that a
+message can: the state topic does not retain it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import structlog
@@ -16,6 +17,9 @@ from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.topics import REJECTED, topic_name
 
 MOST_PAYLOAD: Final = 65_536  # bytes; enough to inspect a message, and all of a command
+MESSAGE: Final = "message"
+STATE: Final = "state"
+_ROOM_FOR_HEADERS: Final = 16_384  # bytes; of a message, for key, headers and framing
 _MOST_KEY: Final = 1_024  # bytes; longer than any group name
 _MOST_REASON: Final = 1_000  # characters
 _LINES_PER_S: Final = 0.1  # log lines a second, so that rejected messages cannot flood the log
@@ -36,12 +40,16 @@ class Place:
 
 @dataclass(frozen=True)
 class DeadLetter:
-    """A rejected message; ``payload`` is its beginning, ``size`` its length in bytes."""
+    """A rejected message; ``payload`` is its beginning, ``size`` its length in bytes.
+
+    ``content`` is MESSAGE or STATE. The place of a state is the message before which it was read.
+    """
 
     key: bytes
     payload: bytes
     size: int
     reason: str
+    content: str = MESSAGE
 
     @classmethod
     def of(cls, key: bytes | None, message: bytes, why: str) -> "DeadLetter":
@@ -53,9 +61,19 @@ class DeadLetter:
         short = why.encode("utf-8", "replace").decode()[:_MOST_REASON]
         return cls((key or b"")[:_MOST_KEY], message[:MOST_PAYLOAD], len(message), short)
 
+    @classmethod
+    def of_state(cls, group: str, packed: bytes, why: str, most: int) -> "DeadLetter":
+        """Return the dead letter of a damaged state; ``most`` is the largest message, bytes."""
+        short = cls.of(group.encode(), packed, why)
+        return replace(short, payload=packed[: most - _ROOM_FOR_HEADERS], content=STATE)
+
     def headers(self, place: Place | None) -> list[tuple[str, bytes]]:
-        """Kafka headers: topic, partition, offset, size and reason."""
-        said: dict[str, object] = {"size": self.size, "reason": self.reason}
+        """Kafka headers: topic, partition, offset, content, size and reason."""
+        said: dict[str, object] = {
+            "content": self.content,
+            "size": self.size,
+            "reason": self.reason,
+        }
         if place is not None:
             said = {
                 "topic": place.topic,

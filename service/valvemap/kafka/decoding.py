@@ -110,6 +110,10 @@ class Decoder:
 
         return self._read(read)
 
+    def has_group(self, key: bytes | None) -> bool:
+        """Whether the catalogue has the group of a message's key."""
+        return (key or b"").decode("utf-8", "replace") in self._catalogue.groups
+
     def memory(self, packed: bytes) -> Memory | Rejected:
         """Decode a group's checkpoint."""
         return self._read(lambda: read_memory(packed))

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.errors import BlockError, CommandRejected, FleetError
+from valvemap.errors import BlockError, CommandRejected, DamagedState, FleetError
 from valvemap.kafka.blocks import SamplesBlock, renumbered, some
 from valvemap.kafka.catalogue import GroupPlan
 from valvemap.kafka.commands import (
@@ -38,7 +38,8 @@ MISSING: Final = "missing"  # blocks never received
 BEGUN_ANEW: Final = "begun_anew"  # restarts of the block numbers
 REFUSED: Final = "refused"  # messages that could not be decoded
 AHEAD: Final = "ahead"  # samples dated far ahead of the group's clock
-COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED, AHEAD)
+DAMAGED: Final = "damaged"  # states that were set aside
+COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED, AHEAD, DAMAGED)
 _RESULTS: Final = "results"
 _MAPS: Final = "maps"
 _NO_TABLE: Final = np.empty((0, 0))
@@ -182,25 +183,30 @@ class Group:
 
         Raises
         ------
+        DamagedState
+            if the checkpoint is invalid; the group cannot be used then.
         FleetError
-            if the checkpoint is invalid, of a newer catalogue, or of a different catalogue with the
-            same version.
+            if the checkpoint is of a newer format or catalogue, or of a different catalogue with
+            the same version.
         """
         try:
             memory = read_memory(packed)
             self._check(memory)
             afresh = self.identification.remember(memory.columns, memory.baselines)
-        except (FleetError, StateMismatchError) as error:
+            replies = [read_reply(packed_reply.encode()) for packed_reply in memory.replies]
+        except (DamagedState, BlockError, StateMismatchError) as error:
+            raise DamagedState(f"group {self.plan.name}: {error}") from None
+        except FleetError as error:
             raise FleetError(f"group {self.plan.name}: {error}") from None
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:
             why = f"{type(error).__name__}: {error}".splitlines()[0]
-            raise FleetError(f"group {self.plan.name}: its memory cannot be used: {why}") from None
+            raise DamagedState(f"group {self.plan.name}: its memory is unusable: {why}") from None
         self.number = memory.number
         self.counts.update(memory.counts)
         self._due = dict(memory.due)
         self._ahead = memory.ahead
-        for packed_reply in memory.replies:
-            self._note(read_reply(packed_reply.encode()))
+        for reply in replies:
+            self._note(reply)
         return sorted(f"{valve}: {key.partition(' ')[0]}" for key, valve in afresh)
 
     def _check(self, memory: Memory) -> None:

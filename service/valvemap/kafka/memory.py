@@ -4,10 +4,14 @@ A JSON head states the format, the catalogue's version, the block number and the
 columns and the baselines follow it. Columns of unsigned integers are compressed to half or less;
 columns of equal type and shape are stored as differences, because a valve's estimators process
 nearly the same samples. Other columns hardly compress, and compression takes longer.
+
+A checksum before the head seals all of it, so that damage is not taken for another configuration.
+States of older versions have no seal.
 """
 
 import json
 import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -16,13 +20,16 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from valvemap.errors import FleetError
+from valvemap.errors import DamagedState, FleetError
 from valvemap.kafka.group_clock import Ahead
 from valvemap.pipeline.valve_columns import Columns
 
-MAGIC: Final = b"valvemap memory\n"
-FORMAT: Final = 2
-READABLE: Final = (1, 2)  # format 1 is uncompressed
+MAGIC: Final = b"valvemap memory"
+FORMAT: Final = 3
+READABLE: Final = (1, 2, 3)  # format 1 is uncompressed; 1 and 2 are not sealed
+_SEALED: Final = b" sealed\n"
+_UNSEALED: Final = b"\n"
+_SEAL: Final = struct.Struct("<I")  # CRC-32 of all behind it
 _SIZE: Final = struct.Struct("<Q")
 _CODEC: Final = pa.Codec("lz4_raw")
 _DENSEST: Final = 255  # bytes that one byte of LZ4 can encode
@@ -98,7 +105,15 @@ def write_memory(memory: Memory) -> bytes:
         "baselines": [[valve, len(packed)] for valve, packed in memory.baselines.items()],
     }
     said = json.dumps(head).encode()
-    return b"".join((MAGIC, _SIZE.pack(len(said)), said, *body, *memory.baselines.values()))
+    return sealed(_SIZE.pack(len(said)), said, *body, *memory.baselines.values())
+
+
+def sealed(*parts: bytes | memoryview) -> bytes:
+    """Return the parts of a checkpoint behind their checksum."""
+    seal = 0
+    for part in parts:
+        seal = zlib.crc32(part, seal)
+    return b"".join((MAGIC, _SEALED, _SEAL.pack(seal), *parts))
 
 
 def read_memory(packed: bytes) -> Memory:
@@ -106,20 +121,38 @@ def read_memory(packed: bytes) -> Memory:
 
     Raises
     ------
+    DamagedState
+        if it is invalid or damaged.
     FleetError
-        if it is invalid, damaged, or in another format.
+        if it is of a newer format.
     """
-    start = len(MAGIC) + _SIZE.size
-    if not packed.startswith(MAGIC) or len(packed) < start:
-        raise FleetError("not a group's memory")
-    (size,) = _SIZE.unpack_from(packed, len(MAGIC))
+    at = _without_seal(packed)
+    start = at + _SIZE.size
+    if len(packed) < start:
+        raise DamagedState("not a group's memory")
+    (size,) = _SIZE.unpack_from(packed, at)
     try:
         head = json.loads(packed[start : start + size])
         if head["format"] not in READABLE:
             raise FleetError(f"a memory of format {head['format']}, this one knows up to {FORMAT}")
         return _memory(head, packed, start + size)
     except _DAMAGE as error:
-        raise FleetError(f"a group's memory is damaged: {error}") from None
+        raise DamagedState(f"a group's memory is damaged: {error}") from None
+
+
+def _without_seal(packed: bytes) -> int:
+    """Check the seal; return the position behind it."""
+    at = len(MAGIC)
+    if packed.startswith(MAGIC + _UNSEALED):
+        return at + len(_UNSEALED)
+    if not packed.startswith(MAGIC + _SEALED) or len(packed) < at + len(_SEALED) + _SEAL.size:
+        raise DamagedState("not a group's memory")
+    at += len(_SEALED)
+    (seal,) = _SEAL.unpack_from(packed, at)
+    at += _SEAL.size
+    if zlib.crc32(memoryview(packed)[at:]) != seal:
+        raise DamagedState("a group's memory is damaged: its checksum differs")
+    return at
 
 
 _DAMAGE: Final = (
@@ -142,10 +175,10 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
         for name, kind, shape, *compressed in arrays:
             dtype, n = np.dtype(kind), int(np.prod(shape, dtype=np.int64))
             if dtype.hasobject or n < 0 or len(shape) < 1 or shape[0] != len(valves):
-                raise FleetError(f"a group's memory is damaged: {name} of shape {shape}")
+                raise DamagedState(f"a group's memory is damaged: {name} of shape {shape}")
             room -= n * dtype.itemsize
             if room < 0:
-                raise FleetError("a group's memory is damaged: too large once it is decompressed")
+                raise DamagedState("a group's memory is damaged: too large once it is decompressed")
             if compressed:
                 (size,) = compressed
                 columns[name] = _unpacked(packed[at : at + size], dtype, tuple(shape), alike)
@@ -159,7 +192,7 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
         baselines[str(valve)] = packed[at : at + size]
         at += size
     if at != len(packed):
-        raise FleetError(f"a group's memory is damaged: {len(packed)} bytes, {at} expected")
+        raise DamagedState(f"a group's memory is damaged: {len(packed)} bytes, {at} expected")
     return Memory(
         int(head["catalogue"]),
         int(head["number"]),
@@ -189,7 +222,7 @@ def _unpacked(
 ) -> NDArray[Any]:
     n = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
     if n > _DENSEST * len(packed):
-        raise FleetError(f"a group's memory is damaged: {n} bytes of {len(packed)} compressed")
+        raise DamagedState(f"a group's memory is damaged: {n} bytes of {len(packed)} compressed")
     differs = np.frombuffer(_CODEC.decompress(packed, n, asbytes=True), dtype).reshape(shape)
     kind = dtype.str, shape
     before = alike.get(kind)

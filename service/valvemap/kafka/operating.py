@@ -14,7 +14,7 @@ from valvemap.errors import BlockError, CommandRejected
 from valvemap.kafka.commands import ANSWERS, Command, Reply, read_command, write_message
 from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
-from valvemap.pipeline.alarms import SERVICE_ALARM_NAMES, SERVICE_RULES, ServiceAlarm, ServiceAlarms
+from valvemap.pipeline.alarms import FLEET_RULES, ServiceAlarms
 from valvemap.pipeline.ports import AlarmReport, Answer, Remark, Version
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
@@ -72,7 +72,7 @@ class FleetOperator:
         self._post, self._answer_s = post, answer_s
         self._quiet = quiet
         self._asked: dict[str, asyncio.Future[Reply]] = {}
-        self.service_alarms = ServiceAlarms(SERVICE_RULES)
+        self.service_alarms = ServiceAlarms(FLEET_RULES)
 
     def take(self, reply: Reply) -> None:
         """Resolve the command that a reply answers; ignore replies to other servers."""
@@ -154,7 +154,7 @@ class FleetOperator:
         """Acknowledge an alarm of a valve, or (None) of the service."""
         if valve is not None:
             return self._say("acknowledge", valve, alarm, remark)
-        if not self.service_alarms.acknowledge(_of_service(alarm), remark):
+        if not self.service_alarms.acknowledge(alarm, remark):
             raise CommandRejected(f"Service.{alarm}: there is nothing to acknowledge")
         return None
 
@@ -162,7 +162,7 @@ class FleetOperator:
         """Confirm an acknowledged alarm."""
         if valve is not None:
             return self._say("confirm", valve, alarm, remark)
-        if not self.service_alarms.confirm(_of_service(alarm), remark):
+        if not self.service_alarms.confirm(alarm, remark):
             raise CommandRejected(f"Service.{alarm}: there is nothing to confirm")
         return None
 
@@ -170,7 +170,7 @@ class FleetOperator:
         """Comment on an alarm."""
         if valve is not None:
             return self._say("remark", valve, alarm, remark)
-        self.service_alarms.remark(_of_service(alarm), remark)
+        self.service_alarms.remark(alarm, remark)
         return None
 
     def alarmed(self) -> Iterable[str]:
@@ -246,10 +246,6 @@ def _code(value: float, allowed: type[IntEnum]) -> int:
 
 
 _NO_ANSWER: Final = "the answer is none that this version knows"
-
-
-def _of_service(alarm: str) -> ServiceAlarm:
-    return ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm))
 
 
 NO_FEED_FORWARD: Final = "in a fleet nothing is written to valves: feed-forward needs `serve`"

@@ -6,7 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import structlog
-from confluent_kafka import Consumer, KafkaError, KafkaException, Producer, TopicPartition
+from confluent_kafka import (
+    TIMESTAMP_NOT_AVAILABLE,
+    Consumer,
+    KafkaError,
+    KafkaException,
+    Producer,
+    TopicPartition,
+)
 
 from valvemap.errors import FleetError
 from valvemap.kafka.blocks import SamplesBlock
@@ -14,6 +21,7 @@ from valvemap.kafka.broker import client_settings, reason, silent, speaking_to
 from valvemap.kafka.commands import Command, Reply, write_message
 from valvemap.kafka.dead_letters import DeadLetter, DeadLetterPost, Place, RejectionLog
 from valvemap.kafka.decoding import Decoder, Rejected
+from valvemap.kafka.rejections import Rejection
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.state_topic import memories
@@ -36,12 +44,16 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class Heard:
-    """Messages of one poll: new results, results older than the start, replies and samples."""
+    """Messages of one poll: new results, results older than the start, replies, samples, rejected.
+
+    ``rejected`` are the site's dead letters of all workers, and the messages rejected here.
+    """
 
     results: list[ResultsBlock] = field(default_factory=list)
     earlier: list[ResultsBlock] = field(default_factory=list)
     replies: list[Reply] = field(default_factory=list)
     samples: list[SamplesBlock] = field(default_factory=list)
+    rejected: list[Rejection] = field(default_factory=list)
 
 
 class ResultsReader:
@@ -72,7 +84,7 @@ class ResultsReader:
     ) -> None:
         self._config = config
         self._groups = frozenset(name.encode() for name in groups)
-        kinds = (RESULTS, SAMPLES) if keeps_history else (RESULTS,)
+        kinds = (RESULTS, SAMPLES, REJECTED) if keeps_history else (RESULTS, REJECTED)
         self._topics = {topic_name(config.topics, kind): kind for kind in kinds}
         self._keeps_history = keeps_history
         largest = round(config.topics.message_mb * 1e6)
@@ -130,7 +142,9 @@ class ResultsReader:
             if self._away:
                 self._away = False
                 log.info("broker is back")
-            if message.key() in self._groups:
+            if self._topics[message.topic()] == REJECTED:
+                self._take_dead_letter(message, heard)
+            elif message.key() in self._groups:
                 self._sort(message, heard)
         return heard
 
@@ -154,9 +168,18 @@ class ResultsReader:
         return [TopicPartition(topic, p) for topic in self._topics for p in partitions]
 
     def _start(self, place: TopicPartition) -> TopicPartition:
-        """Return the start offset: the end or, with history, the committed offset."""
+        """Return the start offset: the end or, with history, the committed offset.
+
+        Of dead letters: the first one that the alarm still counts.
+        """
         timeout_s = self._config.broker.timeout_s
         low, high = self._consumer.get_watermark_offsets(place, timeout=timeout_s)
+        if self._topics[place.topic] == REJECTED:
+            since_ms = round((time.time() - self._config.serve.rejected_quiet_s) * 1e3)
+            asked = TopicPartition(place.topic, place.partition, since_ms)
+            (found,) = self._consumer.offsets_for_times([asked], timeout=timeout_s)
+            at = found.offset if found.offset >= 0 else high
+            return TopicPartition(place.topic, place.partition, at)
         self._ends[place.topic, place.partition] = high
         if not self._keeps_history:
             return TopicPartition(place.topic, place.partition, high)
@@ -175,12 +198,22 @@ class ResultsReader:
         match self._decoder.published(key, packed):
             case Rejected(why):
                 self._log.note(key, why)
+                heard.rejected.append(Rejection.of(key, why))
                 place = Place(topic, message.partition(), message.offset())
                 self._dead_letters.send(DeadLetter.of(key, packed, why), place)
             case ResultsBlock() as block:
                 (heard.results if new else heard.earlier).append(block)
             case Reply() as reply:
                 heard.replies.append(reply)
+
+    def _take_dead_letter(self, message: Any, heard: Heard) -> None:  # noqa: ANN401 - Kafka's
+        key, (kind, sent_ms) = message.key(), message.timestamp()
+        if key not in self._groups and self._decoder.has_group(key):
+            return  # of another site
+        t = 0 if kind == TIMESTAMP_NOT_AVAILABLE else sent_ms * 1_000_000
+        found = Rejection.from_headers(key, message.headers(), t)
+        if self._topics.get(found.topic) != RESULTS:  # those were counted where they were rejected
+            heard.rejected.append(found)
 
     def _noted(self, error: KafkaError) -> None:
         if error.name() == "_ALL_BROKERS_DOWN":

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
+from functools import partial
 from typing import Final, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from valvemap.app.connections import (
     build_server_settings,
     own_certificate,
 )
+from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.warm_up import warm_up
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import BrokerAway, FleetError
@@ -26,6 +28,7 @@ from valvemap.kafka.group import Group
 from valvemap.kafka.mirror import Mirror
 from valvemap.kafka.operating import FleetOperator, Post
 from valvemap.kafka.reading import CommandPost, Heard, ResultsReader
+from valvemap.kafka.rejections import Rejection, Rejections
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.kafka.settings import FleetConfig
 from valvemap.model.samples import Times
@@ -33,8 +36,10 @@ from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.ports import AlarmChange, Health, PastCounters, PastStore, Results
 from valvemap.runtime.backoff import backoff
+from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
 from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S
 from valvemap.runtime.past import PastKeeper
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.statuses import Quality
 
 _VALVES_AT_ONCE: Final = 32  # valves published before yielding to other tasks
@@ -61,8 +66,10 @@ async def serve(
     catalogue = load_catalogue(config.catalogue)
     name = site_of(catalogue, site)
     given = catalogue.sites[name]
-    await asyncio.to_thread(warm_up, given)
     settings = server_settings or build_server_settings(given)
+    allow_descriptors(descriptors_needed(settings.limits.connections, sources=0))
+    if not await unless_stopped(stop, in_daemon_thread(partial(warm_up, given))):
+        return
     with ExitStack() as opened:
         past = opened.enter_context(build_history(given) or nullcontext())
         groups = {
@@ -176,6 +183,7 @@ class Show:
         self.certificate_until_ns = 0
         self.failed = 0  # valid messages that raised an unexpected exception
         self._tracebacks = Tracebacks()
+        self._rejections = Rejections(config.serve.rejected_quiet_s)
         now = self._clock.monotonic()
         self._heard_at = np.full(len(names), now)
         self._standing = np.full(len(names), int(Quality.BAD))  # until the first current results
@@ -207,6 +215,7 @@ class Show:
 
     async def _take(self, server: ResultsServer, heard: Heard) -> None:
         now = self._clock.monotonic()
+        self._rejections.note(heard.rejected, now, self._clock.now())
         if self._past is not None:
             for block in heard.earlier:
                 with self._bulkhead(block.group):
@@ -248,6 +257,8 @@ class Show:
     def _note(self, group: str, error: Exception) -> None:
         self.failed += 1
         why = self._tracebacks.note(error)
+        now, utc = self._clock.monotonic(), self._clock.now()
+        self._rejections.note([Rejection.of(group.encode(), why)], now, utc)
         log.warning("results not shown", group=group, reason=why, failed=self.failed)
 
     def _as_they_stand(self, valves: Times) -> Iterator[Results]:
@@ -288,10 +299,7 @@ class Show:
         if now < self._health_due:
             return
         self._health_due = now + HEALTH_EVERY_S
-        days_left = (self.certificate_until_ns - utc) / DAY_NS
-        self.operator.service_alarms.note(
-            utc, np.nan, days_left if self.certificate_until_ns else np.nan, np.nan
-        )
+        self._note_alarms(now, utc)
         newest = self.mirror.newest
         age = np.where(newest > 0, np.maximum((utc - newest) * 1e-9, 0.0), np.nan)
         await server.show_health(
@@ -301,6 +309,18 @@ class Show:
                 history=PastCounters() if self._past is None else self._past.counters,
                 alarms=self.operator.alarms(None),
             )
+        )
+
+    def _note_alarms(self, now: float, utc: int) -> None:
+        """Update the alarms of the service."""
+        alarms, days_left = self.operator.service_alarms, np.nan
+        if self.certificate_until_ns:
+            days_left = (self.certificate_until_ns - utc) / DAY_NS
+        rejected = self._rejections.count(now)
+        alarms.give_reason(ServiceAlarm.MESSAGES_REJECTED, self._rejections.reason)
+        alarms.note(
+            utc,
+            {ServiceAlarm.CERTIFICATE: -days_left, ServiceAlarm.MESSAGES_REJECTED: float(rejected)},
         )
 
     def _own(self, block: SamplesBlock) -> ByValve:

@@ -140,6 +140,12 @@ class ServeConfig(Section):
     answer_s: float = Field(
         10.0, ge=0.5, le=600.0, description="longest that an operator waits for the workers"
     )
+    rejected_quiet_s: float = Field(
+        600.0,
+        ge=1.0,
+        le=86_400.0,
+        description="time without rejected messages that ends the alarm MessagesRejected, s",
+    )
 
 
 class FleetConfig(SettingsFile):

@@ -14,13 +14,13 @@ from typing import Final, NamedTuple, Protocol, TypeVar
 
 import structlog
 
-from valvemap.errors import BlockError
+from valvemap.errors import BlockError, DamagedState
 from valvemap.kafka.blocks import SamplesBlock
 from valvemap.kafka.catalogue import Catalogue
 from valvemap.kafka.commands import Command, Reply, write_message
 from valvemap.kafka.dead_letters import DeadLetter, RejectionLog
 from valvemap.kafka.decoding import ROW_BYTES, Decoder, Rejected, Tracebacks
-from valvemap.kafka.group import AHEAD, Group, Rhythm
+from valvemap.kafka.group import AHEAD, DAMAGED, Group, Rhythm
 from valvemap.kafka.result_blocks import ResultsBlock, write_results
 from valvemap.kafka.settings import TopicsConfig
 from valvemap.runtime.failure_log import log_failure
@@ -65,7 +65,8 @@ class Worker:
 
     `keep` must be called before each commit. `rejected` returns the dead letters since its last
     call, which belong into the same transaction. A message whose processing raises is rejected,
-    too, and its group is restored from its checkpoint and the steps since.
+    too, and its group is restored from its checkpoint and the steps since. A damaged checkpoint
+    becomes a dead letter, and its group starts without it.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ class Worker:
         Raises
         ------
         FleetError
-            if the group's checkpoint is invalid; nothing is changed.
+            if the group's checkpoint is of a newer catalogue or format; nothing is changed.
         """
 
         def learn(block: SamplesBlock) -> _Step:
@@ -208,12 +209,24 @@ class Worker:
         return _Held(group)
 
     def _kept(self, name: str, store: Store) -> Group:
-        group = Group(self._catalogue.groups[name], self._catalogue.version, self._rhythm)
-        packed = store.get_bytes(MEMORY)
-        afresh = [] if packed is None else group.remember(packed)
+        group, packed = self._fresh(name), store.get_bytes(MEMORY)
+        if packed is None:
+            return group
+        try:
+            afresh = group.remember(packed)
+        except DamagedState as error:
+            why = f"state set aside, the group starts without it: {error}"
+            self._rejected.append(DeadLetter.of_state(name, packed, why, self._most_held))
+            self._log.note(name.encode(), why)
+            group = self._fresh(name)
+            group.counts[DAMAGED] += 1
+            return group
         if afresh:
             log.warning("configured otherwise now, starts afresh", group=name, what=afresh)
         return group
+
+    def _fresh(self, name: str) -> Group:
+        return Group(self._catalogue.groups[name], self._catalogue.version, self._rhythm)
 
     def _mark(self, name: str, held: _Held, store: Store) -> None:
         self._turn += 1

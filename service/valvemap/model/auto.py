@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from valvemap.model import auto_lags
 from valvemap.model.auto_anew import Rule
 from valvemap.model.auto_fits import refit
+from valvemap.model.auto_map import AutoMap
 from valvemap.model.auto_state import (
     CHAMPION,
     AutoState,
@@ -246,6 +247,10 @@ class Auto:
         reacting = states.scalars[..., memory.REACTS] > 0.0
         return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
 
+    def to_map(self, state: AutoState) -> AutoMap:
+        """Return the champion's map."""
+        return AutoMap.of(state)
+
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""
         return surface_of(state, CHAMPION)
@@ -288,6 +293,11 @@ class Auto:
     def samples_since(self, states: AutoState) -> Counts:
         """How many samples of each of M valves its map rests on, since it began."""
         return np.asarray(states.counters[..., memory.USED] - states.counters[..., memory.BEGAN])
+
+    @property
+    def finds_changes(self) -> bool:
+        """Whether changes are detected: always."""
+        return True
 
     def change_counts(self, states: AutoState) -> Counts:
         """How many changes were found of each of M valves."""

@@ -1,9 +1,6 @@
 """Abrupt changes of the plant, as detected by an estimator."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
-
-from valvemap.model.samples import Times
 
 
 @dataclass(frozen=True)
@@ -26,14 +23,3 @@ class Change:
     sample: int
     t: int
     size: float
-
-
-@runtime_checkable
-class FindsChanges(Protocol):
-    """An estimator with detection of abrupt plant changes."""
-
-    def change_counts(self, states: Any) -> Times:  # noqa: ANN401 - its own states
-        """Return the number of changes of each of M plants (M,)."""
-
-    def last_change(self, state: Any) -> Change | None:  # noqa: ANN401 - its own state
-        """Return the last detected change of one plant, None if there was none."""

@@ -1,11 +1,12 @@
 """Validity of a map at a point: the standard deviation of its flow, and whether it extrapolates."""
 
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.model_structures import Polynomial, Structure
+from valvemap.model.capabilities import ChoosesStructure
+from valvemap.model.model_structures import Polynomial
 from valvemap.model.residual_spread import TWO_SIDED_95
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
@@ -20,14 +21,6 @@ NARROW: Final = 0.02  # of the largest flow: upper limit of a useful half interv
 HIDDEN: Final = 0.15  # of the largest flow: upper limit of undetectable curvature
 PER_DISTANCE: Final = 0.04  # of the largest flow, per 5 % of U or 5 bar: assumed curvature
 PER_WARMTH: Final = 0.015  # of the flow, per 5 °C: effect of viscosity and clearances
-
-
-@runtime_checkable
-class ChoosesStructure(Protocol):
-    """An estimator that selects its structure from the samples."""
-
-    def structure_now(self, state: Any) -> Structure | None:  # noqa: ANN401 - its own state
-        """Return the current structure; None if it is valid only where samples were."""
 
 
 def trusted(

@@ -1,31 +1,22 @@
 """`FlowMap`: the map as one Gaussian model, all of whose scales the samples decide."""
 
 from dataclasses import dataclass
-from itertools import product
-from typing import Final
 
 import numpy as np
 
+from valvemap.model import flow_findings, flow_map_looks, flow_parameters
 from valvemap.model.change import Change
-from valvemap.model.fleet import alone, copied, member, update_one
+from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import (
-    flow_cells,
     flow_drift,
-    flow_fit,
-    flow_look,
     flow_memory,
     flow_play,
-    flow_run,
 )
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import Adaptation, Quality
-
-SECONDS_PER_HOUR: Final = 3600.0
-NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
-SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
 @dataclass(frozen=True)
@@ -61,8 +52,8 @@ class FlowMap:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the points at which the map is published."""
-        return tuple(f"Q({U}%,{dp}bar)" for U, dp in SITES)
+        """Points at which the map is published, then physical quantities."""
+        return flow_parameters.NAMES
 
     def initial_state(self) -> FlowMapState:
         """State before the first sample."""
@@ -81,6 +72,7 @@ class FlowMap:
             t=samples.t,
             U=samples.U,
             dp=samples.dp,
+            p1=samples.p1,
             T=samples.T,
             Q=samples.Q,
             usable=samples.quality != Quality.BAD,
@@ -88,36 +80,29 @@ class FlowMap:
             residual=residual,
             status=trace.status,
         )
-        both, room = axes(self.U_range, self.dp_range), _room()
+        both = axes(self.U_range, self.dp_range)
         with np.errstate(all="ignore"):
             for m, start, stop in zip(*segments, strict=True):
-                state, row = member(states, int(m)), int(start)
-                memory = _memory(state)
-                while row < stop:
-                    row = flow_run.run(row, int(stop), batch, *both, memory, room)
-                    if state.counters[flow_memory.USED] >= state.counters[flow_memory.NEXT_FIT]:
-                        _refit(state, *both)
+                flow_map_looks.learn(member(states, int(m)), both, batch, int(start), int(stop))
         return trace
 
     def predict(
         self, state: FlowMapState, U: Floats, dp: Floats, T: Floats
     ) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
-        Q, std = np.empty((2, len(U)))
-        both, room = axes(self.U_range, self.dp_range), _room()
-        memory = _memory(state)._replace(cells=NO_CELLS)  # results are published without cells
-        flow_look.evaluate(*both, memory, U, dp, T, Q, std, room)
-        return Q, std
+        return flow_map_looks.predict(state, axes(self.U_range, self.dp_range), U, dp, T)
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
-        """Q at the 55 points and its standard deviation."""
-        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
-        return self.predict(state, U, dp, np.full_like(U, np.nan))
+        """Flows and physical quantities, see `flow_parameters`, and their standard deviations."""
+        return flow_parameters.parameters(state, axes(self.U_range, self.dp_range))
 
     def parameters_many(self, states: FlowMapState) -> tuple[Floats, Floats]:
-        """What ``parameters`` gives valve by valve, both (M, 55)."""
+        """What ``parameters`` gives valve by valve, both (M, 65)."""
         found = [self.parameters(member(states, m)) for m in range(len(states.counters))]
-        Q, std = (np.array(x).reshape(len(found), len(SITES)) for x in zip(*found, strict=True))
+        Q, std = (
+            np.array(x).reshape(len(found), len(flow_parameters.NAMES))
+            for x in zip(*found, strict=True)
+        )
         return Q, std
 
     def adaptation(self, state: FlowMapState) -> Adaptation:
@@ -133,14 +118,20 @@ class FlowMap:
 
     def rates(self, state: FlowMapState) -> tuple[Floats, Floats]:
         """Rates of gain (1/h) and edge (%/h), and their standard deviations, (2, 2): by side."""
-        rates = slice(flow_drift.LEVELS, flow_drift.RATES)
-        mean, covariance = state.now[:, 0, rates], state.now[:, 1:][:, rates, rates]
-        variance = np.diagonal(covariance, axis1=1, axis2=2)
-        return mean * SECONDS_PER_HOUR, np.sqrt(np.maximum(variance, 0.0)) * SECONDS_PER_HOUR
+        return flow_parameters.rates(state)
+
+    def findings(self, state: FlowMapState) -> tuple[Finding, ...]:
+        """Causes of what the samples show, the likeliest first."""
+        return flow_findings.findings(state, axes(self.U_range, self.dp_range))
 
     def play(self, state: FlowMapState) -> float:
         """Play between U and the spool, %."""
         return 2.0 * float(state.play[flow_play.HALF])
+
+    @property
+    def finds_changes(self) -> bool:
+        """Whether changes are detected: always."""
+        return True
 
     def change_counts(self, states: FlowMapState) -> Times:
         """How many sudden changes were found of each of M valves."""
@@ -157,38 +148,3 @@ class FlowMap:
             t=int(counters[flow_memory.CHANGE_TIME]),
             size=float(state.stay[flow_memory.CHANGE_SIZE]),
         )
-
-
-def _memory(state: FlowMapState) -> flow_memory.Memory:
-    return flow_memory.Memory(*(getattr(state, name) for name in flow_memory.Memory._fields))
-
-
-def _room() -> flow_memory.Room:
-    shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
-    return flow_memory.Room(np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT))
-
-
-def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
-    """Fit the map, written in place, and set when the next fit is due."""
-    counters = state.counters
-    used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
-    fitted = bool(counters[flow_memory.FITTED])
-    rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
-    counters[flow_memory.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
-    if used >= counters[flow_memory.NEXT_START]:
-        counters[flow_memory.NEXT_START] = 2 * used
-        other = copied(state)
-        better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
-        gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
-        if better and not gained <= 0.0:
-            counters[flow_memory.FITTED] = 1
-            for name in ("theta", "std", "w", "v", "scalars"):
-                getattr(state, name)[:] = getattr(other, name)
-    counters[flow_memory.FITS] += 1
-    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
-    counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
-
-
-def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
-    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
-    return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

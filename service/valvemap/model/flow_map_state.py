@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
-from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_memory, flow_play
+from valvemap.model.kernels import (
+    flow_cells,
+    flow_drift,
+    flow_fit,
+    flow_memory,
+    flow_path,
+    flow_play,
+)
 from valvemap.model.kernels import flow_prior as prior
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis, axis
@@ -40,11 +47,15 @@ class FlowMapState(State):
         The stay in a cell that lasts, see :mod:`kernels.flow_memory`.
     play : (PLACES,)
         Play between U and the spool, see :mod:`kernels.flow_play`.
+    path : (PLACES,)
+        Operators between map and samples, see :mod:`kernels.flow_path`.
+    recent : (ROWS, COLUMNS) float32
+        The last samples as measured, see the same.
     scalars, counters
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 1
+    state_version: ClassVar[int] = 2
 
     cells: NDArray[np.float32]
     theta: Floats
@@ -57,6 +68,8 @@ class FlowMapState(State):
     now: Floats
     stay: Floats
     play: Floats
+    path: Floats
+    recent: NDArray[np.float32]
     scalars: Floats
     counters: Counts
 
@@ -66,19 +79,24 @@ class FlowMapState(State):
         positive = [flow_cells.COUNT, flow_cells.WORTH, flow_cells.VAR_U, flow_cells.VAR_S]
         positive += [flow_cells.REFUSALS]
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
-        scalars.within(-1e9, 1e9, flow_fit.FIRST_T).or_nan(flow_fit.FIRST_T)
+        of_oil = [flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.STAY_T, flow_fit.STAY_T + 1]
+        scalars.within(-1e9, 1e9, of_oil).or_nan(of_oil)
         counters = Contents(self.counters)
         times = [
             flow_memory.CLOCK,
             flow_memory.CLOCK + 1,
             flow_memory.STAY_TIME,
             flow_memory.CHANGE_TIME,
+            flow_memory.LAST_TIME,
         ]
         counters.any_time(times)
         counters.within(
             0,
             1,
-            [flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED, flow_memory.ALARMED],
+            [
+                *(flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED),
+                *(flow_memory.ALARMED, flow_memory.DOUBTED),
+            ],
         )
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
@@ -86,6 +104,8 @@ class FlowMapState(State):
             "w": Contents(self.w).within(0.0),
             "v": Contents(self.v).within(0.0),
             "chance": Contents(self.chance).within(0.0, 1.0),
+            "path": Contents(self.path).within(0.0, where=slice(flow_path.GAINS)),
+            "recent": Contents(self.recent).within(0.0, where=(every, flow_path.STEP)),
             "scalars": scalars,
             "counters": counters,
         }
@@ -112,6 +132,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
     counters = np.zeros(flow_memory.COUNTERS, np.int64)
     counters[flow_memory.NEXT_FIT] = rules.FIRST_FIT
     counters[flow_memory.NEXT_START] = rules.SECOND_START
+    counters[flow_memory.NEXT_LOOK] = rules.LOOKS[0]
     state = FlowMapState(
         cells=cells,
         theta=np.zeros(n_U * n_s),
@@ -124,6 +145,8 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         now=np.zeros((2, 1 + flow_drift.STATES, flow_drift.STATES)),
         stay=np.zeros(flow_memory.STAY),
         play=np.zeros(flow_play.PLACES),
+        path=np.zeros(flow_path.PLACES),
+        recent=np.zeros((rules.ROWS, flow_path.COLUMNS), np.float32),
         scalars=np.zeros(flow_fit.SCALARS),
         counters=counters,
     )

@@ -4,6 +4,7 @@ The published inverse of eq. (7), U = (Q - a1 - a3·s - a5·s²)/(a2 + a4·s), i
 s = -a2/a4 and has the wrong sign beyond. Here a status reports that, and U stays within [0, 100] %.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol, TypeVar, runtime_checkable
 
@@ -31,6 +32,8 @@ LEVELS, CHUNK = 41, 256  # levels of U for an uncertain answer; answers processe
 
 S = TypeVar("S", bound=State)
 
+Widening = Callable[[Floats, Floats, Floats, Floats], Floats]  # std of Q̂ at U, dp, T
+
 
 @runtime_checkable
 class HasSurface(Protocol):
@@ -49,6 +52,7 @@ def invert(
     direction: ArrayLike = 0.0,
     support: Support | None = None,
     accuracy: SensorAccuracy = EXACT,
+    widened: Widening | None = None,
 ) -> Inversion:
     """Return the control voltage that delivers the demanded flow, at N points.
 
@@ -68,6 +72,8 @@ def invert(
         and the status is EXTRAPOLATING. None: no extrapolation check.
     accuracy
         Systematic errors of the sensors, which are part of the interval.
+    widened
+        The standard deviation of Q̂ from the estimator's, if its errors are known to be larger.
 
     Returns
     -------
@@ -100,6 +106,7 @@ def invert(
                 found = _search(estimator, state, demand, drop, temperature)
         points = np.nan_to_num(found.U), drop, temperature
         std, lacking = _spread(estimator, state, *points)
+        std = std if widened is None else widened(std, *points)
         off = _systematic(estimator, state, accuracy, points)
         if support is None:
             std = np.hypot(std, off)
@@ -116,7 +123,7 @@ def invert(
         bent = is_eq7(estimator, state) and support.is_eq7_refuted
         doubtful = np.flatnonzero(has_U & (guessed | bent))
         given = demand, drop, temperature
-        return _widened(estimator, state, (support, accuracy), given, answer, doubtful)
+        return _widened(estimator, state, (support, accuracy, widened), given, answer, doubtful)
 
 
 def inverse_table(
@@ -260,7 +267,7 @@ def _widened(
 
     Where a map extrapolates, or is smoother than the valve, its slope is not the valve's.
     """
-    support, accuracy = grounds
+    support, accuracy, widened = grounds
     lower, upper = answer.lower.copy(), answer.upper.copy()
     levels = np.linspace(*U_range_of(estimator), LEVELS)
     for start in range(0, len(doubtful), CHUNK):
@@ -268,6 +275,7 @@ def _widened(
         Q, dp, T = (np.repeat(x[rows], LEVELS) for x in points)
         where = np.tile(levels, len(rows)), dp, T
         flow, std = estimator.predict(state, *where)
+        std = std if widened is None else widened(std, *where)
         std, _ = trusted(estimator, state, support, where, flow, std)
         std = np.hypot(std, _systematic(estimator, state, accuracy, where))
         possible = ~(np.abs(flow - Q) > TWO_SIDED_95 * std).reshape(-1, LEVELS)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -25,6 +26,30 @@ class LinearMapState(State):
             "theta": Contents(self.theta).or_nan(),
             "covariance": Contents(self.covariance).or_nan(),
         }
+
+
+@dataclass(frozen=True)
+class LinearParameters:
+    """A map as a value: a structure, theta (n,) and its covariance (n, n)."""
+
+    structure: Structure
+    theta: Floats
+    covariance: Floats
+
+    @classmethod
+    def of(cls, structure: Structure, theta: Floats, covariance: Floats) -> Self:
+        """Return the map of an estimator whose first n parameters are the structure's.
+
+        Raises
+        ------
+        ValueError
+            if theta or its covariance is not determined yet.
+        """
+        n = len(structure.parameter_names)
+        found = cls(structure, theta[:n], covariance[:n, :n])
+        if not np.isfinite(found.theta).all() or not np.isfinite(found.covariance).all():
+            raise ValueError("its parameters are not determined yet")
+        return found
 
 
 @dataclass(frozen=True)
@@ -81,6 +106,11 @@ class LinearMap:
     def parameters(self, state: LinearMapState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations."""
         return state.theta.copy(), np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
+
+    def to_map(self, state: LinearMapState) -> LinearParameters:
+        """Return structure, theta and covariance."""
+        theta, _ = self.parameters(state)
+        return LinearParameters.of(self.structure, theta, self.covariance(state))
 
     def adaptation(self, _state: LinearMapState) -> Adaptation:
         """Return undecided: it does not assess residuals."""

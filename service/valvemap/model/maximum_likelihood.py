@@ -15,6 +15,7 @@ from valvemap.model.kernels import reaction
 from valvemap.model.kernels.factors import covariance
 from valvemap.model.kernels.filtered_scores import REACTING
 from valvemap.model.kernels.stability import is_stable, root_margins
+from valvemap.model.linear_map import LinearParameters
 from valvemap.model.maximum_likelihood_lags import lags_of
 from valvemap.model.maximum_likelihood_state import (
     MaximumLikelihoodState,
@@ -181,6 +182,11 @@ class MaximumLikelihood:
         n = len(self._scale)
         wider = np.sqrt(diagonals(alone(state))[1][0]) / self._scale
         return parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
+
+    def to_map(self, state: MaximumLikelihoodState) -> LinearParameters:
+        """Return structure, theta and covariance."""
+        theta, _ = self.parameters(state)
+        return LinearParameters.of(self.structure, theta, self.covariance(state))
 
     def information(self, state: MaximumLikelihoodState) -> Floats:
         """P⁻¹ (n, n) of the structure's parameters, for any noise model.

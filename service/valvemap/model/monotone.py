@@ -5,6 +5,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from valvemap.model.linear_map import LinearParameters
 from valvemap.model.model_structures import Structure, TensorSpline
 from valvemap.model.recursive_least_squares import (
     RecursiveLeastSquares,
@@ -100,6 +101,11 @@ class Monotone:
     def covariance(self, state: RlsState) -> Floats:
         """Covariance (n, n) of theta without the constraint."""
         return self.estimator.covariance(state)
+
+    def to_map(self, state: RlsState) -> LinearParameters:
+        """Return structure, theta and covariance."""
+        theta, _ = self.parameters(state)
+        return LinearParameters.of(self.structure, theta, self.covariance(state))
 
     def information(self, state: RlsState) -> Floats:
         """P⁻¹ (n, n) of the unconstrained recursion."""

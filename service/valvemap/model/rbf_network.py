@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,26 @@ class RbfNetworkState(State):
             "monitor": Contents(self.monitor).within(0.0),
             "noted": Contents(self.noted).within(0.0, where=(slice(None), 3)),
         }
+
+
+@dataclass(frozen=True)
+class NetworkMap:
+    """A network's map as a value, see `RbfNetwork` and `RbfNetworkState`."""
+
+    grid: tuple[int, int]
+    U_range: tuple[float, float]
+    dp_range: tuple[float, float]
+    Q_scale: float
+    w: Floats
+    c: Floats
+    log_b: Floats
+    monitor: Floats
+
+    def state(self) -> RbfNetworkState:
+        """Return a state with this map and without momentum."""
+        still = np.zeros_like(self.w), np.zeros_like(self.c), np.zeros_like(self.log_b)
+        noted = np.column_stack((self.w, self.c, np.exp(-2.0 * self.log_b)))
+        return RbfNetworkState(self.w, self.c, self.log_b, *still, self.monitor, noted)
 
 
 @dataclass(frozen=True)
@@ -101,6 +122,8 @@ class RbfNetwork:
     U_range: tuple[float, float] = (0.0, 100.0)
     dp_range: tuple[float, float] = (0.0, 200.0)
     Q_scale: float = 200.0
+
+    std_of_residuals: ClassVar[Literal[True]] = True
 
     def __post_init__(self) -> None:
         """Validate the hyper-parameters."""
@@ -210,6 +233,11 @@ class RbfNetwork:
         parts = [states.w * self.Q_scale, low + states.c * (high - low), np.exp(states.log_b)]
         theta = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
         return theta, np.full(theta.shape, np.nan)
+
+    def to_map(self, state: RbfNetworkState) -> NetworkMap:
+        """Return the network without its momentum."""
+        ranges = self.grid, self.U_range, self.dp_range, self.Q_scale
+        return NetworkMap(*ranges, state.w, state.c, state.log_b, state.monitor)
 
     def adaptation(self, _state: RbfNetworkState) -> Adaptation:
         """Return undecided: the network does not assess its residuals."""

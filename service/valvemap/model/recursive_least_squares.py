@@ -34,6 +34,7 @@ from valvemap.model.least_squares_state import (
     predict,
     variances,
 )
+from valvemap.model.linear_map import LinearParameters
 from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
 from valvemap.model.place_grid import grid_of, grid_of_rows
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
@@ -170,9 +171,19 @@ class RecursiveLeastSquares:
         """Covariance of theta (n, n); NaN while not determined."""
         return parameter_covariance(state, self.forgetting)
 
+    def to_map(self, state: RlsState) -> LinearParameters:
+        """Return structure, theta and covariance."""
+        theta, _ = self.parameters(state)
+        return LinearParameters.of(self.structure, theta, self.covariance(state))
+
     def information(self, state: RlsState) -> Floats:
         """P⁻¹ (n, n); singular while theta is not determined."""
         return information(state)
+
+    @property
+    def finds_changes(self) -> bool:
+        """Whether changes are detected: by adaptive forgetting only."""
+        return isinstance(self.forgetting, Adaptive)
 
     def change_counts(self, states: RlsState) -> Times:
         """Return the number of detected plant changes of each of M models (M,)."""

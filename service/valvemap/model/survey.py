@@ -1,12 +1,12 @@
 """Map of the uncertainty: known and stale regions, and the most informative test point."""
 
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, TypeVar, runtime_checkable
+from typing import Final, TypeVar
 
 import numpy as np
 
+from valvemap.model.capabilities import Informed
 from valvemap.model.estimator import Estimator, State
-from valvemap.model.model_structures import Structure
 from valvemap.model.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
 from valvemap.model.samples import Floats
 
@@ -14,18 +14,6 @@ S = TypeVar("S", bound=State)
 POINTS_U, POINTS_DP = 11, 10
 T_DEFAULT: Final = 40.0
 OPEN: Final = 1e-6
-
-
-@runtime_checkable
-class Informed(Protocol):
-    """An estimator whose map is linear in its parameters, with the information about them."""
-
-    @property
-    def structure(self) -> Structure:
-        """The map's structure, n parameters."""
-
-    def information(self, state: Any) -> Floats:  # noqa: ANN401 - the estimator's own
-        """Return P⁻¹ (n, n), in samples' X·Xᵀ; singular while a direction is not determined."""
 
 
 @dataclass(frozen=True)

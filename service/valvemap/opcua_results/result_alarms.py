@@ -54,6 +54,7 @@ _KIND = {
     "Changed": ConditionKind.OFF_NORMAL,
     "Extrapolated": ConditionKind.OFF_NORMAL,
     "LaneFailed": ConditionKind.OFF_NORMAL,
+    "MessagesRejected": ConditionKind.OFF_NORMAL,
     "Certificate": ConditionKind.BELOW_LIMIT,
 }
 _CATEGORY = {

@@ -81,7 +81,7 @@ class ResultService:
                 partial(answered, self._on_reload, _done),
                 required=Role.ENGINEER,
                 description="Read the configuration again. Unchanged valves keep their state and "
-                "lose no sample; a faulty configuration is refused and the present one stays in use.",
+                "lose no sample; a faulty configuration is refused and the present one remains.",
             )
 
     def show(self, health: Health, now: int) -> None:

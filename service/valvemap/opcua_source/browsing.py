@@ -12,7 +12,7 @@ from valvemap.opcua_client.requests import children_of, namespaces_of, read_attr
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.opcua_source.source_units import read_units
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
-from valvemap.pipeline.naming import Candidate
+from valvemap.plant.candidates import Candidate
 
 MOST_NODES: Final = 50_000  # browsed; further nodes are ignored
 DEEPEST: Final = 12  # levels of folders
@@ -28,6 +28,17 @@ _FARTHEST: Final = 1e9  # of a range, in any unit
 _HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
 _SCALARS: Final = {-3, -2, -1}
+_FLOATING: Final = {ua.VariantType.Float.value, ua.VariantType.Double.value}
+_LARGEST: Final = {
+    ua.VariantType.SByte.value: 127.0,
+    ua.VariantType.Byte.value: 255.0,
+    ua.VariantType.Int16.value: 2.0**15 - 1,
+    ua.VariantType.UInt16.value: 2.0**16 - 1,
+    ua.VariantType.Int32.value: 2.0**31 - 1,
+    ua.VariantType.UInt32.value: 2.0**32 - 1,
+    ua.VariantType.Int64.value: 2.0**63,
+    ua.VariantType.UInt64.value: 2.0**64,
+}
 _CLASSES: Final = ua.NodeClass.Object | ua.NodeClass.Variable
 
 _Place = tuple[ua.NodeId, tuple[str, ...]]
@@ -63,6 +74,8 @@ async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[st
             bounds=_bounds(of_node.bounds),
             writable=bool((answer[2].Value.Value or 0) & 2) if answer[2].Value else False,
             description=_words(answer[3]),
+            symbol=of_node.symbol,
+            largest=_largest(answer[0]),
         )
         found.append(candidate)
     return found, skipped
@@ -97,6 +110,12 @@ def _is_number(answer: Sequence[ua.DataValue]) -> bool:
     kind = None if value is None else value.VariantType.value
     is_scalar = rank is None or rank.Value in _SCALARS
     return is_scalar and kind in NUMERIC_FORMATS and kind not in _NO_SIGNALS
+
+
+def _largest(value: ua.DataValue) -> float | None:
+    """Return the largest number of an integer type; None of a floating one."""
+    kind = 0 if value.Value is None else int(value.Value.VariantType.value)
+    return None if kind in _FLOATING else _LARGEST.get(kind)
 
 
 def _words(answer: ua.DataValue) -> str:

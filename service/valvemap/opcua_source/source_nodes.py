@@ -38,16 +38,18 @@ _SCALARS = {-3, -2, -1}  # ScalarOrOneDimension, Any, Scalar
 class ValveNodes:
     """The nodes of one valve's signals; each a NodeId such as ``nsu=urn:plant;s=Valve7.U``.
 
-    Optional are ``T``, ``sequence`` (a counter that increments with each sample), ``required_U``
-    (to which the feed-forward voltage is written) and ``heartbeat`` (UInt32, incremented while
-    feed-forward is active). ``measures`` holds by name the units of the signals and of the command;
-    ``insist`` accepts them even if the source's EngineeringUnits or EURange differ.
+    A transmitter ``dp`` takes the place of ``p1`` and ``p2``; its changes come as those of p1, and
+    p2 is 0. Optional are ``T``, ``sequence`` (a counter that increments with each sample),
+    ``required_U`` (to which the feed-forward voltage is written) and ``heartbeat`` (UInt32,
+    incremented while feed-forward is active). ``measures`` holds by name the units of the signals
+    and of the command; ``insist`` accepts them even if the source's EngineeringUnits or EURange
+    differ.
     """
 
     valve: str
     U: str
-    p1: str
-    p2: str
+    p1: str | None
+    p2: str | None
     Q: str
     T: str | None = None
     sequence: str | None = None
@@ -55,6 +57,7 @@ class ValveNodes:
     heartbeat: str | None = None
     measures: Mapping[str, Measure] = field(default_factory=dict)
     insist: bool = False
+    dp: str | None = None
 
     def __post_init__(self) -> None:
         """Check the form of the NodeIds.
@@ -71,13 +74,17 @@ class ValveNodes:
         """Return the configured unit and scaling of a signal or of the command."""
         return self.measures.get(name, Measure())
 
+    def source_of(self, name: str) -> str:
+        """Return the node field that a signal comes from: dp for p1, where there is dp."""
+        return "dp" if name == "p1" and self.dp is not None else name
+
     def signals(self) -> Iterator[tuple[Signal, str, str]]:
         """Yield signal, name and NodeId of all nodes to read."""
         named = zip(Signal, READ, strict=True)
         for signal, name in named:
-            text = getattr(self, name)
+            text = getattr(self, self.source_of(name))
             if text is not None:
-                yield signal, name, text
+                yield signal, self.source_of(name), text
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, in_one_line
 from valvemap.opcua_client.requests import in_chunks, operation_limits, read_values
 from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges, Signal
 from valvemap.pipeline.units import (
     MEASURED,
     QUANTITY_OF,
@@ -38,18 +38,32 @@ class Scales:
         self._gain, self._offset = np.ones(n), np.zeros(n)
         for number, valve in enumerate(valves):
             for place, name in enumerate(MEASURED):
-                scaling = valve.measure(name).scaling(name)
+                scaling = valve.measure(valve.source_of(name)).scaling(name)
                 item = number * SIGNALS_PER_VALVE + place
                 self._gain[item], self._offset[item] = scaling.gain, scaling.offset
         self._has_none = bool((self._gain == 1.0).all() and (self._offset == 0.0).all())
+        differences = [number for number, valve in enumerate(valves) if valve.dp is not None]
+        self._dp_items = np.array(differences, np.int32) * SIGNALS_PER_VALVE + Signal.P1
 
     def __call__(self, changes: DataChanges) -> DataChanges:
         """Return the changes in internal units; the same object if no signal needs conversion."""
+        if len(self._dp_items):
+            changes = self._with_zeros(changes)
         if self._has_none:
             return changes
         gain, offset = self._gain[changes.item], self._offset[changes.item]
         own = (gain == 1.0) & (offset == 0.0)
         return replace(changes, value=np.where(own, changes.value, changes.value * gain + offset))
+
+    def _with_zeros(self, changes: DataChanges) -> DataChanges:
+        """Add p2 = 0 behind each change of a Δp transmitter, with its time and status."""
+        is_dp = np.isin(changes.item, self._dp_items)
+        rows = np.repeat(np.arange(len(changes)), np.where(is_dp, 2, 1))
+        added = np.zeros(len(rows), np.bool_)
+        added[1:] = rows[1:] == rows[:-1]
+        found = changes[rows]
+        item = np.where(added, found.item + (Signal.P2 - Signal.P1), found.item)
+        return replace(found, item=item.astype(np.int32), value=np.where(added, 0.0, found.value))
 
 
 @dataclass(frozen=True)
@@ -121,6 +135,8 @@ def _of_range(name: str, measure: Measure, said: SaidOfNode) -> str | None:
     low, high = said.bounds
     shown = f"[{low:g}, {high:g}]"
     if measure.raw is not None:
+        if measure.scaled is not None and said.bounds == tuple(measure.scaled):
+            return None  # the range is that of the scaled values
         slack = _SLACK * (high - low)
         if min(measure.raw) < low - slack or max(measure.raw) > high + slack:
             return f"has the range {shown}, configured is raw = {list(measure.raw)}"
@@ -162,7 +178,7 @@ def _wanted(
     for node in nodes.monitored:
         valve, signal = divmod(node.item, SIGNALS_PER_VALVE)
         if signal < len(MEASURED):
-            yield valve, MEASURED[signal], node.node, node.label
+            yield valve, valves[valve].source_of(MEASURED[signal]), node.node, node.label
     for number in range(len(valves)):
         command = nodes.writable.get((number, REQUIRED_U))
         if command is not None:

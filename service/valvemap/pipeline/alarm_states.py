@@ -81,9 +81,9 @@ class AlarmStates:
             self._remarks[m, a] = Remark(text, by, remark.t)
             self.conditions.version[m] += 1
 
-    def reports(self, m: int, reason: str = "") -> tuple[AlarmReport, ...]:
-        """Return the state of every alarm of one valve; ``reason`` is why a lane stopped."""
-        return tuple(self._report(m, a, reason) for a in range(len(self._names)))
+    def reports(self, m: int, reasons: Sequence[str]) -> tuple[AlarmReport, ...]:
+        """Return the state of every alarm of one valve; ``reasons`` are for their texts."""
+        return tuple(self._report(m, a, reason) for a, reason in enumerate(reasons))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all state except comments, each (M, …), not copied."""
@@ -113,7 +113,7 @@ class AlarmStates:
                 )
                 for name, (text, by, t) in json.loads(bytes(packed)).items()
             }
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise StateMismatchError(f"not what was said of alarms: {error}") from error
         for a in range(len(self._names)):
             self._remarks.pop((m, a), None)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
 
+from valvemap.vocabulary.service_alarms import ServiceAlarm
+
 SIGNALS = ("U", "p1", "p2", "Q", "T")
 HOUR_S = 3_600.0
 
@@ -29,7 +31,7 @@ _WORDS = {
     Cause.NONE: "",
     Cause.EDGE: "the valve's edge (damaged or worn)",
     Cause.METER: "the flow meter (scale or offset)",
-    Cause.SIGNAL: "U, p1 or p2 (offset, or standing still)",
+    Cause.SIGNAL: "U, p1 or p2 (offset, or frozen)",
     Cause.LAG: "a lag (of the flow meter, or of U's effect)",
     Cause.OIL: "the oil (another temperature or viscosity)",
 }
@@ -50,7 +52,7 @@ class Measured:
     since : int
         Start of the last activation, UTC ns; 0: never.
     reason : str
-        Why a lane stopped.
+        Why a lane stopped, or why the newest message was rejected.
     """
 
     value: float
@@ -90,7 +92,7 @@ def _changed(m: Measured) -> str:
 
 def _residual(m: Measured) -> str:
     return (
-        f"Residuals, averaged over 16 samples, up to {m.value:.3g} times what they usually are "
+        f"Residuals, averaged over 16 samples, up to {m.value:.3g} times their usual size "
         f"(limit {m.limit:g}); their root mean square was {m.detail:.3g} l/min"
     )
 
@@ -104,23 +106,23 @@ def _misfit(m: Measured) -> str:
 
 def _lost(m: Measured) -> str:
     if not m.value < float("inf"):
-        return "No sample has come that was of use"
-    return f"No sample of use for {_duration(m.value)} (limit {m.limit:g} s)"
+        return "No usable sample has arrived"
+    return f"No usable sample for {_duration(m.value)} (limit {m.limit:g} s)"
 
 
 def _frozen(m: Measured) -> str:
     return (
-        f"{SIGNALS[int(m.detail)]} stood still to the last digit for {_duration(m.value)} while "
-        f"other signals moved (limit {m.limit:g} s)"
+        f"{SIGNALS[int(m.detail)]} was constant to the last digit for {_duration(m.value)} while "
+        f"other signals varied (limit {m.limit:g} s)"
     )
 
 
 def _unexcited(m: Measured) -> str:
-    return f"Nothing was learnt for {_duration(m.value)}: the inputs hold still"
+    return f"Nothing was learnt for {_duration(m.value)}: the inputs are constant"
 
 
 def _extrapolated(_: Measured) -> str:
-    return "The standing demand is answered from where nothing was measured"
+    return "The present demand is outside the measured region"
 
 
 def _samples_lost(m: Measured) -> str:
@@ -137,7 +139,7 @@ def _lane_failed(m: Measured) -> str:
 
 
 def _checkpoint(m: Measured) -> str:
-    return f"What is learnt was not kept for {_duration(m.value)} (limit {m.limit:g} s)"
+    return f"States were not saved for {_duration(m.value)} (limit {m.limit:g} s)"
 
 
 def _certificate(m: Measured) -> str:
@@ -148,40 +150,44 @@ def _load(m: Measured) -> str:
     return f"The service works {100.0 * m.value:.0f} % of the time (limit {100.0 * m.limit:g} %)"
 
 
+def _rejected(m: Measured) -> str:
+    """The reason is foreign text: it is bounded and escaped by the caller."""
+    count = f"{m.value:.0f} message{'s were' if m.value != 1.0 else ' was'}"
+    return f"{count} rejected ({m.reason or 'the reason is unknown'})"
+
+
 ALARM_DESCRIPTIONS = {
     "Changed": "The flow changed abruptly; it stays until it is acknowledged.",
-    "Residual": "Residuals are larger than they usually are at the same places.",
-    "Misfit": "The structure cannot follow the valve.",
-    "SensorLost": "No sample comes that is of use.",
-    "SensorFrozen": "A sensor's value stands still while others move.",
-    "Unexcited": "Nothing was learnt for long.",
-    "Extrapolated": "The standing demand is answered where nothing was measured.",
+    "Residual": "Residuals are larger than usual at the same places.",
+    "Misfit": "The structure does not fit the valve.",
+    "SensorLost": "No usable sample arrives.",
+    "SensorFrozen": "A sensor's value is constant while others vary.",
+    "Unexcited": "Nothing was learnt for a long time.",
+    "Extrapolated": "The present demand is outside the measured region.",
     "SamplesLost": "Samples are lost on their way.",
     "LagFound": "A signal lags behind the others.",
     "LaneFailed": "An estimator stopped at an unexpected error.",
-    "Checkpoint": "What is learnt is not kept.",
-    "Certificate": "The service's certificate expires soon.",
-    "Load": "The service can hardly keep up.",
+    **{alarm.label: alarm.sentence for alarm in ServiceAlarm},
 }
 _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
     "Changed": (_changed, (Cause.EDGE.words, Cause.METER.words, Cause.SIGNAL.words)),
     "Residual": (_residual, (Cause.EDGE.words, Cause.METER.words, Cause.SIGNAL.words)),
     "Misfit": (
         _misfit,
-        ("another shape of the valve than the estimator can follow", Cause.SIGNAL.words),
+        ("a valve whose shape the estimator's structure cannot represent", Cause.SIGNAL.words),
     ),
     "SensorLost": (
         _lost,
-        ("a sensor or its cable", "the source or the way to it", "a gate that refuses the values"),
+        ("a sensor or its cable", "the source or the network", "a gate that refuses the values"),
     ),
     "SensorFrozen": (
         _frozen,
         ("a dead sensor", "a source that repeats its last value", "a coarse resolution"),
     ),
-    "Unexcited": (_unexcited, ("a machine that stands", "a valve that is never moved")),
+    "Unexcited": (_unexcited, ("a machine at standstill", "a valve that is never moved")),
     "Extrapolated": (
         _extrapolated,
-        ("a demand beyond what the machine did so far", "a map that was forgotten"),
+        ("a demand beyond what the machine did so far", "a map that was reset"),
     ),
     "SamplesLost": (
         _samples_lost,
@@ -195,4 +201,12 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
     "Checkpoint": (_checkpoint, ("a full disk", "a disk that is too slow", "missing rights")),
     "Certificate": (_certificate, ()),
     "Load": (_load, ("too many valves or clients", "other work on this machine")),
+    "MessagesRejected": (
+        _rejected,
+        (
+            "a sender of another version or with another catalogue",
+            "another program that writes to the fleet's topics",
+            "damage to the state topic",
+        ),
+    ),
 }

@@ -35,8 +35,9 @@ from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Time
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
 from valvemap.pipeline.kernels.alarms import Senses, Watched
-from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Restore, Scratch, saved
+from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, CopyBuffer, Restore, saved
 from valvemap.pipeline.ports import AlarmReport, Remark
+from valvemap.vocabulary.service_alarms import OF_FLEET, OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.statuses import Adaptation
 
 LOSS_MEMORY_S = 60.0  # s; time constant of the share of lost samples
@@ -67,21 +68,7 @@ class Alarm(IntEnum):
         return "".join(part.capitalize() for part in self.name.split("_"))
 
 
-class ServiceAlarm(IntEnum):
-    """Alarms of the service itself."""
-
-    CHECKPOINT = 0
-    CERTIFICATE = 1
-    LOAD = 2
-
-    @property
-    def title(self) -> str:
-        """Name in configuration and node ids."""
-        return self.name.capitalize()
-
-
 ALARM_NAMES = tuple(alarm.title for alarm in Alarm)
-SERVICE_ALARM_NAMES = tuple(alarm.title for alarm in ServiceAlarm)
 
 
 RULES: Mapping[Alarm, AlarmRule] = {
@@ -96,11 +83,14 @@ RULES: Mapping[Alarm, AlarmRule] = {
     Alarm.LAG_FOUND: AlarmRule(limit=0.1, hysteresis=0.02, delay_s=0.0, severity=300),
     Alarm.LANE_FAILED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=0.0, severity=800),
 }
-SERVICE_RULES: Mapping[ServiceAlarm, AlarmRule] = {
+_RULES_OF_SERVICE: Mapping[ServiceAlarm, AlarmRule] = {
     ServiceAlarm.CHECKPOINT: AlarmRule(limit=60.0, hysteresis=0.0, delay_s=0.0, severity=700),
     ServiceAlarm.CERTIFICATE: AlarmRule(limit=30.0, hysteresis=0.0, delay_s=0.0, severity=500),
     ServiceAlarm.LOAD: AlarmRule(limit=0.9, hysteresis=0.2, delay_s=30.0, severity=600),
+    ServiceAlarm.MESSAGES_REJECTED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=0.0, severity=600),
 }
+SERVICE_RULES = {alarm: _RULES_OF_SERVICE[alarm] for alarm in OF_SERVE}
+FLEET_RULES = {alarm: _RULES_OF_SERVICE[alarm] for alarm in OF_FLEET}
 
 
 @dataclass(frozen=True)
@@ -296,9 +286,9 @@ class Alarms:
         """Number of lane failures (M,)."""
         return self._conditions.detail[:, Alarm.LANE_FAILED, 1].astype(np.int64)
 
-    def saved(self, members: Times, scratch: Scratch) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the alarms of the given valves; the result writes the copies back."""
-        return saved(self._written, members, scratch)
+        return saved(self._written, members, buffer)
 
     def overdue(self, chosen: Times, now: Times) -> None:
         """Update K valves that have sent no sample until ``now``, UTC ns by their sources."""
@@ -336,6 +326,10 @@ class Alarms:
         self._forget_usual(m)
         self._move_on(np.array([m]), Alarm.CHANGED, np.zeros(1))
 
+    def watch_another_map(self, m: int) -> None:
+        """Reset the usual residuals: those of another estimator are watched from now on."""
+        self._forget_usual(m)
+
     def _forget_usual(self, m: int) -> None:
         fresh = _nothing_seen(1)
         kept = [kernel.T_USUAL, kernel.CHANGES_SEEN, kernel.LAG_BEFORE, *_LOSSES]
@@ -346,7 +340,7 @@ class Alarms:
 
     def reports(self, m: int) -> tuple[AlarmReport, ...]:
         """Return the state of every alarm of one valve, in words."""
-        return self._states.reports(m, str(self._reasons[m]))
+        return self._states.reports(m, [str(self._reasons[m])] * len(Alarm))
 
     def to_bytes(self, m: int) -> bytes:
         """Pack one valve's alarms and their statistics, without the losses of the last minute."""
@@ -365,10 +359,7 @@ class Alarms:
         """
         kept = _Kept.from_bytes(data, _KEY)
         arrays = self._arrays()
-        for name, array in arrays.items():
-            new = getattr(kept, name)
-            if new.shape != array[m].shape or new.dtype != array.dtype:
-                raise StateMismatchError(f"alarms are kept in another way today: {name}")
+        _check_layout(kept, arrays)
         self._states.remarks_from_bytes(m, kept.remarks)
         for name, array in arrays.items():
             array[m] = getattr(kept, name)
@@ -393,54 +384,73 @@ class Alarms:
 
 
 class ServiceAlarms:
-    """The alarms of the service itself."""
+    """The alarms of the service itself.
+
+    Parameters
+    ----------
+    rules
+        The alarms that this service has, with the rule of each.
+
+    Examples
+    --------
+    >>> alarms = ServiceAlarms()
+    >>> alarms.note(1_800_000_000_000_000_000, {ServiceAlarm.CHECKPOINT: 90.0})
+    >>> [report.name for report in alarms.reports() if report.active]
+    ['Checkpoint']
+    """
 
     def __init__(self, rules: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES) -> None:
-        by_number = [rules[alarm] for alarm in ServiceAlarm]
-        self._limits = _limits(by_number)
-        falls = self._limits[ServiceAlarm.CERTIFICATE]
+        self._numbers = {alarm: number for number, alarm in enumerate(rules)}
+        self._names = [alarm.label for alarm in rules]
+        self._limits = _limits([*rules.values()])
+        falls = self._limits[self._numbers[ServiceAlarm.CERTIFICATE]]
         hysteresis = falls[0] - falls[1]
         falls[0], falls[1] = -falls[0], -falls[0] - hysteresis  # active below the limit
-        self._states = AlarmStates(1, SERVICE_ALARM_NAMES, by_number)
+        self._states = AlarmStates(1, self._names, [*rules.values()])
         self._conditions = self._states.conditions
+        self._reasons = [""] * len(rules)
+        self._key = f"alarms 2: {' '.join(self._names)}"
 
     @property
     def version(self) -> int:
         """Number of changes."""
         return int(self._conditions.version[0])
 
-    def note(self, now: int, checkpoint_age_s: float, days_left: float, load: float) -> None:
-        """Update with the service's state; NaN is unknown and changes nothing."""
-        for alarm, x in (
-            (ServiceAlarm.CHECKPOINT, checkpoint_age_s),
-            (ServiceAlarm.CERTIFICATE, -days_left),
-            (ServiceAlarm.LOAD, load),
-        ):
+    def note(self, now: int, values: Mapping[ServiceAlarm, float]) -> None:
+        """Update with the quantity of each alarm; NaN is unknown and changes nothing.
+
+        The quantity of Certificate is the number of days left, negated.
+        """
+        for alarm, x in values.items():
             t, one, value = np.array([now]), np.zeros(1, np.int64), np.array([x], np.float64)
             limits, conditions, came = self._limits, self._conditions, np.empty(1, np.bool_)
-            kernel.move_on(one, t, t, value, int(alarm), limits, conditions, came)
+            kernel.move_on(one, t, t, value, self._numbers[alarm], limits, conditions, came)
 
-    def acknowledge(self, alarm: ServiceAlarm, remark: Remark) -> bool:
-        """Acknowledge an alarm; False if there was nothing to acknowledge."""
-        return self._states.acknowledge(0, alarm, remark)
+    def give_reason(self, alarm: ServiceAlarm, reason: str) -> None:
+        """Set the reason that the text of an alarm names."""
+        self._reasons[self._numbers[alarm]] = reason
 
-    def confirm(self, alarm: ServiceAlarm, remark: Remark) -> bool:
+    def acknowledge(self, name: str, remark: Remark) -> bool:
+        """Acknowledge an alarm, by its name; False if there was nothing to acknowledge."""
+        return self._states.acknowledge(0, self._names.index(name), remark)
+
+    def confirm(self, name: str, remark: Remark) -> bool:
         """Confirm an alarm; False if there was nothing to confirm."""
-        return self._states.confirm(0, alarm, remark)
+        return self._states.confirm(0, self._names.index(name), remark)
 
-    def remark(self, alarm: ServiceAlarm, remark: Remark) -> None:
+    def remark(self, name: str, remark: Remark) -> None:
         """Store an operator's comment on an alarm."""
-        self._states.remark(0, alarm, remark)
+        self._states.remark(0, self._names.index(name), remark)
 
     def reports(self) -> tuple[AlarmReport, ...]:
         """Return the state of every alarm, in words."""
-        return self._states.reports(0)
+        return self._states.reports(0, self._reasons)
 
     def to_bytes(self) -> bytes:
         """Pack the service's alarms."""
         kept = {name: array[0] for name, array in self._states.arrays().items()}
         remarks = self._states.remarks_to_bytes(0)
-        return _KeptOfService(**kept, remarks=remarks).to_bytes(_KEY_OF_SERVICE)
+        return _KeptOfService(**kept, remarks=remarks).to_bytes(self._key)
 
     def from_bytes(self, data: bytes) -> None:
         """Unpack the service's alarms.
@@ -449,7 +459,8 @@ class ServiceAlarms:
         ------
         StateMismatchError
         """
-        kept = _KeptOfService.from_bytes(data, _KEY_OF_SERVICE)
+        kept = _KeptOfService.from_bytes(data, self._key)
+        _check_layout(kept, self._states.arrays())
         self._states.remarks_from_bytes(0, kept.remarks)
         for name, array in self._states.arrays().items():
             array[0] = getattr(kept, name)
@@ -457,7 +468,14 @@ class ServiceAlarms:
 
 _LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
 _KEY = f"alarms 2: {' '.join(ALARM_NAMES)}"
-_KEY_OF_SERVICE = f"alarms 2: {' '.join(SERVICE_ALARM_NAMES)}"
+
+
+def _check_layout(kept: State, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Raise if a stored array has another shape or type than a row of the present one."""
+    for name, array in arrays.items():
+        new = getattr(kept, name)
+        if new.shape != array[0].shape or new.dtype != array.dtype:
+            raise StateMismatchError(f"alarms are kept in another way today: {name}")
 
 
 def _limits(rules: list[AlarmRule]) -> Floats:

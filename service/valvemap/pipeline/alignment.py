@@ -1,6 +1,6 @@
 """Alignment: data changes of single signals become samples with one source time."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -83,6 +83,21 @@ class ByValve(Mapping[int, Samples]):
 
     def __len__(self) -> int:
         return len(self.segments.members)
+
+
+def together(parts: Sequence[ByValve]) -> ByValve:
+    """Concatenate the samples of different valves, by ascending numbers of the valves."""
+    lengths = np.cumsum([0, *(len(part.samples) for part in parts)])
+    segments = [
+        Segments(part.segments.members, part.segments.starts + at, part.segments.stops + at)
+        for part, at in zip(parts, lengths[:-1], strict=True)
+    ]
+    empty = np.empty(0, np.int64)
+    columns = zip(Segments(empty, empty, empty), *segments, strict=True)
+    return ByValve(
+        Samples.concatenate([part.samples for part in parts]),
+        Segments(*map(np.concatenate, columns)),
+    )
 
 
 @dataclass(frozen=True)

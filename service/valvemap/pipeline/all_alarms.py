@@ -10,14 +10,13 @@ from valvemap.model.samples import Times
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import (
     ALARM_NAMES,
-    SERVICE_ALARM_NAMES,
     Alarm,
     Alarms,
-    ServiceAlarm,
     ServiceAlarms,
 )
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.ports import AlarmReport, Remark
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 OF_SERVICE = "Service"  # owner of the service's alarms; no valve has this name
 
@@ -50,7 +49,7 @@ class AllAlarms:
             if there is nothing to acknowledge.
         """
         if valve is None:
-            taken = self.of_service.acknowledge(_of_service(alarm), remark)
+            taken = self.of_service.acknowledge(alarm, remark)
         else:
             fleet, m = self._valves.named(valve)
             taken = fleet.alarms.acknowledge(m, _of_valve(alarm), remark)
@@ -66,7 +65,7 @@ class AllAlarms:
             if there is nothing to confirm.
         """
         if valve is None:
-            taken = self.of_service.confirm(_of_service(alarm), remark)
+            taken = self.of_service.confirm(alarm, remark)
         else:
             fleet, m = self._valves.named(valve)
             taken = fleet.alarms.confirm(m, _of_valve(alarm), remark)
@@ -76,7 +75,7 @@ class AllAlarms:
     def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
         """Store an operator's comment on an alarm."""
         if valve is None:
-            self.of_service.remark(_of_service(alarm), remark)
+            self.of_service.remark(alarm, remark)
         else:
             fleet, m = self._valves.named(valve)
             fleet.alarms.remark(m, _of_valve(alarm), remark)
@@ -130,13 +129,16 @@ class AllAlarms:
         self, now: int, checkpoint_age_s: float, days_left: float, load: float
     ) -> tuple[AlarmReport, ...]:
         """Update the service's alarms: age of the checkpoints, certificate, load."""
-        self.of_service.note(now, checkpoint_age_s, days_left, load)
+        self.of_service.note(
+            now,
+            {
+                ServiceAlarm.CHECKPOINT: checkpoint_age_s,
+                ServiceAlarm.CERTIFICATE: -days_left,
+                ServiceAlarm.LOAD: load,
+            },
+        )
         return self.of_service.reports()
 
 
 def _of_valve(alarm: str) -> Alarm:
     return Alarm(ALARM_NAMES.index(alarm))
-
-
-def _of_service(alarm: str) -> ServiceAlarm:
-    return ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm))

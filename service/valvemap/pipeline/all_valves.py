@@ -16,7 +16,7 @@ from valvemap.model.samples import Times
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.fleet import Fleet
-from valvemap.pipeline.lane_failures import LaneFailures, Scratch, Step
+from valvemap.pipeline.lane_failures import CopyBuffer, LaneFailures, Step
 from valvemap.pipeline.quality_gate import SENSORS
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_state import AnyEstimator, Lane, ValvePlan, ValveState
@@ -116,8 +116,13 @@ class AllValves:
 
     def inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
         """Return the plan and the state that a valve's inverse is computed from."""
-        plan = self.plans[valve]
-        return plan, self.state_of(valve, plan.inverse)
+        name = self.inverse(valve)
+        return replace(self.plans[valve], inverse=name), self.state_of(valve, name)
+
+    def inverse(self, valve: int) -> str:
+        """Name of the estimator whose map is inverted at a valve."""
+        fleet, m = self.at(valve)
+        return fleet.inverse(m)
 
     def accuracy(self, valve: int) -> SensorAccuracy:
         """Return the sensors' accuracy, including the deadbands of on-change signals."""
@@ -179,7 +184,7 @@ def _fleets(
     for valve, plan in enumerate(plans):
         estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
         ranges = valve_state.nothing_seen(plan).ranges.tolist()
-        watched = plan.inverse, sorted(plan.alarms.items())
+        watched = plan.inverse, plan.follows, plan.references, sorted(plan.alarms.items())
         key = repr((plan.gate, estimators, ranges, plan.accuracy, watched))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
@@ -187,9 +192,9 @@ def _fleets(
             names.append([])
         places[:, valve] = number, len(names[number])
         names[number].append(plan.name)
-    scratch = Scratch()
+    buffer = CopyBuffer()
     fleets = [
-        Fleet(plan, len(own), own, failures, waits, scratch)
+        Fleet(plan, len(own), own, failures, waits, buffer)
         for plan, own in zip(first, names, strict=True)
     ]
     return fleets, places[0], places[1]

@@ -46,13 +46,11 @@ class ApprovedMaps:
             if the status of the inverted estimator is neither OK nor UNEXCITED.
         """
         number = self._valves.numbers[valve]
-        plan, state = self._valves.plans[number], self._valves.state(number)
-        inverse = state.lanes[plan.inverse]
+        name, state = self._valves.inverse(number), self._valves.state(number)
+        inverse = state.lanes[name]
         if inverse.status not in (Status.OK, Status.UNEXCITED):
             said = "nothing was learnt yet" if inverse.status is None else inverse.status.sentence
-            raise CommandRejected(
-                f"{valve}: the map of {plan.inverse} is not one to build on: {said}"
-            )
+            raise CommandRejected(f"{valve}: the map of {name} is not one to build on: {said}")
         self.counts[number] += 1
         keys, count = self._valves.estimator_keys(number), int(self.counts[number])
         self.baselines[number] = Baseline.of(count, state.t, state.lanes, keys)

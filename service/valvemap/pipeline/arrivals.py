@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -12,11 +12,18 @@ from numpy.typing import NDArray
 
 from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Times
-from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, AlignmentSettings, ByValve
-from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.alignment import (
+    COUNTER_NAMES,
+    Alignment,
+    AlignmentSettings,
+    ByValve,
+    together,
+)
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, Waiting
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, isolate, saved
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
@@ -56,6 +63,10 @@ class _Key:
 class Arrivals:
     """Converts data changes into samples; its state can be packed and restored bitwise.
 
+    If that raises at a valve, the alignment's writes are undone, and the timing of the valve is
+    detected again. Its changes are dropped until `start_again`, or until its source restarts. The
+    others get the same bits as without the error.
+
     Parameters
     ----------
     names
@@ -67,6 +78,8 @@ class Arrivals:
     ----------
     finds_timing : bool
         Whether the stamping of the signals is detected.
+    failed : bool
+        Mask (V,) of the valves whose changes are dropped after an error.
 
     Examples
     --------
@@ -83,14 +96,29 @@ class Arrivals:
         self.finds_timing = timing is not None
         self.timing = timing or Timing(TimingSettings(), alignment.has_T, fixed=True)
         self._waiting = alignment.initial_state()
+        self._buffer = CopyBuffer()
+        self.failed = np.zeros(len(self.names), np.bool_)
+        self._errors: list[tuple[int, Exception]] = []
 
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
-        return self._align(self.timing.take(changes))
+        if self.failed.any():
+            changes = changes[~self.failed[changes.item // SIGNALS_PER_VALVE]]
+        return self._align(self.timing.take(changes, self._fail))
+
+    def new_failures(self) -> list[tuple[int, Exception]]:
+        """Return the valves at which an error was raised since the last call, with the error."""
+        new, self._errors = self._errors, []
+        return new
+
+    def start_again(self, valve: int) -> None:
+        """Process a valve's changes again after an error."""
+        self.failed[valve] = False
 
     def waits(self) -> NDArray[np.bool_]:
         """Mask of the valves with samples in the reorder buffer, or changes buffered for scans."""
-        return self.alignment.waits(self._waiting) | (self.timing.pending > 0)
+        found = self.alignment.waits(self._waiting) | (self.timing.pending > 0)
+        return found & ~self.failed
 
     def pending(self) -> Times:
         """Number of samples of each valve that wait for signals or for earlier samples, (V,)."""
@@ -98,20 +126,21 @@ class Arrivals:
 
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return its samples."""
-        unfinished = self.timing.flush(valves)
+        valves = valves[~self.failed[valves]]
+        unfinished = self.timing.flush(valves, self._fail)
         if len(unfinished):
             return self._align(unfinished)
         return self._flush(valves)
 
     def begin_source_anew(self, valves: Times) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
-        self._waiting, samples = self.alignment.begin_anew(self._waiting, valves)
-        return samples
+        self.failed[valves] = False
+        return self._isolated(valves, lambda own: self.alignment.begin_anew(self._waiting, own))
 
     def finish(self) -> list[ByValve]:
         """Flush all buffers; return their samples."""
-        every = np.arange(len(self.names))
-        return [self._align(self.timing.flush(every)), self._flush(every)]
+        every = np.flatnonzero(~self.failed)
+        return [self._align(self.timing.flush(every, self._fail)), self._flush(every)]
 
     def counts(self, valves: Times) -> Times:
         """Return the counters of the given valves, a column for each of ``COUNTER_NAMES``."""
@@ -223,12 +252,39 @@ class Arrivals:
         )
 
     def _align(self, changes: DataChanges) -> ByValve:
-        self._waiting, samples = self.alignment.take(self._waiting, changes)
-        return samples
+        valve = changes.item // SIGNALS_PER_VALVE
+        present = np.zeros(len(self.names), np.bool_)
+        present[valve] = True
+        members = np.flatnonzero(present)
+
+        def align(own: Times) -> tuple[Waiting, ByValve]:
+            some = changes if len(own) == len(members) else changes[valve == own[0]]
+            return self.alignment.take(self._waiting, some)
+
+        return self._isolated(members, align)
 
     def _flush(self, valves: Times) -> ByValve:
-        self._waiting, samples = self.alignment.flush(self._waiting, valves)
-        return samples
+        return self._isolated(valves, lambda own: self.alignment.flush(self._waiting, own))
+
+    def _isolated(self, members: Times, do: Callable[[Times], tuple[Waiting, ByValve]]) -> ByValve:
+        """Align valves together or, if that raises, one by one."""
+        parts: list[ByValve] = []
+
+        def align(rows: NDArray[np.intp]) -> None:
+            self._waiting, samples = do(members[rows])
+            parts.append(samples)
+
+        isolate(members, align, self._saved, self._fail)
+        return parts[0] if len(parts) == 1 else together(parts)
+
+    def _saved(self, valves: Times) -> Restore:
+        """Copy what waits of the given valves; the result writes the copies back."""
+        self._buffer.clear()
+        return saved(self._waiting, valves, self._buffer)
+
+    def _fail(self, valve: int, error: Exception) -> None:
+        self.failed[valve] = True
+        self._errors.append((valve, error))
 
 
 _ALIKE: Final = Timing(TimingSettings(), (False,), fixed=True).valves[0].state

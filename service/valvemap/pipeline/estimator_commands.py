@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from valvemap.errors import CommandRejected
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.inversion import Inversion
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.lane_failures import Step
-from valvemap.pipeline.valve_state import Forgetful, Required
+from valvemap.pipeline.valve_state import Required
 from valvemap.vocabulary.statuses import Status
 
 
@@ -32,8 +33,9 @@ class EstimatorCommands:
         self._valves.put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
         fleet, m = self._valves.named(valve)
         fleet.start_again(m)
-        if estimator == fleet.plan.inverse:
+        if estimator == fleet.inverse(m):
             fleet.alarms.forget_map(m)
+        fleet.forget_errors(m, estimator)
 
     def freeze(self, valve: str, estimator: str) -> None:
         """Stop adaptation."""
@@ -92,9 +94,9 @@ class EstimatorCommands:
 
     def required(self, valve: int) -> tuple[Required, Status]:
         """Return the answer to a valve's standing demand, and its estimator's status."""
-        plan = self._valves.plans[valve]
-        if self._valves.runs(valve, plan.inverse):
-            with self._valves.bulkhead(valve, Step.INVERSE, plan.inverse):
+        inverse = self._valves.inverse(valve)
+        if self._valves.runs(valve, inverse):
+            with self._valves.bulkhead(valve, Step.INVERSE, inverse):
                 plan, state = self._valves.inverted(valve)
                 status = state.lanes[plan.inverse].status
                 answer = valve_state.required(plan, state)

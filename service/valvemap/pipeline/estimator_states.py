@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.auto import Auto
-from valvemap.model.change import Change, FindsChanges
+from valvemap.model.capabilities import ChoosesStructure, FindsChanges, FindsLags, Restarts
+from valvemap.model.change import Change
 from valvemap.model.estimator import State
 from valvemap.model.fleet import ManyModels, copied, member, members, repeated, stack
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
-from valvemap.pipeline.lane_failures import Restore, Scratch, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
 from valvemap.pipeline.valve_state import AnyEstimator
 
 CHANGE = np.dtype([("count", np.int64), ("t", np.int64), ("size", np.float64)])  # see `Change`
@@ -28,6 +28,10 @@ class Stacked:
 
     def __init__(self, estimator: ManyModels[Any], M: int) -> None:
         self._estimator = estimator
+        self._finder = estimator if isinstance(estimator, FindsChanges) else None
+        self._chooser = estimator if isinstance(estimator, ChoosesStructure) else None
+        self._laggard = estimator if isinstance(estimator, FindsLags) else None
+        self._restarting = estimator if isinstance(estimator, Restarts) else None
         self._all = repeated(estimator.initial_state(), M)
         self._arrays = tuple(self.columns().values())
         self._changes: list[Change | None] = [None] * M
@@ -58,30 +62,30 @@ class Stacked:
         return self._newest_changes[chosen]
 
     def _look_for_changes(self, chosen: Times) -> None:
-        if not isinstance(self._estimator, FindsChanges):
+        if self._finder is None:
             return
-        counts = self._estimator.change_counts(self._all)[chosen]
+        counts = self._finder.change_counts(self._all)[chosen]
         for m in chosen[counts != self._changed[chosen]]:
-            self._changes[m] = found = self._estimator.last_change(member(self._all, m))
+            self._changes[m] = found = self._finder.last_change(member(self._all, m))
             self._newest_changes[m] = (found.count, found.t, found.size) if found else 0
         self._changed[chosen] = counts
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
         """Return the structures chosen for the given valves; None if the estimator has one only."""
-        if isinstance(self._estimator, Auto):
-            return self._estimator.describe_many(self._all, chosen)
+        if self._chooser is not None:
+            return self._chooser.describe_many(self._all, chosen)
         return [None] * len(chosen)
 
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
         """Return the lags of U and Q of the given valves, s; None if not estimated."""
-        if isinstance(self._estimator, Auto):
-            return self._estimator.lags_many(self._all, chosen)
+        if self._laggard is not None:
+            return self._laggard.lags_many(self._all, chosen)
         return [None] * len(chosen)
 
     def largest_lags(self, chosen: Times) -> Floats:
         """Return the larger of the two lags, s; NaN if not estimated (K,)."""
-        if isinstance(self._estimator, Auto):
-            return self._estimator.largest_lags(self._all)[chosen]
+        if self._laggard is not None:
+            return self._laggard.largest_lags(self._all)[chosen]
         return np.full(len(chosen), np.nan)
 
     def adaptations(self, chosen: Times) -> Codes:
@@ -90,20 +94,20 @@ class Stacked:
 
     def too_fast(self, M: int) -> Times:
         """Number of samples that moved too fast for the lags of their signals (M,)."""
-        if isinstance(self._estimator, Auto):
-            return self._estimator.too_fast(self._all)
+        if self._laggard is not None:
+            return self._laggard.too_fast(self._all)
         return np.zeros(M, np.int64)
 
     def began(self) -> Times:
         """Sample count at the last restart of each map (M,)."""
-        if isinstance(self._estimator, Auto):
-            return self._estimator.began(self._all)
+        if self._restarting is not None:
+            return self._restarting.began(self._all)
         return np.zeros_like(self._changed)
 
     def samples_since(self) -> Times:
         """Number of samples since the last restart of each map (M,); 0 if maps never restart."""
-        if isinstance(self._estimator, Auto):
-            return self._estimator.samples_since(self._all)
+        if self._restarting is not None:
+            return self._restarting.samples_since(self._all)
         return np.zeros_like(self._changed)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
@@ -114,9 +118,9 @@ class Stacked:
         """Note that the arrays of `columns` were written to."""
         self._changed[:] = -1
 
-    def saved(self, members: Times, scratch: Scratch) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the states of the given valves; the result writes the copies back."""
-        restore = saved(self._arrays, members, scratch)
+        restore = saved(self._arrays, members, buffer)
 
         def restore_all() -> None:
             restore()
@@ -206,7 +210,7 @@ class Listed:
         stacked = type(self._all[0])(**written)
         self._all = [copied(member(stacked, m)) for m in range(len(self._all))]
 
-    def saved(self, members: Times, _: Scratch) -> Restore:
+    def saved(self, members: Times, _: CopyBuffer) -> Restore:
         """Copy the states of the given valves; the result writes the copies back."""
         states = {m: self._all[m] for m in members.tolist()}
 

@@ -6,24 +6,24 @@ call each gates, estimates and scores a batch for any number of valves; one valv
 :class:`~valvemap.pipeline.valve_state.ValveState` are copies that later samples do not change.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.auto import Auto
+from valvemap.model.capabilities import FindsLags, finds_changes
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.lane_failures import (
+    CopyBuffer,
     LaneFailure,
     LaneFailures,
     Restore,
-    Scratch,
     Step,
     all_of,
     isolate,
@@ -31,6 +31,7 @@ from valvemap.pipeline.lane_failures import (
     saved,
 )
 from valvemap.pipeline.lanes import Lanes, SharedRests, nothing_of
+from valvemap.pipeline.places import Places, Ranking
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
 from valvemap.pipeline.quality_gate import GateState
@@ -40,7 +41,6 @@ from valvemap.pipeline.valve_state import (
     Lane,
     ValvePlan,
     ValveState,
-    finds_changes,
     nothing_seen,
 )
 from valvemap.vocabulary.statuses import Quality, Status
@@ -63,7 +63,7 @@ class Fleet:
         Names of the valves, and the list that collects their lanes' failures.
     waits
         Names of the estimators that do not run: their lanes keep their initial states.
-    scratch
+    buffer
         Memory for copies of states; fleets that are not updated at once share it.
     """
 
@@ -74,28 +74,31 @@ class Fleet:
         names: Sequence[str] | None = None,
         failures: LaneFailures | None = None,
         waits: Collection[str] = (),
-        scratch: Scratch | None = None,
+        buffer: CopyBuffer | None = None,
     ) -> None:
         self.plan = plan
-        self._scratch = scratch or Scratch()
+        self._buffer = buffer or CopyBuffer()
         self._restore: Mapping[str | Step, Restore] = {}  # of each part, by the newest `_saved`
         self.waits = frozenset(waits) & plan.estimators.keys()
         self._names = [plan.name] * M if names is None else names
         self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
+        self._places_key = f"places {key_of(_Compared(_keys_of(plan)))}"
         self._gate = plan.gate.initial_state(M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
         self._lanes = {
             name: Lanes(estimator, M, SharedRests(self._support, number), plan.accuracy)
             for number, (name, estimator) in enumerate(plan.estimators.items())
         }
+        references = [e for e, name in enumerate(plan.estimators) if name in plan.references]
+        self._places = Places(len(plan.estimators), M, references)
         self._t = np.zeros(M, np.int64)
         self._T = np.full(M, np.nan)
         self._demand = np.full((M, 2), np.nan)  # Q, dp
         self.alarms = Alarms(M, plan.alarms, max(plan.map_Q) - min(plan.map_Q))
         names = [plan.inverse, *plan.estimators]
         self._finder = next((n for n in names if finds_changes(plan.estimators[n])), None)
-        self._laggard = next((n for n in names if isinstance(plan.estimators[n], Auto)), None)
+        self._laggard = next((n for n in names if isinstance(plan.estimators[n], FindsLags)), None)
         self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
@@ -129,6 +132,33 @@ class Fleet:
         return judged, traces
 
     def _take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
+        """Process samples in rounds: maps are compared at fixed numbers of samples of a valve."""
+        stops = self._next_stops(segments)
+        if (stops == segments.stops).all():
+            return self._take_round(samples, segments)
+        quality = samples.quality.copy()
+        traces = {name: nothing_of(len(samples)) for name in self._lanes}
+        left = segments
+        while len(left.members):
+            now = left._replace(stops=self._next_stops(left))
+            rows = _rows_of(now, len(samples))
+            found, said = self._take_round(samples[rows], now.among(rows))
+            quality[rows] = found.quality
+            for name, trace in traces.items():
+                for f in fields(Trace):
+                    getattr(trace, f.name)[rows] = getattr(said[name], f.name)
+            left = left._replace(starts=now.stops).of(now.stops < left.stops)
+        return replace(samples, quality=quality), traces
+
+    def _next_stops(self, segments: Segments) -> Times:
+        """Return the rows up to which the given valves' samples are processed at once."""
+        ahead = self._places.due(segments.members)
+        ahead[self.stopped()[segments.members]] = np.iinfo(np.int32).max
+        return np.minimum(segments.stops, segments.starts + np.maximum(ahead, 1))
+
+    def _take_round(
+        self, samples: Samples, segments: Segments
+    ) -> tuple[Samples, Mapping[str, Trace]]:
         judged = self._judged(samples, segments)
         traces, rests = {}, []
         for name, lanes in self._lanes.items():
@@ -140,17 +170,85 @@ class Fleet:
             traces[name], own = lanes.take(judged, segments, self._restore[name], stop)
             rests.append((traces[name].status, own))
         self._support_from(judged, rests, segments)
+        traces = self._compared(judged, traces, segments)
         running = segments.of(~self.stopped()[segments.members])
         self._t[running.members] = samples.t[running.stops - 1]
         kernel.last_T(judged.T, judged.quality, self._T, running)
 
         def watch(_: NDArray[np.intp]) -> None:
-            self.alarms.watch(judged, traces[self.plan.inverse], running)
+            for name, own in self._by_inverse(running.members):
+                self.alarms.watch(judged, traces[name], running.of(own))
             self._note(running.members)
 
         stop = partial(self._stop_at, None, Step.ALARMS)
         isolate_last(running.members, watch, self._restore[Step.ALARMS], stop)
         return judged, traces
+
+    def _compared(
+        self, judged: Samples, traces: Mapping[str, Trace], segments: Segments
+    ) -> dict[str, Trace]:
+        """Compare the estimators at the valves' places; return the traces with revised statuses."""
+        running = segments.of(~self.stopped()[segments.members])
+        residual = np.stack([trace.residual for trace in traces.values()])
+        early = np.stack([trace.early for trace in traces.values()])
+        status = np.stack([trace.status for trace in traces.values()])
+
+        def compare(_: NDArray[np.intp]) -> None:
+            self._places.learn(judged, residual, early, status, running)
+
+        stop = partial(self._stop_at, None, Step.COMPARISON)
+        isolate_last(running.members, compare, self._restore[Step.COMPARISON], stop)
+        for said, lanes in zip(status, self._lanes.values(), strict=True):
+            lanes.revise(said, running)
+        for m in running.members[self._places.due(running.members) <= 0]:
+            one = np.array([m])
+            restore = self._places.saved(one, self._buffer)
+            isolate_last(one, partial(self._look_back, int(m)), restore, stop)
+        return {
+            name: replace(trace, status=said)
+            for (name, trace), said in zip(traces.items(), status, strict=True)
+        }
+
+    def _look_back(self, m: int, _: NDArray[np.intp]) -> None:
+        """Evaluate the maps of one valve at the places that it left, and rank them."""
+        points, one = self._places.points(m), np.array([m])
+        maps: list[tuple[Floats, Floats] | None] = []
+        for name, lanes in self._lanes.items():
+            maps.append(None)
+            if lanes.failed[m] or name in self.waits:
+                continue
+
+            def evaluate(_: NDArray[np.intp], lanes: Lanes = lanes) -> None:
+                maps[-1] = lanes.predicted(m, *points)
+
+            stop = partial(self._stop_at, name, Step.COMPARISON)
+            isolate(one, evaluate, _nothing_saved, stop)
+        before = self.inverse(m)
+        self._places.look_back(m, maps)
+        if self.inverse(m) != before:
+            self.alarms.watch_another_map(m)
+
+    def ranking(self, m: int) -> Ranking:
+        """Return which estimator of one valve is recommended."""
+        return self._places.ranking(m)
+
+    def inverse(self, m: int) -> str:
+        """Name of the estimator whose map is inverted at one valve."""
+        return self.inverses(np.array([m]))[0]
+
+    def inverses(self, chosen: Times) -> list[str]:
+        """As `inverse`, of the given valves (K,)."""
+        names, plan = list(self._lanes), self.plan
+        if not plan.follows:
+            return [plan.inverse] * len(chosen)
+        numbers = self._places.chosen(chosen).tolist()
+        return [plan.inverse if number < 0 else names[number] for number in numbers]
+
+    def _by_inverse(self, chosen: Times) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+        """Yield each inverted estimator, and which of the given valves (K,) it is inverted at."""
+        names = np.array(self.inverses(chosen))
+        for name in dict.fromkeys(names.tolist()):
+            yield name, names == name
 
     def stopped(self) -> NDArray[np.bool_]:
         """Mask (M,) of the valves whose lanes have all failed: their samples are not processed."""
@@ -198,15 +296,16 @@ class Fleet:
 
     def _saved(self, members: Times) -> Restore:
         """Copy the state of the given valves; the result writes the copies back."""
-        self._scratch.clear()
-        scratch = self._scratch
+        self._buffer.clear()
+        buffer = self._buffer
         self._restore = {
-            Step.GATE: saved(self._gate_arrays, members, scratch),
-            Step.SUPPORT: self._support.saved(members, scratch),
+            Step.GATE: saved(self._gate_arrays, members, buffer),
+            Step.SUPPORT: self._support.saved(members, buffer),
+            Step.COMPARISON: self._places.saved(members, buffer),
             Step.ALARMS: self._copy_alarms(members),
-            **{name: lanes.saved(members, scratch) for name, lanes in self._lanes.items()},
+            **{name: lanes.saved(members, buffer) for name, lanes in self._lanes.items()},
         }
-        times = saved((self._t, self._T), members, scratch)
+        times = saved((self._t, self._T), members, buffer)
         return all_of([times, *self._restore.values()])
 
     @property
@@ -214,12 +313,12 @@ class Fleet:
         return *self._gate.memory, self._gate.bad_status
 
     def _alarms_saved(self, members: Times) -> Restore:
-        self._scratch.clear()
+        self._buffer.clear()
         return self._copy_alarms(members)
 
     def _copy_alarms(self, members: Times) -> Restore:
-        due = saved([self._misfit_due], members, self._scratch)
-        return all_of([self.alarms.saved(members, self._scratch), due])
+        due = saved([self._misfit_due], members, self._buffer)
+        return all_of([self.alarms.saved(members, self._buffer), due])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
         """Return the gated samples; all samples of a stopped valve are BAD."""
@@ -261,12 +360,18 @@ class Fleet:
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
         if len(due):
             self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
-            lanes = self._lanes[self.plan.inverse]
-            self.alarms.note_misfit(due, lanes.adaptations(due), lanes.recent_rmse(due))
+            for name, own in self._by_inverse(due):
+                lanes, some = self._lanes[name], due[own]
+                self.alarms.note_misfit(some, lanes.adaptations(some), lanes.recent_rmse(some))
 
     def lane(self, m: int, name: str) -> Lane:
         """Return one estimator of one valve."""
-        return self._lanes[name].get(m)
+        errors = self._places.of(m, list(self._lanes).index(name))
+        return replace(self._lanes[name].get(m), errors=errors)
+
+    def forget_errors(self, m: int, name: str) -> None:
+        """Forget the errors of one estimator's map, after its reset."""
+        self._places.forget(m, list(self._lanes).index(name))
 
     def put(self, m: int, name: str, lane: Lane) -> None:
         """Replace a lane; its estimator must be the plan's, except for ``lam``."""
@@ -327,13 +432,14 @@ class Fleet:
         names = tuple(valves)
         return [
             Columns(self._key, names, {**gate, **own, "demand": self._demand}),
+            Columns(self._places_key, names, self._places.columns()),
             Columns("alarms", names, {**self.alarms.columns(), "misfit_due": self._misfit_due}),
             *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
         ]
 
     def take_up(self, written: Sequence[Columns]) -> None:
         """Update the fleet after the arrays of `columns` were written to."""
-        _, _, *of_lanes = written
+        _, _, _, *of_lanes = written
         for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
             lanes.take_up(columns.arrays)
         for m in range(len(self._t)):
@@ -345,3 +451,27 @@ class Fleet:
         too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
         failed = self.alarms.failures()
         return np.column_stack((self._gate.counts(), beyond, too_fast, failed))
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """The estimators that a valve's places are bound to, in order: names and hashes."""
+
+    estimators: tuple[tuple[str, str], ...]
+
+
+def _keys_of(plan: ValvePlan) -> tuple[tuple[str, str], ...]:
+    return tuple((name, key_of(estimator)) for name, estimator in plan.estimators.items())
+
+
+def _nothing_saved(_: Times) -> Restore:
+    """Return a restoration for a step that writes nothing."""
+    return lambda: None
+
+
+def _rows_of(segments: Segments, N: int) -> NDArray[np.bool_]:
+    """Mask (N,) of the rows of all segments."""
+    steps = np.zeros(N + 1, np.int64)
+    np.add.at(steps, segments.starts, 1)
+    np.add.at(steps, segments.stops, -1)
+    return np.asarray(np.cumsum(steps[:-1]) > 0)

@@ -14,7 +14,7 @@ from valvemap.errors import CommandRejected
 from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Samples, Times, Trace
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import SERVICE_RULES, ServiceAlarm
+from valvemap.pipeline.alarms import SERVICE_RULES
 from valvemap.pipeline.alignment import Alignment, ByValve
 from valvemap.pipeline.all_alarms import AllAlarms
 from valvemap.pipeline.all_valves import AllValves
@@ -43,6 +43,7 @@ from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValvePlan, ValveState
+from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 

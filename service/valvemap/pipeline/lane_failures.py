@@ -24,14 +24,17 @@ SMALL: Final = 16_384  # bytes; smaller copies are allocated, from memory that P
 ALIGNED: Final = 64  # bytes; copies begin at a cache line
 
 Restore = Callable[[], None]
+Stop = Callable[[int, Exception], None]
 
 
 class Step(StrEnum):
     """A step of the work on a lane or a valve."""
 
+    ALIGNMENT = "alignment"
     GATE = "gate"
     LEARNING = "learning"
     SUPPORT = "support"
+    COMPARISON = "comparison"
     ALARMS = "alarms"
     MAP = "map"
     SURVEY = "survey"
@@ -90,7 +93,7 @@ def isolate(
     members: Times,
     do: Callable[[NDArray[np.intp]], None],
     save: Callable[[Times], Restore],
-    stop: Callable[[int, Exception], None],
+    stop: Stop,
 ) -> None:
     """Call ``do`` for K valves together, or, if that raises, valve by valve.
 
@@ -112,7 +115,7 @@ def isolate(
     ...     total[rows] += 1.0
     ...     if 1 in rows:
     ...         raise ValueError("not this one")
-    >>> save = lambda own: saved([total], own, Scratch())
+    >>> save = lambda own: saved([total], own, CopyBuffer())
     >>> isolate(np.arange(3), add, save, lambda m, e: print(m, e))
     1 not this one
     >>> total
@@ -144,7 +147,7 @@ def isolate_last(
     members: Times,
     do: Callable[[NDArray[np.intp]], None],
     restore: Restore,
-    stop: Callable[[int, Exception], None],
+    stop: Stop,
 ) -> None:
     """As `isolate` for one valve; for several, re-raise: the outer `isolate` finds the valve.
 
@@ -156,14 +159,14 @@ def isolate_last(
         do(np.arange(len(members)))
 
 
-class Scratch:
+class CopyBuffer:
     """Memory for copies, reused by every step: fresh pages would cost more than the copies.
 
     Examples
     --------
-    >>> scratch = Scratch()
+    >>> buffer = CopyBuffer()
     >>> state = np.zeros((100, 1000))
-    >>> restore = saved([state], np.arange(90), scratch)
+    >>> restore = saved([state], np.arange(90), buffer)
     >>> state[:] = 1.0
     >>> restore()
     >>> state[89, 0], state[90, 0]
@@ -202,10 +205,15 @@ class Scratch:
         return place.view(array.dtype).reshape(shape)
 
 
-def saved(arrays: Iterable[NDArray[Any]], members: Times, scratch: Scratch) -> Restore:
+def raised(_: int, error: Exception) -> None:
+    """Raise the error: there are no lanes to stop."""
+    raise error
+
+
+def saved(arrays: Iterable[NDArray[Any]], members: Times, buffer: CopyBuffer) -> Restore:
     """Copy the rows of the given valves; the result writes the copies back."""
     rows = rows_of(members)
-    copies = [(array, scratch.copy(array, rows)) for array in arrays]
+    copies = [(array, buffer.copy(array, rows)) for array in arrays]
 
     def restore() -> None:
         for array, copy in copies:

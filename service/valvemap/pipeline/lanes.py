@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.change import Change
 from valvemap.model.estimator import key_of
 from valvemap.model.extrapolation import U_range_of
@@ -22,12 +23,12 @@ from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
-from valvemap.pipeline.lane_failures import Restore, Scratch, all_of, isolate_last, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, all_of, isolate_last, saved
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, Lane, with_forgetting
+from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
 from valvemap.vocabulary.statuses import Quality, Status
 
 ABOUT_CLOSED = 5.0  # %; tolerance of U beyond the estimator's range, for sensor offset
@@ -107,10 +108,10 @@ class Lanes:
         if self.failed[m]:
             self._notes.status[m] = NO_STATUS
 
-    def saved(self, members: Times, scratch: Scratch) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the state of the given valves' lanes; the result writes the copies back."""
-        own = saved(self._arrays, members, scratch)
-        return all_of([self._states.saved(members, scratch), own])
+        own = saved(self._arrays, members, buffer)
+        return all_of([self._states.saved(members, buffer), own])
 
     def _take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
         beyond, began = self._beyond_range(samples, segments), self._states.began()
@@ -124,6 +125,16 @@ class Lanes:
         self._spread.learn(samples, trace, segments)
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace, self._of_this_map(began, trace.status, segments)
+
+    def revise(self, status: Codes, segments: Segments) -> None:
+        """Replace the published status of the newest samples of running lanes."""
+        running = segments.of(~self.failed[segments.members])
+        self._notes.status[running.members] = status[running.stops - 1]
+
+    def predicted(self, m: int, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Return flow and standard deviation (N,) of one valve's map, as its estimator gives it."""
+        lane = self.get(m)
+        return lane.estimator.predict(lane.state, U, dp, T)
 
     def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
         """Return the state of all lanes as named arrays over valves."""
@@ -344,6 +355,7 @@ for _status, _quality in {
     Status.UNEXCITED: Quality.UNCERTAIN,
     Status.HELD: Quality.UNCERTAIN,
     Status.EXTRAPOLATING: Quality.UNCERTAIN,
+    Status.UNRELIABLE: Quality.UNCERTAIN,
     Status.REJECTED: Quality.BAD,
     Status.FAILED: Quality.BAD,
 }.items():

@@ -62,7 +62,7 @@ class MapsAndSurveys:
 
     def tabulate(self, valve: int) -> None:
         """Compute the table of one valve, unless its lane has failed."""
-        inverse = self._valves.plans[valve].inverse
+        inverse = self._valves.inverse(valve)
         if self._valves.runs(valve, inverse) and not self._valves.waits(valve, inverse):
             with self._valves.bulkhead(valve, Step.MAP, inverse):
                 self.tables[valve] = valve_state.inverse_map(*self._valves.inverted(valve))

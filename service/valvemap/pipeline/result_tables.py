@@ -6,9 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.auto import Auto
-from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.capabilities import (
+    ChoosesStructure,
+    FindsLags,
+    Forgetful,
+    LinearInParameters,
+    finds_changes,
+)
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.alignment import COUNTER_NAMES as OF_ALIGNMENT
@@ -33,7 +37,7 @@ from valvemap.pipeline.ports import (
     ValveResult,
 )
 from valvemap.pipeline.sample_intake import SampleIntake
-from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, ValvePlan
+from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
 from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
@@ -232,15 +236,16 @@ class ResultTables:
         self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
     ) -> InverseResults:
         M, places = len(valves), self._valves.places[valves]
+        inverses = fleet.inverses(places)
         t, quality = np.zeros(M, np.int64), np.zeros(M, np.uint8)
         for name, found in estimators.items():
-            own = np.array([self._valves.plans[valve].inverse == name for valve in valves])
+            own = np.array([inverse == name for inverse in inverses])
             t[own], quality[own] = found.t[own], found.quality[own]
         U, status = np.full(M, np.nan), np.full(M, np.uint8(InverseStatus.NOT_FINITE))
         demanded = np.isfinite(fleet.demands(places)).all(axis=1)
         for k in np.flatnonzero(demanded):
             (U[k], _, status[k]), _ = self._commands.required(int(valves[k]))
-            if not self._valves.runs(int(valves[k]), fleet.plan.inverse):
+            if not self._valves.runs(int(valves[k]), inverses[k]):
                 quality[k] = Quality.BAD
         guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
         fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))
@@ -286,10 +291,10 @@ def _description(estimator: AnyEstimator) -> EstimatorDescription:
         description=_first_line(estimator),
         parameter_names=estimator.parameter_names,
         has_forgetting_factor=isinstance(estimator, Forgetful),
-        finds_changes=valve_state.finds_changes(estimator),
-        chooses_structure=isinstance(estimator, Auto),
-        finds_lags=isinstance(estimator, Auto),
-        has_named_parameters=isinstance(estimator, RecursiveLeastSquares | MaximumLikelihood),
+        finds_changes=finds_changes(estimator),
+        chooses_structure=isinstance(estimator, ChoosesStructure),
+        finds_lags=isinstance(estimator, FindsLags),
+        has_named_parameters=isinstance(estimator, LinearInParameters),
     )
 
 

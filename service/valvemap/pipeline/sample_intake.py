@@ -12,6 +12,7 @@ from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
 from valvemap.pipeline.ports import SIGNALS, SignalResults
 
@@ -58,15 +59,16 @@ class SampleIntake:
 
     def take(self, changes: DataChanges) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
-        return self.learn(self._arrivals.take(changes))
+        self._start_again()
+        return self._learn_arrived(self._arrivals.take(changes))
 
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""
-        return self.learn(self._arrivals.wait_no_longer(valves))
+        return self._learn_arrived(self._arrivals.wait_no_longer(valves))
 
     def begin_source_anew(self, valves: Times) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
-        return self.learn(self._arrivals.begin_source_anew(valves))
+        return self._learn_arrived(self._arrivals.begin_source_anew(valves))
 
     def learn(self, arrived: ByValve) -> ByValve:
         """Estimate from aligned samples; return them, with implausible samples marked BAD."""
@@ -110,6 +112,19 @@ class SampleIntake:
         newest = self.newest
         quality = np.maximum(newest.quality[valves], at_best)
         return SignalResults(newest.t[valves], quality, newest.values[valves])
+
+    def _start_again(self) -> None:
+        """Align valves again whose alignment had raised, once an operator has reset them."""
+        for valve in np.flatnonzero(self._arrivals.failed).tolist():
+            fleet, m = self._valves.at(valve)
+            if not fleet.stopped()[m]:
+                self._arrivals.start_again(valve)
+
+    def _learn_arrived(self, arrived: ByValve) -> ByValve:
+        """Stop the valves whose alignment raised, and estimate from the others' samples."""
+        for valve, error in self._arrivals.new_failures():
+            self._valves.stop(valve, Step.ALIGNMENT, None, error)
+        return self.learn(arrived)
 
     def _note_newest(self, arrived: ByValve) -> None:
         valves, _, stops = arrived.segments

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Times
 from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
 from valvemap.pipeline.kernels.scans import Changed
+from valvemap.pipeline.lane_failures import Stop, isolate, raised
 from valvemap.pipeline.scan_search import Comes
 from valvemap.pipeline.valve_timing import (
     ALIKE,
@@ -40,20 +41,21 @@ class Timing:
         *,
         fixed: bool = False,
     ) -> None:
-        numbered = has_sequence or [False] * len(has_T)
         self.settings = settings
-        self.valves = [
-            ValveTiming(settings, has_T=T, has_sequence=number)
-            for T, number in zip(has_T, numbered, strict=True)
-        ]
+        self._has_T = list(has_T)
+        self._has_sequence = list(has_sequence or [False] * len(has_T))
+        self.valves = [self._fresh(number) for number in range(len(has_T))]
         self._special = np.full(len(self.valves), not fixed)
         self._new: list[int] = []
         if fixed:
             for valve in self.valves:
                 valve.stands = ALIKE
 
-    def take(self, changes: DataChanges) -> DataChanges:
-        """Process changes; return those that are due for alignment."""
+    def take(self, changes: DataChanges, stop: Stop = raised) -> DataChanges:
+        """Process changes; return those that are due for alignment.
+
+        If that raises at a valve, its timing is detected again, and ``stop`` is called.
+        """
         if not self._special.any() or not len(changes):
             return changes
         valve = changes.item // SIGNALS_PER_VALVE
@@ -63,24 +65,22 @@ class Timing:
         parts = [changes[~special]]
         for number in np.unique(valve[special]).tolist():
             own, before = changes[valve == number], self.valves[number].stands
-            out = self.valves[number].take(
-                Changed(
-                    (own.item % SIGNALS_PER_VALVE).astype(np.int64),
-                    own.value,
-                    own.status,
-                    own.source_time,
-                )
+            changed = Changed(
+                (own.item % SIGNALS_PER_VALVE).astype(np.int64),
+                own.value,
+                own.status,
+                own.source_time,
             )
-            parts.append(_as_changes(number, out))
+            parts.append(self._isolated(number, changed, stop))
             if before != IN_SCANS and self.valves[number].stands == IN_SCANS:
                 self._new.append(number)
             self._special[number] = self.valves[number].stands != ALIKE
         return DataChanges.concatenate(parts)
 
-    def flush(self, valves: Times) -> DataChanges:
-        """Flush the changes buffered for scans."""
+    def flush(self, valves: Times, stop: Stop = raised) -> DataChanges:
+        """Flush the changes buffered for scans; ``stop`` as in `take`."""
         parts = [
-            _as_changes(number, self.valves[number].take(NOTHING, flush=True))
+            self._isolated(number, NOTHING, stop, flush=True)
             for number in valves.tolist()
             if self.valves[number].stands == IN_SCANS
         ]
@@ -136,6 +136,26 @@ class Timing:
         """
         self.valves[valve].put(state)
         self._special[valve] = self.valves[valve].stands != ALIKE
+
+    def _isolated(
+        self, number: int, changed: Changed, stop: Stop, *, flush: bool = False
+    ) -> DataChanges:
+        out = NOTHING
+
+        def take(_: NDArray[np.intp]) -> None:
+            nonlocal out
+            out = self.valves[number].take(changed, flush=flush)
+
+        def forget() -> None:
+            self.valves[number] = self._fresh(number)
+
+        isolate(np.array([number]), take, lambda _: forget, stop)
+        return _as_changes(number, out)
+
+    def _fresh(self, number: int) -> ValveTiming:
+        return ValveTiming(
+            self.settings, has_T=self._has_T[number], has_sequence=self._has_sequence[number]
+        )
 
 
 def _as_changes(valve: int, out: Changed) -> DataChanges:

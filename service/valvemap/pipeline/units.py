@@ -39,6 +39,7 @@ QUANTITY_OF: Final = {
     "U": Quantity.OPENING,
     "p1": Quantity.PRESSURE,
     "p2": Quantity.PRESSURE,
+    "dp": Quantity.PRESSURE,
     "Q": Quantity.FLOW,
     "T": Quantity.TEMPERATURE,
     "required_U": Quantity.OPENING,

@@ -3,21 +3,18 @@
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, Protocol, Self, cast, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 
-from valvemap.model.change import FindsChanges
+from valvemap.model.capabilities import Forgetful, PathDependent, ResidualStd
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import Estimator, State, StateMismatchError, Template, key_of
 from valvemap.model.extrapolation import U_range_of, trusted
-from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import inverse_table, invert
 from valvemap.model.inversion import Inversion
 from valvemap.model.kernels import lack_of_fit
 from valvemap.model.kernels import residual_spread as of_spread
-from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import TWO_SIDED_95, ResidualSpread
 from valvemap.model.samples import Codes, Floats, Samples
 from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
@@ -28,6 +25,7 @@ from valvemap.pipeline.alarms import RULES, Alarm
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
 from valvemap.pipeline.nameplate import BLANK, Nameplate
+from valvemap.pipeline.places import MapErrors
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.score import Score
 from valvemap.vocabulary.statuses import InverseStatus, Status
@@ -42,45 +40,13 @@ _OF_SCORE = [  # never negative
 ]
 
 
-@runtime_checkable
-class Forgetful(Protocol):
-    """An estimator with a forgetting factor."""
-
-    @property
-    def lam(self) -> float:
-        """The forgetting factor, 0 < lam <= 1."""
-
-    def with_forgetting(self, lam: float) -> Self:
-        """Return a copy with another forgetting factor; its states are compatible."""
-
-
-@runtime_checkable
-class PathDependent(Protocol):
-    """An estimator whose flow depends on the direction of U (hysteresis)."""
-
-    def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - the estimator's state
-        """Direction of U (N,) along a path without a previous U."""
-
-    def predict_along(
-        self,
-        state: Any,  # noqa: ANN401
-        U: Floats,
-        dp: Floats,
-        T: Floats,
-        direction: Floats,
-    ) -> tuple[Floats, Floats]:
-        """Flow and standard deviation, l/min, at N points of given directions."""
-
-    def approached(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401
-        """U (N,) that moves the valve from its present position to the one that ``U`` holds."""
-
-
 @dataclass(frozen=True)
 class ValvePlan:
     """Configuration of one valve: gate, estimators, inverse and alarms.
 
-    ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
-    are the axes of the published table. ``feed_forward`` is None if the answer is never written to
+    ``inverse`` names the estimator whose map is inverted; if ``follows``, the recommended one is,
+    once there is one. ``references`` are estimators that are never recommended. ``map_Q`` (l/min)
+    and ``map_dp`` (bar) are the axes of the published table. ``feed_forward`` is None if the answer is never written to
     the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is that of the sensors,
     ``nodes`` are their names in messages about missing signals, ``alarms`` the rules of the alarms;
     ``nameplate`` is published only.
@@ -99,11 +65,16 @@ class ValvePlan:
     nodes: Mapping[str, str] = field(default_factory=dict)
     alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
     nameplate: Nameplate = BLANK
+    follows: bool = False
+    references: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
 class Lane:
-    """One estimator on one valve, with its state and the operator's settings."""
+    """One estimator on one valve, with its state and the operator's settings.
+
+    ``errors`` are those of its map at places left, by which intervals are widened; None: not known.
+    """
 
     estimator: AnyEstimator
     state: State
@@ -118,6 +89,7 @@ class Lane:
     residual: float = np.nan
     status: Status | None = None
     accuracy: SensorAccuracy = EXACT
+    errors: MapErrors | None = None
 
 
 @dataclass(frozen=True)
@@ -147,13 +119,6 @@ def nothing_seen(plan: ValvePlan) -> Support:
 def runs_interpreted(estimator: AnyEstimator) -> bool:
     """Whether an update takes milliseconds even if its kernels run interpreted."""
     return not getattr(estimator, "fits_in_bursts", False)
-
-
-def finds_changes(estimator: AnyEstimator) -> bool:
-    """Whether an estimator detects and reports abrupt changes of the valve."""
-    if isinstance(estimator, RecursiveLeastSquares):
-        return isinstance(estimator.forgetting, Adaptive)
-    return isinstance(estimator, FindsChanges)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
@@ -201,7 +166,10 @@ def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) 
     lane = state.lanes[plan.inverse]
     T = state.T if np.isnan(T) else T
     return invert(
-        *(lane.estimator, lane.state, [Q], [dp], [T]), support=lane.support, accuracy=lane.accuracy
+        *(lane.estimator, lane.state, [Q], [dp], [T]),
+        support=lane.support,
+        accuracy=lane.accuracy,
+        widened=None if lane.errors is None else lane.errors.widened,
     )
 
 
@@ -229,6 +197,8 @@ def systematic(lane: Lane, U: Floats, dp: Floats, T: Floats) -> Floats:
 def _as_measured(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Codes]:
     """As `predicted`, without the sensors' systematic errors."""
     Q, std = lane.estimator.predict(lane.state, U, dp, T)
+    if lane.errors is not None:
+        std = lane.errors.widened(std, U, dp, T)
     std, guessed = trusted(lane.estimator, lane.state, lane.support, (U, dp, T), Q, std)
     own = Status.WARMING_UP if lane.status is None else lane.status
     if own in (Status.WARMING_UP, Status.FAILED):  # these statuses take precedence
@@ -247,9 +217,10 @@ def predicted_measurement(
     Q, std, status = _as_measured(lane, U, dp, T)
     with np.errstate(invalid="ignore"):
         beyond = np.where(status == Status.EXTRAPOLATING, np.maximum(std**2 - own**2, 0.0), 0.0)
-        # the spread of the residuals includes the misfit and the network's own std
-        known = 0.0 * own if isinstance(lane.estimator, RbfNetwork) else own
+        # the spread of the residuals includes the misfit, and a std that is taken from them
+        known = 0.0 * own if isinstance(lane.estimator, ResidualStd) else own
         half = lane.spread.half_width(U, dp, np.sqrt(known**2 + beyond))
+        half = np.maximum(half, TWO_SIDED_95 * std)  # of the map, at places left
     if isinstance(lane.estimator, PathDependent):  # U may come from either side
         up, down = (
             lane.estimator.predict_along(lane.state, U, dp, T, np.full_like(U, side))[0]

@@ -1,4 +1,4 @@
-"""Logging of a lane's failure, once, with its traceback."""
+"""Logging of failures at one valve, once each, with the traceback."""
 
 import structlog
 
@@ -15,4 +15,15 @@ def log_failure(failure: LaneFailure) -> None:
         why=failure.reason,
         remedy="Reset starts it again",
         exc_info=failure.error,
+    )
+
+
+def log_left_out(valve: str, error: Exception) -> None:
+    """Log why a valve's changes are not aligned any more, where no lanes can be reset."""
+    log.error(
+        "alignment failed, the valve is left out",
+        valve=valve,
+        why=f"{type(error).__name__}: {error}",
+        remedy="a restart of the source, or of this program, starts it again",
+        exc_info=error,
     )

@@ -4,9 +4,11 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from itertools import islice
 from typing import Any, Final
+
+from pydantic import TypeAdapter, ValidationError
 
 from valvemap.pipeline.ports import AlarmChange, AlarmReport
 
@@ -26,7 +28,9 @@ _SCHEMA = (
     "CREATE INDEX IF NOT EXISTS alarm_change_of ON alarm_change (owner, t)",
 )
 KINDS: Final = (int, str, str, str, int)  # of t, owner, digest, report, checksum
-_KNOWN = frozenset(field.name for field in fields(AlarmReport))
+_REPORTS: Final = TypeAdapter(AlarmReport)
+_LARGEST: Final = 1 << 63
+MOST_SEVERE: Final = 1_000  # Part 5, 6.4.2
 
 
 def prepare(connection: sqlite3.Connection) -> None:
@@ -66,7 +70,8 @@ def select(
         f"WHERE {whose}t BETWEEN ? AND ? ORDER BY t {order}, id",
         (*values, *span),
     )
-    whole = (AlarmChange(row[1], row[0], _report(row[3])) for row in rows if is_whole(row))
+    reports = ((row, _report(row[3])) for row in rows if is_whole(row))
+    whole = (AlarmChange(row[1], row[0], report) for row, report in reports if report is not None)
     return list(islice(whole, skip, skip + most))
 
 
@@ -93,6 +98,12 @@ def _checksum(text: str) -> int:
     return zlib.crc32(text.encode("utf-8", "replace"))
 
 
-def _report(text: str) -> AlarmReport:
-    said = json.loads(text)
-    return AlarmReport(**{name: value for name, value in said.items() if name in _KNOWN})
+def _report(text: str) -> AlarmReport | None:
+    """Return the stored report; None if it is none, although its checksum is correct."""
+    try:
+        found = _REPORTS.validate_json(text, strict=True)
+    except ValidationError:
+        return None
+    numbers = found.since, found.at, found.commented, found.count
+    known = all(0 <= number < _LARGEST for number in numbers)
+    return found if known and 1 <= found.severity <= MOST_SEVERE else None

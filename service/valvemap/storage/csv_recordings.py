@@ -22,7 +22,17 @@ from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.dates import DateForm, date_form
-from valvemap.storage.layout import Layout, Part, find_columns
+from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
+from valvemap.storage.layout import (
+    DEFAULT_VALVE,
+    Columns,
+    Layout,
+    MissingColumnError,
+    Part,
+    find_columns,
+    with_p2,
+)
+from valvemap.storage.long_format import MOST_ROWS, LongColumns, long_columns, pivot
 
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 
@@ -30,6 +40,7 @@ _HEADER_LIMIT = 65_536
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 _SAID_FIRST = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # Excel's own first line
 _PEEKED = 64  # lines used to detect the date format
+_RECOGNISED = 3_000  # lines used to recognise foreign headings
 _PEEK = 65_536  # bytes
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x81\x8d\x8f\x90\x9d]")
 _WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # by the byte order mark
@@ -60,19 +71,22 @@ class CsvReader:
             with _Faults(path, lambda: 0):
                 encoding = _encoding(unpacked.peek(_PEEK))
             self._text = io.TextIOWrapper(unpacked, encoding=encoding, newline="")
-            self._separator, self._header, skipped = self._read_header()
-            self._columns = find_columns(self._header, layout, f"{path}, line {skipped}")
+            self._separator, self._header, skipped, first = self._read_header(layout)
+            self._long: LongColumns | None = None
+            self._layout = layout
+            self._columns, peeked = self._find(f"{path}, line {skipped}", first)
         except ValvemapError:
             self._raw.close()
             raise
         self.ignored = self._columns.ignored
         self._valves: dict[str, int] = {}
         with _Faults(path, lambda: 0):
-            peeked = list(islice(self._text, _PEEKED))
+            peeked += islice(self._text, max(_PEEKED - len(peeked), 0))
         self._skipped = skipped
         lines = chain(peeked, self._text)
         self._lines = csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
-        self._dates = self._date_form(peeked)
+        place = self._columns.parts[0].t if self._long is None else self._long.time
+        self._dates = self._date_form(peeked[:_PEEKED], place)
 
     @property
     def fraction(self) -> float:
@@ -85,8 +99,58 @@ class CsvReader:
             self._text.close()
         self._raw.close()
 
-    def _read_header(self) -> tuple[str, list[str], int]:
-        """Return separator, headings and the number of header lines."""
+    def _find(self, where: str, first: list[str]) -> tuple[Columns, list[str]]:
+        """Return the columns, and the lines that were read to recognise foreign headings."""
+        try:
+            return find_columns(self._header, self._layout, where), first
+        except MissingColumnError as missing:
+            if not self._layout.recognises:
+                raise
+            refusal = missing
+        if all(_is_number(name) for name in self._header):
+            names = ",".join(columns.COLUMNS[: len(self._header)])
+            raise MissingColumnError(
+                f"{refusal}; where it has no headings, --columns={names} or similar names them"
+            )
+        with _Faults(self._path, lambda: 0):
+            peeked = [*first, *islice(self._text, _RECOGNISED)]
+        rows = self._rows_of(peeked)
+        numeric = [
+            all(_is_number(row[place]) or not row[place].strip() for row in rows)
+            for place in range(len(self._header))
+        ]
+        self._long = long_columns(self._header, rows, numeric)
+        if self._long is not None:
+            return Columns((), None, None, ()), peeked
+        return self._recognised(rows, numeric, refusal), peeked
+
+    def _rows_of(self, lines: Sequence[str]) -> Rows:
+        rows = csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
+        with suppress(csv.Error):
+            return [row for row in rows if len(row) == len(self._header)]
+        return []
+
+    def _recognised(self, rows: Rows, numeric: Sequence[bool], refusal: RecordingError) -> Columns:
+        """Return the columns recognised by headings and first rows; else raise ``refusal``."""
+        time = time_column(self._header, numeric)
+        cells = list(zip(*rows, strict=True))
+        if time is None or not cells:
+            raise refusal
+        numbers = {
+            place: columns.numbers(_with_points(cells[place]), self._header[place])
+            for place, is_number in enumerate(numeric)
+            if is_number and place != time
+        }
+        self._dates = date_form(cells[time][:_PEEKED])
+        try:
+            times = self._times(cells[time], seconds_per_unit(self._header[time]))
+        except CellError:
+            raise refusal from None
+        begins = Beginning(self._path, self._header, numbers, time, times)
+        return recognise(begins, self._layout, refusal)
+
+    def _read_header(self, layout: Layout) -> tuple[str, list[str], int, list[str]]:
+        """Return separator, headings, the number of header lines, and lines that are data."""
         said, number = None, 1
         with _Faults(self._path, lambda: 0):
             line = self._text.readline(_HEADER_LIMIT)
@@ -98,11 +162,17 @@ class CsvReader:
             raise RecordingError(f"{self._path} is empty: a recording begins with t,U,p1,p2,Q")
         separator = said if said in _SEPARATORS else max(_SEPARATORS, key=line.count)
         found = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-        return separator, [name.strip() for name in found], number
+        if layout.header is None:
+            return separator, [name.strip().strip("\ufeff") for name in found], number, []
+        if len(layout.header) != len(found):
+            raise RecordingError(
+                f"{self._path}, line {number}: {len(found)} cells separated by "
+                f"{_SEPARATORS[separator]}, --columns names {len(layout.header)}"
+            )
+        return separator, list(layout.header), number - 1, [line]
 
-    def _date_form(self, peeked: Sequence[str]) -> DateForm:
+    def _date_form(self, peeked: Sequence[str], place: int) -> DateForm:
         """Return the date format, detected from the first times."""
-        place = self._columns.parts[0].t
         rows = csv.reader(peeked, delimiter=self._separator, skipinitialspace=True)
         with suppress(csv.Error):
             return date_form([row[place] for row in rows if place < len(row)])
@@ -113,6 +183,9 @@ class CsvReader:
 
         Samples before damage are yielded before the error is raised.
         """
+        if self._long is not None:
+            yield from self._pivoted(self._long)
+            return
         more, problem = True, None
         while more:
             blocks: list[Block] = []
@@ -129,6 +202,52 @@ class CsvReader:
                 yield from columns.by_valve(whole, list(self._valves), np.concatenate(index))
         if problem is not None:
             raise problem
+
+    def _pivoted(self, place: LongColumns) -> Iterator[tuple[str, Samples]]:
+        """Yield the samples of a file in long format, sorted by time."""
+        times, tags, values = list[Times](), list[int](), list[Floats]()
+        known: dict[str, int] = {}
+        unit = seconds_per_unit(self._header[place.time])
+        problem, more = None, True
+        while more:
+            before = self._lines.line_num + self._skipped
+            rows, problem = self._read(_BLOCK)
+            more = len(rows) == _BLOCK and problem is None
+            lines: Sequence[int] = range(before + 1, before + 1 + len(rows))
+            lines, rows = self._without_blank_lines(lines, rows)
+            cells = list(zip(*rows, strict=True))
+            if not cells:
+                continue
+            try:
+                times.append(self._times(cells[place.time], unit))
+                values.append(self._numbers(cells[place.value], self._header[place.value]))
+            except CellError as error:
+                raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
+            tags += [known.setdefault(tag, len(known)) for tag in cells[place.tag]]
+            if len(tags) > MOST_ROWS:
+                raise RecordingError(f"{self._path}: more than {MOST_ROWS:,} rows in long format")
+        if problem is not None:
+            raise problem
+        if not tags:
+            return
+        t, table = pivot(
+            np.concatenate(times), np.array(tags, np.intp), np.concatenate(values), len(known)
+        )
+        headings = ["t", *known]
+        numbers = {number + 1: table[:_RECOGNISED, number] for number in range(len(known))}
+        begins = Beginning(self._path, headings, numbers, 0, t[:_RECOGNISED])
+        self._columns = _columns_of(begins, self._layout)
+        self.ignored = self._columns.ignored
+        for part in self._columns.parts:
+            own = {
+                name: scaling(table[:, column - 1])
+                for name, (column, scaling) in part.numbers.items()
+            }
+            there = np.asarray(np.isfinite(np.stack(list(own.values()))).any(axis=0))
+            for start in range(0, len(t), self._rows):
+                rows_ = np.flatnonzero(there[start : start + self._rows]) + start
+                some = {name: values_[rows_] for name, values_ in own.items()}
+                yield str(part.valve or DEFAULT_VALVE), with_p2(t[rows_], None, some)
 
     def _read(self, limit: int) -> tuple[Rows, RecordingError | None]:
         """Return up to ``limit`` lines, and the error that stopped reading, if any."""
@@ -181,7 +300,7 @@ class CsvReader:
             name: scaling(self._numbers(cells[place], name))
             for name, (place, scaling) in part.numbers.items()
         }
-        return Samples.of(t=self._times(cells[part.t]), quality=quality, **numbers)
+        return with_p2(self._times(cells[part.t], part.seconds), quality, numbers)
 
     def _numbers(self, cells: Sequence[str], name: str) -> Floats:
         if self._separator != ",":
@@ -193,7 +312,13 @@ class CsvReader:
                 raise
             return columns.numbers(_with_points(cells), name)
 
-    def _times(self, cells: Sequence[str]) -> Times:
+    def _times(self, cells: Sequence[str], seconds: float = 1.0) -> Times:
+        if seconds != 1.0:
+            found = self._numbers(cells, "t")
+            if not np.isfinite(found).all():
+                row = int(np.argmax(~np.isfinite(found)))
+                raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)
+            return np.rint(found * (seconds * 1e9)).astype(np.int64)
         if self._separator == "," and not any("," in cell for cell in cells):
             return columns.times(cells, self._dates)
         return columns.times(_with_points(cells), self._dates)
@@ -236,6 +361,22 @@ class _Faults:
             raise RecordingError(
                 f"{self._path} cannot be read: {error.strerror or error}"
             ) from error
+
+
+def _columns_of(begins: Beginning, layout: Layout) -> Columns:
+    """Return the columns of a pivoted table: by our own names, else recognised."""
+    try:
+        return find_columns(begins.headings, layout, str(begins.path))
+    except MissingColumnError as missing:
+        return recognise(begins, layout, missing)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def csv_rows(valve: str, samples: Samples) -> bytes:

@@ -14,6 +14,7 @@ from valvemap.model.samples import Times
 T: Final = "t"
 CODES: Final = "codes"
 BYTES_OF_VALUE: Final = 8  # of all columns except times and codes, which are packed
+MOST_ROWS: Final = 1 << 21  # of a block; a save has at most a million, joined to small blocks
 
 _BLOCK = "INSERT INTO block (series, first, last, rows) VALUES (?, ?, ?, ?)"
 _PART = "INSERT INTO part (block, name, digest, data) VALUES (?, ?, ?, ?)"
@@ -99,10 +100,19 @@ def unpack(name: str, data: bytes | None) -> NDArray[Any]:
     if data is None:
         return np.empty(0)
     if name == T:
-        return np.cumsum(np.frombuffer(zlib.decompress(data), "<i8"))
+        return np.cumsum(np.frombuffer(_inflated(data), "<i8"))
     if name == CODES:
-        return np.frombuffer(zlib.decompress(data), "<u4")
+        return np.frombuffer(_inflated(data), "<u4")
     return np.frombuffer(data, "<f8")
+
+
+def _inflated(data: bytes) -> bytes:
+    """Decompress a column; raise ValueError if it has more rows than a block may."""
+    inflating = zlib.decompressobj()
+    found = inflating.decompress(data, BYTES_OF_VALUE * MOST_ROWS)
+    if not inflating.eof:
+        raise ValueError("cut short, or longer than any block")
+    return found
 
 
 def before(t: int, found: Examined) -> Examined:

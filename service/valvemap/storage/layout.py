@@ -5,7 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+import numpy as np
+
 from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.units import (
     MEASURED,
     QUANTITY_OF,
@@ -16,6 +19,7 @@ from valvemap.pipeline.units import (
     Unit,
     unit_of,
 )
+from valvemap.plant.readings import Given
 
 REQUIRED: Final = ("t", "U", "p1", "p2", "Q")
 DEFAULT_VALVE: Final = "Valvistor"
@@ -44,13 +48,26 @@ class ValveLayout:
 class Layout:
     """The layout of recordings; without ``valves`` all valves of a file are read.
 
-    ``time``, ``valve`` and ``quality`` are column names; None: the default names.
+    ``time``, ``valve`` and ``quality`` are column names; None: the default names. ``header`` are
+    the headings of a file that has none; ``given`` answers questions about foreign headings, by
+    valve.
     """
 
     valves: tuple[ValveLayout, ...] = ()
     time: str | None = None
     valve: str | None = None
     quality: str | None = None
+    header: tuple[str, ...] | None = None
+    given: Mapping[str, Given] = field(default_factory=dict)
+
+    @property
+    def recognises(self) -> bool:
+        """Whether foreign headings may be recognised: no column is configured."""
+        return self.valve is None and not any(valve.has_columns for valve in self.valves)
+
+
+class MissingColumnError(RecordingError):
+    """The headings are not those of a recording of ours."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +75,15 @@ class Part:
     """The column numbers of one valve's samples.
 
     ``valve`` is None if the valve column names the valve of each row; with ``selects``, only the
-    rows that name this valve are used.
+    rows that name this valve are used. ``seconds`` is the unit of the times. Without a column of
+    p2, p1 is the pressure drop, and p2 is 0.
     """
 
     valve: str | None
     t: int
     numbers: Mapping[str, tuple[int, Scaling]]
     selects: bool = False
+    seconds: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -75,6 +94,12 @@ class Columns:
     valve: int | None
     quality: int | None
     ignored: tuple[str, ...]
+
+
+def with_p2(t: Times, quality: Codes | None, numbers: Mapping[str, Floats]) -> Samples:
+    """Return samples; without p2, p1 is the pressure drop, and p2 is 0."""
+    whole = numbers if "p2" in numbers else {**numbers, "p2": np.zeros(len(t))}
+    return Samples.of(t=t, quality=quality, **whole)
 
 
 def find_columns(header: Sequence[str], layout: Layout, where: str) -> Columns:
@@ -147,7 +172,7 @@ class _Finder:
             found[signal] = named if named is not None else self._standard(signal, found["t"])
         missing = [name for name in REQUIRED if found[name] is None]
         if missing:
-            raise RecordingError(self._missing(missing))
+            raise MissingColumnError(self._missing(missing))
         numbers = {
             signal: (number, self._scaling(own, signal, number))
             for signal in MEASURED

@@ -3,32 +3,26 @@
 All values are in physical units and full precision: a loaded model predicts bit-identically.
 """
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal, assert_never
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from valvemap.model.auto import Auto
-from valvemap.model.auto_state import AutoState, write_map
-from valvemap.model.estimator import Estimator
-from valvemap.model.kernels import cells as auto_memory
+from valvemap.model.auto_map import BAND, AutoMap
 from valvemap.model.kernels import lack_of_fit
 from valvemap.model.kernels.support import PLACES_OF_CELL, T_LOW
-from valvemap.model.kernels.surface import APART, BORDER, FIVE_TERMS
-from valvemap.model.linear_map import LinearMap, LinearMapState
-from valvemap.model.map_shapes import MOST, Shape
-from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.kernels.surface import BORDER
+from valvemap.model.linear_map import LinearParameters
+from valvemap.model.map_shapes import Shape
 from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
-from valvemap.model.monotone import Monotone
+from valvemap.model.portable_map import PortableMap
 from valvemap.model.radial_basis import RadialBasis
-from valvemap.model.rbf_network import RbfNetwork, RbfNetworkState
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.rbf_network import NetworkMap
 from valvemap.model.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
 
 VERSION: Final = 2
-BAND: Final = 31  # of `Auto`'s inverse information: a point's parameters lie no farther apart
 UNITS: Final = {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
 
 Numbers = tuple[float, ...]
@@ -135,7 +129,7 @@ class AutoSection(_Section):
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> "AutoSection":
-        n = _shape(self).size
+        n = Shape.from_array(_shape_of(self)).size
         for name, rows, columns in (
             ("theta", n, None),
             ("inverse", n, BAND),
@@ -216,65 +210,67 @@ class ModelDocument(_Section):
         return self
 
 
-def map_section(estimator: Estimator[Any], state: Any) -> MapSection:  # noqa: ANN401 - its own state
-    """Return the section of an estimator's map.
-
-    Raises
-    ------
-    ValueError
-        if the map is not determined yet.
-    """
-    match estimator:
-        case Auto():
-            section: MapSection = _auto_section(state)
-        case RbfNetwork():
-            section = NetworkSection(
-                grid=estimator.grid,
-                U_range=estimator.U_range,
-                dp_range=estimator.dp_range,
-                Q_scale=estimator.Q_scale,
-                w=_numbers(state.w),
-                c=tuple((float(U), float(dp)) for U, dp in state.c),
-                log_b=_numbers(state.log_b),
-                monitor=_numbers(state.monitor),
-            )
-        case RecursiveLeastSquares() | Monotone() | MaximumLikelihood() | LinearMap():
-            structure = estimator.structure
-            n = len(structure.parameter_names)
-            theta, _ = estimator.parameters(state)
-            covariance = estimator.covariance(state)[:n, :n]
-            if not np.isfinite(theta[:n]).all() or not np.isfinite(covariance).all():
-                raise ValueError("its parameters are not determined yet")
-            section = LinearSection(
+def map_section(portable: PortableMap) -> MapSection:
+    """Return the section of a map."""
+    match portable:
+        case LinearParameters(structure, theta, covariance):
+            return LinearSection(
                 structure=_structure_section(structure),
-                theta=_numbers(theta[:n]),
+                theta=_numbers(theta),
                 covariance=_rows(covariance),
             )
+        case NetworkMap():
+            return NetworkSection(
+                grid=portable.grid,
+                U_range=portable.U_range,
+                dp_range=portable.dp_range,
+                Q_scale=portable.Q_scale,
+                w=_numbers(portable.w),
+                c=tuple((float(U), float(dp)) for U, dp in portable.c),
+                log_b=_numbers(portable.log_b),
+                monitor=_numbers(portable.monitor),
+            )
+        case AutoMap():
+            return AutoSection(
+                shape=tuple(None if np.isnan(x) else float(x) for x in portable.shape),
+                dp_top=portable.dp_top,
+                theta=_numbers(portable.theta),
+                beside=_numbers(portable.beside),
+                inverse=_rows(portable.inverse),
+                mixed=_rows(portable.mixed),
+                corner=_rows(portable.corner),
+                variance=portable.variance,
+                gain_variance=portable.gain_variance,
+            )
         case _:
-            raise ValueError(f"a {type(estimator).__name__} cannot be saved")
-    return section
+            assert_never(portable)
 
 
-def map_of(section: MapSection) -> tuple[Estimator[Any], Any]:
-    """Return the estimator and its state from a section."""
+def map_of(section: MapSection) -> PortableMap:
+    """Return the map of a section."""
     match section:
         case LinearSection():
-            theta, covariance = np.array(section.theta), np.array(section.covariance)
-            return LinearMap(_structure(section.structure)), LinearMapState(theta, covariance)
-        case NetworkSection():
-            network = RbfNetwork(
-                grid=section.grid,
-                U_range=section.U_range,
-                dp_range=section.dp_range,
-                Q_scale=section.Q_scale,
+            return LinearParameters(
+                _structure(section.structure),
+                np.array(section.theta),
+                np.array(section.covariance),
             )
+        case NetworkSection():
+            ranges = section.grid, section.U_range, section.dp_range, section.Q_scale
             w, c, log_b = (np.array(x, np.float64) for x in (section.w, section.c, section.log_b))
-            still = np.zeros_like(w), np.zeros_like(c), np.zeros_like(log_b)
-            noted = np.column_stack((w, c, np.exp(-2.0 * log_b)))
-            monitor = np.array(section.monitor)
-            return network, RbfNetworkState(w, c, log_b, *still, monitor, noted)
+            return NetworkMap(*ranges, w, c, log_b, np.array(section.monitor))
         case AutoSection():
-            return Auto(), _auto_state(section)
+            return AutoMap(
+                shape=_shape_of(section),
+                dp_top=section.dp_top,
+                theta=np.array(section.theta),
+                beside=np.array(section.beside),
+                inverse=np.array(section.inverse),
+                mixed=np.array(section.mixed),
+                corner=np.array(section.corner),
+                variance=section.variance,
+                gain_variance=section.gain_variance,
+            )
 
 
 def region_section(spread: ResidualSpread) -> RegionSection:
@@ -355,59 +351,8 @@ def _fewest(section: StructureSection) -> int:
             return len(section.U) * len(section.s)
 
 
-def _auto_section(state: AutoState) -> AutoSection:
-    if not state.counters[auto_memory.FITTED]:
-        raise ValueError("its map is not determined yet")
-    shape = Shape.from_array(state.shapes[0])
-    theta, n = state.theta, shape.size
-    return AutoSection(
-        shape=tuple(None if np.isnan(x) else float(x) for x in state.shapes[0]),
-        dp_top=float(state.top[0]),
-        theta=_numbers(theta[:n]),
-        beside=_numbers(theta[MOST:]),
-        inverse=_rows(_band(state)[:n]),
-        mixed=_rows(np.pad(state.mixed[:n].astype(np.float64), ((0, 0), (FIVE_TERMS, 0)))),
-        corner=_rows(state.corner),
-        variance=float(state.scalars[auto_memory.VARIANCE]),
-        gain_variance=float(state.scalars[auto_memory.GAIN_VARIANCE]),
-    )
-
-
-def _auto_state(section: AutoSection) -> AutoState:
-    blank = Auto().initial_state()
-    n = _shape(section).size
-    shape = np.array([np.nan if x is None else x for x in section.shape])
-    blank.theta[:n], blank.theta[MOST:] = section.theta, section.beside
-    blank.mixed[:n] = np.reshape(section.mixed, (n, BORDER))[:, FIVE_TERMS:]
-    blank.corner[:] = section.corner
-    blank.shapes[:], blank.top[:] = shape, section.dp_top
-    blank.scalars[auto_memory.VARIANCE] = section.variance
-    blank.scalars[auto_memory.GAIN_VARIANCE] = section.gain_variance
-    blank.counters[auto_memory.FITTED] = 1
-    theta = np.concatenate([section.theta, section.beside])
-    for which in (0, 1):
-        write_map(blank, which, _shape(section), theta, section.dp_top)
-    kept, filed = _pairs(int(blank.sizes[0, 1]))
-    blank.inverse[:n, kept] = np.reshape(section.inverse, (n, BAND))[:, filed]
-    return blank
-
-
-def _band(state: AutoState) -> Floats:
-    """Return the inverse information in the file's form: bands by distance of two parameters."""
-    found = np.zeros((MOST, BAND))
-    kept, filed = _pairs(int(state.sizes[0, 1]))
-    found[:, filed] = state.inverse[:, kept]
-    return found
-
-
-def _pairs(n_s: int) -> tuple[list[int], list[int]]:
-    """Return the indices of parameter pairs in memory and in a file; ``n_s`` is the size per U."""
-    apart = [(u, v) for u in range(4) for v in range(-3, 4) if u or v >= 0]
-    return [u * APART + v for u, v in apart], [u * n_s + v for u, v in apart]
-
-
-def _shape(section: AutoSection) -> Shape:
-    return Shape.from_array(np.array([np.nan if x is None else x for x in section.shape]))
+def _shape_of(section: AutoSection) -> Floats:
+    return np.array([np.nan if x is None else x for x in section.shape])
 
 
 def _numbers(values: Floats) -> Numbers:

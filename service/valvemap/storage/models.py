@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from valvemap.errors import ConfigurationError, NoSuchFile, StorageError
 from valvemap.model.estimator import Estimator
+from valvemap.model.portable_map import restored, to_map
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
@@ -81,7 +82,7 @@ def save_model(
         if the file cannot be written, or the map is not determined yet; names file or estimator.
     """
     try:
-        section = map_section(estimator, state)
+        section = map_section(to_map(estimator, state))
     except ValueError as error:
         raise StorageError(f"{file}: {valve}.{name} is not saved: {error}") from None
     theta, std = estimator.parameters(state)
@@ -112,16 +113,19 @@ def load_model(file: Path) -> Model:
         if the model is invalid; one line with file, field, value and the allowed values.
     """
     try:
-        document = ModelDocument.model_validate(_content(file))
-        estimator, state = map_of(document.map)
+        return _model_of(ModelDocument.model_validate(_content(file)))
     except FileNotFoundError:
         raise NoSuchFile(f"{file}: no such file") from None
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     except ValidationError as error:
         raise StorageError(f"{file}: {_first(error)}") from None
-    except (ConfigurationError, ValueError) as error:
+    except (ConfigurationError, ValueError, OverflowError) as error:
         raise StorageError(f"{file}: map: {error}") from None
+
+
+def _model_of(document: ModelDocument) -> Model:
+    estimator, state = restored(map_of(document.map))
     return Model(
         valve=document.valve,
         name=document.estimator,

@@ -1,6 +1,7 @@
 """Recordings as Parquet, written as an Arrow stream until they are complete; needs pyarrow."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,16 @@ from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
-from valvemap.storage.layout import DEFAULT_VALVE, Columns, Layout, Part, find_columns
+from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
+from valvemap.storage.layout import (
+    DEFAULT_VALVE,
+    Columns,
+    Layout,
+    MissingColumnError,
+    Part,
+    find_columns,
+    with_p2,
+)
 
 try:
     import pyarrow as pa
@@ -32,6 +42,7 @@ _SCHEMA = pa.schema(
     ]
 )
 _ROW_GROUP = 1 << 19
+_RECOGNISED = 3_000  # rows used to recognise foreign headings
 _UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError)  # of a damaged file
 
 
@@ -45,9 +56,9 @@ class ArrowReader:
         batches: Iterable[pa.RecordBatch],
         total: int,
         close: Callable[[], None],
-        layout: Layout,
+        found: Columns,
     ) -> None:
-        self._columns = find_columns(schema.names, layout, str(path))
+        self._columns = found
         _check_types(schema, self._columns, path)
         self.ignored = self._columns.ignored
         self._path = path
@@ -116,13 +127,53 @@ def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
         headings = list(file.schema_arrow.names)
     except _UNREADABLE as error:
         raise _damaged(path, error, 0) from error
-    useless = set(find_columns(headings, layout, str(path)).ignored)
+    found = _find(path, file, headings, layout)
+    useless = set(found.ignored)
     kept = [name for name in headings if name not in useless]
+    found = _moved(found, headings, kept)
     batches = file.iter_batches(batch_size=chunk_rows, columns=kept)
     schema = pa.schema([file.schema_arrow.field(name) for name in kept])
-    reader = ArrowReader(path, schema, batches, file.metadata.num_rows, file.close, layout)
+    reader = ArrowReader(path, schema, batches, file.metadata.num_rows, file.close, found)
     reader.ignored = tuple(name for name in headings if name in useless)
     return reader
+
+
+def _find(path: Path, file: pq.ParquetFile, headings: Sequence[str], layout: Layout) -> Columns:
+    """Return the columns by our own names, else recognised by headings and first rows."""
+    try:
+        return find_columns(headings, layout, str(path))
+    except MissingColumnError as missing:
+        time = time_column(headings, [_is_number(field.type) for field in file.schema_arrow])
+        if not layout.recognises or time is None:
+            raise
+        batch = next(file.iter_batches(batch_size=_RECOGNISED), None)
+        if batch is None:
+            raise
+        numbers = {
+            place: _numbers(batch.column(place))
+            for place, field in enumerate(file.schema_arrow)
+            if place != time and _is_number(field.type)
+        }
+        times = _times(batch.column(time), seconds_per_unit(headings[time]))
+        return recognise(Beginning(path, headings, numbers, time, times), layout, missing)
+
+
+def _moved(found: Columns, headings: Sequence[str], kept: Sequence[str]) -> Columns:
+    """Return the columns by their numbers among those that are kept."""
+
+    def place(number: int) -> int:
+        return kept.index(headings[number])
+
+    parts = tuple(
+        replace(
+            part,
+            t=place(part.t),
+            numbers={name: (place(n), scaling) for name, (n, scaling) in part.numbers.items()},
+        )
+        for part in found.parts
+    )
+    valve, quality = (None if n is None else place(n) for n in (found.valve, found.quality))
+    return Columns(parts, valve, quality, ())
 
 
 def open_stream(path: Path, layout: Layout) -> ArrowReader:
@@ -133,7 +184,8 @@ def open_stream(path: Path, layout: Layout) -> ArrowReader:
         stream.schema.names  # noqa: B018 - names that are no text are found here
     except _UNREADABLE as error:
         raise _damaged(path, error, 0) from error
-    return ArrowReader(path, stream.schema, stream, 0, file.close, layout)
+    found = find_columns(stream.schema.names, layout, str(path))
+    return ArrowReader(path, stream.schema, stream, 0, file.close, found)
 
 
 def stream_head() -> bytes:
@@ -195,7 +247,7 @@ def _samples(batch: pa.RecordBatch, part: Part, quality: Codes | None) -> Sample
         name: scaling(_numbers(batch.column(place)))
         for name, (place, scaling) in part.numbers.items()
     }
-    return Samples.of(t=_times(batch.column(part.t)), quality=quality, **numbers)
+    return with_p2(_times(batch.column(part.t), part.seconds), quality, numbers)
 
 
 def _is_number(kind: pa.DataType) -> bool:
@@ -243,9 +295,11 @@ def _numbers(column: pa.Array) -> Floats:
     return _array(pc.cast(_plain(column), pa.float64(), safe=False))
 
 
-def _times(column: pa.Array) -> Times:
+def _times(column: pa.Array, seconds: float = 1.0) -> Times:
     column = _complete(column, "t", columns.ALLOWED_TIME)
     kind = column.type
+    if seconds != 1.0 and _is_number(kind):
+        return np.rint(_numbers(column) * (seconds * 1e9)).astype(np.int64)
     if pa.types.is_timestamp(kind):
         try:
             return _array(pc.cast(pc.cast(column, pa.timestamp("ns", kind.tz)), pa.int64()))

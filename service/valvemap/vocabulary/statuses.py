@@ -46,7 +46,14 @@ class Status(Described):
     """An estimator's use of one sample: numerical trouble is a value, not an exception."""
 
     OK = 0, "ok", "The sample was used and the parameters are determined."
-    WARMING_UP = 1, "warming up", "The samples so far do not determine all parameters."
+    WARMING_UP = (
+        1,
+        "warming up",
+        (
+            "The samples so far do not determine all parameters, or the map has not yet predicted "
+            "better than the mean flow."
+        ),
+    )
     UNEXCITED = (
         2,
         "not excited",
@@ -73,6 +80,14 @@ class Status(Described):
         (
             "The estimator stopped at an unexpected error; its last state is kept. Reset starts it "
             "again; the alarm LaneFailed names the reason."
+        ),
+    )
+    UNRELIABLE = (
+        8,
+        "unreliable",
+        (
+            "The sample was used, but at places visited again the flow lies outside the 95 % "
+            "interval too often, however much the interval is widened."
         ),
     )
 

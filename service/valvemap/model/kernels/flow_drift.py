@@ -20,7 +20,7 @@ from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Floats
 
 STILL, MOVING, OTHER_GAIN, OTHER_EDGE, MODELS = 0, 1, 2, 3, 4
-LEVELS, RATES, STATES = 2, 4, 8  # states from LEVELS on are rates; from RATES on, effects of T
+LEVELS, RATES, STATES = 2, 4, 9  # states from LEVELS on are rates; from RATES on, effects of T
 
 # Places of a state.
 GAIN, EDGE, RATE_GAIN, RATE_EDGE = 0, 1, 2, 3
@@ -70,9 +70,12 @@ def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
 
 @inner
 def step(
-    drift: Drift, dt: float, jumps: float, residual: float, by: Floats, variance: float
+    drift: Drift, dt: float, jumps: float, warmed: float, residual: float, by: Floats,
+    variance: float,
 ) -> None:  # fmt: skip
     """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
+
+    Oil that ``warmed`` by so many K tells that the law of its viscosity is another one.
 
     ``residual`` is measured against `now`; ``by`` (STATES,) are its derivatives by the states.
     """
@@ -82,6 +85,10 @@ def step(
     if dt > 0.0:
         _mix(drift, dt, jumps)
         _advance(drift, dt)
+    if warmed > 0.0:
+        for m in range(MODELS):
+            for k in range(RATES, STATES):
+                drift.P[m, k, k] += (rules.OTHER_LAW * drift.x[m, k]) ** 2 * warmed
     total = 0.0
     largest = -math.inf
     for m in range(MODELS):

@@ -37,7 +37,9 @@ SCALE_BEFORE = 18  # mean square of the flow at the last fit
 EVIDENCE = 19  # log marginal likelihood, but for a constant
 LEAST = 20  # flow against Δp that the meter shows: its offset
 FIRST_T = 21  # °C; of the first sample, NaN where it was not measured
-SCALARS = 24
+NOW_T = 22  # °C; of the last sample that had one
+STAY_T = 23  # °C; of the last stay on either side: two places
+SCALARS = 25
 
 
 @inner

@@ -4,12 +4,14 @@ import math
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_U, surface
 from valvemap.model.kernels.flow_memory import (
     FITTED,
     FLOW,
+    FLOWS,
     OF,
     PLACE_S,
     PLACE_U,
@@ -77,13 +79,32 @@ def _warm(axis_s: Axis, memory: Memory, flow: float, thinner: float, at: Floats)
     """Derivatives by the effects of T: gain, laminar flow by √ν and ν, leakage by 1/ν."""
     top, s = axis_s.breaks[-1], at[PLACE_S]
     laminar = rules.STRONG * flow * rules.LAMINAR * top / (abs(s) + rules.LAMINAR * top)
+    creeping = rules.STRONG * flow * rules.CREEPING * top / (abs(s) + rules.CREEPING * top)
     at[WARM] = 0.0
     nu = 1.0 + thinner
     at[OF + drifts.RATES] = math.log(nu) * flow
     at[OF + drifts.RATES + 1] = (math.sqrt(nu) - 1.0) * laminar
     at[OF + drifts.RATES + 2] = thinner * laminar
+    at[OF + drifts.RATES + 3] = (math.sqrt(nu) - 1.0) * creeping
     leakage = s * abs(s) / (top * top) * math.sqrt(memory.scalars[fits.SCALE])
-    at[OF + drifts.RATES + 3] = (1.0 / nu - 1.0) * leakage
+    at[OF + drifts.RATES + 4] = (1.0 / nu - 1.0) * leakage
+
+
+@inner
+def _law(axis_s: Axis, memory: Memory, side: int, T: float, at: Floats) -> float:
+    """Variance of the flow at T as the law of viscosity is known at today's T only."""
+    now = memory.scalars[fits.NOW_T]
+    if not math.isfinite(T - now):
+        return 0.0
+    flow, warm, asked = at[OF + drifts.GAIN], at[WARM], 0.0
+    for k in range(drifts.RATES, drifts.STATES):
+        at[FLOWS + k] = at[OF + k]
+    _warm(axis_s, memory, flow, viscosity(memory, now), at)
+    for k in range(drifts.RATES, drifts.STATES):
+        step = (at[FLOWS + k] - at[OF + k]) * rules.OTHER_LAW * memory.now[side, 0, k]
+        asked += step * step * abs(T - now)
+    at[WARM] = warm
+    return asked
 
 
 @inner
@@ -113,5 +134,34 @@ def evaluate(
         side = 0 if U[i] >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
         look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room)
+        width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
+        law = _law(axis_s, memory, side, T[i], at)
+        both = at[SLOPE] * rules.BOTH_BRANCHES * width
+        at[TOTAL] += law
         if at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]:
-            Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL])
+            Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + both * both)
+
+
+@lean_kernel
+def warmth(
+    axis_U: Axis, axis_s: Axis, memory: Memory, U: float, dp: float, step: float, room: Room
+) -> tuple[float, float]:
+    """(dQ/dT) / Q at a point now, 1/K, and its standard deviation; 0 where T is not known."""
+    at, now = room.at, memory.now[0]
+    T = memory.scalars[fits.NOW_T]
+    if not (memory.counters[FITTED] and math.isfinite(T - memory.scalars[fits.FIRST_T])):
+        return 0.0, rules.WARMTH * rules.THINNING
+    place(axis_U, memory, 0, U, math.sqrt(dp), at)
+    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T + step), room)
+    for k in range(drifts.RATES, drifts.STATES):
+        at[FLOWS + k] = at[OF + k]
+    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T), room)
+    slope = variance = 0.0
+    for k in range(drifts.RATES, drifts.STATES):
+        slope += (at[FLOWS + k] - at[OF + k]) / step * now[0, k]
+        for j in range(drifts.RATES, drifts.STATES):
+            both = (at[FLOWS + k] - at[OF + k]) * (at[FLOWS + j] - at[OF + j])
+            variance += both / (step * step) * now[1 + k, j]
+    if not at[FLOW] > 0.0:
+        return 0.0, rules.WARMTH * rules.THINNING
+    return slope / at[FLOW], math.sqrt(max(variance, 0.0)) / at[FLOW]

@@ -14,13 +14,21 @@ CLOCK = 5  # ns; of the last stay on either side of U = 0: two places
 STAY_CELL, STAY_SIDE, STAY_TIME, SKIPPED = 7, 8, 9, 10
 CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15, 16
 # STAYS: of one visit; BEGAN: samples when the map began again
-COUNTERS = 17
+ROWS_SEEN, LAST_TIME, NEXT_LOOK, CENSORED = 17, 18, 19, 20  # rows of `recent` so far; ns; samples
+WATCHED = 21  # rows of `recent` that were searched for a least flow
+CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus MODELS where U < 0
+DOUBTED = 23  # 1 where a change was called and may be the meter's end
+CALM = 24  # samples when it was last forgotten what moves
+COUNTERS = 25
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
 APART = 3  # sum of squared distances from the cell's mean, in cells
 BY = 4  # sums of derivatives, drifts.STATES places
-KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 12, 13, 14, 15  # what the cell knew when the stay began
+KNOWN_COUNT = BY + drifts.STATES  # from here on what the cell knew when the stay began
+KNOWN_OFF, CHANGE_SIZE, CHANGE_OF = KNOWN_COUNT + 1, KNOWN_COUNT + 2, KNOWN_COUNT + 3
+BEFORE = KNOWN_COUNT + 4  # gain and edge before the last change; CHANGE_OF: how much it was
+STAY = BEFORE + drifts.LEVELS
 
 
 class Memory(NamedTuple):
@@ -37,6 +45,8 @@ class Memory(NamedTuple):
     now: Floats
     stay: Floats
     play: Floats
+    path: Floats
+    recent: Singles
 
 
 class Batch(NamedTuple):
@@ -45,6 +55,7 @@ class Batch(NamedTuple):
     t: Times
     U: Floats
     dp: Floats
+    p1: Floats
     T: Floats
     Q: Floats
     usable: np.ndarray
@@ -54,13 +65,17 @@ class Batch(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room to work in: (4, 3); see `Drift`; (AT,)."""
+    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_path.metered`, (4,)."""
 
     work: Floats
     drift: Floats
     at: Floats
+    means: Floats
 
 
 # Places in `Room.at`: what the map says at one point.
 FLOW, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, WARM, OF = 0, 1, 2, 3, 4, 5, 6, 7
-AT = OF + drifts.STATES  # from OF on derivatives by the states of `flow_drift`; WARM: flow due to T
+FLOWS = OF + drifts.STATES  # derivatives at another temperature
+AT = (
+    FLOWS + drifts.STATES
+)  # from OF on derivatives by the states of `flow_drift`; WARM: flow due to T

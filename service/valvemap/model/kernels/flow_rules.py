@@ -97,5 +97,74 @@ PLAY_SURE: Final = 3.0  # standard deviations from which on a correction is made
 # Temperature.
 THINNING: Final = 0.03  # 1/K; rate of the oil's viscosity, ISO VG 32-68 near 40 °C
 WARMTH: Final = 0.1  # of the flow; standard deviation of an effect of viscosity, before it is known
+OTHER_LAW: Final = 0.007  # of an effect, per √K; by how much the oil's law is another one
+WARM_DOUBT: Final = 0.1  # of the flow due to temperature; standard deviation of a stay
 STRONG: Final = 3.0  # times the standard deviation WARMTH; effects where flow is laminar
 LAMINAR: Final = 0.1  # of the largest √|Δp|; below it flow is laminar, about
+CREEPING: Final = 0.03  # of the largest √|Δp|; the same for a smaller Reynolds number
+
+# How samples come from the map.
+ROWS: Final = 1280  # samples that are kept as measured: 13 s at 100 Hz
+LAGS_LEFT: Final = 6.0  # lags after which a first-order lag is over
+GAP: Final = 2.5  # s without samples: what lags starts again
+ENOUGH_SHOWN: Final = 0.98  # share of what a meter shows now that is known
+LONGEST_LAG: Final = 1.5  # s of a stretch that are left out, so that all lags are judged alike
+EVERY: Final = 2  # rows; of which one is compared
+ROBUST_ROUNDS: Final = 6  # fits of a coarse map, without the outliers of the fit before
+ROBUST_STEPS: Final = 5  # steps of the robust variance
+NEAR_TOP: Final = 0.99  # of the meter's end; beyond it flow is not known
+WELL_BELOW_TOP: Final = 0.95  # of the meter's end; a lower reading is a flow, whatever is predicted
+NEAR_LEAST: Final = 0.3  # of the least flow; nearer to it either reading is possible
+FIRST_WEIGHT: Final = 0.02  # of a sample below the least flow, in the first fit
+RIDGE: Final = (
+    1e-4  # samples' weight that keeps a part of the coarse map without samples determined
+)
+SHARES_COARSE: Final = (
+    0.0,
+    0.04,
+    0.08,
+    0.14,
+    0.22,
+    0.32,
+    0.45,
+    0.6,
+    0.8,
+    1.0,
+)  # of U_end; its knots
+CLEAR: Final = 40.0  # log likelihood from which on an operator is taken
+STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
+MOST_OPERATORS: Final = 4  # taken in one look
+SHARES_TOP: Final = (0.9, 0.97, 1.0)  # of the readings; where a meter's end is looked for
+SEEN_BELOW: Final = 5  # readings of no flow, from which on a meter may have a least flow
+POINTS_SHOWN: Final = 16  # points at which the map is evaluated along what a meter shows
+BENT_BY_LAGS: Final = 0.1  # of the flow that a meter's filter adds to that of the mean place: its
+# standard deviation, as the map bends on the way
+LOOKS: Final = (1024, 2048, 4096)  # samples; after which the last rows are searched for operators
+MOST_BETWEEN_LOOKS: Final = 8192  # samples; between later looks: 82 s at 100 Hz
+OTHER: Final = 0.04  # of its value; a parameter that differs by less needs no new map
+BOTH_BRANCHES: Final = 0.51  # of the half width of a hysteresis: its standard deviation that makes
+# the 95 % interval hold both branches
+LEAST_NOISES: Final = 3.0  # standard deviations of the noise; a least flow is larger
+MOST_OF_JUMP: Final = 10.0  # log likelihood that one jump over small flows tells at most
+REFINEMENTS: Final = 4  # rounds over all operators that are there
+MEDIAN_TO_STD: Final = 1.4826  # of a Gaussian
+SAME_LEAST: Final = 0.7  # of the least flow seen; a smaller one refutes it
+OTHER_HYSTERESIS: Final = (
+    2.0  # of the noise's variance; what play leaves if it is another hysteresis
+)
+KEPT_BY_FILTERS: Final = 0.8  # of what cells hold, at a fit, behind a meter's filter
+COARSE: Final = 0.02  # of the flow; standard deviation of the coarse map
+OF_COARSE: Final = 0.5  # of the variance that the coarse map leaves: least variance of the noise
+STEADY_FILTER: Final = 0.1  # of the noise's variance; doubt about a filter beyond which a sample
+# tells nothing of what moves in time
+STAY_BEHIND_FILTER: Final = 0.5  # of the noise's variance; least variance of a stay behind a filter
+LIKELIER: Final = 1.0  # log likelihood from which on a rival takes an operator's place
+EXPLAINED: Final = 1.5  # of the white noise's variance; rows that are left so little need no rivals
+MOST_TRIED: Final = 1500  # coarse maps fitted in a look before it tries no more rivals: .5 s
+ODDS: Final = 0.01  # of an operator, before anything is known
+WORTH_SAYING: Final = 0.5  # probability from which on a finding is given
+SAID_FOR: Final = 3600.0  # s; for which a sudden change is a finding
+OPEN: Final = (0.5, 0.7, 0.9)  # of U_end; where a compensator is looked for
+FAR_APART: Final = (0.2, 0.8)  # of the largest Δp; pressure drops that are compared
+HARDLY_RISES: Final = 0.1  # of the flow; less than that from one to the other is a compensator's
+PARTLY_BEYOND: Final = 0.85  # of the meter's end; cells of a larger mean may hold flows beyond it

@@ -8,6 +8,7 @@ import math
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
@@ -23,11 +24,16 @@ from valvemap.model.kernels.flow_cells import (
 )
 from valvemap.model.kernels.flow_look import clipped, look, place, viscosity
 from valvemap.model.kernels.flow_memory import (
+    ALARMED,
     BEGAN,
+    CENSORED,
+    DOUBTED,
     FITTED,
     FLOW,
+    LAST_TIME,
     NEXT_FIT,
     PLACE_U,
+    ROWS_SEEN,
     SAMPLES,
     SKIPPED,
     SLOPE,
@@ -69,11 +75,14 @@ def run(
         if not (batch.usable[i] and math.isfinite(U + dp + Q)):
             batch.status[i] = _REJECTED
             continue
-        if max(abs(U), abs(dp), abs(Q)) > rules.HUGE:
+        if max(abs(U), abs(dp), abs(Q), abs(batch.p1[i])) > rules.HUGE:
             batch.status[i] = _HELD
             continue
-        s = math.copysign(math.sqrt(abs(dp)), dp)
-        batch.status[i] = _learn(i, batch, U, s, Q, axis_U, axis_s, memory, room)
+        alarmed = counters[ALARMED]
+        batch.status[i] = _learn(i, batch, axis_U, axis_s, memory, room)
+        if counters[ALARMED] > alarmed:  # may be the meter's end, reached for the first time
+            counters[DOUBTED] = 1
+            counters[NEXT_FIT] = counters[USED]
         if counters[USED] >= counters[NEXT_FIT]:
             end_stay(memory, room)
             if plays.decide(memory.play):
@@ -84,33 +93,56 @@ def run(
 
 @inner
 def _learn(
-    i: int, batch: Batch, U: float, s: float, Q: float, axis_U: Axis, axis_s: Axis, memory: Memory,
-    room: Room,
+    i: int, batch: Batch, axis_U: Axis, axis_s: Axis, memory: Memory, room: Room
 ) -> int:  # fmt: skip
     """Predict one sample, then learn from it; give its status."""
-    scalars, counters, at = memory.scalars, memory.counters, room.at
-    _, is_beyond = clipped(axis_U, U)
+    scalars, counters, at, path = memory.scalars, memory.counters, room.at, memory.path
+    Q = batch.Q[i]
+    s = paths.effective(batch.dp[i], batch.p1[i], path)
+    _, is_beyond_U = clipped(axis_U, batch.U[i])
     r, is_beyond_s = clipped(axis_s, s)
-    spool = memory.play[plays.SPOOL] if is_beyond or is_beyond_s else plays.follow(memory.play, U)
-    u, _ = clipped(axis_U, spool)
-    known, side = False, 0 if U >= 0.0 else 1
+    is_beyond = is_beyond_U or is_beyond_s
+    behind = memory.play[plays.SPOOL] if is_beyond else _follow(i, batch, memory)
+    u, _ = clipped(axis_U, behind)
+    known, side = False, 0 if u >= 0.0 else 1
     place(axis_U, memory, side, u, r, at)
     if counters[USED] == 0:
-        scalars[fits.FIRST_T] = batch.T[i]
-    at[WARM] = 0.0
+        scalars[fits.FIRST_T] = batch.T[i] if abs(batch.T[i]) < rules.HUGE else math.nan
+        scalars[fits.NOW_T] = scalars[fits.STAY_T] = scalars[fits.STAY_T + 1] = math.nan
+    at[WARM], beyond = 0.0, 0.0  # flow that the meter shows beyond that of the place
+    bent = 0.0  # variance of that
+    if not is_beyond and paths.filters(path):
+        if not _metered(axis_U, axis_s, u, r, memory, room):
+            return _WARMING_UP
+        u, r, beyond = room.means[0], room.means[1], room.means[2]
+        side = 0 if u >= 0.0 else 1
+        place(axis_U, memory, side, u, r, at)
     if counters[FITTED]:
         look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room)
-        batch.predicted[i], batch.residual[i] = at[FLOW], Q - at[FLOW]
+        bent = min(room.means[3], at[SURE]) if beyond != 0.0 else 0.0
+        bent += (rules.BENT_BY_LAGS * beyond) ** 2
+        at[SURE] += bent
+        at[TOTAL] += bent
+    if counters[FITTED]:
+        batch.predicted[i] = paths.shown(at[FLOW] + beyond, path)
+        batch.residual[i] = Q - batch.predicted[i]
         known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
-    if is_beyond or is_beyond_s:
+    if is_beyond:
         return _EXTRAPOLATING
+    if abs(batch.T[i]) < rules.HUGE:
+        scalars[fits.NOW_T] = batch.T[i]
+    if paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path):
+        counters[USED] += 1
+        counters[CENSORED] += 1
+        return _OK if known else _WARMING_UP
+    Q -= beyond
     gain = 1.0 + memory.now[side, 0, drifts.GAIN]
     number = cell_of(axis_U, axis_s, at[PLACE_U], r)
     weight = 1.0
     if counters[FITTED]:
         residual = batch.residual[i]
         slope = at[SLOPE]
-        weight = _trust(residual, axis_U, axis_s, memory, gain, memory.cells[number], room)
+        weight = _trust(residual, axis_U, axis_s, memory, gain, memory.cells[number], bent, room)
         is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
         is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
         if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
@@ -118,14 +150,16 @@ def _learn(
         if memory.stay[SAMPLES] == 0.0:
             begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
         known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
-        if weight > 0.5 and known_well and not is_young:
+        has_play = path[paths.STICK] + path[paths.RELAYS] == 0.0
+        if weight > 0.5 and known_well and has_play and not is_young:
             visit = 0.0  # samples in this cell so far: all have the map's misfit in common
             if counters[STAY_CELL] == number:
                 visit = (counters[STAYS] - 1) * rules.LONGEST_STAY + memory.stay[SAMPLES]
             doubt = (scalars[fits.VARIANCE] + at[SURE]) * max(visit / rules.SHORTEST_STAY, 1.0)
-            plays.weigh(memory.play, U, residual, slope, doubt)
+            plays.weigh(memory.play, path[paths.LAGGED], residual, slope, doubt)
         distance = apart(axis_U, axis_s, memory.cells[number], number, at)
-        note_stay(number, side, batch.t[i], residual, weight, distance, memory, at)
+        if bent <= rules.STEADY_FILTER * scalars[fits.VARIANCE]:
+            note_stay(number, side, batch.t[i], residual, weight, distance, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
             end_stay(memory, room)
     share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
@@ -136,7 +170,7 @@ def _learn(
     alike = scalars[fits.COLOUR] * math.exp(-way)
     worth = (1.0 - alike) / (1.0 + alike)
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
-        shared = rules.SHARED * (at[TOTAL] - at[SURE])
+        shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300))
     deposit(
         memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, rules.MEMORY
@@ -147,9 +181,41 @@ def _learn(
 
 
 @inner
+def _follow(i: int, batch: Batch, memory: Memory) -> float:
+    """Keep a sample as measured; give where the spool is."""
+    counters, path, play, recent = memory.counters, memory.path, memory.play, memory.recent
+    newest = counters[ROWS_SEEN] % len(recent)
+    step = 1e-9 * float(batch.t[i] - counters[LAST_TIME])
+    fresh = path[paths.SEEN] == 0.0 or not 0.0 <= step < rules.GAP
+    row = recent[newest]
+    row[paths.STEP] = rules.GAP if fresh else step
+    row[paths.LEFT_U], row[paths.LEFT_DP] = batch.U[i], batch.dp[i]
+    row[paths.LEFT_P1], row[paths.LEFT_Q] = batch.p1[i], batch.Q[i]
+    counters[ROWS_SEEN] += 1
+    counters[LAST_TIME] = batch.t[i]
+    path[paths.SEEN] = 1.0
+    U = batch.U[i]
+    if path[paths.DEAD_U] > 0.0:
+        U = paths.late(recent, newest, min(counters[ROWS_SEEN], len(recent)), path)
+    return plays.follow(play, paths.spool(U, step, fresh, path))
+
+
+@inner
+def _metered(axis_U: Axis, axis_s: Axis, u: float, r: float, memory: Memory, room: Room) -> bool:
+    """Fill `room.means`; False: the last samples do not tell what the meter shows."""
+    counters, recent = memory.counters, memory.recent
+    newest = (counters[ROWS_SEEN] - 1) % len(recent)
+    recent[newest, paths.SPOOL], recent[newest, paths.ROOT] = u, r
+    known = min(counters[ROWS_SEEN], len(recent))
+    return paths.metered(
+        axis_U, axis_s, memory.theta, recent, newest, known, memory.path, room.work, room.means
+    )
+
+
+@inner
 def _trust(
     residual: float, axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, cell: Singles,
-    room: Room,
+    bent: float, room: Room,
 ) -> float:  # fmt: skip
     """Probability that a sample is none that the meter invented, by the map or by its cell."""
     scalars, counters = memory.scalars, memory.counters
@@ -171,7 +237,7 @@ def _trust(
         doubt = noise / cell[COUNT] + variance
         if fits.outlier_weight(off * off, doubt, width / cell[COUNT]) < rules.DOUBTED:
             cell[:] = 0.0
-    if cell[COUNT] > 0.0 and variance < noise:
+    if cell[COUNT] > 0.0 and variance - bent < noise:
         _note_error(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], scalars)
     else:
         scalars[fits.LAST_ERROR] = 0.0

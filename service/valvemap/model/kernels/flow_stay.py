@@ -1,9 +1,13 @@
 """Stays: successive samples in one cell, from which drift and sudden changes are learnt."""
 
+import math
+
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_path as paths
+from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.compiled import inner
+from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, surface
 from valvemap.model.kernels.flow_cells import (
     COUNT,
@@ -16,8 +20,12 @@ from valvemap.model.kernels.flow_drift import Drift
 from valvemap.model.kernels.flow_memory import (
     ALARMED,
     APART,
+    BEFORE,
     BEGAN,
     BY,
+    CALM,
+    CHANGE_KIND,
+    CHANGE_OF,
     CHANGE_SAMPLE,
     CHANGE_SIZE,
     CHANGE_TIME,
@@ -27,11 +35,13 @@ from valvemap.model.kernels.flow_memory import (
     KNOWN_COUNT,
     KNOWN_OFF,
     NEXT_FIT,
+    NEXT_START,
     OF,
     OF_MAP,
     PLACE_S,
     PLACE_U,
     RESIDUAL,
+    ROWS_SEEN,
     SAMPLES,
     SKIPPED,
     STAY_CELL,
@@ -56,6 +66,35 @@ def begin_again(memory: Memory) -> None:
     memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
     for side in range(2):
         drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
+
+
+@lean_kernel
+def forget_motion(memory: Memory) -> None:
+    """Forget what moved in time."""
+    memory.counters[ALARMED] = memory.counters[SKIPPED] = memory.counters[STAYS] = 0
+    memory.counters[CALM] = memory.counters[USED]
+    memory.stay[:KNOWN_COUNT] = 0.0
+    for side in range(2):
+        drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
+
+
+@lean_kernel
+def begin_replay(memory: Memory, rows: int, T: float) -> None:
+    """Begin again, about to learn from the last ``rows`` samples once more."""
+    begin_again(memory)
+    counters, play = memory.counters, memory.play
+    counters[USED] = max(counters[USED] - rows, 1)
+    counters[BEGAN] = counters[USED]
+    counters[NEXT_FIT] = counters[USED] + rules.FIRST_FIT
+    counters[NEXT_START] = rules.SECOND_START
+    counters[ROWS_SEEN] = counters[SKIPPED] = counters[STAYS] = counters[CLOCK] = 0
+    counters[CLOCK + 1] = 0
+    memory.scalars[fits.FIRST_T] = T
+    memory.scalars[fits.STAY_T : fits.STAY_T + 2] = math.nan
+    memory.path[paths.SEEN] = 0.0
+    memory.stay[:KNOWN_COUNT] = 0.0
+    play[plays.SEEN] = play[plays.SLOPES] = play[plays.ERRORS] = 0.0
+    play[plays.GAINS :] = 0.0
 
 
 @inner
@@ -110,6 +149,8 @@ def end_stay(memory: Memory, room: Room) -> None:
     noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / max(many, 1.0), 1.0)
     alike = rho**many
     noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
+    if paths.filters(memory.path):  # the filter's errors are common to a stay
+        noise = max(noise, rules.STAY_BEHIND_FILTER * scalars[fits.VARIANCE])
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
         cell = memory.cells[counters[STAY_CELL]]
         cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
@@ -131,17 +172,42 @@ def end_stay(memory: Memory, room: Room) -> None:
         by = stay[BY : BY + drifts.STATES]
         for k in range(drifts.STATES):
             by[k] /= many
-        young = counters[USED] - counters[BEGAN] < rules.MATURE
+        warm = 0.0
+        for k in range(drifts.RATES, drifts.STATES):
+            warm += by[k] * drift.now[0, k]
+        noise += (rules.WARM_DOUBT * warm) ** 2
+        young = counters[USED] - max(counters[BEGAN], counters[CALM]) < rules.MATURE
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
-        drifts.step(
-            drift, dt, jumps, residual, by, counters[STAYS] * (noise + share * of_cell)
-        )  # fmt: skip
-        jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
-        if jumped > rules.CERTAIN and not counters[ALARMED]:
-            counters[ALARMED] = 1
-            counters[CHANGES] += 1
-            counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
-            stay[CHANGE_SIZE] = residual
-        elif jumped < rules.OVER and 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP:
-            counters[ALARMED] = 0
+        variance, warmed = counters[STAYS] * (noise + share * of_cell), _warmed(side, scalars)
+        drifts.step(drift, dt, jumps, warmed, residual, by, variance)
+        _note_change(drift, side, now, residual, memory)
     stay[:KNOWN_COUNT] = 0.0
+
+
+@inner
+def _warmed(side: int, scalars: Floats) -> float:
+    """By how much the oil is warmer or colder than in the last stay on this side, K."""
+    now, before = scalars[fits.NOW_T], scalars[fits.STAY_T + side]
+    scalars[fits.STAY_T + side] = now
+    return abs(now - before) if math.isfinite(now - before) else 0.0
+
+
+@inner
+def _note_change(drift: Drift, side: int, now: int, residual: float, memory: Memory) -> None:
+    """Count a sudden change that is certain, and note how much of what it is."""
+    counters, stay = memory.counters, memory.stay
+    jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
+    if jumped > rules.CERTAIN and not counters[ALARMED]:
+        counters[ALARMED] = 1
+        counters[CHANGES] += 1
+        counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
+        stay[CHANGE_SIZE] = residual
+        for k in range(drifts.LEVELS):
+            stay[BEFORE + k] = drift.x[drifts.STILL, k]
+    elif jumped < rules.OVER and 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP:
+        counters[ALARMED] = 0
+    if counters[ALARMED] and jumped > rules.CERTAIN:
+        of_gain = drift.chance[drifts.OTHER_GAIN] > drift.chance[drifts.OTHER_EDGE]
+        kind, k = (drifts.OTHER_GAIN, 0) if of_gain else (drifts.OTHER_EDGE, 1)
+        counters[CHANGE_KIND] = kind + side * drifts.MODELS
+        stay[CHANGE_OF] = drift.x[kind, k] - stay[BEFORE + k]

@@ -2,8 +2,11 @@
 
 import pytest
 
-from valvemap.pipeline.naming import Candidate, propose
 from valvemap.pipeline.units import unit_of
+from valvemap.plant.candidates import Candidate
+from valvemap.plant.grouping import group
+from valvemap.plant.readings import Given, Record
+from valvemap.plant.verdict import judge
 
 LANGUAGES = {
     "German": (
@@ -29,8 +32,14 @@ def at(*path, unit=None, **more):
     return Candidate(f"s={'.'.join(path)}", path, unit_of(unit) if unit else None, **more)
 
 
-def last_names(proposal):
-    return tuple(proposal.nodes[s].path[-1] if s in proposal.nodes else None for s in SIGNALS)
+def propose(candidates):
+    """The verdicts by names alone; units that are not stated are accepted."""
+    return [judge(one, Record(), Given(assume=True)) for one in group(candidates)]
+
+
+def last_names(verdict):
+    nodes = verdict.reading.nodes
+    return tuple(nodes[s].path[-1] if s in nodes else None for s in SIGNALS)
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
@@ -39,26 +48,26 @@ def test_a_folder_in_any_language_is_a_valve(language):
     others = ("Pump speed", "Alarm", "Füllstand", "Laufzeit")
     found = propose(at("Plant", "Press 3", name) for name in (*names, *others) if name)
     assert [last_names(proposal) for proposal in found] == [names]
-    assert found[0].open == ()
+    assert found[0].question is None
 
 
 def test_folders_of_equal_content_are_valves_of_their_own():
     places = [("Line", "V1"), ("Line", "V2"), ("Spare", "V1")]
     found = propose(at(*place, name) for place in places for name in LANGUAGES["German"])
-    assert [proposal.name for proposal in found] == ["Line_V1", "Line_V2", "Spare_V1"]
+    assert [proposal.valve for proposal in found] == ["Line_V1", "Line_V2", "Spare_V1"]
 
 
 def test_flat_tags_are_parted_by_the_number_of_their_loop():
     kinds = ("FCV{}_CMD", "PT{}_IN", "PT{}_OUT", "FT{}")
     found = propose(at("Tags", kind.format(loop)) for loop in (101, 102) for kind in kinds)
-    assert [proposal.name for proposal in found] == ["V101", "V102"]
+    assert [proposal.valve for proposal in found] == ["V101", "V102"]
     assert last_names(found[1])[:4] == ("FCV102_CMD", "PT102_IN", "PT102_OUT", "FT102")
 
 
 def test_data_blocks_are_parted_by_what_stands_before_the_last_name():
     names = [f'"DB10"."FCV-{k}"."{n}"' for k in (1, 2) for n in ("cmd", "p_in", "p_out", "flow")]
     found = propose(at("PLC", name) for name in names)
-    assert [proposal.name for proposal in found] == ["FCV-1", "FCV-2"]
+    assert [proposal.valve for proposal in found] == ["FCV-1", "FCV-2"]
 
 
 def test_kks_codes_say_what_is_measured_and_leave_open_which_pressure_it_is():
@@ -68,8 +77,8 @@ def test_kks_codes_say_what_is_measured_and_leave_open_which_pressure_it_is():
         for system in ("10MAX11", "10MAX12")
         for code, unit in codes.items()
     )
-    assert [proposal.name for proposal in found] == ["V10MAX11", "V10MAX12"]
-    assert found[0].open == ("p1: s=KKS.10MAX11CP001 or s=KKS.10MAX11CP002",)
+    assert [proposal.valve for proposal in found] == ["V10MAX11", "V10MAX12"]
+    assert found[0].question.about == "p1, p2: ambiguous"
 
 
 def test_a_unit_outweighs_a_name():
@@ -83,13 +92,13 @@ def test_a_unit_outweighs_a_name():
 def test_the_signal_is_preferred_to_the_command_that_the_rig_takes_and_two_alike_are_asked():
     names = {"U": "%", "p1": "bar", "p2": "bar", "Q": "l/min", "UCommand": "%"}
     found = propose(at("TestRig", "Valvistor", n, unit=u) for n, u in names.items())
-    assert (last_names(found[0])[0], found[0].open) == ("U", ())
+    assert (last_names(found[0])[0], found[0].question) == ("U", None)
     twice = propose(at("V", n) for n in ("cmd A", "cmd B", "p1", "p2", "flow"))
-    assert twice[0].open == ("U: s=V.cmd A or s=V.cmd B",)
+    assert twice[0].question.about == "U: ambiguous"
+    assert ["cmd A" in option.text for option in twice[0].question.options] == [True, False]
 
 
 def test_a_server_without_a_valve_has_none_and_half_a_valve_names_what_is_missing():
     assert propose([at("Server", "Speed"), at("Server", "Alarm")]) == []
     (half,) = propose(at("V", name) for name in ("Stellwert", "Vordruck", "Durchfluss"))
-    assert half.missing == ("p2",)
-    assert half.open == ("p2: no node was found",)
+    assert half.question.about == "p2: no node was found"

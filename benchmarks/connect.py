@@ -1,0 +1,145 @@
+"""How often `connect` finds, asks and errs: generated plants, by their labels and ten seconds.
+
+``python -m benchmarks.connect [--seeds FIRST LAST] [--show]`` prints a row per set: accepted and
+right, asked, wrong in silence; and for questions, whether obeying an option gives the truth.
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmarks.connect_plants import Plant, contradicted, plant
+from valvemap.plant.answers import of_valve, parse_answers
+from valvemap.plant.grouping import Group, group
+from valvemap.plant.readings import Reading
+from valvemap.plant.verdict import Verdict, judge
+
+HELD_OUT: Final = (10_000, 10_200)
+"""Seeds of the reported figures; the tables were made without looking at them."""
+_EQUAL: Final = 2e-3  # relative difference of values that are equal
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result for one plant: ``right``, ``asked``, ``wrong`` (in silence); and its story."""
+
+    kind: str
+    result: str
+    obeyed: bool | None
+    story: str
+
+
+def outcome(subject: Plant) -> Outcome:
+    """Judge a plant as `connect` does; obey the first right option of every question."""
+    groups = group(subject.candidates)
+    verdicts = [judge(one, subject.record) for one in groups]
+    if not groups or any(v.question for v in verdicts):
+        story = "; ".join(f"{v.valve}: {v.question.about}" for v in verdicts if v.question)
+        obeyed = None if subject.asks else _obeyed(subject, groups, verdicts)
+        return Outcome(subject.kind, "asked", obeyed, story or "no valve")
+    wrong = [] if subject.asks else list(_errors(subject, verdicts))
+    if subject.asks:
+        wrong = ["accepted in spite of a contradiction"]
+    return Outcome(subject.kind, "wrong" if wrong else "right", None, "; ".join(wrong))
+
+
+def _errors(subject: Plant, verdicts: Iterable[Verdict]) -> Iterator[str]:
+    found = {
+        v.reading.nodes[role].node: v.reading
+        for v in verdicts
+        if v.reading is not None
+        for role in v.reading.nodes
+        if role == "U"
+    }
+    for true in subject.truth.values():
+        reading = found.pop(true["U"][0], None)
+        if reading is None:
+            yield "a valve was not found"
+        else:
+            yield from _differences(reading, true)
+    if found:
+        yield f"{len(found)} valves too many"
+
+
+def _differences(reading: Reading, true: Mapping[str, tuple[str, np.ndarray]]) -> Iterator[str]:
+    for role, node in reading.nodes.items():
+        if role not in true:
+            if role != "T":
+                yield f"{role} is {node.path[-1]}"
+            continue
+        wanted, values = true[role]
+        own = reading.values[role]
+        same = node.node == wanted
+        if not same or not np.allclose(own, values, rtol=_EQUAL, atol=1e-6):
+            yield f"{role} is {node.path[-1]} in {reading.scales[role].text}"
+    for role in true:
+        if role not in reading.nodes and role != "T":
+            yield f"{role} is missing"
+
+
+def _obeyed(subject: Plant, groups: list[Group], verdicts: list[Verdict]) -> bool:
+    """Whether some option of every question, obeyed, gives a valve as it is in truth."""
+    settled = []
+    for own, verdict in zip(groups, verdicts, strict=True):
+        if verdict.question is None:
+            settled.append(verdict)
+            continue
+        for option in verdict.question.options:
+            signals = [a.removeprefix("--signal=") for a in option.answers if "--signal" in a]
+            scales = [a.removeprefix("--scale=") for a in option.answers if "--scale" in a]
+            given = of_valve(parse_answers(signals, scales), own.name)
+            again = judge(own, subject.record, given)
+            if again.question is None and not list(_of_one(subject, again)):
+                settled.append(again)
+                break
+    return len(settled) == len(groups) and not list(_errors(subject, settled))
+
+
+def _of_one(subject: Plant, verdict: Verdict) -> Iterator[str]:
+    assert verdict.reading is not None  # noqa: S101 - it has no question
+    node = verdict.reading.nodes[next(r for r in verdict.reading.nodes if r == "U")].node
+    for true in subject.truth.values():
+        if true["U"][0] == node:
+            yield from _differences(verdict.reading, true)
+            return
+    yield "another valve"
+
+
+def table(name: str, outcomes: list[Outcome], *, show: bool) -> str:
+    """Return a row of figures, and with ``show`` the story of each plant not right."""
+    counts = Counter(one.result for one in outcomes)
+    obeyed = [one.obeyed for one in outcomes if one.obeyed is not None]
+    figures = (
+        f"{name:28} n {len(outcomes):4}  right {counts['right']:4}  asked {counts['asked']:4}  "
+        f"wrong {counts['wrong']:4}  obeyed {sum(obeyed)}/{len(obeyed)}"
+    )
+    lines = [figures]
+    if show:
+        lines += [
+            f"    {number}: {one.kind}: {one.result}: {one.story[:200]}"
+            for number, one in enumerate(outcomes)
+            if one.result == "wrong" or (one.result == "asked" and one.obeyed is not None)
+        ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs=2, default=HELD_OUT)
+    parser.add_argument("--show", action="store_true")
+    asked = parser.parse_args()
+    seeds = range(*asked.seeds)
+    print(table("labels right", [outcome(plant(s)) for s in seeds], show=asked.show))
+    still = [outcome(plant(s, excitation="rest")) for s in seeds[: len(seeds) // 4]]
+    print(table("labels right, nothing moves", still, show=asked.show))
+    faulty = [outcome(contradicted(s)) for s in seeds[: max(50, len(seeds) // 4)]]
+    print(table("contradicted", faulty, show=asked.show))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""The configuration that `connect` writes: source, observed timing, valves."""
+
+from collections.abc import Iterator
+
+from valvemap.app.connect import Found
+from valvemap.foreign_text import printable, toml_string
+from valvemap.opcua_source.client import SourceSettings
+from valvemap.opcua_source.source_units import SaidOfNode, contradiction
+from valvemap.pipeline.units import MEASURED, QUANTITY_OF, Measure, inside
+from valvemap.plant.readings import Reading
+from valvemap.plant.roles import Role
+from valvemap.plant.verdict import Verdict
+
+
+def configuration(found: Found, settings: SourceSettings, template: str) -> str:
+    """Return the configuration (TOML) of the accepted valves, based on the one of ``init``."""
+    head = template.split("[alignment]", maxsplit=1)[0]
+    source = _of_source(settings)
+    start, end = head.index("[source]"), head.index("[server]")
+    lines = [head[:start] + source + head[end:] + _of_alignment(found)]
+    lines += [_of_valve(verdict) for verdict in found.accepted]
+    return "\n".join(lines)
+
+
+def _of_source(settings: SourceSettings) -> str:
+    lines = [
+        "[source]",
+        f"url = {toml_string(settings.url)}",
+        f"security = {toml_string(str(settings.security))}",
+        f"publishing_interval_ms = {settings.publishing_interval_ms:g}",
+    ]
+    if settings.user is not None:
+        lines.append(f"user = {toml_string(settings.user)}")
+        lines.append("# the password: VALVEMAP_SOURCE__PASSWORD, or password_file here")
+    if not settings.check_host_name:
+        lines.append("check_host_name = false")
+    return "\n".join([*lines, "", ""])
+
+
+def _of_alignment(found: Found) -> str:
+    """Return the observed timing as comments; the service detects the timing at its start."""
+    lines = ["[alignment]", "# how signals come is found at the start; when watched:"]
+    for verdict in found.accepted:
+        own = found.watched.get(verdict.valve, {})
+        nodes = {} if verdict.reading is None else verdict.reading.nodes
+        for role, node in nodes.items():
+            if (seen := own.get(node.node)) is not None:
+                comes = "on change" if seen.on_change else f"{seen.rate_hz:.3g} Hz"
+                lines.append(
+                    f"#   {verdict.valve}.{role}: {comes}, {seen.skew_ms:.3g} ms beside the others"
+                )
+    return "\n".join([*lines, ""])
+
+
+def _of_valve(verdict: Verdict) -> str:
+    reading = verdict.reading
+    assert reading is not None  # noqa: S101 - it is accepted
+    lines = ["[[valves]]", f"name = {toml_string(verdict.valve)}"]
+    if any(_contradictions(reading)):
+        lines.append("insist = true # its units differ from those that the server states")
+    lines += ["", "[valves.nodes]"]
+    for role in map(Role, (*MEASURED, "dp")):
+        if role in reading.nodes:
+            node = reading.nodes[role]
+            shown = printable("/".join(node.path))
+            lines.append(f"{role} = {toml_string(node.node)} # {shown}")
+    units = [line for role in reading.nodes for line in _of_unit(role, reading)]
+    if units:
+        lines += ["", "[valves.signals]", *units]
+    lines += _assumed(reading)
+    if verdict.least_U is not None:
+        lines += ["", "[valves.gate.U]", f"low = {verdict.least_U:g} # one edge of four"]
+    return "\n".join([*lines, ""])
+
+
+def _of_unit(role: Role, reading: Reading) -> Iterator[str]:
+    measure = reading.scales[role].measure
+    unit = measure.unit
+    own = unit is None or unit == inside(QUANTITY_OF[role])
+    shown = "" if own or unit is None else f"unit = {toml_string(unit.symbol)}"
+    if measure.raw is not None:
+        raw, scaled = list(measure.raw), list(measure.scaled or ())
+        more = f", {shown}" if shown else ""
+        yield f"{role} = {{ raw = {raw}, range = {scaled}{more} }}"
+    elif shown:
+        yield f"{role} = {{ {shown} }}"
+
+
+def _contradictions(reading: Reading) -> Iterator[str]:
+    for role, node in reading.nodes.items():
+        measure = reading.scales[role].measure
+        if measure.raw is None and measure.unit == inside(QUANTITY_OF[role]):
+            measure = Measure()
+        said = SaidOfNode(node.unit, node.symbol, node.bounds)
+        fault = contradiction(role, measure, said)
+        if fault is not None:
+            yield fault
+
+
+def _assumed(reading: Reading) -> list[str]:
+    """Return comments on the units that nothing states."""
+    taken = [f"{role} in {reading.scales[role].text or '%'}" for role in reading.assumed]
+    return [f"# nothing states the unit of {', '.join(taken)}"] if taken else []

@@ -1,0 +1,156 @@
+"""Optional capabilities of estimators, as protocols; every estimator has `Estimator`.
+
+Code outside of the model asks for a capability, never for a class: a new estimator gets nodes,
+diagnostics and files by having the methods.
+
+| capability | of estimators that |
+|---|---|
+| `LinearInParameters` | are linear in the parameters of a structure |
+| `Informed` | also have the information matrix of these parameters |
+| `Forgetful` | have a forgetting factor |
+| `FindsChanges` | detect abrupt changes of the plant |
+| `FindsLags` | estimate the lags of the signals |
+| `Restarts` | may restart their map |
+| `ChoosesStructure` | select the structure of the map from the samples |
+| `PathDependent` | have hysteresis |
+| `ResidualStd` | take their standard deviation from the residuals |
+| `Portable` | can write their map to a file |
+| `ManyModels` of :mod:`~valvemap.model.fleet` | update many models in one call |
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, runtime_checkable
+
+from valvemap.model.change import Change
+from valvemap.model.model_structures import Structure
+from valvemap.model.samples import Floats, Times
+
+if TYPE_CHECKING:
+    from valvemap.model.portable_map import PortableMap
+
+
+@runtime_checkable
+class LinearInParameters(Protocol):
+    """An estimator of a structure's parameters: each is published by name."""
+
+    @property
+    def structure(self) -> Structure:
+        """The map's structure, n parameters."""
+
+
+@runtime_checkable
+class Informed(LinearInParameters, Protocol):
+    """An estimator that also has the information about its parameters."""
+
+    def information(self, state: Any) -> Floats:  # noqa: ANN401 - the estimator's own
+        """Return P⁻¹ (n, n), in samples' X·Xᵀ; singular while a direction is not determined."""
+
+
+@runtime_checkable
+class Forgetful(Protocol):
+    """An estimator with a forgetting factor."""
+
+    @property
+    def lam(self) -> float:
+        """The forgetting factor, 0 < lam <= 1."""
+
+    def with_forgetting(self, lam: float) -> Self:
+        """Return a copy with another forgetting factor; its states are compatible."""
+
+
+@runtime_checkable
+class FindsChanges(Protocol):
+    """An estimator with detection of abrupt plant changes, if its settings enable it."""
+
+    @property
+    def finds_changes(self) -> bool:
+        """Whether the settings enable the detection."""
+
+    def change_counts(self, states: Any) -> Times:  # noqa: ANN401 - its own states
+        """Return the number of changes of each of M plants (M,)."""
+
+    def last_change(self, state: Any) -> Change | None:  # noqa: ANN401 - its own state
+        """Return the last detected change of one plant, None if there was none."""
+
+
+@runtime_checkable
+class FindsLags(Protocol):
+    """An estimator that estimates the lags of U and Q."""
+
+    def lags_many(self, states: Any, chosen: Times) -> Sequence[tuple[float, float]]:  # noqa: ANN401
+        """Return the lags of U and Q of the chosen models, s."""
+
+    def largest_lags(self, states: Any) -> Floats:  # noqa: ANN401
+        """Return the larger of the two lags of each of M models, s (M,)."""
+
+    def too_fast(self, states: Any) -> Times:  # noqa: ANN401
+        """Return the number of samples of each of M models that moved too fast to learn from."""
+
+
+@runtime_checkable
+class Restarts(Protocol):
+    """An estimator that restarts its map, for example when it finds other lags."""
+
+    def began(self, states: Any) -> Times:  # noqa: ANN401
+        """Return the sample count of each of M models at its last restart; 0 if there was none."""
+
+    def samples_since(self, states: Any) -> Times:  # noqa: ANN401
+        """Return the number of samples of each of M models since its last restart."""
+
+
+@runtime_checkable
+class ChoosesStructure(Protocol):
+    """An estimator that selects its structure from the samples."""
+
+    def structure_now(self, state: Any) -> Structure | None:  # noqa: ANN401 - its own state
+        """Return the current structure; None if it is valid only where samples were."""
+
+    def describe_many(self, states: Any, chosen: Times) -> Sequence[str]:  # noqa: ANN401
+        """Return descriptions of the current structures of the chosen models."""
+
+
+@runtime_checkable
+class PathDependent(Protocol):
+    """An estimator whose flow depends on the direction of U (hysteresis)."""
+
+    def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - the estimator's state
+        """Direction of U (N,) along a path without a previous U."""
+
+    def predict_along(
+        self,
+        state: Any,  # noqa: ANN401
+        U: Floats,
+        dp: Floats,
+        T: Floats,
+        direction: Floats,
+    ) -> tuple[Floats, Floats]:
+        """Flow and standard deviation, l/min, at N points of given directions."""
+
+    def approached(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401
+        """U (N,) that moves the valve from its present position to the one that ``U`` holds."""
+
+
+@runtime_checkable
+class ResidualStd(Protocol):
+    """An estimator whose standard deviation is that of its residuals, misfit and noise together."""
+
+    std_of_residuals: ClassVar[Literal[True]]
+
+
+@runtime_checkable
+class Portable(Protocol):
+    """An estimator that can write its map to a file."""
+
+    def to_map(self, state: Any) -> "PortableMap":  # noqa: ANN401
+        """Return the map.
+
+        Raises
+        ------
+        ValueError
+            if it is not determined yet.
+        """
+
+
+def finds_changes(estimator: object) -> bool:
+    """Whether an estimator detects and reports abrupt changes of the plant."""
+    return isinstance(estimator, FindsChanges) and estimator.finds_changes

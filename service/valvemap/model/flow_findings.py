@@ -1,0 +1,142 @@
+"""What a state of `FlowMap` finds to be the causes of what its samples show.
+
+A log likelihood ratio g becomes the probability 1 / (1 + exp(-g)/odds) with the odds of a cause
+before anything is known. What moves in time has the probability of its model, times that of gain
+or edge being the one: each rate z standard deviations away from none weighs exp(z²/2).
+"""
+
+import math
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+
+from valvemap.model import flow_map_looks
+from valvemap.model.flow_map_looks import Both
+from valvemap.model.flow_map_state import FlowMapState
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_memory as memory
+from valvemap.model.kernels import flow_path as paths
+from valvemap.model.kernels import flow_play as plays
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.vocabulary.findings import Finding, FindingCode
+
+SECONDS_PER_HOUR: Final = 3600.0
+SIDES: Final = "U ≥ 0", "U < 0"
+OPERATORS: Final = {  # code; what is said of its size
+    paths.DEAD_U: (FindingCode.DEAD_TIME, "The spool follows U after {:.3g} s."),
+    paths.DEAD_Q: (FindingCode.DEAD_TIME, "The meter shows the flow of {:.3g} s ago."),
+    paths.LAG_U: (FindingCode.LAG_U, "The spool lags U by a time constant of {:.3g} s."),
+    paths.LAG_Q: (FindingCode.LAG_Q, "The meter lags the flow by a time constant of {:.3g} s."),
+    paths.AVERAGE: (FindingCode.AVERAGING, "The meter shows a mean over {:.3g} s."),
+    paths.STICK: (FindingCode.HYSTERESIS, "The spool moves once U is {:.3g} % off: friction."),
+    paths.RELAYS: (FindingCode.HYSTERESIS, "The spool lags U by {:.3g} % either way, gradually."),
+    paths.CHOKE: (FindingCode.CHOKING, "Δp counts up to {:.3g} times the pressure upstream."),
+    paths.KNEE: (FindingCode.COMPENSATOR, "Δp counts up to {:.3g} bar."),
+    paths.TOP: (FindingCode.METER_END, "The meter ends at {:.3g} l/min."),
+    paths.LEAST: (FindingCode.METER_START, "The meter shows no flow below {:.3g} l/min."),
+}
+RATES: Final = (
+    (FindingCode.GAIN_DRIFT, 100.0, "%", "gain"),
+    (FindingCode.EDGE_DRIFT, 1.0, "% of U", "edge"),
+)
+CHANGES: Final = (
+    (FindingCode.GAIN_CHANGE, 100.0, "%", "gain"),
+    (FindingCode.EDGE_CHANGE, 1.0, "% of U", "edge"),
+)
+
+
+def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
+    """Causes of a probability above `rules.WORTH_SAYING`, the likeliest first."""
+    if not state.counters[memory.FITTED]:
+        return ()
+    found = [*_operators(state), *_play(state), *_moving(state), *_changes(state)]
+    found += [*_compensator(state, both), *_misfit(state)]
+    likely = (one for one in found if one.probability > rules.WORTH_SAYING)
+    return tuple(sorted(likely, key=lambda one: (-one.probability, one.code)))
+
+
+def _probability(gain: float) -> float:
+    return 1.0 / (1.0 + math.exp(-min(max(gain, -50.0), 50.0)) / rules.ODDS)
+
+
+def _operators(state: FlowMapState) -> Iterator[Finding]:
+    censored = int(state.counters[memory.CENSORED])
+    for k, (code, sentence) in OPERATORS.items():
+        size = float(state.path[k])
+        if size > 0.0:
+            text = sentence.format(size)
+            if k in (paths.TOP, paths.LEAST):
+                text = f"{text} {censored} samples there were not used."
+            yield Finding(code, _probability(float(state.path[paths.GAINS + k])), text)
+
+
+def _play(state: FlowMapState) -> Iterator[Finding]:
+    width = 2.0 * float(state.play[plays.HALF])
+    if width > 0.0:
+        other = state.path[paths.HYSTERESIS] > 0.0
+        code = FindingCode.HYSTERESIS if other else FindingCode.PLAY
+        what = "A hysteresis" if other else "A play"
+        yield Finding(
+            code, _probability(rules.CLEAR), f"{what} of {width:.2g} % lies between U and spool."
+        )
+
+
+def _sides(state: FlowMapState) -> Iterator[tuple[int, str]]:
+    for side, name in enumerate(SIDES):
+        if state.counters[memory.CLOCK + side] != 0:
+            yield side, name
+
+
+def _moving(state: FlowMapState) -> Iterator[Finding]:
+    if state.counters[memory.USED] - state.counters[memory.BEGAN] < rules.SETTLED_MAP:
+        return
+    for side, name in _sides(state):
+        moving = float(state.chance[side, drifts.MOVING])
+        x, P = state.x[side, drifts.MOVING], state.P[side, drifts.MOVING]
+        rates = x[drifts.LEVELS : drifts.RATES] * SECONDS_PER_HOUR
+        stds = np.sqrt(np.diagonal(P)[drifts.LEVELS : drifts.RATES]) * SECONDS_PER_HOUR
+        for k, (code, scale, unit, what) in enumerate(RATES):
+            share = _probability(0.5 * float(rates[k] / max(stds[k], 1e-12)) ** 2)
+            size = f"{scale * rates[k]:+.3g} ± {scale * stds[k]:.2g} {unit} per hour"
+            yield Finding(code, moving * share, f"The {what} at {name} drifts by {size}.")
+
+
+def _changes(state: FlowMapState) -> Iterator[Finding]:
+    counters = state.counters
+    since = 1e-9 * float(max(counters[memory.CLOCK : memory.CLOCK + 2]))
+    since -= 1e-9 * float(counters[memory.CHANGE_TIME])
+    if not counters[memory.CHANGES] or since > rules.SAID_FOR:
+        return
+    side, kind = divmod(int(counters[memory.CHANGE_KIND]), drifts.MODELS)
+    code, scale, unit, what = CHANGES[kind != drifts.OTHER_GAIN]
+    size = f"{scale * float(state.stay[memory.CHANGE_OF]):+.3g} {unit}"
+    when = datetime.fromtimestamp(1e-9 * float(counters[memory.CHANGE_TIME]), UTC)
+    text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when:%Y-%m-%d %H:%M:%S} UTC."
+    yield Finding(code, rules.CERTAIN, text)
+
+
+def _compensator(state: FlowMapState, both: Both) -> Iterator[Finding]:
+    """Whether the flow is the same at a fourth of a pressure drop."""
+    if state.path[paths.KNEE] > 0.0:
+        return
+    high, top = both[0].breaks[-1], both[1].breaks[-1] ** 2
+    U = np.repeat(high * np.array(rules.OPEN), 2)
+    dp = np.tile(top * np.array(rules.FAR_APART), len(rules.OPEN))
+    Q, std = flow_map_looks.predict(state, both, U, dp, np.full(len(U), np.nan))
+    low, high_Q = Q[::2], Q[1::2]
+    rise = np.abs(high_Q / low - 1.0)
+    doubt = np.abs(std[::2] / low) + np.abs(std[1::2] / low)
+    if np.isfinite(rise).all() and (rise + 2.0 * doubt < rules.HARDLY_RISES).all():
+        share = float(np.mean(rise))
+        text = f"From {dp[0]:.3g} to {dp[1]:.3g} bar the flow changes by {100 * share:.2g} % only."
+        yield Finding(FindingCode.COMPENSATOR, rules.CERTAIN, text)
+
+
+def _misfit(state: FlowMapState) -> Iterator[Finding]:
+    left, noise = (float(state.scalars[k]) for k in (fits.MISFIT, fits.VARIANCE))
+    if left > noise > 0.0:
+        text = f"Places differ from the smooth map by {left**0.5:.2g} l/min."
+        yield Finding(FindingCode.MISFIT, left / (left + noise), text)

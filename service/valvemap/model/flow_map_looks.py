@@ -1,0 +1,252 @@
+"""What `FlowMap` does between samples: fits, searches for operators, and a new start of the map."""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from valvemap.model import flow_causes
+from valvemap.model.fleet import copied
+from valvemap.model.flow_map_state import FlowMapState
+from valvemap.model.kernels import (
+    flow_cells,
+    flow_drift,
+    flow_fit,
+    flow_look,
+    flow_memory,
+    flow_path,
+    flow_play,
+    flow_run,
+    flow_stay,
+)
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.flow_basis import Axis
+from valvemap.model.samples import Floats, Times
+
+NANOSECONDS: Final = 1e9
+NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
+NO_ROWS: Final = np.zeros((0, flow_path.COLUMNS), np.float32)
+Both = tuple[Axis, Axis]
+
+
+def memory_of(state: FlowMapState) -> flow_memory.Memory:
+    """Arrays of one valve as the kernels take them."""
+    return flow_memory.Memory(*(getattr(state, name) for name in flow_memory.Memory._fields))
+
+
+def new_room() -> flow_memory.Room:
+    """Room for the kernels to work in."""
+    shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
+    return flow_memory.Room(
+        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(4)
+    )
+
+
+def learn(state: FlowMapState, both: Both, batch: flow_memory.Batch, start: int, stop: int) -> None:
+    """Learn from the rows ``start`` … ``stop`` - 1 of a batch; the state is written in place."""
+    memory, room, counters, row = memory_of(state), new_room(), state.counters, start
+    while row < stop:
+        began = counters[flow_memory.BEGAN]
+        row = flow_run.run(row, stop, batch, *both, memory, room)
+        T = float(batch.T[row - 1])
+        T = T if abs(T) < rules.HUGE else math.nan
+        if counters[flow_memory.BEGAN] != began:
+            _replay(state, both, T)
+        if counters[flow_memory.USED] >= counters[flow_memory.NEXT_FIT]:
+            _refit(state, *both)
+            if counters[flow_memory.DOUBTED]:
+                _doubt_change(state, both)
+            _watch(state, both)
+            if counters[flow_memory.USED] >= counters[flow_memory.NEXT_LOOK]:
+                _look(state, both, T)
+
+
+def predict(
+    state: FlowMapState, both: Both, U: Floats, dp: Floats, T: Floats
+) -> tuple[Floats, Floats]:
+    """Flow (N,) and its standard deviation (N,), l/min; NaN where they are not known."""
+    Q, std = np.empty((2, len(U)))
+    flow_look.evaluate(*both, bare_memory(state), U, dp, T, Q, std, new_room())
+    return Q, std
+
+
+def bare_memory(state: FlowMapState) -> flow_memory.Memory:
+    """`memory_of` without cells and rows: results are published without them."""
+    return memory_of(state)._replace(cells=NO_CELLS, recent=NO_ROWS)
+
+
+def _look(state: FlowMapState, both: Both, T: float) -> None:
+    """Search for operators; where others are found, the map begins again."""
+    counters, path, play = state.counters, state.path, state.play
+    used = int(counters[flow_memory.USED])
+    later = (at for at in rules.LOOKS if at > used)
+    counters[flow_memory.NEXT_LOOK] = next(later, used + rules.MOST_BETWEEN_LOOKS)
+    given = _given(state)
+    rows = _rows(state)
+    evidence = flow_causes.Evidence(*both, rows)
+    found, gains = flow_causes.search(evidence, given)
+    of = path[flow_path.GAINS : flow_path.GAINS + flow_path.PARAMETERS]
+    of += gains
+    of[(found == 0.0) & (np.arange(flow_path.PARAMETERS) != flow_path.LEAST)] = 0.0
+    if found[flow_path.PLAY]:
+        left, noise = evidence.of(found)[0], flow_causes.noise_of(rows[:, flow_path.LEFT_Q])
+        path[flow_path.HYSTERESIS] += _sign(left > rules.OTHER_HYSTERESIS * noise**2)
+    if not _differ(found, given):
+        return
+    path[: flow_path.PARAMETERS] = found
+    play[flow_play.HALF] = found[flow_path.PLAY]
+    path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
+    if (found == given)[: flow_path.TOP].all():
+        _empty_bounds(state, both)
+    else:
+        _replay(state, both, T)
+
+
+def _doubt_change(state: FlowMapState, both: Both) -> None:
+    """Take a change back that is the meter's end, reached for the first time."""
+    counters, path = state.counters, state.path
+    counters[flow_memory.DOUBTED] = 0
+    given = _given(state)
+    if given[flow_path.TOP]:
+        return
+    top = flow_causes.end_of_meter(flow_causes.Evidence(*both, _rows(state)), given)
+    if top:
+        path[flow_path.TOP], path[flow_path.GAINS + flow_path.TOP] = top, rules.CLEAR
+        counters[flow_memory.CHANGES] -= 1
+        _empty_bounds(state, both)
+
+
+def _empty_bounds(state: FlowMapState, both: Both) -> None:
+    """Forget what was learnt at the ends of the meter, and what it was taken for."""
+    cells, path = state.cells, state.path
+    size = np.abs(cells[:, flow_cells.MEAN_Q])
+    beyond = size > rules.PARTLY_BEYOND * path[flow_path.TOP]
+    wrong = (size < 2.0 * path[flow_path.LEAST]) | (beyond & bool(path[flow_path.TOP]))
+    cells[wrong] = 0.0
+    flow_stay.forget_motion(memory_of(state))
+    state.counters[flow_memory.FITTED] = 0
+    _refit(state, *both)
+
+
+def _given(state: FlowMapState) -> Floats:
+    given = state.path[: flow_path.PARAMETERS].copy()
+    given[flow_path.PLAY] = state.play[flow_play.HALF]
+    return given
+
+
+def _sign(says_so: bool) -> float:  # noqa: FBT001
+    return 1.0 if says_so else -1.0
+
+
+def _watch(state: FlowMapState, both: Both) -> None:
+    """Weigh whether the meter has a least flow, by the samples since the last time."""
+    path, counters = state.path, state.counters
+    seen = int(counters[flow_memory.ROWS_SEEN] - counters[flow_memory.WATCHED])
+    rows = _rows(state)[-seen:] if seen > 0 else np.empty((0, flow_path.COLUMNS))
+    counters[flow_memory.WATCHED] = counters[flow_memory.ROWS_SEEN]
+    Q = rows[:, flow_path.LEFT_Q]
+    if len(Q) < rules.SEEN_BELOW:
+        return
+    before, at = path[flow_path.LEAST_SEEN], flow_path.GAINS + flow_path.LEAST
+    least, gain = flow_causes.least_shown(Q, flow_causes.noise_of(Q))
+    if before > 0.0 and least < rules.SAME_LEAST * before:
+        path[at] = 0.0  # refuted
+    if before == 0.0 or least < before:
+        path[flow_path.LEAST_SEEN] = least if math.isfinite(least) else 0.0
+    path[at] += gain
+    there = path[at] >= rules.CLEAR
+    if there != (path[flow_path.LEAST] > 0.0):
+        path[flow_path.LEAST] = path[flow_path.LEAST_SEEN] if there else 0.0
+        _empty_bounds(state, both)
+    elif there:
+        path[flow_path.LEAST] = path[flow_path.LEAST_SEEN]
+
+
+def _differ(found: Floats, given: Floats) -> bool:
+    """Whether the map would be another one."""
+    least = rules.OTHER * np.maximum(found, given)
+    least[flow_path.PLAY] = max(least[flow_path.PLAY], rules.PLAY_STEP)
+    return bool((np.abs(found - given) > least).any())
+
+
+def _rows(state: FlowMapState) -> Floats:
+    """The last samples in the order of time."""
+    seen, many = int(state.counters[flow_memory.ROWS_SEEN]), len(state.recent)
+    rows = state.recent[:seen] if seen <= many else np.roll(state.recent, -(seen % many), axis=0)
+    return np.array(rows, np.float64)
+
+
+def _replay(state: FlowMapState, both: Both, T: float) -> None:
+    """Begin the map again, with the last samples."""
+    rows = _rows(state)
+    N = len(rows)
+    t = _times(rows, int(state.counters[flow_memory.LAST_TIME]))
+    memory, room, counters = memory_of(state), new_room(), state.counters
+    flow_stay.begin_replay(memory, N, T)
+    predicted, residual = np.empty((2, N))
+    batch = flow_memory.Batch(
+        t=t,
+        U=rows[:, flow_path.LEFT_U].copy(),
+        dp=rows[:, flow_path.LEFT_DP].copy(),
+        p1=rows[:, flow_path.LEFT_P1].copy(),
+        T=np.full(N, T),
+        Q=rows[:, flow_path.LEFT_Q].copy(),
+        usable=np.ones(N, np.bool_),
+        predicted=predicted,
+        residual=residual,
+        status=np.empty(N, np.uint8),
+    )
+    counters[flow_memory.WATCHED] = N
+    _begin_coarse(state, both, rows)
+    flow_run.run(0, N, batch, *both, memory, room)
+    counters[flow_memory.FITTED] = 0  # the first fit of its own
+    _refit(state, *both)
+
+
+def _begin_coarse(state: FlowMapState, both: Both, rows: Floats) -> None:
+    """Take the coarse map of the rows until all are learnt: a meter's filter is undone by it."""
+    given = _given(state)
+    evidence = flow_causes.Evidence(*both, rows)
+    left, _, _ = evidence.of(given)
+    evidence.fill(given, *both, state.theta)
+    scale = float(state.scalars[flow_fit.SCALE])
+    state.std[:] = rules.COARSE * math.sqrt(scale)
+    state.path[flow_path.FLOOR] = rules.OF_COARSE * left if flow_path.has_filter(given) else 0.0
+    state.counters[flow_memory.FITTED] = 1
+    state.counters[flow_memory.NEXT_FIT] = state.counters[flow_memory.USED] + len(rows) + 1
+
+
+def _times(rows: Floats, last: int) -> Times:
+    steps = np.round(NANOSECONDS * rows[:, flow_path.STEP]).astype(np.int64)
+    behind = np.cumsum(steps[::-1])[::-1]  # from the row before to the last one
+    return np.asarray(last - behind + steps, np.int64)
+
+
+def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
+    """Fit the map, written in place, and set when the next fit is due."""
+    counters = state.counters
+    used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
+    fitted = bool(counters[flow_memory.FITTED])
+    rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
+    counters[flow_memory.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
+    if used >= counters[flow_memory.NEXT_START]:
+        counters[flow_memory.NEXT_START] = 2 * used
+        other = copied(state)
+        better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
+        gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
+        if better and not gained <= 0.0:
+            counters[flow_memory.FITTED] = 1
+            for name in ("theta", "std", "w", "v", "scalars"):
+                getattr(state, name)[:] = getattr(other, name)
+    counters[flow_memory.FITS] += 1
+    floor = state.path[flow_path.FLOOR]
+    state.scalars[flow_fit.VARIANCE] = max(state.scalars[flow_fit.VARIANCE], floor)
+    if flow_path.has_filter(state.path):  # what cells hold was corrected by earlier maps
+        state.cells[:, [flow_cells.COUNT, flow_cells.WORTH]] *= rules.KEPT_BY_FILTERS
+    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
+    counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
+
+
+def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
+    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
+    return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

@@ -1,0 +1,238 @@
+"""How well operators of `flow_path` explain the last samples, with a coarse map of their own.
+
+A map that is linear in its coefficients is filtered by a linear meter as its regressors are. So
+for any parameters the best coarse map follows by least squares, and the residual is evidence.
+"""
+
+import math
+
+import numpy as np
+
+from valvemap.model.kernels import flow_path as paths
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.compiled import Index, inner, kernel, maker
+from valvemap.model.kernels.flow_basis import Axis, interval, values
+from valvemap.model.samples import Floats
+
+ALONG_S = 3
+
+
+@kernel
+def leftover(
+    axis: Axis, top: float, rows: Floats, given: Floats, b: Floats, out: Floats
+) -> None:  # fmt: skip
+    """Fill ``out`` (3,): mean square of what is left, lag-1 correlation, rows counted.
+
+    ``rows`` (N, paths.COLUMNS) in the order of time; ``given`` (PARAMETERS,); ``axis`` of a coarse
+    map along U, ``top`` the largest √Δp. ``b`` (`terms_of`,) becomes the coarse map.
+    """
+    N, K = len(rows), len(b)
+    X, t = np.zeros((N, K)), np.zeros(N)
+    base, work = np.zeros(N, np.int64), np.empty(3)
+    _regressors(axis, top, rows, given, X, t, base, work)
+    X = _filtered(X, t, base, given)
+    used = np.zeros(N, np.bool_)
+    for i in range(0, N, rules.EVERY):
+        used[i] = t[i] - t[base[i]] >= rules.LONGEST_LAG
+    _fit(X, rows, used, given, b, out)
+
+
+def terms_of(axis: Axis) -> int:
+    """Number of coefficients of the coarse map."""
+    return ALONG_S * len(axis.sites) + 1
+
+
+@kernel
+def refine(
+    axis: Axis, top: float, b: Floats, axis_U: Axis, axis_s: Axis, theta: Floats
+) -> None:  # fmt: skip
+    """Fill the coefficients of the map with those of the coarse one, at their sites."""
+    K, n_s = len(b), len(axis_s.sites)
+    x, work = np.zeros(K), np.empty(3)
+    for i in range(len(axis_U.sites)):
+        u = min(max(axis_U.sites[i], axis.breaks[0]), axis.breaks[-1])
+        for j in range(n_s):
+            x[:] = 0.0
+            _row(axis, u, axis_s.sites[j] / top, x, work)
+            total = 0.0
+            for k in range(K):
+                total += x[k] * b[k]
+            theta[i * n_s + j] = total
+
+
+@inner
+def _row(axis: Axis, u: float, share: float, x: Floats, work: Floats) -> None:
+    """Regressors of the coarse map at u and s = share·top; others stay 0."""
+    k = interval(axis, u)
+    values(axis, k, u, 0.0, work)
+    for a in range(3):
+        to = ALONG_S * (k + a)
+        x[to] = work[a] * share
+        x[to + 1] = work[a] * share * abs(share)
+        x[to + 2] = work[a] * share / (abs(share) + rules.LAMINAR)
+    x[ALONG_S * len(axis.sites)] = 1.0
+
+
+@maker
+def _regressors(
+    axis: Axis, top: float, rows: Floats, given: Floats, X: Floats, t: Floats, base: np.ndarray,
+    work: Floats,
+) -> None:  # fmt: skip
+    path = np.zeros(paths.PLACES)
+    path[: paths.PARAMETERS] = given
+    low, high, at, p = axis.breaks[0], axis.breaks[-1], 0, 0.0
+    for i in range(len(rows)):
+        step = rows[i, paths.STEP]
+        fresh = i == 0 or step >= rules.GAP
+        t[i] = 0.0 if i == 0 else t[i - 1] + step
+        base[i] = i if fresh else base[i - 1]
+        U = rows[i, paths.LEFT_U]
+        if given[paths.DEAD_U] > 0.0:
+            at = max(at, base[i])
+            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_U] + 0.5 * step:
+                at += 1
+            U = rows[at, paths.LEFT_U]
+        u = paths.spool(U, step, fresh, path)
+        p = u if fresh else min(max(p, u - given[paths.PLAY]), u + given[paths.PLAY])
+        u = min(max(p, low), high)
+        s = paths.effective(rows[i, paths.LEFT_DP], rows[i, paths.LEFT_P1], path)
+        _row(axis, u, s / top, X[i], work)
+
+
+@maker
+def _filtered(X: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
+    """Regressors as the meter shows them."""
+    N, K = X.shape
+    if given[paths.DEAD_Q] > 0.0:
+        late, at = np.empty((N, K)), 0
+        for i in range(N):
+            at = max(at, base[i])
+            half = 0.5 * (t[i] - t[i - 1]) if i > 0 else 0.0
+            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_Q] + half:
+                at += 1
+            late[i] = X[at]
+        X = late
+    if given[paths.AVERAGE] > 0.0:
+        mean, total, at, span = np.empty((N, K)), np.zeros(K), 0, 0.0
+        for i in range(N):
+            if base[i] == i:
+                total[:], at, span = 0.0, i, 0.0
+            step = t[i] - t[i - 1] if base[i] < i else 0.0
+            for k in range(K):
+                total[k] += step * X[i, k]
+            span += step
+            while at < i and span - (t[at + 1] - t[at]) >= given[paths.AVERAGE]:
+                at += 1
+                span -= t[at] - t[at - 1]
+                for k in range(K):
+                    total[k] -= (t[at] - t[at - 1]) * X[at, k]
+            for k in range(K):  # the oldest row counts in part
+                beyond = max(span - given[paths.AVERAGE], 0.0)
+                oldest = X[min(at + 1, i), k]
+                mean[i, k] = (total[k] - beyond * oldest) / max(span - beyond, 1e-9)
+            if span <= 0.0:
+                mean[i] = X[i]
+        X = mean
+    if given[paths.LAG_Q] > 0.0:
+        for i in range(N):
+            if base[i] != i:
+                keep = math.exp(-(t[i] - t[i - 1]) / given[paths.LAG_Q])
+                for k in range(K):
+                    X[i, k] += keep * (X[i - 1, k] - X[i, k])
+    return X
+
+
+@maker
+def _fit(
+    X: Floats, rows: Floats, used: np.ndarray, given: Floats, b: Floats, out: Floats
+) -> None:  # fmt: skip
+    N, K = X.shape
+    top, least = given[paths.TOP], given[paths.LEAST]
+    path = np.zeros(paths.PLACES)
+    path[: paths.PARAMETERS] = given
+    residual, flows, limit, known = np.zeros(N), np.zeros(N), math.inf, 0
+    for k_round in range(rules.ROBUST_ROUNDS):
+        A, x_Q = np.zeros(K * K), np.zeros(K)
+        refused, counted = 0, 0
+        for i in range(N):
+            Q, weight = rows[i, paths.LEFT_Q], 1.0
+            if not used[i]:
+                continue
+            if top > 0.0 and rules.NEAR_TOP * top < Q:  # tells something where it is contradicted
+                if k_round == 0 or flows[i] >= top:
+                    continue
+                Q = top
+            elif abs(Q) < rules.NEAR_LEAST * least:
+                if k_round > 0 and abs(flows[i]) <= least:
+                    continue
+                weight = rules.FIRST_WEIGHT if k_round == 0 else 1.0
+                Q = min(max(flows[i], -least), least)
+            if abs(residual[i]) > limit:
+                refused += 1
+                continue
+            counted += 1
+            for k in range(K):
+                x = weight * X[i, k]
+                if x != 0.0:
+                    x_Q[k] += x * Q
+                    for j in range(k + 1):
+                        A[Index(k * K + j)] += x * X[i, Index(j)]
+        for k in range(K):
+            A[k * K + k] += rules.RIDGE
+        if counted <= K or (known > 0 and refused == 0 and top + least == 0.0):
+            break
+        b[:] = x_Q
+        _solve(A.reshape((K, K)), b)
+        square, known = 0.0, 0
+        for i in range(N):
+            if used[i]:
+                flow = 0.0
+                for k in range(K):
+                    flow += X[i, k] * b[k]
+                flows[i], Q = flow, rows[i, paths.LEFT_Q]
+                residual[i] = Q - paths.shown(flow, path)
+                if abs(abs(flow) - least) < rules.NEAR_LEAST * least:
+                    other = Q - flow if abs(flow) < least else Q
+                    residual[i] = other if abs(other) < abs(residual[i]) else residual[i]
+                known += 1
+                square += residual[i] ** 2
+        limit = math.inf
+        for _ in range(rules.ROBUST_STEPS):
+            limit = rules.MOST_STAY * math.sqrt(square / max(known, 1))
+            square = 0.0
+            for i in range(N):
+                if used[i]:
+                    square += min(residual[i] ** 2, limit * limit)
+    squares = products = before = 0.0
+    for i in range(N):
+        if used[i]:
+            r = min(max(residual[i], -limit), limit)
+            squares += r * r
+            products += r * before
+            before = r
+    out[0] = squares / max(known, 1)
+    out[1] = products / squares if squares > 0.0 else 0.0
+    out[2] = known
+
+
+@maker
+def _solve(A: Floats, b: Floats) -> None:
+    """Solve A·x = b in place by Cholesky's factor."""
+    n = len(b)
+    for i in range(n):
+        for j in range(i):
+            product = A[i, j]
+            for k in range(j):
+                product -= A[i, k] * A[j, k]
+            A[i, j] = product / A[j, j]
+        pivot, value = A[i, i], b[i]
+        for k in range(i):
+            pivot -= A[i, k] * A[i, k]
+            value -= A[i, k] * b[k]
+        A[i, i] = math.sqrt(max(pivot, 1e-12))
+        b[i] = value / A[i, i]
+    for i in range(n - 1, -1, -1):
+        value = b[i]
+        for k in range(i + 1, n):
+            value -= A[k, i] * b[k]
+        b[i] = value / A[i, i]

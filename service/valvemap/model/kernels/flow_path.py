@@ -1,0 +1,180 @@
+"""How the samples come from the map: a few operators between U and the spool, map and meter.
+
+    U → dead time → lag → play | friction | relays → u      s → choking, compensator → s
+    Q = meter(lag(mean(delay(g(u, s)))))
+
+Each operator has one parameter, 0 where there is none. Which are there is decided by evidence, see
+`flow_evidence`.
+"""
+
+import math
+
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.compiled import inner, lean_kernel
+from valvemap.model.kernels.flow_basis import Axis, surface
+from valvemap.model.samples import Floats, Singles
+
+# Parameters, in the order of the operators.
+DEAD_U, LAG_U = 0, 1  # s
+PLAY, STICK, RELAYS = 2, 3, 4  # %; half the play; slip of friction; mean half play of relays
+CHOKE, KNEE = 5, 6  # of p1 that Δp counts up to; bar that it counts up to
+DEAD_Q, AVERAGE, LAG_Q = 7, 8, 9  # s
+TOP, LEAST = 10, 11  # l/min
+PARAMETERS = 12
+
+# Places in `path` behind the parameters.
+GAINS = PARAMETERS  # log likelihood by which each is needed
+LAGGED, STUCK, SEEN = 24, 25, 26  # %, %; 1 once begun
+LEAST_SEEN, HYSTERESIS = 27, 28  # l/min; looks in which play left much, less the others
+FLOOR = 29  # (l/min)²; least variance of the noise behind a meter's filter
+PARTS = 30  # %; spools behind the relays, RELAY_COUNT places
+RELAY_COUNT = 8
+PLACES = PARTS + RELAY_COUNT
+
+# Columns of the last samples.
+STEP, LEFT_U, LEFT_DP, LEFT_P1, LEFT_Q = 0, 1, 2, 3, 4  # s since the row before, as measured
+SPOOL, ROOT = 5, 6  # %, √bar; behind the operators
+COLUMNS = 7
+
+
+@inner
+def effective(dp: float, p1: float, path: Floats) -> float:
+    """Root of the Δp that counts, √bar."""
+    size = abs(dp)
+    if path[CHOKE] > 0.0:
+        size = min(size, path[CHOKE] * max(p1, p1 - dp, 0.0))  # of the pressure upstream
+    if path[KNEE] > 0.0:
+        size = min(size, path[KNEE])
+    return math.copysign(math.sqrt(size), dp)
+
+
+@inner
+def spool(U: float, step: float, fresh: bool, path: Floats) -> float:  # noqa: FBT001
+    """Move the spool towards U, behind lag and hysteresis but for play; give where it is."""
+    if fresh:
+        path[LAGGED] = path[STUCK] = U
+        for k in range(RELAY_COUNT):
+            path[PARTS + k] = U
+    if path[LAG_U] > 0.0:
+        path[LAGGED] += (1.0 - math.exp(-step / path[LAG_U])) * (U - path[LAGGED])
+    else:
+        path[LAGGED] = U
+    u = path[LAGGED]
+    if path[STICK] > 0.0:
+        if abs(u - path[STUCK]) > path[STICK]:
+            path[STUCK] = u
+        u = path[STUCK]
+    elif path[RELAYS] > 0.0:
+        mean = 0.0
+        for k in range(RELAY_COUNT):
+            half = 2.0 * path[RELAYS] * (k + 0.5) / RELAY_COUNT
+            path[PARTS + k] = min(max(path[PARTS + k], u - half), u + half)
+            mean += path[PARTS + k] / RELAY_COUNT
+        u = mean
+    return float(u)
+
+
+@inner
+def late(recent: Singles, newest: int, known: int, path: Floats) -> float:
+    """U as it was a dead time ago, the oldest one where the rows do not reach so far."""
+    age, row = 0.0, newest
+    for _ in range(known - 1):
+        step = float(recent[row, STEP])
+        if age + 0.5 * step > path[DEAD_U] or step >= rules.GAP:
+            break
+        age += step
+        row = row - 1 if row > 0 else len(recent) - 1
+    return float(recent[row, LEFT_U])
+
+
+@inner
+def censored(Q: float, flow: float, path: Floats) -> bool:
+    """Whether the meter shows a bound, beyond which the flow may well be."""
+    end = rules.NEAR_TOP * path[TOP]
+    if path[TOP] > 0.0 and (end < Q or (end < flow and rules.WELL_BELOW_TOP * path[TOP] < Q)):
+        return True
+    return bool(path[LEAST] > 0.0 and abs(Q) < rules.NEAR_LEAST * path[LEAST])
+
+
+@inner
+def shown(flow: float, path: Floats) -> float:
+    """Flow as the meter shows it within its range."""
+    if path[TOP] > 0.0 and flow > path[TOP]:
+        return float(path[TOP])
+    if path[LEAST] > 0.0 and abs(flow) < path[LEAST]:
+        return 0.0
+    return flow
+
+
+@lean_kernel
+def has_filter(path: Floats) -> bool:
+    """`filters`, called from Python."""
+    return filters(path)
+
+
+@inner
+def filters(path: Floats) -> bool:
+    """Whether the meter shows other flow than that of the moment."""
+    return bool(path[DEAD_Q] > 0.0 or path[AVERAGE] > 0.0 or path[LAG_Q] > 0.0)
+
+
+@inner
+def metered(
+    axis_U: Axis, axis_s: Axis, theta: Floats, recent: Singles, newest: int, known: int,
+    path: Floats, work: Floats, out: Floats,
+) -> bool:  # fmt: skip
+    """Means over what the meter shows now; False: not enough is known.
+
+    ``newest`` is the row of the last sample, ``known`` the number of rows. ``out`` becomes the mean
+    of spool and root; of the flow, less that at the mean place; of the squared difference. The last
+    two are by the map ``theta``, of some of the rows.
+    """
+    out[:] = 0.0
+    total, some, u, r, age, row = 0.0, 0.0, 0.0, 0.0, 0.0, newest
+    horizon = path[DEAD_Q] + path[AVERAGE] + rules.LAGS_LEFT * path[LAG_Q]
+    every = 0.0
+    for _ in range(known):
+        step = float(recent[row, STEP])
+        weight = _share(age + step, path) - _share(age, path)
+        total += weight
+        out[0] += weight * recent[row, SPOOL]
+        out[1] += weight * recent[row, ROOT]
+        every += step
+        if weight > 0.0 and (every >= horizon / rules.POINTS_SHOWN or some == 0.0):
+            flow = surface(axis_U, axis_s, theta, recent[row, SPOOL], recent[row, ROOT], work)
+            some += weight
+            every = 0.0
+            u += weight * recent[row, SPOOL]
+            r += weight * recent[row, ROOT]
+            out[2] += weight * flow
+            out[3] += weight * flow * flow
+        age += step
+        if age >= horizon or step >= rules.GAP:
+            break
+        row = row - 1 if row > 0 else len(recent) - 1
+    if total < rules.ENOUGH_SHOWN:
+        return False
+    flow = surface(axis_U, axis_s, theta, u / some, r / some, work)
+    out[0], out[1] = out[0] / total, out[1] / total
+    out[2] /= some
+    out[3] = max(out[3] / some - out[2] ** 2, 0.0)
+    out[2] -= flow
+    return True
+
+
+@inner
+def _share(age: float, path: Floats) -> float:
+    """Of what the meter shows, the share that is younger than ``age``, s."""
+    x, w, tau = age - path[DEAD_Q], path[AVERAGE], path[LAG_Q]
+    if x <= 0.0:
+        return 0.0
+    if tau <= 0.0:
+        return min(x / w, 1.0) if w > 0.0 else 1.0
+    if w <= 0.0:
+        return 1.0 - math.exp(-x / tau)
+    y = min(x, w)  # ∫ of the box's share behind the lag
+    share = (y - tau * (1.0 - math.exp(-y / tau))) / w
+    if x > w:
+        inside = tau / w * (math.exp(-(x - w) / tau) - math.exp(-x / tau))
+        share = 1.0 - inside
+    return float(share)

@@ -1,0 +1,358 @@
+"""Errors of a valve's estimators at places that it comes back to, and which of them to use. Pure.
+
+A place is a cell of (U, sign(dp)·√|dp|, T). Two errors at places tell how good a *map* is:
+
+- the error of the first samples of a visit, predicted by the map from before the visit;
+- the error of the newest map at the first sample of each place's newest visit, evaluated at fixed
+  numbers of samples (`Places.due`).
+
+The first shows what the map predicts, the second what it forgets: an estimator with a short memory
+follows the flow from sample to sample and is wrong where it was before.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Singles, Times
+from valvemap.pipeline.kernels import places as kernel
+from valvemap.pipeline.kernels.places import Record, Scratch, Seen
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
+
+FIRST_LOOK: Final = 128  # samples until the maps are first evaluated at places left
+LATEST_LOOK: Final = 4096  # samples; most between evaluations
+GROWTH: Final = 1  # an evaluation after every 1/GROWTH of the age: at first it doubles
+LOST: Final = 4.0  # times the variance of Q over places; a larger mean squared error is useless
+FEWEST_PLACES: Final = 8  # places; with fewer, nothing is recommended
+NEIGHBOURS: Final = 2.0  # weight of the mean over all places in the error of each
+CERTAIN: Final = 3.0  # standard errors by which errors exceed the noise before intervals widen
+OUTLYING_ALL, OUTLYING = 100.0, 25.0  # times the median square, of all and of one; larger: clipped
+LATEST: Final = 0.25  # share of an earlier squared error that a later look back leaves at least
+SURE: Final = 0.9  # probability of being better at which another estimator is recommended
+
+
+@dataclass(frozen=True)
+class MapErrors:
+    """What one estimator's errors at a valve's places say of its map elsewhere.
+
+    Attributes
+    ----------
+    axes, seen
+        The valve's places.
+    past : (places,)
+        Error of the newest map at each place, l/min.
+    noise, excess : float
+        Mean square of the noise in these errors, and of the rest, (l/min)².
+    tail, multiple : float
+        95 % quantile of these errors over that of a Gaussian of the same mean square; factor on the
+        published interval, so that it holds 95 % of new visits.
+    """
+
+    axes: Floats
+    seen: Times
+    past: Singles
+    noise: float
+    excess: float
+    tail: float
+    multiple: float
+
+    def widened(self, own: Floats, U: Floats, dp: Floats, T: Floats) -> Floats:
+        """Return the standard deviation (N,) of the map; ``own`` is the estimator's."""
+        found = np.empty(len(U), np.int64)
+        points = (np.require(x, np.float64, ["C", "A", "W"]) for x in (U, dp, T))
+        kernel.places_of(*points, self.axes, self.seen, found)
+        overall = self.noise + self.excess
+        past = np.where(found >= 0, self.past[found].astype(np.float64) ** 2, overall)
+        shown = _shown(past, self.noise, self.excess, self.tail)
+        factor = self.multiple if self.multiple > kernel.TOLERATED else 1.0
+        return factor * np.fmax(own, shown) + 0.0 * own
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The recommended estimator of one valve.
+
+    Attributes
+    ----------
+    chosen : int
+        Its number; -1: none.
+    sure : float
+        Probability that it is better than the next best, 0 to 1.
+    errors : (E,)
+        Errors by which the estimators are ranked, l/min; infinite for those that are no candidates.
+    places : int
+        Number of places at which they are compared.
+    """
+
+    chosen: int
+    sure: float
+    errors: Floats
+    places: int
+
+
+class Places:
+    """The places of M valves, and the errors of E estimators there; updated in place.
+
+    Parameters
+    ----------
+    E, M
+        Number of estimators and valves.
+    references
+        Numbers of estimators that are never recommended.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> U, dp, e = rng.uniform(0, 100, 4000), rng.uniform(0, 200, 4000), rng.normal(0, 2, 4000)
+    >>> samples = Samples.of(np.arange(4000), U, dp, 0 * dp, U + e)
+    >>> places, status = Places(1, 1), np.zeros((1, 4000), np.uint8)
+    >>> places.learn(samples, e[None], e[None], status, Segments.one(4000))
+    >>> status[0, [0, 100]]
+    array([1, 0], dtype=uint8)
+    >>> places.look_back(0, [(places.points(0)[0], np.full(56, 0.1))])
+    >>> places.ranking(0).errors.round()
+    array([2.])
+    """
+
+    def __init__(self, E: int, M: int, references: Sequence[int] = ()) -> None:
+        self._eligible = ~np.isin(np.arange(E), references)
+        axes = np.zeros((M, kernel.AXES, kernel.OF_AXIS))
+        axes[..., kernel.LOWER], axes[..., kernel.HIGHER] = np.inf, -np.inf
+        axes[..., kernel.WIDTH] = kernel.NARROWEST_U, kernel.NARROWEST_S, kernel.NARROWEST_T
+        valves = np.zeros((M, kernel.OF_VALVE))
+        valves[:, [kernel.NOW, kernel.CHOSEN]], valves[:, kernel.DUE] = -1.0, FIRST_LOOK
+        C = kernel.PLACES
+        self._record = Record(
+            axes=axes,
+            valves=valves,
+            seen=np.zeros((M, C), np.int64),
+            points=np.zeros((M, C, kernel.OF_POINT), np.float32),
+            places=np.zeros((M, E, C, kernel.OF_PLACE), np.float32),
+            lanes=np.tile(_no_errors(), (M, E, 1)),
+        )
+        self._scratch = Scratch(
+            np.zeros(C, np.int64),
+            np.zeros((C, kernel.OF_POINT), np.float32),
+            np.zeros((E, C, kernel.OF_PLACE), np.float32),
+        )
+
+    def learn(
+        self,
+        samples: Samples,
+        residual: Floats,
+        early: Floats,
+        status: Codes,
+        segments: Segments,
+    ) -> None:
+        """Add N gated samples and the residuals (E, N) of E estimators.
+
+        ``early`` (E, N) are the residuals of the maps as they were up to 31 samples before.
+        ``status`` (E, N) is written: OK becomes WARMING_UP until the map has predicted better than
+        the mean flow, and UNRELIABLE where its interval does not hold.
+        """
+        seen = Seen(samples.U, samples.dp, samples.T, samples.Q, samples.quality)
+        kernel.learn(seen, residual, early, status, self._record, self._scratch, segments)
+
+    def due(self, members: Times) -> Times:
+        """Return after how many further samples `look_back` is due at each given valve (K,)."""
+        valves = self._record.valves[members]
+        return (valves[:, kernel.DUE] - valves[:, kernel.TAKEN]).astype(np.int64)
+
+    def points(self, m: int) -> tuple[Floats, Floats, Floats]:
+        """Return U, dp and T (P,) of the newest visit's first sample at each place of a valve."""
+        U, dp, T, _ = self._record.points[m][self._record.seen[m] > 0].astype(np.float64).T
+        return U, dp, T
+
+    def look_back(self, m: int, maps: Sequence[tuple[Floats, Floats] | None]) -> None:
+        """Compare the newest maps of a valve's E estimators at its places, and rank them.
+
+        Parameters
+        ----------
+        m
+            The valve.
+        maps
+            Each estimator's flow and standard deviation at `points`; None: it has stopped.
+        """
+        valve = self._record.valves[m]
+        taken = int(valve[kernel.TAKEN])
+        valve[kernel.DUE] = taken + min(max(taken // GROWTH, FIRST_LOOK), LATEST_LOOK)
+        known = self._record.seen[m] > 0
+        if not known.any():
+            return
+        Q = self._record.points[m, known, kernel.AT_Q].astype(np.float64)
+        errors = np.full((len(maps), len(Q)), np.nan)
+        for e, found in enumerate(maps):
+            if found is not None:
+                errors[e] = Q - found[0]
+        squares = _clipped(errors)
+        least = np.nanmin(squares.mean(axis=1), initial=np.inf)
+        for e, found in enumerate(maps):
+            if found is not None:
+                self._note_past(m, e, known, Q, errors[e], squares[e], found[1], least)
+        self._rank(m)
+
+    def _note_past(
+        self,
+        m: int,
+        e: int,
+        known: Flags,
+        Q: Floats,
+        errors: Floats,
+        squares: Floats,
+        std: Floats,
+        least: float,
+    ) -> None:
+        """Store one estimator's errors at places left, and what of them is not noise."""
+        lane, square, P = self._record.lanes[m, e], float(squares.mean()), len(errors)
+        determined = np.isfinite(square)
+        if not determined:
+            lane[[kernel.PAST_SQUARE, kernel.PAST_NOISE, kernel.EXCESS, kernel.LOST]] = 0.0
+            return
+        noise = self._noise(m, e, known, errors, square, least)
+        excess = square - noise if square > noise * (1.0 + CERTAIN * np.sqrt(2.0 / P)) else 0.0
+        rank = math.ceil((1.0 - kernel.MISSES) * P) - 1
+        quantile = float(np.partition(np.abs(errors), rank)[rank])
+        tail = max(quantile / (kernel.GAUSSIAN * np.sqrt(square)), 1.0) if square > 0.0 else 1.0
+        excess = max(excess, LATEST * float(lane[kernel.EXCESS]))
+        lane[kernel.PAST_SQUARE] = max(square, LATEST * lane[kernel.PAST_SQUARE])
+        lane[kernel.PAST_NOISE], lane[kernel.EXCESS], lane[kernel.TAIL] = noise, excess, tail
+        lane[kernel.LOST] = float(P >= FEWEST_PLACES and square > LOST * float(np.var(Q)))
+        place = self._record.places[m, e]
+        place[known, kernel.PAST] = errors
+        shown = np.fmax(std, _shown(errors**2, noise, excess, tail))
+        place[known, kernel.STD] = np.nan_to_num(shown, nan=0.0, posinf=0.0)
+
+    def _noise(
+        self, m: int, e: int, known: Flags, errors: Floats, square: float, least: float
+    ) -> float:
+        """Return the variance of the measurement noise, no larger than the errors' mean square.
+
+        It is seen in the residuals' differences from sample to sample at one place, and in the
+        errors of the best estimator. Otherwise, in the differences between neighbouring places.
+        """
+        lane, found = self._record.lanes[m, e], square
+        if lane[kernel.NOISE_N] > kernel.ENOUGH:
+            found = min(found, float(lane[kernel.NOISE]))
+        elif square <= least:
+            grid = np.full(kernel.PLACES, np.nan)
+            grid[known] = errors
+            shape = kernel.PLACES_U, kernel.PLACES_S, kernel.PLACES_T
+            steps = np.diff(grid.reshape(shape), axis=0)
+            if np.isfinite(steps).any():
+                found = min(found, float(np.nanmean(steps**2)) / 2.0)
+        return min(found, least) if square > least else found
+
+    def _rank(self, m: int) -> None:
+        """Choose the estimator with the least error at places visited again."""
+        valve, lanes = self._record.valves[m], self._record.lanes[m]
+        lanes[:, kernel.SCORE] = np.inf
+        missed = (lanes[:, kernel.COVERED_N] >= kernel.TRIED) & (
+            lanes[:, kernel.COVERED] < kernel.HOLDS
+        )
+        able = (lanes[:, kernel.SKILLED] > 0.0) & (lanes[:, kernel.PAST_SQUARE] > 0.0)
+        able &= self._eligible & ~missed & (lanes[:, kernel.LOST] == 0.0)
+        candidates = np.flatnonzero(able)
+        chosen = self._compared(m, candidates)
+        if chosen.sum() < FEWEST_PLACES:
+            valve[kernel.CHOSEN], valve[kernel.SURE] = -1.0, 0.0
+            return
+        squares = self._record.places[m, candidates][:, chosen, kernel.SQUARE].astype(np.float64)
+        again = _clipped(squares**0.5)
+        past = lanes[candidates, kernel.PAST_SQUARE]
+        mean = again.mean(axis=1)
+        forgotten = np.maximum(past - past.min() - mean, 0.0)
+        score = np.sqrt(mean + forgotten)
+        lanes[candidates, kernel.SCORE] = score
+        errors = again + forgotten[:, None]
+        best, before = int(np.argmin(score)), np.flatnonzero(candidates == valve[kernel.CHOSEN])
+        if len(before) and _sure(errors[[best, *before]], 0) < SURE:
+            best = int(before[0])
+        valve[kernel.CHOSEN], valve[kernel.SURE] = candidates[best], _sure(errors, best)
+
+    def _compared(self, m: int, candidates: NDArray[np.intp]) -> Flags:
+        """Mask (places,) of the places at which all candidates were judged."""
+        if not len(candidates):
+            return np.zeros(kernel.PLACES, np.bool_)
+        judged = self._record.places[m, candidates, :, kernel.JUDGED] > 0.0
+        return np.asarray(judged.all(axis=0))
+
+    def ranking(self, m: int) -> Ranking:
+        """Return the recommended estimator of one valve, as of the last `look_back`."""
+        valve, errors = self._record.valves[m], self._record.lanes[m, :, kernel.SCORE].copy()
+        compared = self._compared(m, np.flatnonzero(np.isfinite(errors)))
+        chosen = int(valve[kernel.CHOSEN])
+        return Ranking(chosen, float(valve[kernel.SURE]), errors, int(compared.sum()))
+
+    def chosen(self, members: Times) -> Times:
+        """Return the number of the recommended estimator of each given valve (K,); -1: none."""
+        return self._record.valves[members, kernel.CHOSEN].astype(np.int64)
+
+    def of(self, m: int, e: int) -> MapErrors:
+        """Return a copy of what one estimator's errors say of its map."""
+        record, lane = self._record, self._record.lanes[m, e]
+        return MapErrors(
+            axes=record.axes[m].copy(),
+            seen=record.seen[m].copy(),
+            past=record.places[m, e, :, kernel.PAST].copy(),
+            noise=float(lane[kernel.PAST_NOISE]),
+            excess=float(lane[kernel.EXCESS]),
+            tail=float(lane[kernel.TAIL]),
+            multiple=float(lane[kernel.MULTIPLE]),
+        )
+
+    def forget(self, m: int, e: int) -> None:
+        """Forget the errors of one estimator, after its reset."""
+        self._record.places[m, e] = 0.0
+        self._record.lanes[m, e] = _no_errors()
+        if self._record.valves[m, kernel.CHOSEN] == e:
+            self._record.valves[m, kernel.CHOSEN] = -1.0
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Return all arrays, each (M, …), not copied."""
+        return self._record._asdict()
+
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
+        """Copy the places of the given valves; the result writes the copies back."""
+        return saved(self._record, members, buffer)
+
+
+def _no_errors() -> Floats:
+    lane = np.zeros(kernel.OF_LANE)
+    lane[[kernel.MULTIPLE, kernel.COVERED, kernel.TAIL]] = 1.0
+    lane[kernel.SCORE] = np.inf
+    return lane
+
+
+def _clipped(errors: Floats) -> Floats:
+    """Squares of errors (E, P), outliers clipped: a spike would decide alone."""
+    squares = errors**2
+    if not np.isfinite(squares).any():
+        return squares
+    of_all = np.median(np.nanmin(np.where(np.isfinite(squares), squares, np.inf), axis=0))
+    of_each = np.median(squares, axis=1, keepdims=True)
+    return np.minimum(squares, np.fmax(OUTLYING_ALL * of_all, OUTLYING * of_each))
+
+
+def _shown(past: Floats, noise: float, excess: float, tail: float) -> Floats:
+    """Standard deviation of a map that errors ``past`` (squared) at places show, without noise."""
+    if excess <= 0.0:
+        return np.zeros_like(past)
+    local = (past + NEIGHBOURS * (noise + excess)) / (1.0 + NEIGHBOURS)
+    return tail * np.sqrt(np.maximum(local - noise, 0.0))
+
+
+def _sure(squares: Floats, best: int) -> float:
+    """Probability that the next best estimator's error is larger; 1 if there is no other."""
+    others = np.delete(squares, best, axis=0)
+    if not len(others):
+        return 1.0
+    steps = others[np.argmin(others.mean(axis=1))] - squares[best]
+    error = float(np.std(steps)) / np.sqrt(len(steps))
+    if error == 0.0:
+        return 0.5
+    z = float(np.clip(steps.mean() / error, -8.0, 8.0))
+    return 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))

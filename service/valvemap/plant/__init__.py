@@ -1,0 +1,1 @@
+"""Recognition of a plant's signals by names, units, ranges and physics; servers and recordings."""

@@ -1,0 +1,170 @@
+"""Evidence of values for a reading of a valve's signals: ranges, magnitudes, rating, orifice law.
+
+Each function returns a log likelihood in nats, 0 where nothing speaks against the reading.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import log
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.plant.law import Fit
+from valvemap.plant.roles import Role
+
+Floats = NDArray[np.float64]
+
+_SOME_OUTSIDE, _MOST_OUTSIDE = 0.01, 0.2  # shares of the values beyond a range
+_SLACK: Final = 0.03  # of a range
+_TINY: Final = 0.03  # of a range; smaller values are unlikely for a pressure or a flow
+_EFFECTIVE: Final = 25.0  # independent samples at most
+_PER_SAMPLE: Final = 5.0  # samples that count as one
+_REVERSED: Final = 25.0  # nats for pressures that are reversed throughout
+_FEW_REVERSED: Final = 0.05
+_NONE_EXPLAINS: Final = 0.5  # explained share of the hypothesis that no reading is right
+_SHUT, _LEAKY = 2.0, 0.3  # % of U; share of the largest flow that no shut valve lets through
+
+Plateau = tuple[float, float, float, float]
+"""Lowest and highest usual value, and the log widths of the flanks below and above."""
+
+PLATEAUS: Final[Mapping[Role, Plateau]] = {
+    Role.U: (15.0, 105.0, 0.35, 0.05),  # %, of the largest |U|
+    Role.P1: (20.0, 420.0, 0.35, 0.15),  # bar
+    Role.P2: (0.0, 420.0, 1.0, 0.15),
+    Role.DP: (5.0, 420.0, 0.5, 0.15),
+    Role.Q: (1.0, 3_000.0, 0.5, 0.5),  # l/min
+}
+COEFFICIENT: Final[Plateau] = (0.3, 45.0, 0.5, 0.35)  # l/min/√bar, of the valve as far open as seen
+_VACUUM: Final = -2.0  # bar; a sensor's offset may be as low
+OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
+
+
+@dataclass(frozen=True)
+class Rating:
+    """What the name plate states: rated pressure, and rated flow at a pressure drop; 0: unknown."""
+
+    pressure_bar: float = 0.0
+    flow_l_min: float = 0.0
+    drop_bar: float = 35.0
+
+
+def of_range(values: Floats, bounds: tuple[float, float] | None, role: Role) -> float:
+    """Judge values by the stated range, in the range's own unit."""
+    good = values[np.isfinite(values)]
+    if bounds is None or not len(good):
+        return 0.0
+    low, high = bounds
+    slack = _SLACK * (high - low)
+    outside = float(((good < low - slack) | (good > high + slack)).mean())
+    if outside > _MOST_OUTSIDE:
+        return -14.0
+    if outside > _SOME_OUTSIDE:
+        return -8.0
+    tiny = np.abs(good).max() < _TINY * max(abs(low), abs(high))
+    return -2.0 if tiny and role in {Role.P1, Role.DP, Role.Q} else 0.0
+
+
+def of_magnitudes(values: Mapping[Role, Floats], rating: Rating) -> dict[str, float]:
+    """Judge values, in internal units, by what valves have and by the name plate; by sentence."""
+    found = {}
+    for role, plateau in PLATEAUS.items():
+        if role in values:
+            found[f"{role} is unusual"] = _on_plateau(_top(values[role]), plateau)
+    for role in (Role.P1, Role.P2):
+        good = values[role][np.isfinite(values[role])] if role in values else np.zeros(0)
+        if len(good) and np.median(good) < _VACUUM:
+            found[f"{role} is negative"] = -6.0
+    if Role.T in values:
+        found["T is unusual"] = _of_oil(values[Role.T])
+    k = coefficient(values)
+    if k > 0.0:
+        found["Q is unusual for this Δp"] = _on_plateau(k, COEFFICIENT)
+    return found | _of_rating(values, k, rating)
+
+
+def coefficient(values: Mapping[Role, Floats]) -> float:
+    """Return the largest Q / √Δp seen, l/min/√bar; 0 if there is none."""
+    dp = pressure_drop(values)
+    clear = np.isfinite(dp) & (np.abs(dp) > 1.0) & np.isfinite(values[Role.Q])
+    if not clear.any():
+        return 0.0
+    ratios = np.abs(values[Role.Q][clear]) / np.sqrt(np.abs(dp[clear]))
+    return float(np.quantile(ratios, 0.95))
+
+
+def pressure_drop(values: Mapping[Role, Floats]) -> Floats:
+    """Return Δp, measured or as the difference of two pressures."""
+    if Role.DP in values:
+        return values[Role.DP]
+    return values[Role.P1] - values[Role.P2]
+
+
+def of_shut_valve(values: Mapping[Role, Floats]) -> float:
+    """Judge the flow at U = 0."""
+    U, Q = values[Role.U], values[Role.Q]
+    shut = np.isfinite(Q) & (np.abs(U) < _SHUT)
+    if shut.sum() < _PER_SAMPLE:
+        return 0.0
+    return -5.0 if np.median(np.abs(Q[shut])) > _LEAKY * _top(Q) else 0.0
+
+
+def of_law(fit: Fit) -> float:
+    """Judge by the orifice law, against Q's mean as the explanation."""
+    total = -_REVERSED * max(0.0, fit.reversed_share - _FEW_REVERSED)
+    if not fit.moves:
+        return total
+    return total - 0.5 * _rows(fit) * log(fit.left / fit.total)
+
+
+def of_no_law(fit: Fit) -> float:
+    """Return the same for the hypothesis that none of the readings is right."""
+    if not fit.moves:
+        return 0.0
+    left = max(_NONE_EXPLAINS * fit.total, fit.noise)
+    return -0.5 * _rows(fit) * log(left / fit.total)
+
+
+def _rows(fit: Fit) -> float:
+    return min(fit.rows / _PER_SAMPLE, _EFFECTIVE)
+
+
+def _of_rating(values: Mapping[Role, Floats], k: float, rating: Rating) -> dict[str, float]:
+    found = {}
+    if rating.pressure_bar and Role.P1 in values:
+        plateau = (0.04 * rating.pressure_bar, 1.05 * rating.pressure_bar, 0.3, 0.05)
+        found["p1 contradicts the rated pressure"] = _on_plateau(_top(values[Role.P1]), plateau)
+    if rating.flow_l_min and k > 0.0:
+        rated = rating.flow_l_min / rating.drop_bar**0.5
+        plateau = (0.06 * rated, 1.5 * rated, 0.3, 0.15)
+        found["Q contradicts the rated flow"] = _on_plateau(k, plateau)
+    return found
+
+
+def _of_oil(values: Floats) -> float:
+    good = values[np.isfinite(values)]
+    if not len(good):
+        return 0.0
+    low, high, width = OIL
+    T = float(np.median(good))
+    off = max(low - T, T - high, 0.0) / width
+    return -0.5 * off * off
+
+
+def _top(values: Floats) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.quantile(np.abs(good), 0.99)) if len(good) else float("nan")
+
+
+def _on_plateau(value: float, plateau: Plateau) -> float:
+    low, high, below, above = plateau
+    if not np.isfinite(value) or value <= 0.0:
+        return 0.0
+    if value < low:
+        off = log(low / value) / below
+    elif value > high:
+        off = log(value / high) / above
+    else:
+        return 0.0
+    return max(-0.5 * off * off, -50.0)

@@ -1,0 +1,193 @@
+"""Valves among a plant's variables: by folder, tag, loop number and code; with shared signals.
+
+A valve has a command of its own; pressures, a flow or a temperature that no command is beside are
+shared by the valves nearest to them in the hierarchy.
+"""
+
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from valvemap.plant.candidates import Candidate
+from valvemap.plant.names import concept_of, tokens
+from valvemap.plant.roles import Role
+from valvemap.plant.unit_texts import split_unit
+
+PRESSURES: Final = frozenset({Role.P1, Role.P2, Role.PA, Role.PB})
+_KKS_VALVE = re.compile(r"(\d{0,2}[A-Z]{3}\d{2})(?:AA|C[PTFG])\d{3}")
+_SEPARATORS = re.compile(r'"?\.(?=["A-Za-z_\u4e00-\u9fff])"?|/|\\|:')
+_LONGEST_NAME: Final = 56
+
+Place = tuple[str, ...]
+Key = Callable[[Candidate], Place]
+
+
+@dataclass(frozen=True)
+class Group:
+    """The variables of one valve: its own, and those it shares with others."""
+
+    name: str
+    own: tuple[Candidate, ...]
+    shared: tuple[Candidate, ...] = ()
+
+    @property
+    def all(self) -> tuple[Candidate, ...]:
+        """Own and shared variables."""
+        return (*self.own, *self.shared)
+
+
+def group(candidates: Iterable[Candidate]) -> list[Group]:
+    """Return the valves' variables; variables that cannot belong to a valve are left out."""
+    every = list(candidates)
+    relevant = [one for one in every if one.label.is_relevant]
+    if not relevant:
+        return []
+    finer = [(_by_folder, key) for key in (_by_code, _by_number, _by_rest)]
+    for keys in ((_by_folder,), *finer, (_by_code,), (_by_number,)):
+        found = _parted(relevant, keys)
+        if len(found) > 1:
+            return _named(found, every)
+    whole = _parted(relevant, (_by_folder,))
+    if whole:
+        return _named(whole, every)
+    finest = [_parted(relevant, (key,)) for key in (_by_code, _by_number)]
+    if any(finest):
+        return _named(next(found for found in finest if found), every)
+    return [Group("Valve", (*relevant, *_beside(relevant, every)))]
+
+
+def _parted(
+    relevant: Sequence[Candidate], keys: Sequence[Key]
+) -> dict[Place, tuple[list[Candidate], list[Candidate]]]:
+    """Return own and shared variables by place, of the places that hold a whole valve."""
+    groups: dict[Place, list[Candidate]] = {}
+    for one in relevant:
+        place = tuple(part for key in keys for part in key(one))
+        groups.setdefault(place, []).append(one)
+    pool = [one for own in groups.values() if not _has_command(own) for one in own]
+    found = {}
+    for place, own in groups.items():
+        if not _has_command(own):
+            continue
+        shared = _nearest(own, pool)
+        if _is_whole([*own, *shared]):
+            found[place] = (own, shared)
+    return found
+
+
+def _nearest(own: Sequence[Candidate], pool: Sequence[Candidate]) -> list[Candidate]:
+    """Return the pool's variables of roles that the valve lacks, from the nearest folder."""
+    there = {one.label.role for one in own}
+    n_pressures = sum(one.label.role in PRESSURES for one in own)
+    wanted = [
+        one
+        for one in pool
+        if one.label.role not in there
+        and not (one.label.role in {Role.PA, Role.PB} and n_pressures > 1)
+    ]
+    if not wanted:
+        return []
+
+    def nearness(one: Candidate) -> int:
+        mine, its = own[0].path[:-1], one.path[:-1]
+        return next(
+            (n for n, (a, b) in enumerate(zip(mine, its, strict=False)) if a != b),
+            min(len(mine), len(its)),
+        )
+
+    best: dict[Role, int] = {}
+    for one in wanted:
+        best[one.label.role] = max(nearness(one), best.get(one.label.role, -1))
+    return [one for one in wanted if nearness(one) == best[one.label.role]]
+
+
+def _has_command(own: Sequence[Candidate]) -> bool:
+    return any(one.label.role is Role.U for one in own)
+
+
+def _is_whole(own: Sequence[Candidate]) -> bool:
+    roles = [one.label.role for one in own]
+    pressures = sum(role in PRESSURES for role in roles)
+    has_flow = bool({Role.Q, Role.QB} & set(roles))
+    return Role.U in roles and has_flow and (pressures >= 2 or Role.DP in roles)
+
+
+def _by_folder(one: Candidate) -> Place:
+    """Group by path: the folder, or the part of a tag before its last name."""
+    name, _, _ = split_unit(one.path[-1].strip('"'))
+    return (*one.path[:-1], *_SEPARATORS.split(name)[:-1])
+
+
+def _by_code(one: Candidate) -> Place:
+    match = _KKS_VALVE.search(one.path[-1].upper())
+    return () if match is None else (match[1],)
+
+
+def _by_number(one: Candidate) -> Place:
+    """Group by the number of the loop, as in PT-101."""
+    return tuple(word for word in _rest(one) if word.isdigit() and len(word) > 1)
+
+
+def _by_rest(one: Candidate) -> Place:
+    """Group by the words of a flat tag that do not describe the signal."""
+    return tuple(_rest(one))
+
+
+def _rest(one: Candidate) -> list[str]:
+    words = tokens(one.label.name)
+    return [word for word in words if not concept_of(word) and word not in {"a", "b"}]
+
+
+def _named(
+    found: dict[Place, tuple[list[Candidate], list[Candidate]]], every: Sequence[Candidate]
+) -> list[Group]:
+    names = _short_names(list(found))
+    return [
+        Group(names[place], (*own, *_beside(own, every)), tuple(shared))
+        for place, (own, shared) in found.items()
+    ]
+
+
+def _beside(own: Sequence[Candidate], every: Sequence[Candidate]) -> list[Candidate]:
+    """Return the recognised signals of no map, such as a spool's position, in the same folder."""
+    folders = {_by_folder(one) for one in own}
+    nots = {Role.SPOOL, Role.PILOT, Role.POSITION, Role.SPEED}
+    return [
+        one
+        for one in every
+        if one.label.role in nots
+        and one.label.evidence[one.label.role] > 0.0
+        and _by_folder(one) in folders
+    ]
+
+
+def _short_names(places: Sequence[Place]) -> dict[Place, str]:
+    """Return a unique name for each path: its last part, with as many before it as necessary."""
+    depths = range(1, max(1, *map(len, places)) + 1)
+    at_depth = [[_name("_".join(place[-depth:])) for place in places] for depth in depths]
+    for names in at_depth:
+        if len(set(names)) == len(names):
+            return dict(zip(places, names, strict=True))
+    counts = [Counter(names) for names in at_depth]
+    found: dict[Place, str] = {}
+    taken: set[str] = set()
+    for number, place in enumerate(places):
+        own = (
+            names[number]
+            for names, n in zip(at_depth, counts, strict=True)
+            if n[names[number]] == 1
+        )
+        name = next((name for name in own if name not in taken), f"Valve{number + 1}")
+        found[place] = name
+        taken.add(name)
+    return found
+
+
+def _name(text: str) -> str:
+    plain = unicodedata.normalize("NFKD", text)
+    plain = "".join(letter for letter in plain if not unicodedata.combining(letter))
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", plain).strip("_")[:_LONGEST_NAME]
+    return name if name[:1].isalpha() else f"V{name}" if name else "Valve"

@@ -1,0 +1,105 @@
+r"""The orifice law as a test of an assignment: Q = f(U) · sign(Δp) √|Δp|.
+
+f is a broken line through quantiles of U, so the scales of U and Q do not matter; a first-order lag
+of the flow meter is chosen from a few. The test compares the variance that the law leaves with the
+variance of Q, both no smaller than the noise of Q: its change from sample to sample, or what the
+law leaves, if that is less.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+KNOTS: Final = 5
+LAGS_S: Final = (0.0, 0.06, 0.25, 1.0)  # s, of a flow meter
+LEAST_ROWS: Final = 20  # samples; fewer test nothing
+_RIDGE: Final = 1e-6
+_CLEAR_DP: Final = 1.0  # bar
+_CLEAR_FLOW: Final = 0.1  # of the largest flow
+_NOISE_STEPS: Final = 6.0**0.5 * 0.6745  # of the median of second differences
+_LEAST_NOISE: Final = 0.08  # of the spread of Q: what no law of so few parts can explain
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of the test: variances (squared unit of Q), and the share of reversed samples."""
+
+    left: float
+    total: float
+    noise: float
+    reversed_share: float
+    rows: int
+
+    @property
+    def explained(self) -> float:
+        """The explained share of the variance of Q; NaN if Q does not move."""
+        if not self.moves:
+            return float("nan")
+        return max(0.0, 1.0 - max(self.left - self.noise, 0.0) / (self.total - self.noise))
+
+    @property
+    def moves(self) -> bool:
+        """Whether Q moves by more than its noise."""
+        return self.rows >= LEAST_ROWS and self.total > 4.0 * self.noise + 1e-12
+
+
+NOT_TESTED: Final = Fit(0.0, 0.0, 0.0, 0.0, 0)
+
+
+def fit(U: Floats, dp: Floats, Q: Floats, step_s: float) -> Fit:
+    """Fit the law to N samples at equal steps; NaN are left out.
+
+    >>> t = np.linspace(0, 20, 400)
+    >>> U, dp = 50 + 40 * np.sin(t), 90 + 60 * np.sin(0.7 * t)
+    >>> bool(fit(U, dp, 0.05 * U * dp**0.5, 0.05).explained > 0.99)
+    True
+    >>> bool(fit(U, dp, 0.05 * dp * U**0.5 - U, 0.05).explained > 0.9)
+    False
+    """
+    good = np.isfinite(U) & np.isfinite(dp) & np.isfinite(Q)
+    if good.sum() < LEAST_ROWS:
+        return NOT_TESTED
+    U, dp, Q = U[good], dp[good], Q[good]
+    total = float(np.var(Q))
+    root = np.sign(dp) * np.sqrt(np.abs(dp))
+    knots = np.unique(np.quantile(U, np.linspace(0.0, 0.8, KNOTS)))
+    columns = np.stack([root, *(root * np.maximum(U - knot, 0.0) for knot in knots)], axis=1)
+    left = min(_left(_lagged(columns, lag / step_s), Q) for lag in LAGS_S)
+    rows, parts = columns.shape
+    left *= rows / max(rows - parts - 1, 1)
+    second = np.abs(np.diff(Q, n=2))
+    noise = min(float(np.median(second) / _NOISE_STEPS) ** 2, left) + _LEAST_NOISE**2 * total
+    return Fit(max(left, noise), total, min(noise, total), _reversed_share(dp, Q), rows)
+
+
+def _left(columns: Floats, Q: Floats) -> float:
+    scale = np.sqrt((columns**2).mean(axis=0)) + 1e-12
+    X = columns / scale
+    normal = X.T @ X
+    normal[np.diag_indices_from(normal)] += _RIDGE * len(X)
+    residual = Q - X @ np.linalg.solve(normal, X.T @ Q)
+    return float((residual**2).mean())
+
+
+def _lagged(columns: Floats, steps: float) -> Floats:
+    """Filter by a first-order lag of ``steps`` samples."""
+    if steps < 0.3:
+        return columns
+    decay = np.exp(-1.0 / steps)
+    kernel = (1.0 - decay) * decay ** np.arange(min(int(np.ceil(6.0 * steps)), len(columns)))
+    first = columns[0]
+    moved = [np.convolve(column, kernel)[: len(column)] for column in (columns - first).T]
+    return np.asarray(np.stack(moved, axis=1) + first)
+
+
+def _reversed_share(dp: Floats, Q: Floats) -> float:
+    clear = (np.abs(dp) > _CLEAR_DP) & (np.abs(Q) > _CLEAR_FLOW * np.abs(Q).max(initial=0.0))
+    if clear.sum() < LEAST_ROWS:
+        clear = np.abs(dp) > _CLEAR_DP
+    if not clear.any():
+        return 0.0
+    return float((np.sign(dp[clear]) * np.sign(Q[clear]) < 0.0).mean())

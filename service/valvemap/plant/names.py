@@ -1,0 +1,120 @@
+"""Names of signals: words, and the concepts that the words mean."""
+
+import re
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from itertools import pairwise
+from typing import Final
+
+from valvemap.plant.concepts import COMPACT, PORT_LETTERS, QUANTITIES, WORDS, Concept
+
+_KKS = re.compile(r"(?<![A-Z])\d{0,2}[A-Z]{3}\d{2}(C[PTFG])\d{3}")
+_KKS_CONCEPTS: Final[Mapping[str, Concept]] = {
+    "CP": Concept.PRESSURE,
+    "CT": Concept.TEMPERATURE,
+    "CF": Concept.FLOW,
+    "CG": Concept.OPENING,
+}
+_SHORTEST_INSIDE, _SHORTEST_AT_AN_END = 5, 4  # letters of a word found inside a compound
+_WORD = re.compile(r"[a-z0-9]+|[\u4e00-\u9fff]+")
+_WHOLE = re.compile(r"[pqut][12]|[a-z]+|[\u4e00-\u9fff]+|\d+")
+_PIECE = re.compile(r"p[12](?!\d)|[a-z]+|\d+")
+
+
+def tokens(text: str) -> list[str]:
+    """Words of a name, without case and accents; ``flowRate`` and ``PT101`` are two each.
+
+    >>> tokens('"DB10"."FCV-101"."Öldruck_Vor"'), tokens("PT101a"), tokens("pT")
+    (['db', '10', 'fcv', '101', 'oldruck', 'vor'], ['pt', '101', 'a'], ['p', 't'])
+    """
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[Δ∆])", " ", unicodedata.normalize("NFKC", text))
+    plain = parted.replace("Δ", " delta ").replace("∆", " delta ")
+    plain = unicodedata.normalize("NFKD", plain.casefold().replace("ß", "ss"))
+    plain = "".join(letter for letter in plain if not unicodedata.combining(letter))
+    found: list[str] = []
+    for word in _WORD.findall(plain):
+        found += [word] if _WHOLE.fullmatch(word) else _PIECE.findall(word)
+    return found
+
+
+def concepts(text: str) -> dict[Concept, float]:
+    """Return the concepts in a name, each with the certainty of its best word, 0 to 1.
+
+    >>> sorted(c.name for c in concepts("Druck vor Ventil"))
+    ['BEFORE', 'PRESSURE', 'VALVE']
+    >>> sorted(c.name for c in concepts("pA")), sorted(c.name for c in concepts("阀后压力"))
+    (['PORT_A', 'PRESSURE'], ['BEHIND', 'PRESSURE', 'VALVE'])
+    """
+    words = tokens(text)
+    found: dict[Concept, float] = {}
+    for concept, certainty in _meanings(words):
+        found[concept] = max(certainty, found.get(concept, 0.0))
+    code = _KKS.search(text.upper())
+    if code is not None:
+        found = {_KKS_CONCEPTS[code[1]]: 1.0}
+    if Concept.PRESSURE in found and Concept.PILOT in found:
+        found.pop(Concept.COMMAND, None)
+    return found
+
+
+def concept_of(word: str) -> Mapping[Concept, float]:
+    """Return the concepts of one word."""
+    return _of_word(word)
+
+
+def _meanings(words: Sequence[str]) -> Iterator[tuple[Concept, float]]:
+    ports = set[int]()
+    for place, (word, following) in enumerate(pairwise(words)):
+        quantities = {Concept.PRESSURE, Concept.FLOW} & set(_of_word(word))
+        if following in PORT_LETTERS and quantities:
+            yield from ((concept, 1.0) for concept in PORT_LETTERS[following])
+            ports.add(place + 1)
+    for place, word in enumerate(words):
+        if place in ports:
+            continue
+        if word in {"a", "b"}:
+            alone = Concept.PORT_A if word == "a" else Concept.PORT_B
+            yield alone, 0.5
+            continue
+        yield from _of_word(word).items()
+
+
+@cache
+def _of_word(word: str) -> Mapping[Concept, float]:
+    if word in COMPACT:
+        return dict.fromkeys(COMPACT[word], 1.0)
+    exact = {concept: 1.0 for concept, known in _KNOWN.items() if word in known}
+    if exact:
+        return exact
+    found = {
+        concept: 0.7 for concept, known in _KNOWN.items() if any(_holds(word, k) for k in known)
+    }
+    longest = {
+        concept: max(len(k) for k in _KNOWN[concept] if _holds(word, k))
+        for concept in found
+        if concept in QUANTITIES
+    }
+    if len(longest) > 1:  # a compound ends in its head
+        head = max(longest, key=lambda concept: (_ends(word, concept), longest[concept]))
+        found = {c: w for c, w in found.items() if c not in QUANTITIES or c is head}
+    return found
+
+
+def _ends(word: str, concept: Concept) -> bool:
+    return any(word.endswith(known) for known in _KNOWN[concept] if _holds(word, known))
+
+
+def _holds(word: str, known: str) -> bool:
+    if "\u4e00" <= known[:1] <= "\u9fff":
+        return known in word
+    inside = len(known) >= _SHORTEST_INSIDE and known in word
+    at_an_end = len(known) >= _SHORTEST_AT_AN_END and word.startswith(known)
+    at_an_end = at_an_end or (len(known) >= _SHORTEST_AT_AN_END and word.endswith(known))
+    return inside or at_an_end
+
+
+_KNOWN: Final = {
+    concept: frozenset(word for words in languages.values() for word in words.split())
+    for concept, languages in WORDS.items()
+}

@@ -1,0 +1,79 @@
+"""Units as plants write them: in a heading, behind a name, in full width; and units of others."""
+
+import re
+import unicodedata
+from typing import Final
+
+from valvemap.pipeline.units import Unit, unit_of
+
+_IN_BRACKETS = re.compile(
+    r"(?P<name>.*?)\s*[\[(<{【](?P<unit>[^\[\]()]*(?:\([^()]*\))?)[\])>}】]\s*"
+)
+_BOUNDARY = re.compile(
+    r"\s+/\s*|\s+in\s+|\s*,\s*|[_\s.]+|(?<=[\u4e00-\u9fff])(?=[a-zA-Z%°])"
+    r"|(?<=[a-z)\d])(?=MPa|kPa|Bar|PSI|Psi|GPM|Gpm|LPM|Lpm|Deg[CF])"
+)
+_ALSO: Final = {
+    "lmin": "l/min",
+    "l/mn": "l/min",
+    "l_min": "l/min",
+    "lmn": "l/min",
+    "m3h": "m³/h",
+    "m3_h": "m³/h",
+    "升/分": "l/min",
+    "升/分钟": "l/min",
+    "兆帕": "MPa",
+    "千帕": "kPa",
+    "巴": "bar",
+    "立方米/小时": "m³/h",
+    "摄氏度": "°C",
+    "kg/cm2": "kgf/cm²",
+    "us_gpm": "gpm",
+    "percent": "%",
+    "proz": "%",
+}
+_SINGLE: Final = frozenset("cfCFKV%")  # letters that are units behind a low line
+_OTHERS = """
+mm cm m µm um inch in mm/s m/s m/min cm/s in/s rpm 1/min u/min min-1 r/min tr/min n kn mn nm knm
+kw w hz khz s ms h kg t deg rad v/s cst mm2/s ppm db g m/s2 kwh a
+"""
+OF_OTHERS: Final = frozenset(_OTHERS.split())
+"""Units of quantities that no signal of a valve has."""
+_ALSO_WORDS: Final = frozenset({"in", "deg", "a", "n", "t", "s", "h", "m", "g", "w"})
+
+
+def split_unit(text: str) -> tuple[str, Unit | None, str]:
+    """Split a name into name, unit (None if it is none of ours), and the unit's text.
+
+    >>> [split_unit(t)[1].symbol for t in ("p1 [kPa]", "pIn_MPa", "阀前压力ＭＰａ", "Q / m3/h")]
+    ['kPa', 'MPa', 'MPa', 'm³/h']
+    >>> split_unit("Hub [mm]"), split_unit("PT-7 supply")
+    (('Hub', None, 'mm'), ('PT-7 supply', None, ''))
+    """
+    plain = unicodedata.normalize("NFKC", text).strip()
+    match = _IN_BRACKETS.fullmatch(plain)
+    if match is not None and match["name"] and match["unit"].strip():
+        shown = match["unit"].strip()
+        unit = known_unit(shown)
+        if unit is not None or is_of_others(shown) or plain.endswith("]"):
+            return match["name"], unit, shown
+    for boundary in _BOUNDARY.finditer(plain):
+        name, shown = plain[: boundary.start()], plain[boundary.end() :]
+        if not name or not shown or (len(shown) == 1 and shown not in _SINGLE):
+            continue
+        unit = known_unit(shown)
+        is_other = unit is None and is_of_others(shown) and shown.casefold() not in _ALSO_WORDS
+        if (unit is not None or is_other) and not shown.isdigit():
+            return name, unit, shown
+    return plain, None, ""
+
+
+def known_unit(text: str) -> Unit | None:
+    """Return the unit of a text in any spelling."""
+    plain = unicodedata.normalize("NFKC", text).strip().casefold()
+    return unit_of(_ALSO.get(plain, plain)) or unit_of(plain.replace("_", "/"))
+
+
+def is_of_others(text: str) -> bool:
+    """Whether a text is the unit of a quantity that no signal of a valve has."""
+    return unicodedata.normalize("NFKC", text).strip().casefold() in OF_OTHERS

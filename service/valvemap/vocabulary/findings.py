@@ -1,0 +1,52 @@
+"""Causes that explain the samples of a valve, each with a code, a label and a sentence."""
+
+from dataclasses import dataclass
+
+from valvemap.vocabulary.statuses import Described
+
+
+class FindingCode(Described):
+    """A cause that an estimator weighs.
+
+    Examples
+    --------
+    >>> FindingCode.PLAY.label
+    'play'
+    """
+
+    GAIN_DRIFT = 0, "gain drifts", "The flow at all openings rises or falls steadily."
+    EDGE_DRIFT = 1, "edge drifts", "The metering edge moves steadily: overlap grows or wears."
+    GAIN_CHANGE = 2, "gain changed", "The flow at all openings changed suddenly."
+    EDGE_CHANGE = 3, "edge changed", "The metering edge moved suddenly."
+    PLAY = 4, "play", "The spool follows U behind a play."
+    HYSTERESIS = 5, "hysteresis", "The flow depends on the path of U, as with friction."
+    LAG_U = 6, "spool lags", "The spool follows U with a first-order lag."
+    LAG_Q = 7, "meter lags", "The flow meter follows the flow with a first-order lag."
+    DEAD_TIME = 8, "dead time", "The measured flow follows U after a dead time."
+    AVERAGING = 9, "meter averages", "The flow meter shows a moving average."
+    METER_END = 10, "meter at its end", "The flow meter does not show flows above its end."
+    METER_START = 11, "meter starts late", "The flow meter shows no flow below its least flow."
+    CHOKING = 12, "choking", "At a low p2 the flow depends on p1 alone."
+    COMPENSATOR = 13, "compensator", "Above a pressure drop the flow does not rise with it."
+    PUMP_LIMIT = 14, "pump at its limit", "The pump does not deliver more than a largest flow."
+    REACTING_U = 15, "reacting control", "U reacts to the noise of the flow in the same sample."
+    MISFIT = 16, "misfit", "The samples contradict the map, and no listed cause explains it."
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One cause, found for one valve.
+
+    Attributes
+    ----------
+    code
+        The cause.
+    probability
+        That it is present, 0 … 1.
+    sentence
+        For the operator, with sizes and rates.
+    """
+
+    code: FindingCode
+    probability: float
+    sentence: str

@@ -1,0 +1,154 @@
+"""The search for operators between map and samples: each is told from the others by 13 s."""
+
+import numpy as np
+import pytest
+
+from valvemap.model import flow_causes
+from valvemap.model.flow_map import FlowMap
+from valvemap.model.flow_map_state import axes
+from valvemap.model.kernels import flow_path as paths
+from valvemap.model.samples import Samples
+
+FS, N = 100.0, 1280
+BOTH = axes((0.0, 100.0), (0.0, 200.0))
+
+
+def valve(U, dp):
+    u = np.clip((U - 4) / 96, 0, 1)
+    return 14 * u * (1.15 - 0.15 * u) * np.sqrt(dp)
+
+
+def cycle(seed, many=N):
+    rng = np.random.default_rng(seed)
+
+    def path(low, high):
+        t, x = [0.0], [rng.uniform(low, high)]
+        while t[-1] < many / FS:
+            ramp, level = rng.uniform(0.4, 3.0), rng.uniform(low, high)
+            t += [t[-1] + ramp, t[-1] + ramp + rng.uniform(0, 1)]
+            x += [level, level]
+        return np.interp(np.arange(many) / FS, t, x)
+
+    return path(0, 100), path(3, 195)
+
+
+def noise(many=N):
+    return 0.4 * np.random.default_rng(1).normal(size=many)
+
+
+def late(x, samples):
+    return np.concatenate([np.full(samples, x[0]), x[:-samples]])
+
+
+def lagging(x, tau):
+    out = x.copy()
+    for i in range(1, len(x)):
+        out[i] = out[i - 1] + (1 - np.exp(-1 / (FS * tau))) * (x[i] - out[i - 1])
+    return out
+
+
+def averaged(x, samples):
+    c = np.cumsum(np.concatenate([np.full(samples, x[0]), x]))
+    return (c[samples:] - c[:-samples]) / samples
+
+
+def behind(U, half):
+    out, p = np.empty_like(U), U[0]
+    for i, u in enumerate(U.tolist()):
+        p = min(max(p, u - half), u + half)
+        out[i] = p
+    return out
+
+
+def slipping(U, slip):
+    out, p = np.empty_like(U), U[0]
+    for i, u in enumerate(U.tolist()):
+        p = u if abs(u - p) > slip else p
+        out[i] = p
+    return out
+
+
+def found(U, dp, Q, p1=None):
+    rows = np.zeros((len(U), paths.COLUMNS))
+    rows[:, paths.STEP] = 1 / FS
+    rows[:, paths.LEFT_U], rows[:, paths.LEFT_DP], rows[:, paths.LEFT_Q] = U, dp, Q
+    rows[:, paths.LEFT_P1] = dp + 5 if p1 is None else p1
+    evidence = flow_causes.Evidence(*BOTH, rows)
+    at, _ = flow_causes.search(evidence, np.zeros(paths.PARAMETERS))
+    return {int(k): float(at[k]) for k in np.flatnonzero(at)}
+
+
+SHOWN = {
+    "dead time of U": ({paths.DEAD_U: 0.15}, lambda U, dp: valve(late(U, 15), dp)),
+    "dead time of the meter": ({paths.DEAD_Q: 0.15}, lambda U, dp: late(valve(U, dp), 15)),
+    "lag of the spool": ({paths.LAG_U: 0.1}, lambda U, dp: valve(lagging(U, 0.1), dp)),
+    "lag of the meter": ({paths.LAG_Q: 0.2}, lambda U, dp: lagging(valve(U, dp), 0.2)),
+    "average": ({paths.AVERAGE: 0.8}, lambda U, dp: averaged(valve(U, dp), 80)),
+    "play": ({paths.PLAY: 2.0}, lambda U, dp: valve(behind(U, 2.0), dp)),
+    "friction": ({paths.STICK: 2.0}, lambda U, dp: valve(slipping(U, 2.0), dp)),
+    "end of the meter": ({paths.TOP: 80.0}, lambda U, dp: np.minimum(valve(U, dp), 80)),
+    "none": ({}, valve),
+}
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_an_operator_is_named_and_measured(name):
+    expected, shown = SHOWN[name]
+    U, dp = cycle(30)
+    assert found(U, dp, shown(U, dp) + noise()) == pytest.approx(expected, rel=0.05)
+
+
+def test_two_lags_at_once_are_told_apart():
+    U, dp = cycle(30)
+    Q = lagging(valve(late(U, 10), dp), 0.3) + noise()
+    assert found(U, dp, Q) == pytest.approx({paths.DEAD_U: 0.1, paths.LAG_Q: 0.3}, rel=0.1)
+
+
+def test_choking_is_a_share_of_the_pressure_upstream():
+    U, dp = cycle(30)
+    p1 = dp + cycle(31)[0] * 0.5 + 2
+    Q = valve(U, np.minimum(dp, 0.7 * p1)) + noise()
+    assert found(U, dp, Q, p1) == pytest.approx({paths.CHOKE: 0.7}, rel=0.02)
+
+
+def test_a_least_flow_is_what_readings_jump_over():
+    Q = np.concatenate([np.linspace(0, 9, 60), np.linspace(9, 0, 60)] * 3) + 0.01
+    assert flow_causes.least_shown(np.where(Q < 3, 0.0, Q), 0.2)[1] > 0.0
+    assert flow_causes.least_shown(Q, 0.2)[1] == 0.0
+
+
+def learnt(U, dp, Q, cuts=()):
+    t = 1_700_000_000_000_000_000 + (1e9 / FS * np.arange(len(U))).astype(np.int64)
+    samples, state, start = Samples.of(t, U, dp, 0 * dp, Q), FlowMap().initial_state(), 0
+    for stop in (*cuts, len(U)):
+        state, _ = FlowMap().update(state, samples[start:stop])
+        start = stop
+    return state
+
+
+@pytest.mark.parametrize(
+    ("shown", "highest"),
+    [
+        (lambda U, dp: late(valve(U, dp), 15), 190),
+        (lambda U, dp: averaged(valve(U, dp), 80), 190),
+        (lambda U, dp: np.minimum(valve(U, dp), 80), 75),
+    ],
+    ids=["dead time", "average", "end of the meter"],
+)
+def test_the_map_is_that_of_the_valve_not_of_the_meter(shown, highest):
+    U, dp = cycle(40, 12_000)
+    state = learnt(U, dp, shown(U, dp) + noise(12_000))
+    rng = np.random.default_rng(9)
+    U, dp = rng.uniform(5, 95, 500), rng.uniform(10, 190, 500)
+    U, dp = (x[valve(U, dp) < highest] for x in (U, dp))
+    Q, _ = FlowMap().predict(state, U, dp, np.full(len(U), 40.0))
+    assert np.sqrt(np.mean((Q - valve(U, dp)) ** 2)) < 1.0 * 0.4
+
+
+def test_a_search_does_not_depend_on_how_samples_are_cut():
+    U, dp = cycle(41, 2600)
+    Q = late(valve(U, dp), 15) + noise(2600)
+    whole, cut = learnt(U, dp, Q), learnt(U, dp, Q, (1, 700, 1229, 1230, 2000))
+    assert whole.path[paths.DEAD_Q] > 0.0
+    for name in ("theta", "std", "path", "recent", "counters"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(cut, name))

@@ -1,0 +1,100 @@
+"""Findings of `FlowMap`: causes with names, sizes and probabilities, from the state alone."""
+
+import numpy as np
+import pytest
+
+from valvemap.model.fleet import member, members, stack
+from valvemap.model.flow_map import FlowMap
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.findings import FindingCode as Code
+
+SIGMA, FS, N = 0.4, 100.0, 9000
+
+
+def valve(U, dp):
+    u = np.clip((U - 4) / 96, 0, 1)
+    return 14 * u * (1.15 - 0.15 * u) * np.sqrt(dp)
+
+
+def cycle(seed, fs=FS, many=N):
+    rng = np.random.default_rng(seed)
+
+    def path(low, high):
+        t, x = [0.0], [rng.uniform(low, high)]
+        while t[-1] < many / fs:
+            ramp, level = rng.uniform(0.4, 3.0), rng.uniform(low, high)
+            t += [t[-1] + ramp, t[-1] + ramp + rng.uniform(0, 1)]
+            x += [level, level]
+        return np.interp(np.arange(many) / fs, t, x)
+
+    return path(0, 100), path(3, 195)
+
+
+def learnt(shown, seed=1, fs=FS, many=N):
+    U, dp = cycle(seed, fs, many)
+    t = 1_700_000_000_000_000_000 + (1e9 / fs * np.arange(many)).astype(np.int64)
+    noise = SIGMA * np.random.default_rng(seed).normal(size=many)
+    Q = shown(U, dp, np.arange(many) / fs, noise)
+    return FlowMap().update(FlowMap().initial_state(), Samples.of(t, U, dp, 0 * dp, Q))[0]
+
+
+def late(x, samples):
+    return np.concatenate([np.full(samples, x[0]), x[:-samples]])
+
+
+def behind(U, half):
+    out, p = np.empty_like(U), U[0]
+    for i, u in enumerate(U.tolist()):
+        p = min(max(p, u - half), u + half)
+        out[i] = p
+    return out
+
+
+SHOWN = {
+    Code.DEAD_TIME: (lambda U, dp, t, e: late(valve(U, dp), 15) + e, "0.15 s"),
+    Code.PLAY: (lambda U, dp, t, e: valve(behind(U, 1.5), dp) + e, "3 %"),
+    Code.METER_END: (lambda U, dp, t, e: np.minimum(valve(U, dp) + e, 80), "80 l/min"),
+    Code.METER_START: (
+        lambda U, dp, t, e: np.where(valve(U - 25, dp) + e < 5, 0, valve(U - 25, dp) + e),
+        "below 5",
+    ),
+    Code.COMPENSATOR: (
+        lambda U, dp, t, e: 4 * np.clip(U - 4, 0, 96) * np.sqrt(np.minimum(dp, 10)) / 30 + e,
+        "bar",
+    ),
+    Code.GAIN_CHANGE: (lambda U, dp, t, e: valve(U, dp) * np.where(t < 70, 1, 0.9) + e, "2023-11"),
+}
+
+
+@pytest.mark.parametrize("code", SHOWN, ids=lambda code: code.name)
+def test_a_cause_is_the_likeliest_finding_and_its_size_is_said(code):
+    shown, size = SHOWN[code]
+    first, *others = FlowMap().findings(learnt(shown))
+    assert first.code is code
+    assert 0.9 < first.probability <= 1.0
+    assert size in first.sentence
+    assert not others
+
+
+def test_a_drift_has_a_rate_per_hour():
+    found = FlowMap().findings(
+        learnt(lambda U, dp, t, e: valve(U, dp) * (1 - 0.15 * t / 3600) + e, fs=10.0)
+    )
+    assert [one.code for one in found] == [Code.GAIN_DRIFT]
+    assert "-1" in found[0].sentence
+    assert "per hour" in found[0].sentence
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_healthy_valve_has_no_findings(seed):
+    assert FlowMap().findings(learnt(lambda U, dp, t, e: valve(U, dp) + e, seed)) == ()
+
+
+def test_before_the_first_fit_there_is_nothing_to_say():
+    assert FlowMap().findings(FlowMap().initial_state()) == ()
+
+
+def test_findings_are_those_of_a_state_that_is_published_without_cells_and_rows():
+    state = learnt(SHOWN[Code.COMPENSATOR][0], many=3000)
+    published = member(members(stack([state, state]), np.array([1])), 0)
+    assert FlowMap().findings(published) == FlowMap().findings(state) != ()

@@ -1,0 +1,191 @@
+"""Plants on which names alone went wrong: each is read rightly, or asked; none errs in silence."""
+
+import numpy as np
+import pytest
+
+from valvemap.plant.answers import of_valve, parse_answers
+from valvemap.plant.roles import Role
+
+
+def nodes(verdict):
+    return {str(role): one.path[-1] for role, one in verdict.reading.nodes.items()}
+
+
+def seen(verdict, role):
+    return float(np.nanmax(verdict.reading.values[Role(role)]))
+
+
+def obey(plant, verdict, option):
+    """The verdict on the same valve after one option's answers."""
+    signals = [a.removeprefix("--signal=") for a in option.answers if a.startswith("--signal=")]
+    scales = [a.removeprefix("--scale=") for a in option.answers if a.startswith("--scale=")]
+    given = parse_answers(signals, scales)
+    again = plant.verdicts({verdict.valve: of_valve(given, verdict.valve)})
+    return next(v for v in again if v.valve == verdict.valve)
+
+
+def test_units_in_chinese_names_are_read(plant, moving):
+    true = moving()
+    plant.add("阀门开度%", true["U"])
+    plant.add("阀前压力MPa", true["p1"] / 10)
+    plant.add("阀后压力MPa", true["p2"] / 10)
+    plant.add("流量m3/h", true["Q"] * 0.06)
+    (verdict,) = plant.verdicts()
+    assert verdict.question is None
+    assert seen(verdict, "p1") == pytest.approx(true["p1"].max())
+    assert seen(verdict, "Q") == pytest.approx(true["Q"].max())
+
+
+def test_a_servo_valve_of_four_ports_is_asked_for_its_edge_and_an_answer_is_obeyed(plant, moving):
+    true = moving()
+    U = 80 * np.sin(1.3 * true["t"]) + 10 * np.sin(3 * true["t"])
+    pP, pT = true["p1"], 3 + 0 * U
+    pA, pB = 60 + 20 * np.sin(0.8 * true["t"]), 50 - 20 * np.sin(0.8 * true["t"])
+    a, b = 0.05 * np.abs(U), 0.045 * np.abs(U)
+    QA = np.where(U > 0, a * np.sqrt(pP - pA), -a * np.sqrt(pA - pT))
+    QB = np.where(U < 0, b * np.sqrt(pP - pB), -b * np.sqrt(pB - pT))
+    plant.add("Command", U / 10, "V", (-10.0, 10.0))
+    for name, values in (("pP", pP), ("pT", pT), ("pA", pA), ("pB", pB)):
+        plant.add(name, values, "bar")
+    plant.add("QA", QA, "l/min")
+    plant.add("QB", QB, "l/min")
+    (verdict,) = plant.verdicts()
+    assert "four ports" in verdict.question.about
+    first, second = verdict.question.options
+    assert "100 %" in first.consequence
+    edge = obey(plant, verdict, first)
+    assert edge.question is None
+    assert nodes(edge) == {"U": "Command", "p1": "pP", "p2": "pA", "Q": "QA"}
+    assert edge.least_U == 0.0
+    other = obey(plant, verdict, second)
+    assert nodes(other) == {"U": "Command", "p1": "pP", "p2": "pB", "Q": "QB"}
+    assert np.nanmax(other.reading.values[Role.U]) == pytest.approx(-U.min())
+
+
+def test_counts_of_an_integer_are_not_taken_for_bar(plant, moving):
+    true = moving()
+    plant.add("Stellwert", np.round(276.48 * true["U"]), largest=32_767)
+    plant.add("Druck vor Ventil", np.round(true["p1"] / 250 * 27_648), largest=32_767)
+    plant.add("Druck nach Ventil", np.round(true["p2"] / 250 * 27_648), largest=32_767)
+    plant.add("Durchfluss", np.round(true["Q"] / 100 * 27_648), largest=32_767)
+    (verdict,) = plant.verdicts()
+    assert verdict.question is not None
+    wanted = {"--scale=Plant.p1=0..27648:0..250bar", "--scale=Plant.Q=0..27648:0..100l/min"}
+    right = [o for o in verdict.question.options if wanted <= set(o.answers)]
+    assert right, [o.answers for o in verdict.question.options]
+    settled = obey(plant, verdict, right[0])
+    assert settled.question is None
+    assert seen(settled, "p1") == pytest.approx(true["p1"].max(), rel=1e-3)
+
+
+def test_counts_with_their_range_in_the_property_need_no_question_but_the_raw_end(plant, moving):
+    true = moving()
+    plant.add("Stellwert", np.round(276.48 * true["U"]), "%", (0.0, 100.0), largest=32_767)
+    for name, role in (("Druck vor Ventil", "p1"), ("Druck nach Ventil", "p2")):
+        counts = np.round(true[role] / 250 * 27_648)
+        plant.add(name, counts, "bar", (0.0, 250.0), largest=32_767)
+    plant.add(
+        "Durchfluss", np.round(true["Q"] / 100 * 27_648), "l/min", (0.0, 100.0), largest=32_767
+    )
+    (verdict,) = plant.verdicts()
+    assert verdict.question is not None
+    assert "0..27648:0..250bar" in verdict.question.options[0].text
+
+
+def test_two_valves_share_one_supply_pressure_and_one_temperature(plant, moving):
+    one, other = moving(1), moving(2)
+    supply = one["p1"]
+    for valve, true in (("V1", one), ("V2", other)):
+        Q = 3 * true["U"] / 100 * np.sqrt(supply - true["p2"])
+        plant.add(("Press", valve, "Stellsignal"), true["U"], "%")
+        plant.add(("Press", valve, "Druck nach Ventil"), true["p2"], "bar")
+        plant.add(("Press", valve, "Durchfluss"), Q, "l/min")
+    plant.add(("Press", "Versorgungsdruck"), supply, "bar")
+    plant.add(("Press", "Öltemperatur"), one["T"], "°C")
+    verdicts = plant.verdicts()
+    assert [v.valve for v in verdicts] == ["V1", "V2"]
+    for verdict in verdicts:
+        assert verdict.question is None
+        assert nodes(verdict)["p1"] == "Versorgungsdruck"
+        assert nodes(verdict)["T"] == "Öltemperatur"
+
+
+def test_a_transmitter_of_the_pressure_drop_is_enough(plant, moving):
+    true = moving()
+    plant.add("Valve command", true["U"], "%")
+    plant.add("dp", true["p1"] - true["p2"], "bar")
+    plant.add("Flow", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert verdict.question is None
+    assert nodes(verdict) == {"U": "Valve command", "dp": "dp", "Q": "Flow"}
+
+
+def test_a_cylinder_without_a_meter_is_no_valve_and_its_position_is_no_command(plant, moving):
+    true = moving()
+    plant.add("Zylinderweg", 300 + true["U"], symbol="mm")
+    plant.add("Druck A", true["p1"], "bar")
+    plant.add("Druck B", true["p2"], "bar")
+    plant.add("Geschwindigkeit", true["Q"], symbol="mm/s")
+    verdicts = plant.verdicts()
+    assert all(v.question is not None and "no node was found" in v.question.about for v in verdicts)
+
+
+def test_spool_position_pilot_pressure_and_speed_are_recognised_and_left_out(plant, moving):
+    true = moving()
+    plant.add("Ventilansteuerung", true["U"], "%", (-100.0, 100.0))
+    plant.add("Schieberposition Ist", true["U"] + 0.1, "%", (-100.0, 100.0))
+    plant.add("Steuerdruck", 30 + 0 * true["U"], "bar")
+    plant.add("Druck P", true["p1"], "bar")
+    plant.add("Druck A", true["p2"], "bar")
+    plant.add("Drehzahl Pumpe", 1_480 + 0 * true["U"], symbol="1/min")
+    plant.add("Volumenstrom", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert verdict.question is None
+    assert nodes(verdict) == {
+        "U": "Ventilansteuerung", "p1": "Druck P", "p2": "Druck A", "Q": "Volumenstrom",
+    }  # fmt: skip
+    assert {Role.SPOOL, Role.PILOT, Role.SPEED} <= set(verdict.others.values())
+
+
+def test_a_spool_position_alone_is_asked(plant, moving):
+    true = moving()
+    plant.add("spool position", true["U"], "%")
+    plant.add("p1", true["p1"], "bar")
+    plant.add("p2", true["p2"], "bar")
+    plant.add("flow", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert "U: no node was found" in verdict.question.about
+    assert "spool position" in verdict.question.about
+
+
+@pytest.mark.parametrize("pair", [("p1", "p2"), ("U", "p1"), ("p2", "Q"), ("p1", "Q")])
+def test_swapped_signals_are_asked(plant, moving, pair):
+    true = moving()
+    names = {"U": "Stellwert", "p1": "Druck vor", "p2": "Druck nach", "Q": "Durchfluss"}
+    units = {"U": "%", "p1": "bar", "p2": "bar", "Q": "l/min"}
+    values = dict(true)
+    values[pair[0]], values[pair[1]] = true[pair[1]], true[pair[0]]
+    for role, name in names.items():
+        plant.add(name, values[role], units[role])
+    (verdict,) = plant.verdicts()
+    assert f"{pair[0]} and {pair[1]} are swapped" in " ".join(
+        option.text for option in verdict.question.options
+    )
+    swapped = next(o for o in verdict.question.options if "swapped" in o.text)
+    settled = obey(plant, verdict, swapped)
+    assert settled.question is None
+    assert settled.reading.nodes[Role(pair[0])].path[-1] == names[pair[1]]
+
+
+def test_a_flow_of_no_stated_unit_is_asked_and_assumed_only_when_that_is_accepted(plant, moving):
+    true = moving()
+    for name, role in (("cmd", "U"), ("p_in", "p1"), ("p_out", "p2"), ("flow", "Q")):
+        plant.add(name, true[role])
+    (verdict,) = plant.verdicts()
+    assert verdict.question.about == "Q: nothing states the unit"
+    (accepted,) = plant.verdicts(assume=True)
+    assert accepted.question is None
+    gallons = next(o for o in verdict.question.options if "in gpm" in o.text)
+    assert seen(obey(plant, verdict, gallons), "Q") == pytest.approx(
+        3.785 * true["Q"].max(), rel=1e-3
+    )
