@@ -92,7 +92,7 @@ async def _poll(client: Client, began: float, found: Figures) -> None:
     names = [f"{name}.SampleCount" for name in ESTIMATORS]
     names += [f"Diagnostics.{name}" for name in ("Aligned", *LOSSES)]
     ids = [ua.NodeId(f"{VALVE}.{name}", index) for name in names]
-    waits = set(ESTIMATORS)
+    waits = {name for name in ESTIMATORS if f"first result of {name}, s" not in found}
     while waits:
         read = await client.uaclient.read_attributes(ids, ua.AttributeIds.Value)
         values = [int(one.Value.Value or 0) for one in read]  # some are Uncertain, not yet Good
