@@ -545,3 +545,62 @@ async def test_a_slow_disk_holds_nothing_up(live, store, clock):
     assert count(live) == 320
     may_go_on.set()
     await live.settle()
+
+
+@pytest.fixture
+def starting(plan, source, sink, store, clock):
+    """A service whose second estimator waits for the compiler."""
+    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    waits = list(plan.estimators)[1:]
+    preview = Identification([plan], align, waits=waits)
+    return LiveService(preview, source, sink, store, clock, LiveSettings())
+
+
+def whole(plan):
+    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    return Identification([plan], align)
+
+
+async def test_a_preview_publishes_and_its_successor_misses_no_sample(starting, plan, sink):
+    changes = as_changes(plant(300))
+    await starting.take(changes[:600])
+    first, *waiting = sink.published[-1].estimators.values()
+    assert first.sample_count == 100
+    assert {one.sample_count for one in waiting} == {0}
+    await starting.complete(whole(plan))
+    await starting.take(changes[600:])
+    assert {one.sample_count for one in sink.published[-1].estimators.values()} == {300}
+
+
+async def test_a_preview_saves_nothing_and_its_successor_does(starting, plan, store, clock):
+    await starting.take(as_changes(plant(300)))
+    clock.advance(60.0)
+    await starting.tick()
+    assert await starting.keep()
+    assert not store.load()
+    await starting.complete(whole(plan))
+    clock.advance(60.0)
+    await starting.tick()
+    await starting.settle()
+    assert store.load()
+
+
+async def test_a_preview_that_falls_behind_waits_for_its_successor(starting, plan):
+    starting._changes_per_s = 600.0  # a slow machine
+    taking = asyncio.create_task(starting.take(as_changes(plant(300))))
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert not taking.done()
+    await starting.complete(whole(plan))
+    await taking
+    assert count(starting) == 300
+
+
+async def test_a_preview_that_waits_ends_at_once_when_it_is_asked_to(starting, clock):
+    starting._changes_per_s = 600.0
+    taking = asyncio.create_task(starting.take(as_changes(plant(300))))
+    await asyncio.sleep(0)
+    starting.end_soon()
+    clock.advance(1.0)
+    await taking
+    assert count(starting) == 0

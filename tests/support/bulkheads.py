@@ -139,7 +139,7 @@ STEPS = (
     _learning("RBF", RbfNetwork),
     Injected(
         *("outside of any step", Step.LEARNING, LANES, lanes.Lanes, "take"),
-        lambda _lanes, samples, segments, _stop: _among(samples, segments),
+        lambda _lanes, samples, segments, _restore, _stop: _among(samples, segments),
     ),
     Injected(
         *("support", Step.SUPPORT, LANES, shared_support.SharedSupport, "learn"),

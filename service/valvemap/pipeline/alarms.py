@@ -35,7 +35,7 @@ from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Time
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
 from valvemap.pipeline.kernels.alarms import Senses, Watched
-from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Restore, saved
+from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, CopyBuffer, Restore, saved
 from valvemap.pipeline.ports import AlarmReport, Remark
 from valvemap.vocabulary.service_alarms import OF_FLEET, OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.signals import COUNT
@@ -160,6 +160,7 @@ class Alarms:
         self._senses = _nothing_seen(M)
         self._patient = np.zeros(M, np.bool_)
         self._reasons = np.zeros(M, f"<U{MOST_OF_A_REASON}")
+        self._written = *self._arrays().values(), self._patient  # by a step
 
     @property
     def version(self) -> Times:
@@ -283,9 +284,9 @@ class Alarms:
         """Number of lane failures (M,)."""
         return self._conditions.detail[:, Alarm.LANE_FAILED, 1].astype(np.int64)
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the alarms of the given valves; the result writes the copies back."""
-        return saved(self.columns().values(), members)
+        return saved(self._written, members, buffer)
 
     def overdue(self, chosen: Times, now: Times) -> None:
         """Update K valves that have sent no sample until ``now``, UTC ns by their sources."""

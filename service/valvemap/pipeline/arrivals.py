@@ -25,7 +25,7 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, Waiting
-from valvemap.pipeline.lane_failures import isolate, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, isolate, saved
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
@@ -99,6 +99,7 @@ class Arrivals:
         self.finds_timing = timing is not None
         self.timing = timing or Timing(TimingSettings(), alignment.optional, fixed=True)
         self._waiting = alignment.initial_state()
+        self._buffer = CopyBuffer()
         self.failed = np.zeros(len(self.names), np.bool_)
         self._errors: list[tuple[int, Exception]] = []
 
@@ -276,8 +277,13 @@ class Arrivals:
             self._waiting, samples = do(members[rows])
             parts.append(samples)
 
-        isolate(members, align, lambda own: saved(self._waiting, own), self._fail)
+        isolate(members, align, self._saved, self._fail)
         return parts[0] if len(parts) == 1 else together(parts)
+
+    def _saved(self, valves: Times) -> Restore:
+        """Copy what waits of the given valves; the result writes the copies back."""
+        self._buffer.clear()
+        return saved(self._waiting, valves, self._buffer)
 
     def _fail(self, valve: int, error: Exception) -> None:
         self.failed[valve] = True

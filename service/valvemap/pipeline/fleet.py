@@ -20,6 +20,7 @@ from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trac
 from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.lane_failures import (
+    CopyBuffer,
     LaneFailure,
     LaneFailures,
     Restore,
@@ -62,6 +63,8 @@ class Fleet:
         Names of the valves, and the list that collects their lanes' failures.
     waits
         Names of the estimators that do not run: their lanes keep their initial states.
+    buffer
+        Memory for copies of states; fleets that are not updated at once share it.
     """
 
     def __init__(
@@ -71,8 +74,11 @@ class Fleet:
         names: Sequence[str] | None = None,
         failures: LaneFailures | None = None,
         waits: Collection[str] = (),
+        buffer: CopyBuffer | None = None,
     ) -> None:
         self.plan = plan
+        self._buffer = buffer or CopyBuffer()
+        self._restore: Mapping[str | Step, Restore] = {}  # of each part, by the newest `_saved`
         self.waits = frozenset(waits) & plan.estimators.keys()
         self._names = [plan.name] * M if names is None else names
         self._failures = failures or LaneFailures()
@@ -162,7 +168,7 @@ class Fleet:
                 rests.append((traces[name].status, segments._replace(starts=segments.stops)))
                 continue
             stop = partial(self._stop_at, name, Step.LEARNING)
-            traces[name], own = lanes.take(judged, segments, stop)
+            traces[name], own = lanes.take(judged, segments, self._restore[name], stop)
             rests.append((traces[name].status, own))
         self._support_from(judged, rests, segments)
         traces = self._compared(judged, traces, segments)
@@ -176,7 +182,7 @@ class Fleet:
             self._note(running.members)
 
         stop = partial(self._stop_at, None, Step.ALARMS)
-        isolate_last(running.members, watch, self._alarms_saved, stop)
+        isolate_last(running.members, watch, self._restore[Step.ALARMS], stop)
         return judged, traces
 
     def _compared(
@@ -192,12 +198,13 @@ class Fleet:
             self._places.learn(judged, residual, early, status, running)
 
         stop = partial(self._stop_at, None, Step.COMPARISON)
-        isolate_last(running.members, compare, self._places.saved, stop)
+        isolate_last(running.members, compare, self._restore[Step.COMPARISON], stop)
         for said, lanes in zip(status, self._lanes.values(), strict=True):
             lanes.revise(said, running)
         for m in running.members[self._places.due(running.members) <= 0]:
             look = partial(self._look_back, int(m))
-            isolate_last(np.array([m]), look, self._places.saved, stop)
+            one = np.array([m])
+            isolate_last(one, look, self._places.saved(one, self._buffer), stop)
         return {
             name: replace(trace, status=said)
             for (name, trace), said in zip(traces.items(), status, strict=True)
@@ -230,7 +237,9 @@ class Fleet:
         """Compare the newest maps of one valve before it is due; return the ranking."""
         if not self.stopped()[m]:
             stop = partial(self._stop_at, None, Step.COMPARISON)
-            isolate(np.array([m]), partial(self._look_back, m), self._places.saved, stop)
+            one = np.array([m])
+            restore = self._places.saved(one, CopyBuffer())
+            isolate_last(one, partial(self._look_back, m), restore, stop)
         return self.ranking(m)
 
     def inverse(self, m: int) -> str:
@@ -297,18 +306,29 @@ class Fleet:
 
     def _saved(self, members: Times) -> Restore:
         """Copy the state of the given valves; the result writes the copies back."""
-        own = saved((*self._gate_arrays, self._t, self._T), members)
-        lanes = [lanes.saved(members) for lanes in self._lanes.values()]
-        places = self._places.saved(members)
-        alarms = self._alarms_saved(members)
-        return all_of([own, *lanes, self._support.saved(members), places, alarms])
+        self._buffer.clear()
+        buffer = self._buffer
+        self._restore = {
+            Step.GATE: saved(self._gate_arrays, members, buffer),
+            Step.SUPPORT: self._support.saved(members, buffer),
+            Step.COMPARISON: self._places.saved(members, buffer),
+            Step.ALARMS: self._copy_alarms(members),
+            **{name: lanes.saved(members, buffer) for name, lanes in self._lanes.items()},
+        }
+        times = saved((self._t, self._T), members, buffer)
+        return all_of([times, *self._restore.values()])
 
     @property
     def _gate_arrays(self) -> tuple[NDArray[Any], ...]:
         return *self._gate.memory, self._gate.bad_status
 
     def _alarms_saved(self, members: Times) -> Restore:
-        return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
+        self._buffer.clear()
+        return self._copy_alarms(members)
+
+    def _copy_alarms(self, members: Times) -> Restore:
+        due = saved([self._misfit_due], members, self._buffer)
+        return all_of([self.alarms.saved(members, self._buffer), due])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
         """Return the gated samples; all samples of a stopped valve are BAD."""
@@ -325,7 +345,7 @@ class Fleet:
                 quality[start:stop] = found[start:stop]
 
         stop_at = partial(self._stop_at, None, Step.GATE)
-        isolate_last(running.members, judge, partial(saved, self._gate_arrays), stop_at)
+        isolate_last(running.members, judge, self._restore[Step.GATE], stop_at)
         return replace(samples, quality=quality)
 
     def _support_from(
@@ -338,7 +358,7 @@ class Fleet:
             self._support.learn(judged, some, segments.of(running))
 
         stop = partial(self._stop_at, None, Step.SUPPORT)
-        isolate_last(segments.members[running], learn, self._support.saved, stop)
+        isolate_last(segments.members[running], learn, self._restore[Step.SUPPORT], stop)
 
     def _note(self, chosen: Times) -> None:
         """Update the alarms with the estimators' latest changes, lags and adaptation status."""

@@ -22,7 +22,7 @@ from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
-from valvemap.pipeline.lane_failures import Restore, all_of, isolate_last, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, all_of, isolate_last, saved
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
@@ -62,13 +62,21 @@ class Lanes:
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # set by an operator; NaN: as configured
         self._notes = kernel.nothing(M)
+        spread = self._spread
+        arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
+        self._arrays = (*arrays, self.beyond, *self._notes)  # beside the states
 
     def take(
-        self, samples: Samples, segments: Segments, stop: Callable[[int, Exception], None]
+        self,
+        samples: Samples,
+        segments: Segments,
+        restore: Restore,
+        stop: Callable[[int, Exception], None],
     ) -> tuple[Trace, Segments]:
         """Update the lanes; return the trace, and the segments of samples in the present maps.
 
-        Failed lanes are skipped; ``stop`` is called with each lane whose update raises.
+        Failed lanes are skipped. A lane whose update raises is undone by ``restore``, a result of
+        `saved`, and ``stop`` is called with it.
         """
         running = ~self.failed[segments.members]
         trace, starts = nothing_of(len(samples)), segments.starts.copy()
@@ -78,7 +86,7 @@ class Lanes:
             trace, rests = self._take(samples, segments.of(running))
             starts[running] = rests.starts
 
-        isolate_last(segments.members[running], learn, self.saved, stop)
+        isolate_last(segments.members[running], learn, restore, stop)
         for _, start, end in zip(*segments.of(~running), strict=True):
             nothing = nothing_of(end - start)
             for f in fields(Trace):
@@ -99,12 +107,10 @@ class Lanes:
         if self.failed[m]:
             self._notes.status[m] = NO_STATUS
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the state of the given valves' lanes; the result writes the copies back."""
-        spread = self._spread
-        arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
-        own = saved((*arrays, self.beyond, *self._notes), members)
-        return all_of([self.states.saved(members), own])
+        own = saved(self._arrays, members, buffer)
+        return all_of([self.states.saved(members, buffer), own])
 
     def _take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
         beyond, began = self._beyond_range(samples, segments), self.states.began()

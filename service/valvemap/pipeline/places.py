@@ -23,7 +23,7 @@ from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Singles, Times
 from valvemap.pipeline.kernels import places as kernel
 from valvemap.pipeline.kernels.places import Record, Scratch, Seen
-from valvemap.pipeline.lane_failures import Restore, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
 from valvemap.vocabulary.statuses import Adaptation
 
 FIRST_LOOK: Final = 128  # samples until the maps are first evaluated at places left
@@ -388,9 +388,9 @@ class Places:
         """Return all arrays, each (M, …), not copied."""
         return self._record._asdict()
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the places of the given valves; the result writes the copies back."""
-        return saved(self._record, members)
+        return saved(self._record, members, buffer)
 
 
 _KEY: Final = "places 1"

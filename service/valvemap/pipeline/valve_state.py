@@ -8,7 +8,13 @@ from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 
-from valvemap.model.capabilities import FindsCauses, Forgetful, PathDependent, ResidualStd
+from valvemap.model.capabilities import (
+    FindsCauses,
+    FitsInBursts,
+    Forgetful,
+    PathDependent,
+    ResidualStd,
+)
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import Estimator, State, StateMismatchError, Template, key_of
 from valvemap.model.extrapolation import U_range_of, trusted
@@ -122,7 +128,7 @@ def nothing_seen(plan: ValvePlan) -> Support:
 
 def runs_interpreted(estimator: AnyEstimator) -> bool:
     """Whether an update takes milliseconds even if its kernels run interpreted."""
-    return not getattr(estimator, "fits_in_bursts", False)
+    return not isinstance(estimator, FitsInBursts)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
