@@ -67,7 +67,7 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         ("[source]\nqueue_size = 0\n", "source.queue_size = 0: input should be greater than"),
         ("[[valves]]\nname = 'a b'\n", "valves[0].name = 'a b': "),
         ("[[valves]]\n[[valves]]\n", "valves: valve name 'Valvistor' is taken twice"),
-        ("[[valves]]\ninverse = 'X'\n", "valves[0]: inverse = 'X': allowed is one of RLS, "),
+        ("[[valves]]\ninverse = 'X'\n", "inverse = 'X': allowed is one of recommended, RLS, "),
         (
             "[[valves]]\n[[valves.estimators]]\nkind = 'RLS'\nlam = 1.5\n",
             "valves[0].estimators[0].lam = 1.5: input should be less than or equal to 1",

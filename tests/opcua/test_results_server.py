@@ -26,6 +26,8 @@ from valvemap.pipeline.ports import (
     SourceCounters,
     ValveDescription,
 )
+from valvemap.pipeline.recommendation import Recommendation
+from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -115,6 +117,9 @@ ALARMS_OF_A_VALVE = (CHANGED, LAG_FOUND)
 
 class Operator:
     """Remembers what it was asked."""
+
+    def do(self, command):
+        return getattr(self, command.action)(*command.arguments)
 
     def __init__(self):
         self.calls = []
@@ -244,6 +249,31 @@ async def test_what_is_waited_for_is_told_and_taken_back(server, observer):
     for reasons in (("Q has sent no value", "p2 is stamped 3 ms before"), ()):
         await server.publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, waiting=[reasons]))
         assert (await value(observer, "Valvistor.Diagnostics.Waiting"))[0] == list(reasons)
+
+
+async def test_the_recommended_estimator_is_named_with_its_reason(server, observer):
+    assert (await value(observer, "V2.Recommended"))[1] == Codes.BadWaitingForInitialData
+    for said in (Recommendation("RLS", "It is the better one."), Recommendation("", "None yet.")):
+        results = results_of(0, {"RLS": ESTIMATOR}, INVERSE)
+        await server.publish(replace(results, recommended=[said]))
+        assert (await value(observer, "Valvistor.Recommended"))[:2] == (said.name, Codes.Good)
+        assert (await value(observer, "Valvistor.RecommendedReason"))[0] == said.reason
+
+
+async def test_findings_are_sentences_codes_and_probabilities_in_one_order(server, observer):
+    lists = [f"Valvistor.Diagnostics.{n}" for n in ("Findings", "FindingCodes")]
+    lists.append("Valvistor.Diagnostics.FindingProbabilities")
+    play = Finding(FindingCode.PLAY, 0.99, "Play of 2 %.")
+    drift = Finding(FindingCode.GAIN_DRIFT, 0.75, "The gain falls.")
+    for found in ((play, drift), ()):
+        results = results_of(0, {"RLS": ESTIMATOR}, INVERSE)
+        await server.publish(replace(results, findings=[found]))
+        sentences, codes, chances = [(await value(observer, id_))[0] for id_ in lists]
+        assert sentences == [one.sentence for one in found]
+        assert codes == [one.code for one in found]
+        assert chances == [one.probability for one in found]
+    texts = await (await (await node(observer, lists[1])).get_child("0:EnumStrings")).read_value()
+    assert [text.Text for text in texts] == [code.name for code in FindingCode]
 
 
 @pytest.mark.parametrize(

@@ -189,3 +189,101 @@ def test_a_flow_of_no_stated_unit_is_asked_and_assumed_only_when_that_is_accepte
     assert seen(obey(plant, verdict, gallons), "Q") == pytest.approx(
         3.785 * true["Q"].max(), rel=1e-3
     )
+
+
+def test_names_without_meaning_are_assigned_by_units_and_physics(plant, moving):
+    true = moving()
+    for name, role, unit in (
+        ("AI1", "Q", "l/min"), ("AI2", "p2", "bar"), ("AI3", "U", "%"), ("AI4", "p1", "bar"),
+    ):  # fmt: skip
+        plant.add(name, true[role], unit)
+    (verdict,) = plant.verdicts()
+    assert verdict.question is None
+    assert nodes(verdict) == {"U": "AI3", "p1": "AI4", "p2": "AI2", "Q": "AI1"}
+
+
+def test_two_unknown_percentages_are_asked(plant, moving):
+    still = 0 * moving()["U"]
+    for name, value, unit in (
+        ("AI1", 50, "%"),
+        ("AI2", 60, "%"),
+        ("p1", 150, "bar"),
+        ("p2", 20, "bar"),
+        ("Q", 30, "l/min"),
+    ):
+        plant.add(name, value + still, unit)
+    (verdict,) = plant.verdicts()
+    assert verdict.question.about == "U: ambiguous"
+
+
+def test_a_flow_that_does_not_move_while_the_valve_does_is_asked(plant, moving):
+    true = moving()
+    rng = np.random.default_rng(1)
+    plant.add("Stellwert", true["U"], "%")
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["p2"], "bar")
+    plant.add("Volumenstrom", 63 + rng.normal(0, 0.2, len(true["U"])), "l/min")
+    (verdict,) = plant.verdicts()
+    labelled = next(o for o in verdict.question.options if o.text.startswith("as labelled"))
+    assert "but Q does not move with U" in labelled.consequence
+
+
+def test_a_cylinder_with_meter_and_two_chambers_is_not_taken_for_a_valve_of_two_ports(
+    plant, moving
+):
+    true = moving()
+    U = 80 * np.sin(1.3 * true["t"])
+    pA, pB = 90 + 30 * np.sin(0.8 * true["t"]), 60 - 20 * np.sin(1.1 * true["t"])
+    Q = np.where(U > 0, 0.05 * U * np.sqrt(180 - pA), 0.05 * U * np.sqrt(pA))
+    plant.add("Stellsignal", U, "%", (-100.0, 100.0))
+    plant.add("pA", pA, "bar")
+    plant.add("pB", pB, "bar")
+    plant.add("Q", Q, "l/min")
+    plant.add("Zylinderweg", 400 + np.cumsum(Q) / 100, symbol="mm")
+    (verdict,) = plant.verdicts()
+    assert verdict.question is not None
+
+
+def test_integers_without_a_range_may_be_tenths_and_are_asked(plant, moving):
+    true = moving()
+    plant.add("Stellwert", np.round(true["U"]), "%", largest=32_767)
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["p2"], "bar")
+    plant.add("Durchfluss", np.round(10 * true["Q"]), "l/min", largest=32_767)
+    (verdict,) = plant.verdicts()
+    tenths = [
+        o for o in verdict.question.options if "--scale=Plant.Q=0..1000:0..100l/min" in o.answers
+    ]
+    assert seen(obey(plant, verdict, tenths[0]), "Q") == pytest.approx(true["Q"].max(), abs=0.1)
+
+
+def test_a_unit_in_the_property_that_contradicts_the_name_is_asked(plant, moving):
+    true = moving()
+    plant.add("Stellwert", true["U"], "%")
+    plant.add("Druck vor [psi]", true["p1"], "bar")
+    plant.add("Druck nach [psi]", true["p2"], "bar")
+    plant.add("Durchfluss", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert verdict.question is not None
+
+
+def test_a_solenoid_current_is_no_signal_of_4_to_20_mA(plant, moving):
+    true = moving()
+    plant.add("Ventilstrom", 8 * true["U"], "mA")
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["p2"], "bar")
+    plant.add("Durchfluss", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert verdict.question is not None
+
+
+def test_one_meter_for_two_valves_is_asked(plant, moving):
+    one, other = moving(1), moving(2)
+    for valve, true in (("V1", one), ("V2", other)):
+        plant.add(("Press", valve, "Stellsignal"), true["U"], "%")
+        plant.add(("Press", valve, "Druck vor"), true["p1"], "bar")
+        plant.add(("Press", valve, "Druck nach"), true["p2"], "bar")
+    plant.add(("Press", "Durchfluss"), one["Q"] + other["Q"], "l/min")
+    verdicts = plant.verdicts()
+    assert len(verdicts) == 2
+    assert all("one meter for the valves V1, V2" in v.question.about for v in verdicts)

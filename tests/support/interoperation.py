@@ -83,7 +83,7 @@ def identification():
     plan = ValvePlan(
         name="Valvistor", gate=gate, estimators=estimators, inverse="RLS", nameplate=plate
     )
-    return Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    return Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
 
 
 def taken(first):

@@ -33,7 +33,7 @@ class Row:
 
 
 def rows(verdicts: Iterable[Verdict]) -> Iterator[Row]:
-    """Yield the rows of the accepted valves, and of what was recognised beside their signals."""
+    """Yield the rows of the accepted valves, and of the signals recognised beside them."""
     for verdict in verdicts:
         reading = verdict.reading
         if reading is None or verdict.question is not None:

@@ -34,6 +34,7 @@ from valvemap.opcua_source.decoding import decode_data_changes
 from valvemap.pipeline.alarms import RULES, Alarms
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels import lanes
+from valvemap.pipeline.places import Places
 from valvemap.pipeline.plausibility import Plausibility
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.score import Score
@@ -89,14 +90,16 @@ def warm_up_aside(
     config = _one_of_each_kind(config)
     if was_warmed_up():
         return
+    of = len(_parts(config))
     with _helpers(config, min(os.cpu_count() or 1, _MOST_HELPERS), _NICENESS) as shared:
-        of = len(_parts(config))
         while any(helper.is_alive() for helper in shared.helpers) and not is_over():
             progress(shared.done.value, of)
             wait([helper.sentinel for helper in shared.helpers if helper.is_alive()], _POLL_S)
         if is_over():
             for helper in shared.helpers:
                 helper.terminate()
+    if shared.done.value == of:
+        note_warm_up()
 
 
 def _one_of_each_kind(config: Config) -> Config:
@@ -209,6 +212,7 @@ def _parts(config: Config) -> list[Callable[[], None]]:
         partial(compile_alignment, config),
         _look_around,
         _watch,
+        _compare,
         partial(_first_maps, config),
         *([_what_auto_seldom_needs] if finds_structure else []),
     ]
@@ -265,6 +269,14 @@ def _look_around() -> None:
     rests.may_hide(U, dp)
     spread = ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
     spread.half_width(U, dp, U)
+
+
+def _compare() -> None:
+    """Compile the comparison of estimators at places, for one valve."""
+    samples, places = _samples(), Places(1, 1)
+    errors, status = np.zeros((1, len(samples))), np.zeros((1, len(samples)), np.uint8)
+    places.learn(samples, errors, errors, status, Segments.one(len(samples)))
+    places.of(0, 0).widened(samples.U, samples.U, samples.dp, samples.T)
 
 
 def _watch() -> None:

@@ -158,12 +158,12 @@ def connect(
     is_written = bool(found.accepted) and (yes or not found.open)
     if is_written:
         make_users(data, None)
-        pages = {out: configuration(found, settings, configuration_template(data))}
-        pages |= {sheet: sheet_page(url, found.accepted)} if sheet is not None else {}
+        pages = {} if sheet is None else {sheet: sheet_page(url, found.accepted)}
+        pages |= {out: configuration(found, settings, configuration_template(data))}
         for file, text in pages.items():
             write_whole(file, text)
-        console.print(f"written: {', '.join(map(str, pages))}", soft_wrap=True)
-        console.print(f"`valvemap serve --config {out}` starts", soft_wrap=True)
+            starts = f"; `valvemap serve --config {out}` starts" if file == out else ""
+            console.print(f"written: {file}{starts}", soft_wrap=True)
     _refuse_if_open(found, out, "written without these valves" if is_written else "not written")
 
 

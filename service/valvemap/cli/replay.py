@@ -1,7 +1,8 @@
 """``valvemap replay``: processes recordings with the live pipeline and reports the fit."""
 
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,15 +14,12 @@ from valvemap.cli.options import ConfigOption, ForceOption, new_file, new_models
 from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
-from valvemap.errors import RecordingError
 from valvemap.owned_files import write_whole
 
-_BEYOND = "beyond_range"  # has a line of its own
+_BEYOND = "beyond_range"  # has a separate line
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from valvemap.app.replay import Report, Tap
+    from valvemap.app.replay import EstimatorReport, Report, Tap
     from valvemap.model.samples import Samples, Trace
     from valvemap.pipeline.row_tallies import RowTallies
     from valvemap.report.replay_plots import ReplayPlots
@@ -89,7 +87,7 @@ def replay(
 ) -> None:
     """Identify valves from recordings, as the live service does."""
     from valvemap.app.models import save_models
-    from valvemap.app.replay import as_json
+    from valvemap.app.replay import as_json, refuse_if_nothing_was_learnt
     from valvemap.app.replay import replay as run
     from valvemap.pipeline.row_tallies import RowTallies
     from valvemap.plant.answers import parse_answers
@@ -114,15 +112,25 @@ def replay(
             given=parse_answers(signal or (), scale or ()),
         )
     console = terminal()
+    report = {valve: _best_first(estimators) for valve, estimators in report.items()}
     one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
-    tables = [verification_table("One step ahead, before each update", one_step)]
+    again = {v: {n: r.again for n, r in e.items()} for v, e in report.items()}
+    title = "Errors at places visited again, and one step ahead before each update"
+    tables = [verification_table(title, one_step, again)]
     if verify is not None:
         verified = {v: {n: r.verify for n, r in e.items() if r.verify} for v, e in report.items()}
         tables.append(verification_table(f"Verified on {verify.name}, no adaptation", verified))
     tables.append(_trust_table(report))
     for table in tables:
         console.print(table)
-    notes = [*_not_learnt_from(report), *_dropped(report), *rows.lines(), *_hints(report)]
+    notes = [
+        *_recommended(report),
+        *_findings(report),
+        *_not_learnt_from(report),
+        *_dropped(report),
+        *rows.lines(),
+        *_hints(report),
+    ]
     for line in notes:
         console.print(line, soft_wrap=True, highlight=False)
     if json_out is not None:
@@ -140,7 +148,35 @@ def replay(
             page = write_page(plot, title, tables, notes, pictures)
         for written in (*pictures, page):
             console.print(f"written: {written}", soft_wrap=True)
-    _refuse_if_nothing_was_learnt(report)
+    refuse_if_nothing_was_learnt(report)
+
+
+def _best_first(estimators: "Mapping[str, EstimatorReport]") -> "dict[str, EstimatorReport]":
+    """Return the estimators by their error at places visited again; unranked ones are last."""
+
+    def rank(name: str) -> float:
+        error = estimators[name].again
+        return math.inf if math.isnan(error) else error
+
+    first = next(iter(estimators.values())).recommended.name
+    ranked = sorted(estimators, key=lambda name: (name != first, rank(name)))
+    return {name: estimators[name] for name in ranked}
+
+
+def _recommended(report: "Report") -> Iterator[str]:
+    """Yield a line for each valve: the recommended estimator, and why."""
+    for valve, estimators in report.items():
+        found = next(iter(estimators.values())).recommended
+        yield f"{valve}: recommended: {found.name or 'none'}. {found.reason}"
+
+
+def _findings(report: "Report") -> Iterator[str]:
+    """Yield a line for each cause that an estimator of a valve found, the likeliest first."""
+    from valvemap.pipeline.valve_state import merged_findings
+
+    for valve, estimators in report.items():
+        for one in merged_findings(r.findings for r in estimators.values()):
+            yield f"{valve}: {one.code.label} ({one.probability:.0%}): {one.sentence}"
 
 
 def _tap(rows: "RowTallies", plots: "ReplayPlots | None") -> "Tap":
@@ -169,19 +205,6 @@ def _hints(report: "Report") -> Iterator[str]:
     for valve, estimators in report.items():
         for hint in dict.fromkeys(hint for r in estimators.values() for hint in r.hints):
             yield f"{valve}: hint: {hint}"
-
-
-def _refuse_if_nothing_was_learnt(report: "Report") -> None:
-    """Raise RecordingError if no sample of a valve could be used; it names the reasons."""
-    empty = []
-    for valve, estimators in report.items():
-        r = next(iter(estimators.values()))
-        if all(r.lane.count == 0 for r in estimators.values()):
-            why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
-            why = why or "they are too few"
-            empty.append(f"{valve}: nothing was learnt from {r.samples} samples: {why}")
-    if empty:
-        raise RecordingError("; ".join(empty))
 
 
 def _not_learnt_from(report: "Report") -> Iterator[str]:

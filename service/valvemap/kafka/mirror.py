@@ -120,6 +120,8 @@ def rows_of(results: Results, rows: NDArray[np.int64]) -> Results:
         waiting=_chosen(results.waiting, rows),
         timing=_chosen(results.timing, rows),
         baselines=_chosen(results.baselines, rows),
+        recommended=_chosen(results.recommended, rows),
+        findings=_chosen(results.findings, rows),
         alarms=None
         if alarms is None
         else AlarmResults(alarms.version[rows], lambda m: alarms.reports(int(rows[m]))),

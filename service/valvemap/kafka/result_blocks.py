@@ -26,7 +26,6 @@ from valvemap.model.change import Change
 from valvemap.model.samples import Floats
 from valvemap.model.survey import Survey
 from valvemap.pipeline.ports import (
-    SIGNALS,
     AlarmReport,
     AlarmResults,
     EstimatorResults,
@@ -35,7 +34,10 @@ from valvemap.pipeline.ports import (
     SignalResults,
     Version,
 )
+from valvemap.pipeline.recommendation import NOT_YET, Recommendation
+from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind
+from valvemap.vocabulary.signals import PUBLISHED
 
 _RESULTS: Final = "results"
 _FLOATS: Final = pa.list_(pa.float64())
@@ -96,7 +98,7 @@ def write_results(block: ResultsBlock) -> bytes:
     if signals is not None:
         columns["signals.t"] = times(signals.t)
         columns["signals.quality"] = pa.array(signals.quality)
-        for k, name in enumerate(SIGNALS):
+        for k, name in enumerate(PUBLISHED):
             columns[f"signals.{name}"] = pa.array(np.ascontiguousarray(signals.values[:, k]))
     for estimator, own in found.estimators.items():
         for name, form in _ESTIMATOR.items():
@@ -106,6 +108,10 @@ def write_results(block: ResultsBlock) -> bytes:
     columns["counters"] = _rows(np.asarray(found.counters, np.int64).reshape(M, -1))
     columns["waiting"] = _lists(found.waiting or [()] * M)
     columns["timing"] = _lists(found.timing or [()] * M)
+    columns["findings"] = pa.array(
+        [[_finding_row(one) for one in own] for own in found.findings or [()] * M], _FINDINGS
+    )
+    columns["recommended"] = _lists(found.recommended or [NOT_YET] * M)
     columns["baseline"] = _structs(found.baselines or [None] * M, _BASELINE)
     if found.alarms is not None:
         columns["alarms.version"] = pa.array(np.asarray(found.alarms.version, np.int64))
@@ -160,11 +166,39 @@ def _results(head: Head, batch: pa.RecordBatch) -> ResultsBlock:
         signals=_signals(batch),
         waiting=[tuple(row) for row in batch_column(batch, "waiting", _NAMES).to_pylist()],
         timing=[tuple(row) for row in batch_column(batch, "timing", _NAMES).to_pylist()],
+        recommended=_recommended(batch),
+        findings=_findings(batch),
         alarms=_alarms(batch),
         baselines=[_version(row) for row in _objects(batch, "baseline", _BASELINE)],
     )
     names = tuple(batch_column(batch, "valve", pa.string()).to_pylist())
     return ResultsBlock(head.group, head.number, names, results)
+
+
+_FINDINGS: Final = pa.list_(
+    pa.struct([("code", pa.int32()), ("probability", pa.float64()), ("sentence", pa.string())])
+)
+
+
+def _finding_row(one: Finding) -> dict[str, object]:
+    return {"code": int(one.code), "probability": one.probability, "sentence": one.sentence}
+
+
+def _findings(batch: pa.RecordBatch) -> list[tuple[Finding, ...]]:
+    return [
+        tuple(
+            Finding(FindingCode(row["code"]), float(row["probability"]), row["sentence"])
+            for row in rows
+        )
+        for rows in batch_column(batch, "findings", _FINDINGS).to_pylist()
+    ]
+
+
+def _recommended(batch: pa.RecordBatch) -> list[Recommendation]:
+    rows = batch_column(batch, "recommended", _NAMES).to_pylist()
+    if any(len(row) != len(NOT_YET) for row in rows):
+        raise BlockError("column recommended: a name and a reason are needed")
+    return [Recommendation(*row) for row in rows]
 
 
 def _table_shape(said: object) -> tuple[int, int]:
@@ -177,7 +211,7 @@ def _table_shape(said: object) -> tuple[int, int]:
 def _signals(batch: pa.RecordBatch) -> SignalResults | None:
     if "signals.t" not in batch.schema.names:
         return None
-    columns = [_plain(pa.float64()).values(batch, f"signals.{name}") for name in SIGNALS]
+    columns = [_plain(pa.float64()).values(batch, f"signals.{name}") for name in PUBLISHED]
     return SignalResults(
         t=_plain(TIME).values(batch, "signals.t"),
         quality=_plain(pa.uint8()).values(batch, "signals.quality"),

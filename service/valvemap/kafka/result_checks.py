@@ -45,6 +45,12 @@ def check_results(block: ResultsBlock, valves: Mapping[str, ValveDescription]) -
     _check_alarms(found, len(block.valves))
     _check_lines(found.waiting, "waiting")
     _check_lines(found.timing, "timing")
+    _check_lines(found.recommended, "recommended")
+    _check_lines([[one.sentence for one in own] for own in found.findings], "findings")
+    if not all(0.0 <= one.probability <= 1.0 for own in found.findings for one in own):
+        raise BlockError("column findings: probabilities from 0 to 1 are allowed")
+    if any(one.name not in ("", *found.estimators) for one in found.recommended):
+        raise BlockError(f"column recommended: one of {', '.join(found.estimators)} is needed")
 
 
 def _check_shapes(found: Results, valve: ValveDescription) -> None:

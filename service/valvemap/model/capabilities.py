@@ -14,6 +14,7 @@ diagnostics and files by having the methods.
 | `ChoosesStructure` | select the structure of the map from the samples |
 | `PathDependent` | have hysteresis |
 | `ResidualStd` | take their standard deviation from the residuals |
+| `FindsCauses` | weigh causes of what the samples show |
 | `Portable` | can write their map to a file |
 | `ManyModels` of :mod:`~valvemap.model.fleet` | update many models in one call |
 """
@@ -24,6 +25,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, runtim
 from valvemap.model.change import Change
 from valvemap.model.model_structures import Structure
 from valvemap.model.samples import Floats, Times
+from valvemap.vocabulary.findings import Finding
 
 if TYPE_CHECKING:
     from valvemap.model.portable_map import PortableMap
@@ -110,6 +112,13 @@ class ChoosesStructure(Protocol):
 
 
 @runtime_checkable
+class FitsInBursts(Protocol):
+    """An estimator that fits a map in some updates: for seconds, if kernels run interpreted."""
+
+    fits_in_bursts: ClassVar[bool]
+
+
+@runtime_checkable
 class PathDependent(Protocol):
     """An estimator whose flow depends on the direction of U (hysteresis)."""
 
@@ -135,6 +144,14 @@ class ResidualStd(Protocol):
     """An estimator whose standard deviation is that of its residuals, misfit and noise together."""
 
     std_of_residuals: ClassVar[Literal[True]]
+
+
+@runtime_checkable
+class FindsCauses(Protocol):
+    """An estimator that weighs causes of what the samples show."""
+
+    def findings(self, state: Any) -> tuple[Finding, ...]:  # noqa: ANN401 - its own state
+        """Return the likely causes, the likeliest first."""
 
 
 @runtime_checkable

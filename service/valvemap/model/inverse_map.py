@@ -258,7 +258,7 @@ def _systematic(
 def _widened(
     estimator: Estimator[S],
     state: S,
-    grounds: tuple[Support, SensorAccuracy],
+    grounds: tuple[Support, SensorAccuracy, Widening | None],
     points: tuple[Floats, Floats, Floats],
     answer: Inversion,
     doubtful: NDArray[np.intp],

@@ -13,7 +13,12 @@ from valvemap.opcua_results.information_model import (
     BUILDS_ON,
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
+    FINDING_CODES,
+    FINDING_PROBABILITIES,
+    FINDINGS,
     INVERSE,
+    RECOMMENDED,
+    RECOMMENDED_REASON,
     TIMING,
     WAITING,
     counter_name,
@@ -69,6 +74,8 @@ class ChangedResults:
         yield from self._feed_forward(results, now)
         yield from self._waiting(results, now)
         yield from self._baselines(results, now)
+        yield from self._recommended(results, now)
+        yield from self._findings(results, now)
         for name, found in results.estimators.items():
             codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
@@ -100,6 +107,22 @@ class ChangedResults:
             for valve, sentences in zip(_numbers(results.valves), found, strict=False):
                 if self._is_new(valve, name, None, sentences):
                     yield valve, Shown(name, list(sentences), int(ua.StatusCodes.Good), now)
+
+    def _recommended(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        good = int(ua.StatusCodes.Good)
+        for valve, found in zip(_numbers(results.valves), results.recommended, strict=False):
+            if self._is_new(valve, RECOMMENDED, None, found):
+                yield valve, Shown(RECOMMENDED, found.name, good, now)
+                yield valve, Shown(RECOMMENDED_REASON, found.reason, good, now)
+
+    def _findings(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        good = int(ua.StatusCodes.Good)
+        for valve, found in zip(_numbers(results.valves), results.findings, strict=False):
+            if self._is_new(valve, FINDINGS, None, found):
+                yield valve, Shown(FINDINGS, [one.sentence for one in found], good, now)
+                yield valve, Shown(FINDING_CODES, [int(one.code) for one in found], good, now)
+                chances = [one.probability for one in found]
+                yield valve, Shown(FINDING_PROBABILITIES, chances, good, now)
 
     def _baselines(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
         for valve, found in zip(_numbers(results.valves), results.baselines, strict=False):

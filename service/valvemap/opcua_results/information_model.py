@@ -8,7 +8,8 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/Signals/…         s=<Valve>.Signals.<Signal>
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
-    Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
+    Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames,
+                                                     s=<Valve>.Recommended, .RecommendedReason
     Objects/Identification/<Valve>/Alarms/<Alarm>/…  s=<Valve>.Alarms.<Alarm>.<Variable>
     Objects/Identification/<Valve>/…                 s=<Valve>.Identification.<Property>,
                                                      s=<Valve>.DeviceHealth: names of Devices (DI)
@@ -26,7 +27,9 @@ from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Bounds, Kind, Quantity
+from valvemap.vocabulary.signals import PUBLISHED, SENSORS
 from valvemap.vocabulary.statuses import Described, FeedForwardStatus, InverseStatus
 
 NAMESPACE = SERVICE_NAMESPACE
@@ -42,6 +45,9 @@ WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
 BASELINE, BUILDS_ON = "Baseline", "BuildsOn"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
+RECOMMENDED, RECOMMENDED_REASON = "Recommended", "RecommendedReason"
+FINDINGS, FINDING_CODES = f"{DIAGNOSTICS}.Findings", f"{DIAGNOSTICS}.FindingCodes"
+FINDING_PROBABILITIES = f"{DIAGNOSTICS}.FindingProbabilities"
 IDENTIFICATION, DEVICE_HEALTH = "Identification", "DeviceHealth"  # browse names of DI
 NODE_VERSION = "NodeVersion"
 
@@ -51,7 +57,7 @@ YEAR_S = 3.15e7
 
 _TAKEN = {
     *(INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
-    *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION),
+    *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION, RECOMMENDED, RECOMMENDED_REASON),
 }
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
@@ -124,24 +130,26 @@ def estimator_variables(
 
 
 def signal_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
-    """The newest sample of one valve, in the order of ``pipeline.ports.SIGNALS``."""
-    p_range = 0.0, max(valve.dp_range)
-    meant = (
-        ("U", "Control voltage", Unit.PERCENT, U_RANGE),
-        ("p1", "Pressure before the valve", Unit.BAR, p_range),
-        ("p2", "Pressure behind the valve", Unit.BAR, p_range),
-        ("Q", "Flow", Unit.LITRE_PER_MINUTE, valve.Q_range),
-        ("dp", "Pressure drop p1 - p2", Unit.BAR, valve.dp_range),
-        ("T", "Oil temperature", Unit.DEGREE_CELSIUS, T_RANGE),
-    )
+    """The newest sample of one valve, in the order of ``vocabulary.signals.PUBLISHED``."""
+    ranges = {
+        "%": U_RANGE,
+        "bar": (0.0, max(valve.dp_range)),
+        "l/min": valve.Q_range,
+        "°C": T_RANGE,
+    }
+    meant = {
+        signal.label: (signal.sentence, signal.unit, ranges[signal.unit]) for signal in SENSORS
+    }
+    meant["dp"] = "pressure drop p1 - p2", "bar", valve.dp_range
     return tuple(
         VariableNode(
             f"{valve.name}.{SIGNALS}.{name}",
-            f"{words} of the newest sample, as measured.",
-            unit=unit,
+            f"{words[0].upper()}{words[1:]} of the newest sample, as measured.",
+            unit=_UNITS[unit],
             range=bounds,
         )
-        for name, words, unit, bounds in meant
+        for name in PUBLISHED
+        for words, unit, bounds in [meant[name]]
     )
 
 
@@ -236,6 +244,48 @@ def discovery_variables(
     )
     found = changes if estimator.finds_changes else ()
     return (*found, structure) if estimator.chooses_structure else found
+
+
+def recommended_variables(valve: str) -> tuple[VariableNode, VariableNode]:
+    """The variables that name the estimator to use, and say why."""
+    return (
+        VariableNode(
+            f"{valve}.{RECOMMENDED}",
+            "Name of the estimator whose map has the least error at places that the valve visited "
+            "again; empty while there is none.",
+            ua.VariantType.String,
+        ),
+        VariableNode(
+            f"{valve}.{RECOMMENDED_REASON}",
+            "Why it is recommended, how sure that is, and what would improve the map.",
+            ua.VariantType.String,
+        ),
+    )
+
+
+def finding_variables(valve: str) -> tuple[VariableNode, VariableNode, VariableNode]:
+    """The variables with the causes that explain a valve's samples, the likeliest first."""
+    return (
+        VariableNode(
+            f"{valve}.{FINDINGS}",
+            "Causes that explain the valve's samples, a sentence each, the likeliest first.",
+            ua.VariantType.String,
+            dimensions=(0,),
+        ),
+        VariableNode(
+            f"{valve}.{FINDING_CODES}",
+            f"The cause of each of Findings. {_sentences(FindingCode)}",
+            ua.VariantType.Int32,
+            dimensions=(0,),
+            statuses=FindingCode,
+        ),
+        VariableNode(
+            f"{valve}.{FINDING_PROBABILITIES}",
+            "The probability of each of Findings.",
+            range=(0.0, 1.0),
+            dimensions=(0,),
+        ),
+    )
 
 
 def waiting_variable(valve: str) -> VariableNode:
@@ -615,7 +665,12 @@ _KINDS = {
     Kind.COUNT: ua.VariantType.UInt64,
     Kind.CODE: ua.VariantType.Int32,
 }
-_UNITS = {"l/min": Unit.LITRE_PER_MINUTE}
+_UNITS = {
+    "%": Unit.PERCENT,
+    "bar": Unit.BAR,
+    "l/min": Unit.LITRE_PER_MINUTE,
+    "°C": Unit.DEGREE_CELSIUS,
+}
 
 
 @cache

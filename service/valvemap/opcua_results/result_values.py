@@ -297,6 +297,7 @@ _UNCERTAIN_BECAUSE: dict[Status, int] = {
     Status.WARMING_UP: _Codes.UncertainInitialValue,
     Status.UNEXCITED: _Codes.UncertainSubNormal,
     Status.EXTRAPOLATING: _Codes.UncertainEngineeringUnitsExceeded,
+    Status.UNRELIABLE: _Codes.UncertainSubNormal,
 }
 _BAD_BECAUSE: dict[Status, int] = {
     Status.REJECTED: _Codes.BadSensorFailure,

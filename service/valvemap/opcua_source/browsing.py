@@ -1,6 +1,6 @@
 """Finds the numeric variables of a foreign server by browsing, with names, unit and range."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from asyncua import ua
@@ -47,7 +47,8 @@ _Place = tuple[ua.NodeId, tuple[str, ...]]
 async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[str]]:
     """Return all readable scalar numbers below the Objects folder, except the Server object's.
 
-    The second list has a line for each variable whose NodeId cannot be written in a configuration.
+    The second list has a line for each array, and for each variable whose NodeId cannot be written
+    in a configuration.
 
     Raises
     ------
@@ -61,7 +62,7 @@ async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[st
     ]
     said = await read_units(connection, [node for (node, _), _ in numbers])
     namespaces = await namespaces_of(connection)
-    found, skipped = [], []
+    found, skipped = [], [*_arrays(places, answers)]
     for ((node, path), answer), of_node in zip(numbers, said, strict=True):
         text = _text(node, namespaces)
         if text is None:
@@ -116,6 +117,17 @@ def _largest(value: ua.DataValue) -> float | None:
     """Return the largest number of an integer type; None of a floating one."""
     kind = 0 if value.Value is None else int(value.Value.VariantType.value)
     return None if kind in _FLOATING else _LARGEST.get(kind)
+
+
+def _arrays(places: Sequence[_Place], answers: Sequence[Sequence[ua.DataValue]]) -> Iterator[str]:
+    """Yield a line for each array of numbers: no element of it can be subscribed to."""
+    for (_, path), answer in zip(places, answers, strict=True):
+        value = answer[0].Value
+        if value is not None and value.is_array and value.VariantType.value in NUMERIC_FORMATS:
+            yield (
+                f"{printable('/'.join(path))}: it is an array; give each element that is a signal "
+                "its own node at the server"
+            )
 
 
 def _words(answer: ua.DataValue) -> str:

@@ -11,7 +11,11 @@ NO_ESTIMATORS = frozenset(
 PREFERRED = "Auto"
 
 _LIVE = "Signals."
-_STATE = ("Diagnostics.SampleAge", "Diagnostics.Waiting", "Diagnostics.LastAction")
+_STATE = (
+    *("Diagnostics.SampleAge", "Diagnostics.Waiting", "Diagnostics.LastAction"),
+    *("Diagnostics.Findings", "Diagnostics.FindingProbabilities"),
+    *("Recommended", "RecommendedReason"),
+)
 _MAPS = ("Coverage", "CoverageAge")
 _FIXED = ("Names", "MapQ", "MapDp", "CoverageU", "CoverageDp")
 _NEVER = ("Frame", "FrameNames", "Inverse.Map")

@@ -88,6 +88,7 @@ class Observer:
         self._on_change = on_change
         self._close_up = CloseUp(client, self.store, clock)
         self._heard: dict[int, tuple[int, float]] = {}
+        self._recommended: dict[str, str] = {}
         self._changed: dict[int, int] = {}
         self.figures = Figures(client, clock)
         self._version: object = None
@@ -199,7 +200,7 @@ class Observer:
         frames = {n: self._close_up.newest(n) for n in range(len(self.valves))}
         unknown = [number for number, frame in frames.items() if frame is None]
         due = list(self._close_up.due(wanted, thoroughly=thoroughly))
-        asked = [(n, f"{valve.primary}.PredictedFlow") for n, valve in enumerate(self.valves)]
+        asked = [(n, f"{self._primary(n)}.PredictedFlow") for n in range(len(self.valves))]
         asked += [*((number, "Frame") for number in unknown), *due]
         readings = iter(await self._read([f"{self.valves[n].name}.{name}" for n, name in asked]))
         flows = [next(readings) for _ in self.valves]
@@ -216,9 +217,10 @@ class Observer:
     def _take_standing(self, number: int, valve: Valve, frame: Reading, flow: Reading) -> None:
         columns = dict(zip(valve.frame_names, frame.value or (), strict=False))
         self.frames[number] = columns
-        of = {name: columns.get(f"{valve.primary}.{name}", float("nan")) for name in _SHOWN}
+        primary = self._primary(number)
+        of = {name: columns.get(f"{primary}.{name}", float("nan")) for name in _SHOWN}
         self._hear(number, frame.t)
-        adaptation = self.store.get(number, f"{valve.primary}.Adaptation")
+        adaptation = self.store.get(number, f"{primary}.Adaptation")
         now = self._clock.now()
         reason = judge(
             Standing(
@@ -239,6 +241,12 @@ class Observer:
             silent_s=self.silent_s(number),
             predicted=of["PredictedFlow"],
         )
+
+    def _primary(self, number: int) -> str:
+        """The estimator that stands for a valve: the recommended one, once there is one."""
+        valve = self.valves[number]
+        recommended = self._recommended.get(valve.name, "")
+        return recommended if recommended in valve.estimators else valve.primary
 
     async def _look_for_changes(self) -> None:
         """Read the abrupt changes and the operators' actions."""
@@ -268,6 +276,11 @@ class Observer:
         for valve, action in zip(self.valves, actions, strict=True):
             if isinstance(action.value, str):
                 self.time_line.acted(valve.name, action.value, action.t)
+        recommended = await self._read([f"{valve.name}.Recommended" for valve in self.valves])
+        self._recommended = {
+            valve.name: str(found.value or "")
+            for valve, found in zip(self.valves, recommended, strict=True)
+        }
 
     async def _read(self, ids: Sequence[str]) -> list[Reading]:
         return await read_all(self.client, ids)

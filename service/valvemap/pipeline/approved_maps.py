@@ -50,9 +50,7 @@ class ApprovedMaps:
         inverse = state.lanes[name]
         if inverse.status not in (Status.OK, Status.UNEXCITED):
             said = "nothing was learnt yet" if inverse.status is None else inverse.status.sentence
-            raise CommandRejected(
-                f"{valve}: the map of {name} is not one to build on: {said}"
-            )
+            raise CommandRejected(f"{valve}: the map of {name} is not one to build on: {said}")
         self.counts[number] += 1
         keys, count = self._valves.estimator_keys(number), int(self.counts[number])
         self.baselines[number] = Baseline.of(count, state.t, state.lanes, keys)

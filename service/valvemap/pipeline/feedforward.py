@@ -271,6 +271,7 @@ _MAP_NOT_GOOD = {
     Status.WARMING_UP,
     Status.HELD,
     Status.FAILED,
+    Status.UNRELIABLE,
 }  # UNEXCITED is good: it only means a constant flow
 _OF_ANSWER = {
     InverseStatus.OK: FeedForwardStatus.WRITING,

@@ -20,6 +20,7 @@ from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trac
 from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.lane_failures import (
+    CopyBuffer,
     LaneFailure,
     LaneFailures,
     Restore,
@@ -42,7 +43,7 @@ from valvemap.pipeline.valve_state import (
     ValveState,
     nothing_seen,
 )
-from valvemap.vocabulary.statuses import Quality, Status
+from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 MISFIT_EVERY_NS = 10_000_000_000  # interval at which the adaptation status is polled: it is slow
 
@@ -62,6 +63,8 @@ class Fleet:
         Names of the valves, and the list that collects their lanes' failures.
     waits
         Names of the estimators that do not run: their lanes keep their initial states.
+    buffer
+        Memory for copies of states; fleets that are not updated at once share it.
     """
 
     def __init__(
@@ -71,13 +74,17 @@ class Fleet:
         names: Sequence[str] | None = None,
         failures: LaneFailures | None = None,
         waits: Collection[str] = (),
+        buffer: CopyBuffer | None = None,
     ) -> None:
         self.plan = plan
+        self._buffer = buffer or CopyBuffer()
+        self._restore: Mapping[str | Step, Restore] = {}  # of each part, by the newest `_saved`
         self.waits = frozenset(waits) & plan.estimators.keys()
         self._names = [plan.name] * M if names is None else names
         self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
-        self._places_key = f"places {key_of(_Compared(_keys_of(plan)))}"
+        self._keys = tuple((name, key_of(one)) for name, one in plan.estimators.items())
+        self._places_key = f"places {key_of(_Compared(self._keys))}"
         self._gate = plan.gate.initial_state(M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
         self._lanes = {
@@ -161,7 +168,7 @@ class Fleet:
                 rests.append((traces[name].status, segments._replace(starts=segments.stops)))
                 continue
             stop = partial(self._stop_at, name, Step.LEARNING)
-            traces[name], own = lanes.take(judged, segments, stop)
+            traces[name], own = lanes.take(judged, segments, self._restore[name], stop)
             rests.append((traces[name].status, own))
         self._support_from(judged, rests, segments)
         traces = self._compared(judged, traces, segments)
@@ -175,7 +182,7 @@ class Fleet:
             self._note(running.members)
 
         stop = partial(self._stop_at, None, Step.ALARMS)
-        isolate_last(running.members, watch, self._alarms_saved, stop)
+        isolate_last(running.members, watch, self._restore[Step.ALARMS], stop)
         return judged, traces
 
     def _compared(
@@ -191,18 +198,19 @@ class Fleet:
             self._places.learn(judged, residual, early, status, running)
 
         stop = partial(self._stop_at, None, Step.COMPARISON)
-        isolate_last(running.members, compare, self._places.saved, stop)
+        isolate_last(running.members, compare, self._restore[Step.COMPARISON], stop)
         for said, lanes in zip(status, self._lanes.values(), strict=True):
             lanes.revise(said, running)
         for m in running.members[self._places.due(running.members) <= 0]:
+            look = partial(self._look_back, int(m))
             one = np.array([m])
-            isolate_last(one, lambda _, m=m: self._look_back(int(m)), self._places.saved, stop)
+            isolate_last(one, look, self._places.saved(one, self._buffer), stop)
         return {
             name: replace(trace, status=said)
             for (name, trace), said in zip(traces.items(), status, strict=True)
         }
 
-    def _look_back(self, m: int) -> None:
+    def _look_back(self, m: int, _: NDArray[np.intp]) -> None:
         """Evaluate the maps of one valve at the places that it left, and rank them."""
         points, one = self._places.points(m), np.array([m])
         maps: list[tuple[Floats, Floats] | None] = []
@@ -224,6 +232,15 @@ class Fleet:
     def ranking(self, m: int) -> Ranking:
         """Return which estimator of one valve is recommended."""
         return self._places.ranking(m)
+
+    def rank_now(self, m: int) -> Ranking:
+        """Compare the newest maps of one valve before it is due; return the ranking."""
+        if not self.stopped()[m]:
+            stop = partial(self._stop_at, None, Step.COMPARISON)
+            one = np.array([m])
+            restore = self._places.saved(one, CopyBuffer())
+            isolate_last(one, partial(self._look_back, m), restore, stop)
+        return self.ranking(m)
 
     def inverse(self, m: int) -> str:
         """Name of the estimator whose map is inverted at one valve."""
@@ -289,18 +306,29 @@ class Fleet:
 
     def _saved(self, members: Times) -> Restore:
         """Copy the state of the given valves; the result writes the copies back."""
-        own = saved((*self._gate_arrays, self._t, self._T), members)
-        lanes = [lanes.saved(members) for lanes in self._lanes.values()]
-        places = self._places.saved(members)
-        alarms = self._alarms_saved(members)
-        return all_of([own, *lanes, self._support.saved(members), places, alarms])
+        self._buffer.clear()
+        buffer = self._buffer
+        self._restore = {
+            Step.GATE: saved(self._gate_arrays, members, buffer),
+            Step.SUPPORT: self._support.saved(members, buffer),
+            Step.COMPARISON: self._places.saved(members, buffer),
+            Step.ALARMS: self._copy_alarms(members),
+            **{name: lanes.saved(members, buffer) for name, lanes in self._lanes.items()},
+        }
+        times = saved((self._t, self._T), members, buffer)
+        return all_of([times, *self._restore.values()])
 
     @property
     def _gate_arrays(self) -> tuple[NDArray[Any], ...]:
         return *self._gate.memory, self._gate.bad_status
 
     def _alarms_saved(self, members: Times) -> Restore:
-        return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
+        self._buffer.clear()
+        return self._copy_alarms(members)
+
+    def _copy_alarms(self, members: Times) -> Restore:
+        due = saved([self._misfit_due], members, self._buffer)
+        return all_of([self.alarms.saved(members, self._buffer), due])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
         """Return the gated samples; all samples of a stopped valve are BAD."""
@@ -317,7 +345,7 @@ class Fleet:
                 quality[start:stop] = found[start:stop]
 
         stop_at = partial(self._stop_at, None, Step.GATE)
-        isolate_last(running.members, judge, partial(saved, self._gate_arrays), stop_at)
+        isolate_last(running.members, judge, self._restore[Step.GATE], stop_at)
         return replace(samples, quality=quality)
 
     def _support_from(
@@ -330,26 +358,40 @@ class Fleet:
             self._support.learn(judged, some, segments.of(running))
 
         stop = partial(self._stop_at, None, Step.SUPPORT)
-        isolate_last(segments.members[running], learn, self._support.saved, stop)
+        isolate_last(segments.members[running], learn, self._restore[Step.SUPPORT], stop)
 
     def _note(self, chosen: Times) -> None:
         """Update the alarms with the estimators' latest changes, lags and adaptation status."""
         if self._finder is not None:
-            found = self._lanes[self._finder].newest_changes(chosen)
+            found = self._lanes[self._finder].states.newest_changes(chosen)
             self.alarms.note_changes(chosen, found["count"], found["t"], found["size"])
         if self._laggard is not None:
-            self.alarms.note_lags(chosen, self._lanes[self._laggard].largest_lags(chosen))
+            self.alarms.note_lags(chosen, self._lanes[self._laggard].states.largest_lags(chosen))
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
         if len(due):
             self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
             for name, own in self._by_inverse(due):
-                lanes, some = self._lanes[name], due[own]
-                self.alarms.note_misfit(some, lanes.adaptations(some), lanes.recent_rmse(some))
+                some, e = due[own], list(self._lanes).index(name)
+                rmse = np.fmax(self._lanes[name].recent_rmse(some), self._places.errors(some, e))
+                self.alarms.note_misfit(some, self._adaptations(some)[e], rmse)
 
     def lane(self, m: int, name: str) -> Lane:
         """Return one estimator of one valve."""
         errors = self._places.of(m, list(self._lanes).index(name))
         return replace(self._lanes[name].get(m), errors=errors)
+
+    def places_to_bytes(self, m: int) -> bytes:
+        """Pack the places of one valve."""
+        return self._places.to_bytes(m, dict(self._keys))
+
+    def places_from_bytes(self, m: int, data: bytes) -> None:
+        """Unpack the places of one valve.
+
+        Raises
+        ------
+        StateMismatchError
+        """
+        self._places.from_bytes(m, data, dict(self._keys))
 
     def forget_errors(self, m: int, name: str) -> None:
         """Forget the errors of one estimator's map, after its reset."""
@@ -386,7 +428,22 @@ class Fleet:
 
     def results(self, chosen: Times) -> Mapping[str, EstimatorResults]:
         """Return the estimators' results of the given valves, without surveys."""
-        return {name: lanes.results(chosen) for name, lanes in self._lanes.items()}
+        found = zip(self._lanes.items(), self._adaptations(chosen), strict=True)
+        return {
+            name: replace(lanes.results(chosen), adaptation=codes) for (name, lanes), codes in found
+        }
+
+    def _adaptations(self, chosen: Times) -> list[Codes]:
+        """Diagnoses of the estimators' residuals, each (K,), for the given valves.
+
+        Where an estimator itself is undecided, its errors at places visited again decide.
+        """
+        fits = self._places.fits(chosen)
+        own = [lanes.states.adaptations(chosen) for lanes in self._lanes.values()]
+        return [
+            np.where(said == Adaptation.UNDECIDED, fit, said).astype(np.uint8)
+            for said, fit in zip(own, fits, strict=True)
+        ]
 
     def unknown(self, m: int) -> Mapping[str, EstimatorResults]:
         """Return Bad results of one valve, for use when `results` raises."""
@@ -440,10 +497,6 @@ class _Compared:
     """The estimators that a valve's places are bound to, in order: names and hashes."""
 
     estimators: tuple[tuple[str, str], ...]
-
-
-def _keys_of(plan: ValvePlan) -> tuple[tuple[str, str], ...]:
-    return tuple((name, key_of(estimator)) for name, estimator in plan.estimators.items())
 
 
 def _nothing_saved(_: Times) -> Restore:

@@ -18,10 +18,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.model.contents import Contents
+from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Singles, Times
 from valvemap.pipeline.kernels import places as kernel
 from valvemap.pipeline.kernels.places import Record, Scratch, Seen
-from valvemap.pipeline.lane_failures import Restore, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
+from valvemap.vocabulary.statuses import Adaptation
 
 FIRST_LOOK: Final = 128  # samples until the maps are first evaluated at places left
 LATEST_LOOK: Final = 4096  # samples; most between evaluations
@@ -31,7 +34,9 @@ FEWEST_PLACES: Final = 8  # places; with fewer, nothing is recommended
 NEIGHBOURS: Final = 2.0  # weight of the mean over all places in the error of each
 CERTAIN: Final = 3.0  # standard errors by which errors exceed the noise before intervals widen
 OUTLYING_ALL, OUTLYING = 100.0, 25.0  # times the median square, of all and of one; larger: clipped
-LATEST: Final = 0.25  # share of an earlier squared error that a later look back leaves at least
+EXACT: Final = 1e-30  # (l/min)²; the square of a map without errors: 0 is one not evaluated
+LATEST: Final = 0.05  # share of an earlier squared error that a later look back leaves at least
+CLEARLY: Final = 2.0  # times; a squared error so much larger than another is another kind
 SURE: Final = 0.9  # probability of being better at which another estimator is recommended
 
 
@@ -63,8 +68,8 @@ class MapErrors:
     def widened(self, own: Floats, U: Floats, dp: Floats, T: Floats) -> Floats:
         """Return the standard deviation (N,) of the map; ``own`` is the estimator's."""
         found = np.empty(len(U), np.int64)
-        points = (np.require(x, np.float64, ["C", "A", "W"]) for x in (U, dp, T))
-        kernel.places_of(*points, self.axes, self.seen, found)
+        U, dp, T = (np.require(x, np.float64, ["C", "A", "W"]) for x in (U, dp, T))
+        kernel.places_of(U, dp, T, self.axes, self.seen, found)
         overall = self.noise + self.excess
         past = np.where(found >= 0, self.past[found].astype(np.float64) ** 2, overall)
         shown = _shown(past, self.noise, self.excess, self.tail)
@@ -160,11 +165,12 @@ class Places:
     def due(self, members: Times) -> Times:
         """Return after how many further samples `look_back` is due at each given valve (K,)."""
         valves = self._record.valves[members]
-        return (valves[:, kernel.DUE] - valves[:, kernel.TAKEN]).astype(np.int64)
+        return np.asarray((valves[:, kernel.DUE] - valves[:, kernel.TAKEN]).astype(np.int64))
 
     def points(self, m: int) -> tuple[Floats, Floats, Floats]:
         """Return U, dp and T (P,) of the newest visit's first sample at each place of a valve."""
-        U, dp, T, _ = self._record.points[m][self._record.seen[m] > 0].astype(np.float64).T
+        points = self._record.points[m][self._record.seen[m] > 0].astype(np.float64)
+        U, dp, T = np.ascontiguousarray(points[:, : kernel.AT_Q].T)
         return U, dp, T
 
     def look_back(self, m: int, maps: Sequence[tuple[Floats, Floats] | None]) -> None:
@@ -194,6 +200,36 @@ class Places:
             if found is not None:
                 self._note_past(m, e, known, Q, errors[e], squares[e], found[1], least)
         self._rank(m)
+        self._diagnose(m, least)
+
+    def _diagnose(self, m: int, least: float) -> None:
+        """Explain the errors of each map at the places left.
+
+        Errors beyond the noise that another map does not have are misfit. The best map misfits,
+        too, if it predicted these places as badly before; else the valve has moved since.
+        """
+        lanes = self._record.lanes[m]
+        for e, lane in enumerate(lanes):
+            if lane[kernel.PAST_SQUARE] == 0.0:
+                lane[kernel.FIT] = Adaptation.UNDECIDED
+            elif lane[kernel.EXCESS] == 0.0:
+                lane[kernel.FIT] = Adaptation.STEADY
+            elif lane[kernel.PAST_SQUARE] > CLEARLY * least:
+                lane[kernel.FIT] = Adaptation.MISFIT
+            else:
+                place = self._record.places[m, e]
+                judged = place[:, kernel.JUDGED] > 0.0
+                again = float(place[judged, kernel.SQUARE].mean()) if judged.any() else 0.0
+                stays = again - lane[kernel.PAST_NOISE] > lane[kernel.EXCESS] / CLEARLY
+                lane[kernel.FIT] = Adaptation.MISFIT if stays else Adaptation.DRIFT
+
+    def fits(self, members: Times) -> Codes:
+        """Return what the errors say of the maps of the given valves, as `Adaptation`, (E, K)."""
+        return np.asarray(self._record.lanes[members, :, kernel.FIT].T.astype(np.uint8))
+
+    def errors(self, members: Times, e: int) -> Floats:
+        """Return the error of one estimator's maps at places left, without noise, l/min (K,)."""
+        return np.asarray(np.sqrt(self._record.lanes[members, e, kernel.EXCESS]))
 
     def _note_past(
         self,
@@ -218,7 +254,7 @@ class Places:
         quantile = float(np.partition(np.abs(errors), rank)[rank])
         tail = max(quantile / (kernel.GAUSSIAN * np.sqrt(square)), 1.0) if square > 0.0 else 1.0
         excess = max(excess, LATEST * float(lane[kernel.EXCESS]))
-        lane[kernel.PAST_SQUARE] = max(square, LATEST * lane[kernel.PAST_SQUARE])
+        lane[kernel.PAST_SQUARE] = max(square, LATEST * lane[kernel.PAST_SQUARE], EXACT)
         lane[kernel.PAST_NOISE], lane[kernel.EXCESS], lane[kernel.TAIL] = noise, excess, tail
         lane[kernel.LOST] = float(P >= FEWEST_PLACES and square > LOST * float(np.var(Q)))
         place = self._record.places[m, e]
@@ -289,7 +325,7 @@ class Places:
 
     def chosen(self, members: Times) -> Times:
         """Return the number of the recommended estimator of each given valve (K,); -1: none."""
-        return self._record.valves[members, kernel.CHOSEN].astype(np.int64)
+        return np.asarray(self._record.valves[members, kernel.CHOSEN].astype(np.int64))
 
     def of(self, m: int, e: int) -> MapErrors:
         """Return a copy of what one estimator's errors say of its map."""
@@ -311,19 +347,100 @@ class Places:
         if self._record.valves[m, kernel.CHOSEN] == e:
             self._record.valves[m, kernel.CHOSEN] = -1.0
 
+    def to_bytes(self, m: int, estimators: Mapping[str, str]) -> bytes:
+        """Pack the places of one valve; ``estimators`` are the names and hashes of its E lanes."""
+        arrays = {name: array[m] for name, array in self._record._asdict().items()}
+        return _Kept(**arrays, estimators=_named(estimators)).to_bytes(_KEY)
+
+    def from_bytes(self, m: int, data: bytes, estimators: Mapping[str, str]) -> None:
+        """Unpack the places of one valve; errors of other estimators are left out.
+
+        Raises
+        ------
+        StateMismatchError
+            if the bytes are damaged, or their content is invalid.
+        """
+        kept = _Kept.from_bytes(data, _KEY)
+        before = np.asarray(kept.estimators).tolist()
+        if not isinstance(before, list):
+            raise StateMismatchError("estimators is no list")
+        blank = Places(len(before), 1)
+        kept.check(
+            _Kept(
+                **{name: array[0] for name, array in blank.columns().items()},
+                estimators=kept.estimators,
+            )
+        )
+        record = self._record
+        for name in ("axes", "valves", "seen", "points"):
+            getattr(record, name)[m] = getattr(kept, name)
+        chosen = int(kept.valves[kernel.CHOSEN])
+        record.valves[m, kernel.CHOSEN] = -1.0
+        for e, name in enumerate(_named(estimators).tolist()):
+            self.forget(m, e)
+            if name in before:
+                row = before.index(name)
+                record.places[m, e], record.lanes[m, e] = kept.places[row], kept.lanes[row]
+                if row == chosen:
+                    record.valves[m, kernel.CHOSEN] = e
+
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return all arrays, each (M, …), not copied."""
         return self._record._asdict()
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the places of the given valves; the result writes the copies back."""
-        return saved(self._record, members)
+        return saved(self._record, members, buffer)
+
+
+_KEY: Final = "places 1"
+
+
+@dataclass(frozen=True)
+class _Kept(State):
+    """The places of one valve as stored in a checkpoint; ``estimators`` (E,) are named by hash."""
+
+    axes: Any
+    valves: Any
+    seen: Any
+    points: Any
+    places: Any
+    lanes: Any
+    estimators: Any
+
+    def contents(self) -> Mapping[str, Contents]:
+        """Return the permitted content."""
+        every = slice(None)
+        axes = Contents(self.axes)
+        axes.within(-kernel.LARGEST, kernel.LARGEST, (every, [kernel.LOW, kernel.HIGH]))
+        axes.within(kernel.NARROWEST_U, kernel.LARGEST, (every, kernel.WIDTH))
+        axes.or_infinite((every, [kernel.LOWER, kernel.HIGHER]))
+        valves = Contents(self.valves).within(0.0, _MOST)
+        valves.within(-kernel.LARGEST, kernel.LARGEST, kernel.MEAN_Q)
+        valves.within(0.0, 4.0 * kernel.LARGEST**2, kernel.VARIANCE_Q)
+        valves.within(-1.0, kernel.PLACES - 1.0, kernel.NOW)
+        valves.within(-1.0, len(self.lanes) - 1.0, kernel.CHOSEN)
+        points = Contents(self.points).or_nan((every, kernel.AT_T))
+        positive = every, every, [kernel.JUDGED, kernel.SQUARE, kernel.STD]
+        places = Contents(self.places).within(0.0, where=positive)
+        lanes = Contents(self.lanes).within(0.0).or_infinite((every, kernel.SCORE))
+        lanes.within(-kernel.LARGEST, kernel.LARGEST, (every, kernel.NEWEST))
+        lanes.within(1.0 / kernel.WIDEST, kernel.WIDEST, (every, kernel.MULTIPLE))
+        lanes.within(0.0, max(Adaptation), (every, kernel.FIT))
+        return {"axes": axes, "valves": valves, "points": points, "places": places, "lanes": lanes}
+
+
+_MOST: Final = 2.0**53  # largest count that a float represents exactly
+
+
+def _named(estimators: Mapping[str, str]) -> NDArray[np.str_]:
+    return np.array([f"{name} {key}" for name, key in estimators.items()], np.str_)
 
 
 def _no_errors() -> Floats:
     lane = np.zeros(kernel.OF_LANE)
     lane[[kernel.MULTIPLE, kernel.COVERED, kernel.TAIL]] = 1.0
-    lane[kernel.SCORE] = np.inf
+    lane[kernel.SCORE], lane[kernel.FIT] = np.inf, Adaptation.UNDECIDED
     return lane
 
 
@@ -334,7 +451,8 @@ def _clipped(errors: Floats) -> Floats:
         return squares
     of_all = np.median(np.nanmin(np.where(np.isfinite(squares), squares, np.inf), axis=0))
     of_each = np.median(squares, axis=1, keepdims=True)
-    return np.minimum(squares, np.fmax(OUTLYING_ALL * of_all, OUTLYING * of_each))
+    clipped: Floats = np.minimum(squares, np.fmax(OUTLYING_ALL * of_all, OUTLYING * of_each))
+    return clipped
 
 
 def _shown(past: Floats, noise: float, excess: float, tail: float) -> Floats:
@@ -356,4 +474,3 @@ def _sure(squares: Floats, best: int) -> float:
         return 0.5
     z = float(np.clip(steps.mean() / error, -8.0, 8.0))
     return 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
-

@@ -1,13 +1,20 @@
 """One valve: its plan, its state, and functions of both. Pure."""
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import chain
 from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 
-from valvemap.model.capabilities import Forgetful, PathDependent, ResidualStd
+from valvemap.model.capabilities import (
+    FindsCauses,
+    FitsInBursts,
+    Forgetful,
+    PathDependent,
+    ResidualStd,
+)
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import Estimator, State, StateMismatchError, Template, key_of
 from valvemap.model.extrapolation import U_range_of, trusted
@@ -24,10 +31,12 @@ from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import RULES, Alarm
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
+from valvemap.pipeline.meaning import Meaning
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.places import MapErrors
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.score import Score
+from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 AnyEstimator = Estimator[Any]
@@ -46,10 +55,10 @@ class ValvePlan:
 
     ``inverse`` names the estimator whose map is inverted; if ``follows``, the recommended one is,
     once there is one. ``references`` are estimators that are never recommended. ``map_Q`` (l/min)
-    and ``map_dp`` (bar) are the axes of the published table. ``feed_forward`` is None if the answer is never written to
-    the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is that of the sensors,
-    ``nodes`` are their names in messages about missing signals, ``alarms`` the rules of the alarms;
-    ``nameplate`` is published only.
+    and ``map_dp`` (bar) are the axes of the published table. ``feed_forward`` is None if the answer
+    is never written to the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is
+    that of the sensors, ``nodes`` are their names in messages about missing signals, ``alarms`` the
+    rules of the alarms; ``nameplate`` is published only; ``meaning`` is stored with the states.
     """
 
     name: str
@@ -65,6 +74,7 @@ class ValvePlan:
     nodes: Mapping[str, str] = field(default_factory=dict)
     alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
     nameplate: Nameplate = BLANK
+    meaning: Meaning | None = None
     follows: bool = False
     references: frozenset[str] = frozenset()
 
@@ -118,7 +128,7 @@ def nothing_seen(plan: ValvePlan) -> Support:
 
 def runs_interpreted(estimator: AnyEstimator) -> bool:
     """Whether an update takes milliseconds even if its kernels run interpreted."""
-    return not getattr(estimator, "fits_in_bursts", False)
+    return not isinstance(estimator, FitsInBursts)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
@@ -128,6 +138,23 @@ def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
     return survey(
         lane.estimator, lane.state, lane.spread, state.t, state.T, dp_max=dp_max, Q_max=Q_max
     )
+
+
+def findings_of(lane: Lane) -> tuple[Finding, ...]:
+    """Return the causes that an estimator finds in its samples; empty if it looks for none."""
+    if not isinstance(lane.estimator, FindsCauses):
+        return ()
+    return lane.estimator.findings(lane.state)
+
+
+def merged_findings(found: Iterable[tuple[Finding, ...]]) -> tuple[Finding, ...]:
+    """Return the findings of several estimators, each cause once, the likeliest first."""
+    best: dict[FindingCode, Finding] = {}
+    for finding in chain.from_iterable(found):
+        known = best.get(finding.code)
+        if known is None or finding.probability > known.probability:
+            best[finding.code] = finding
+    return tuple(sorted(best.values(), key=lambda one: (-one.probability, one.code)))
 
 
 def inverse_map(plan: ValvePlan, state: ValveState) -> Floats:
@@ -220,7 +247,6 @@ def predicted_measurement(
         # the spread of the residuals includes the misfit, and a std that is taken from them
         known = 0.0 * own if isinstance(lane.estimator, ResidualStd) else own
         half = lane.spread.half_width(U, dp, np.sqrt(known**2 + beyond))
-        half = np.maximum(half, TWO_SIDED_95 * std)  # of the map, at places left
     if isinstance(lane.estimator, PathDependent):  # U may come from either side
         up, down = (
             lane.estimator.predict_along(lane.state, U, dp, T, np.full_like(U, side))[0]

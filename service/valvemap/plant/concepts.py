@@ -249,12 +249,12 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "tags": "hi lo ll hh",
     },
     Concept.MACHINE: {
-        "en": "motor fan filter cooler heater gearbox bearing battery",
-        "de": "lufter kuhler heizung getriebe lager",
-        "fr": "moteur ventilateur filtre",
-        "es": "motor ventilador filtro",
-        "it": "motore ventola filtro",
-        "zh": "电机 过滤器 滤芯 风扇",
+        "en": "motor fan filter cooler heater gearbox bearing battery leak leakage",
+        "de": "lufter kuhler heizung getriebe lager leckage",
+        "fr": "moteur ventilateur filtre fuite",
+        "es": "motor ventilador filtro fuga",
+        "it": "motore ventola filtro perdita trafilamento",
+        "zh": "电机 过滤器 滤芯 风扇 泄漏",
         "tags": "",
     },
     Concept.STATUS: {

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.plant.law import Fit
+from valvemap.plant.law import LEAST_ROWS, Fit
 from valvemap.plant.roles import Role
 
 Floats = NDArray[np.float64]
@@ -37,6 +37,8 @@ PLATEAUS: Final[Mapping[Role, Plateau]] = {
     Role.Q: (1.0, 3_000.0, 0.5, 0.5),  # l/min
 }
 COEFFICIENT: Final[Plateau] = (0.3, 45.0, 0.5, 0.35)  # l/min/√bar, of the valve as far open as seen
+_MOVING, _MOVING_U = 0.3, 15.0  # share of U √Δp, and % of U, by which a valve moves
+_UNMOVED: Final = -6.0  # nats for a flow that does not move with it
 _VACUUM: Final = -2.0  # bar; a sensor's offset may be as low
 OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
 
@@ -108,6 +110,18 @@ def of_shut_valve(values: Mapping[Role, Floats]) -> float:
     if shut.sum() < _PER_SAMPLE:
         return 0.0
     return -5.0 if np.median(np.abs(Q[shut])) > _LEAKY * _top(Q) else 0.0
+
+
+def of_response(values: Mapping[Role, Floats], fit: Fit) -> float:
+    """Judge a flow that does not move by more than its noise while the valve does."""
+    U, dp = values[Role.U], pressure_drop(values)
+    good = np.isfinite(U) & np.isfinite(dp)
+    if fit.moves or good.sum() < LEAST_ROWS:
+        return 0.0
+    drive = U[good] * np.sqrt(np.abs(dp[good]))
+    low, high = np.quantile(drive, [0.1, 0.9])
+    moves = high - low > _MOVING * max(abs(low), abs(high)) and np.ptp(U[good]) > _MOVING_U
+    return _UNMOVED if moves else 0.0
 
 
 def of_law(fit: Fit) -> float:

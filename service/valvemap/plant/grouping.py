@@ -16,6 +16,7 @@ from valvemap.plant.names import concept_of, tokens
 from valvemap.plant.roles import Role
 from valvemap.plant.unit_texts import split_unit
 
+_OWN: Final = frozenset({Role.Q, Role.QB, Role.DP, Role.P1, Role.P2, Role.PA, Role.PB})
 PRESSURES: Final = frozenset({Role.P1, Role.P2, Role.PA, Role.PB})
 _KKS_VALVE = re.compile(r"(\d{0,2}[A-Z]{3}\d{2})(?:AA|C[PTFG])\d{3}")
 _SEPARATORS = re.compile(r'"?\.(?=["A-Za-z_\u4e00-\u9fff])"?|/|\\|:')
@@ -27,11 +28,15 @@ Key = Callable[[Candidate], Place]
 
 @dataclass(frozen=True)
 class Group:
-    """The variables of one valve: its own, and those it shares with others."""
+    """The variables of one valve: its own, and those it shares with others.
+
+    ``one_meter`` are the names of all valves whose flows one meter measures together.
+    """
 
     name: str
     own: tuple[Candidate, ...]
     shared: tuple[Candidate, ...] = ()
+    one_meter: tuple[str, ...] = ()
 
     @property
     def all(self) -> tuple[Candidate, ...]:
@@ -70,7 +75,7 @@ def _parted(
     pool = [one for own in groups.values() if not _has_command(own) for one in own]
     found = {}
     for place, own in groups.items():
-        if not _has_command(own):
+        if not _has_command(own) or not any(one.label.role in _OWN for one in own):
             continue
         shared = _nearest(own, pool)
         if _is_whole([*own, *shared]):
@@ -145,10 +150,17 @@ def _named(
     found: dict[Place, tuple[list[Candidate], list[Candidate]]], every: Sequence[Candidate]
 ) -> list[Group]:
     names = _short_names(list(found))
-    return [
-        Group(names[place], (*own, *_beside(own, every)), tuple(shared))
-        for place, (own, shared) in found.items()
-    ]
+    metered: dict[str, list[str]] = {}
+    for place, (_, shared) in found.items():
+        for one in shared:
+            if one.label.role is Role.Q:
+                metered.setdefault(one.node, []).append(names[place])
+    groups = []
+    for place, (own, shared) in found.items():
+        others = [v for one in shared if (v := metered.get(one.node, [])) and len(v) > 1]
+        together = tuple(others[0]) if others else ()
+        groups.append(Group(names[place], (*own, *_beside(own, every)), tuple(shared), together))
+    return groups
 
 
 def _beside(own: Sequence[Candidate], every: Sequence[Candidate]) -> list[Candidate]:

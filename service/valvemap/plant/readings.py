@@ -113,7 +113,7 @@ def readings(group: Group, record: Record, given: Given, rating: Rating) -> list
         for other in _with_mistakes(reading, record, given, rating)
     ]
     best = max(found[0].score, *(r.score for r in varied)) if varied else found[0].score
-    kept = [r for r in (*found, *varied) if r.score > best - _NEGLIGIBLE]
+    kept = [r for r in (*found, *varied) if r is found[0] or r.score > best - _NEGLIGIBLE]
     total = sum(exp(r.score - best) for r in kept)
     if not (given.nodes or given.scales):
         first = found[0]
@@ -248,6 +248,7 @@ def _judged(
         values[Role.U], evidence.pressure_drop(values), values[Role.Q], record.step_s
     )
     known[key] = tested
+    against["Q does not move with U"] = evidence.of_response(values, tested)
     score += evidence.of_law(tested) + sum(against.values())
     return Reading(
         nodes, chosen, score, tested, mistake, values, contradictions=against, prior=prior

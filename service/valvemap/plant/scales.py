@@ -26,6 +26,7 @@ _SPANS: Final = {
 }
 _COUNTS_FROM: Final = 1_000.0  # an integer beyond it is none of our units, except psi and kPa
 _CLOSE: Final = 0.02  # of a span
+_MOST_PERCENT: Final = 105.0  # of U
 _UNSTATED: Final = {
     Quantity.PRESSURE: {"bar": 0.8, "psi": 0.08, "MPa": 0.07, "kPa": 0.04, "Pa": 0.01},
     Quantity.FLOW: {"l/min": 0.7, "gpm": 0.12, "m³/h": 0.1, "l/s": 0.05, "cm³/s": 0.03},
@@ -75,18 +76,23 @@ def scales(
     electrical = [u for u in candidate.label.units if u.quantity is Quantity.ELECTRICAL]
     if _are_counts(candidate, values, units):
         return list(_of_counts(candidate, role, values, units))
-    if len(units) == 1:
-        return [Scale(Measure(unit=units[0]), 0.0, "unit as stated")]
+    if len(units) == 1 and _may_have_decimals(candidate, role, values):
+        return list(_of_decimals(units[0]))
     if units:
-        return [
-            Scale(Measure(unit=unit), log(1 / len(units)), "name and property differ in the unit")
-            for unit in units
-        ]
+        return list(_of_stated(units))
     if electrical:
         return list(_of_electrical(candidate, role, values, electrical[0]))
-    if role is Role.U:
-        return list(_of_command(candidate, values, assume=assume))
-    return list(_of_unstated(quantity, assume=assume))
+    return list(
+        _of_command(candidate, values, assume=assume)
+        if role is Role.U
+        else _of_unstated(quantity, assume=assume)
+    )
+
+
+def _of_stated(units: Sequence[Unit]) -> Iterator[Scale]:
+    reason = "unit as stated" if len(units) == 1 else "name and property differ in the unit"
+    for unit in units:
+        yield Scale(Measure(unit=unit), log(1 / len(units)), reason)
 
 
 def _largest(values: Floats) -> float:
@@ -103,6 +109,21 @@ def _are_counts(candidate: Candidate, values: Floats, units: Sequence[Unit]) -> 
         low, high = candidate.bounds
         return top > 2.0 * max(abs(low), abs(high))
     return not units and top > _COUNTS_FROM
+
+
+def _may_have_decimals(candidate: Candidate, role: Role, values: Floats) -> bool:
+    """Whether an integer without a range may be in tenths or hundredths of its unit."""
+    if candidate.largest is None or candidate.bounds is not None:
+        return False
+    return role is not Role.U or _largest(values) > _MOST_PERCENT
+
+
+def _of_decimals(unit: Unit) -> Iterator[Scale]:
+    yield Scale(Measure(unit=unit), log(0.85), "unit as stated", stated=False)
+    for raw, share in ((1_000.0, 0.1), (10_000.0, 0.05)):
+        measure = Measure(None, unit, (0.0, raw), (0.0, 100.0))
+        parts = f"{raw / 100:g}ths"
+        yield Scale(measure, log(share), f"an integer in {parts} of its unit", stated=False)
 
 
 def _of_counts(

@@ -78,6 +78,8 @@ def judge(
         return Verdict(group.name, None, Question("no reading of its signals fits"), others)
     best = found[0]
     least_U = 0.0 if _is_directional(group) else None
+    if group.one_meter and Role.Q not in given.nodes and Role.Q in best.nodes:
+        return Verdict(group.name, best, _one_meter(group, best), others, least_U)
     if best.missing:
         return Verdict(group.name, best, _missing(group, best), others)
     if best.probability >= ACCEPTED and not best.mistake:
@@ -183,6 +185,16 @@ def _missing(group: Group, best: Reading) -> Question:
         there = f" ({'; '.join(instead[:3])})" if instead else ""
         parts.append(f"{role}: no node was found{there}")
     return Question("; ".join(parts))
+
+
+def _one_meter(group: Group, best: Reading) -> Question:
+    """Ask about a meter that measures several valves together."""
+    valves = ", ".join(group.one_meter)
+    about = f"Q: one meter for the valves {valves}, whose flows add up in it"
+    consequence = "right only if the other valves stay shut, or have another meter"
+    answers = tuple(a for role in best.nodes for a in _answers(group.name, role, best))
+    own = Option("it measures this valve alone", consequence, answers, best.probability)
+    return Question(about, (own,))
 
 
 def _is_directional(group: Group) -> bool:

@@ -31,7 +31,11 @@ class Figures(Protocol):
         """Samples that count."""
 
 
-def verification_table(title: str, scores: Mapping[str, Mapping[str, Figures]]) -> Table:
+def verification_table(
+    title: str,
+    scores: Mapping[str, Mapping[str, Figures]],
+    again: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
     """Table of valves and their estimators × figures, for a terminal.
 
     Parameters
@@ -40,6 +44,8 @@ def verification_table(title: str, scores: Mapping[str, Mapping[str, Figures]]) 
         What was compared with what.
     scores
         Valve → estimator → its figures, shown in this order.
+    again
+        Valve → estimator → its error at places visited again, l/min; None: no such column.
 
     Examples
     --------
@@ -53,6 +59,8 @@ def verification_table(title: str, scores: Mapping[str, Mapping[str, Figures]]) 
     table = Table(title=title, title_justify="left")
     for heading in ("Valve", "Estimator"):
         table.add_column(heading)
+    if again is not None:
+        table.add_column("again\nl/min", justify="right")
     for heading in ("RMSE\nl/min", "NRMSE\n% of range", "max |e|\nl/min", "R²", "samples"):
         table.add_column(heading, justify="right")
     for valve, estimators in scores.items():
@@ -60,6 +68,7 @@ def verification_table(title: str, scores: Mapping[str, Mapping[str, Figures]]) 
             table.add_row(
                 valve if i == 0 else "",
                 estimator,
+                *([] if again is None else [_figure(again[valve][estimator])]),
                 _figure(figures.rmse),
                 _figure(100 * figures.nrmse),
                 _figure(figures.max_abs),

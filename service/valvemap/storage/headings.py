@@ -107,7 +107,13 @@ def _candidate(heading: str, values: Floats) -> Candidate:
     unit = inside(QUANTITY_OF[plain]) if plain is not None else None
     good = values[np.isfinite(values)]
     top = float(np.abs(good).max(initial=0.0))
-    whole = bool(len(good)) and bool((good == np.round(good)).all()) and top > _COUNTS_FROM
+    is_stated = unit is not None or split_unit(heading)[1] is not None
+    whole = (
+        not is_stated
+        and bool(len(good))
+        and bool((good == np.round(good)).all())
+        and top > _COUNTS_FROM
+    )
     largest = next((most for most in _INTEGER_TYPES if top <= most), None) if whole else None
     return Candidate(heading, (heading,), unit, largest=largest)
 

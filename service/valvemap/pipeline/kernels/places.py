@@ -23,18 +23,21 @@ JUDGED, SQUARE, PAST, STD = range(4)
 OF_PLACE = 4
 ENTRIES, LOSS, LOSS_MEAN, SKILLED = range(4)
 NEWEST, NOISE, NOISE_N, MULTIPLE, COVERED, COVERED_N = range(4, 10)
-PAST_SQUARE, PAST_NOISE, EXCESS, TAIL, LOST, SCORE = range(10, 16)
-OF_LANE = 16
+PAST_SQUARE, PAST_NOISE, EXCESS, TAIL, LOST, SCORE, FIT = range(10, 17)
+OF_LANE = 17
 
 NARROWEST_U, NARROWEST_S, NARROWEST_T = 2.0**-8, 2.0**-8, 1.0  # %, √bar, °C; resolution of sensors
 LARGEST = 1e9  # % and √bar; a larger value is no place
 AWAY = 16  # samples; a place that was left for longer is visited again
 VISIT = 32  # samples of a visit that are judged: estimators copy their map as often
-MEMORY_Q = 8192.0  # samples; memory of the mean flow, once there are as many
+MEMORY_Q = 65536.0  # samples; memory of the mean flow, once there are as many
 RECENT = 3.0  # values; an average is over about the newest 1/(1 + RECENT) of them
 MOST_JUDGED, MOST_ENTRIES = 4096.0, 2048.0  # samples at a place, and visits: longest memories
 ENOUGH = 10.0  # visits before an estimator is compared with the mean flow
 BETTER = 0.5  # share of the mean flow's squared error that a map may have at most
+CERTAIN = 4.0  # standard errors by which the map must be better: it is judged at every visit
+LOG_VARIANCE = 2.0 * (1.0 + RECENT) ** 2 / (1.0 + 2.0 * RECENT)  # of a mean square, times visits
+FEW = 3.0  # samples; with more, an outlier of the flow is clipped
 SPIKE_Q, SPIKE = 16.0, 25.0  # times the variance of Q, and the expected square; larger: clipped
 GAUSSIAN = 1.959963984540054
 WIDEST = 3.0  # times; most that an interval is widened because it held too seldom
@@ -68,13 +71,14 @@ class Record(NamedTuple):
     places : (M, E, places, 4)
         Number of judged samples and their mean squared error; error of the newest map at the
         place's point, and the standard deviation published there.
-    lanes : (M, E, 16)
+    lanes : (M, E, 17)
         Number of visits, clipped mean square of map and mean flow, whether the map predicts better;
         residual of the last sample, noise variance from successive residuals and its number;
         multiple of the interval that holds 95 % of new visits, the share within it, and its number;
         mean squared error of the newest maps at all points, the noise in it, and the rest; 95 %
         quantile over the Gaussian one; whether the newest map is worse there than the mean flow;
-        the error by which the estimators are ranked, l/min.
+        the error by which the estimators are ranked, l/min; what the errors say of the map, as an
+        `Adaptation`.
     """
 
     axes: Floats
@@ -139,7 +143,9 @@ def learn(
                 if c >= 0 and (said <= _UNEXCITED or said == _FROZEN):
                     place, error = record.places[m, e, c], residual[e, i]
                     if abs(error) < LARGEST:
-                        _note_noise(error, stays, lane)
+                        if stays:
+                            _note_noise(error - lane[NEWEST], lane)
+                        lane[NEWEST] = error
                     if entered and abs(error) < LARGEST:
                         _compare(error * error, off * off, spread, lane)
                         if valve[KIND] > 0.0:
@@ -155,9 +161,15 @@ def _note_flow(Q: float, valve: Floats) -> float:
     """Add a flow to its mean and variance; return its difference from the mean before."""
     off = Q - valve[MEAN_Q] if valve[COUNT] > 0.0 else 0.0
     valve[COUNT] += 1.0
-    share = 1.0 / min(valve[COUNT], MEMORY_Q)
-    valve[MEAN_Q] = valve[MEAN_Q] + share * off if valve[COUNT] > 1.0 else Q
-    valve[VARIANCE_Q] += share * ((1.0 - share) * off * off - valve[VARIANCE_Q])
+    if valve[COUNT] <= 1.0:
+        valve[MEAN_Q] = Q
+        return 0.0
+    share, step = _share(min(valve[COUNT], MEMORY_Q)), off
+    if valve[COUNT] > FEW and valve[VARIANCE_Q] > 0.0:
+        most = np.sqrt(SPIKE_Q * valve[VARIANCE_Q])
+        step = min(max(off, -most), most)
+    valve[MEAN_Q] += share * step
+    valve[VARIANCE_Q] += share * ((1.0 - share) * step * step - valve[VARIANCE_Q])
     return float(off)
 
 
@@ -190,15 +202,13 @@ def _of_map(lane: Floats) -> int:
 
 
 @inner
-def _note_noise(error: float, stays: bool, lane: Floats) -> None:
+def _note_noise(step: float, lane: Floats) -> None:
     """Estimate the noise from the difference of successive residuals at one place."""
-    if stays:
-        step = (error - lane[NEWEST]) ** 2 / 2.0
-        if lane[NOISE_N] > ENOUGH:
-            step = min(step, SPIKE * lane[NOISE])
-        lane[NOISE_N] = min(lane[NOISE_N] + 1.0, NOISE_MEMORY)
-        lane[NOISE] += (step - lane[NOISE]) / lane[NOISE_N]
-    lane[NEWEST] = error
+    square = step * step / 2.0
+    if lane[NOISE_N] > ENOUGH:
+        square = min(square, SPIKE * lane[NOISE])
+    lane[NOISE_N] = min(lane[NOISE_N] + 1.0, NOISE_MEMORY)
+    lane[NOISE] += (square - lane[NOISE]) / lane[NOISE_N]
 
 
 @inner
@@ -211,8 +221,10 @@ def _compare(square: float, off: float, spread: float, lane: Floats) -> None:
     share = _share(lane[ENTRIES])
     lane[LOSS] += share * (min(square, most) - lane[LOSS])
     lane[LOSS_MEAN] += share * (min(off, most) - lane[LOSS_MEAN])
-    if lane[ENTRIES] >= ENOUGH and lane[LOSS] < BETTER * lane[LOSS_MEAN]:
-        lane[SKILLED] = 1.0
+    if lane[ENTRIES] >= ENOUGH:
+        error = CERTAIN * np.sqrt(2.0 * LOG_VARIANCE / lane[ENTRIES])  # of the ratio's logarithm
+        if lane[LOSS] < min(BETTER, np.exp(-error)) * lane[LOSS_MEAN]:
+            lane[SKILLED] = 1.0
 
 
 @inner
