@@ -329,9 +329,9 @@ def test_the_clock_that_goes_back_raises_nothing(known):
     assert active(known) == []
 
 
-def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
+def test_the_service_watches_its_checkpoints_its_certificate_its_load_and_its_history():
     alarms = ServiceAlarms()
-    checkpoint, certificate, load = OF_SERVE
+    checkpoint, certificate, load, history = OF_SERVE
     alarms.note(START, {checkpoint: 10.0, certificate: -400.0, load: 0.2})
     alarms.note(START + S, {checkpoint: 70.0, certificate: -29.0, load: 0.95})
     assert [r.name for r in alarms.reports() if r.active] == ["Checkpoint", "Certificate"]
@@ -339,6 +339,11 @@ def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
     alarms.note(START + 40 * S, {checkpoint: 1.0, certificate: np.nan, load: 0.95})
     assert [r.name for r in alarms.reports() if r.active] == ["Certificate", "Load"]
     assert alarms.acknowledge("Load", said_at(41, "busy"))
+    alarms.note(START + 41 * S, {history: 12.0})
+    assert "The history was not saved for 12.0 s" in alarms.reports()[3].text
+    alarms.note(START + 42 * S, {history: 0.0})
+    alarms.note(START + 43 * S, {history: np.inf})
+    assert alarms.reports()[3].text.startswith("Rows of the history were lost")
     again = ServiceAlarms()
     again.from_bytes(alarms.to_bytes())
     assert again.reports() == alarms.reports()

@@ -121,6 +121,10 @@ class FakeStore:
     kept: list = field(default_factory=list)
     size: int = 0
     damaged: tuple = ()
+    aside: list = field(default_factory=list)
+
+    def put_aside(self, aside, moved):
+        self.aside += aside
 
     def save(self, checkpoints):
         self.kept = list(checkpoints)

@@ -6,13 +6,15 @@ from typing import Any, Final, TypeVar
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
 from valvemap.config.models import RECOMMENDED, Config, GateConfig, NodesConfig, ValveConfig
-from valvemap.config.signals import SignalsConfig
+from valvemap.config.signals import SignalConfig, SignalsConfig
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.quality_gate import SENSORS, QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.units import MEASURED, READ, Measure
@@ -85,7 +87,27 @@ def build_timing(config: Config) -> Timing | None:
 def build_plans(config: Config) -> list[ValvePlan]:
     """Return a plan per valve; objects of equal configuration are created once and shared."""
     shared = _Shared()
-    return [_plan(valve, shared) for valve in config.valves]
+    return [_plan(config, valve, shared) for valve in config.valves]
+
+
+def meaning_of(
+    config: Config, valve: ValveConfig, estimators: Mapping[str, Estimator[Any]]
+) -> Meaning:
+    """Return what a valve's signals mean: it is stored with the states learnt from them."""
+    lam = {name: one.lam for name, one in estimators.items() if isinstance(one, Forgetful)}
+    signals: dict[str, SignalMeaning] = {}
+    for name in READ:
+        source = valve.nodes.source_of(name)
+        node = valve.nodes.of(source)
+        if node is not None and name in MEASURED:
+            given: SignalConfig = getattr(valve.signals, source)
+            scaling, limit = given.measure(source).scaling(source), given.error_limit(source)
+            signals[name] = SignalMeaning(
+                node, given.in_words(source), scaling.gain, scaling.offset, limit
+            )
+        elif node is not None:
+            signals[name] = SignalMeaning(node)
+    return Meaning(config.source_of(valve).url, signals, lam)
 
 
 def build_layout(config: Config) -> Layout:
@@ -116,7 +138,7 @@ class _Shared:
         return found
 
 
-def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
+def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
     estimators: dict[str, Estimator[Any]] = {
         e.name: shared(build_estimator, e, *ranges) for e in valve.estimators
@@ -137,6 +159,7 @@ def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
         nameplate=valve.identification.nameplate(valve.name),
         nodes=_labels(valve.nodes),
         accuracy=shared(_accuracy, valve.signals, valve.nodes.dp is not None),
+        meaning=meaning_of(config, valve, estimators),
     )
 
 

@@ -72,6 +72,22 @@ class SignalConfig(Section):
             unit = inside(QUANTITY_OF[signal])  # the configured unit is that of raw
         return Measure(self.column, unit, self.raw, self.range)
 
+    def in_words(self, signal: str) -> str:
+        """Return unit and scaling in words.
+
+        >>> SignalConfig(unit="mA", raw=(4, 20), range=(0, 100)).in_words("U")
+        '[4, 20] mA for [0, 100] %'
+        """
+        measure = self.measure(signal)
+        unit = (measure.unit or inside(QUANTITY_OF[signal])).symbol
+        if self.raw is None or self.range is None:
+            return unit
+        known = self.known_unit
+        raw = known.symbol if known is not None and known.quantity is Quantity.ELECTRICAL else "raw"
+        low, high = self.raw
+        least, most = self.range
+        return f"[{low:g}, {high:g}] {raw} for [{least:g}, {most:g}] {unit}"
+
     def error_limit(self, signal: str) -> float:
         """Return the limit ± of the sensor's error, in the internal unit."""
         unit = self.measure(signal).unit or inside(QUANTITY_OF[signal])

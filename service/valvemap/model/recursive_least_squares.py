@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from valvemap.model.change import Change
 from valvemap.model.fleet import learn_many, member, update_one
+from valvemap.model.flow_units import Powers
 from valvemap.model.forgetting import (
     Adaptive,
     Exponential,
@@ -24,6 +25,7 @@ from valvemap.model.kernels.rules import LARGEST
 from valvemap.model.least_squares_state import (
     RlsState,
     adaptations,
+    flow_powers,
     information,
     initial_state,
     is_determined,
@@ -179,6 +181,11 @@ class RecursiveLeastSquares:
     def information(self, state: RlsState) -> Floats:
         """P⁻¹ (n, n); singular while theta is not determined."""
         return information(state)
+
+    def flow_powers(self, state: RlsState) -> Powers | None:
+        """Return the powers of Q of a state's values; None with a prior in units of Q."""
+        has_prior = isinstance(self.structure, StructureWithPrior) or np.isfinite(self.p0)
+        return None if has_prior else flow_powers(state)
 
     @property
     def finds_changes(self) -> bool:

@@ -88,6 +88,7 @@ _RULES_OF_SERVICE: Mapping[ServiceAlarm, AlarmRule] = {
     ServiceAlarm.CERTIFICATE: AlarmRule(limit=30.0, hysteresis=0.0, delay_s=0.0, severity=500),
     ServiceAlarm.LOAD: AlarmRule(limit=0.9, hysteresis=0.2, delay_s=30.0, severity=600),
     ServiceAlarm.MESSAGES_REJECTED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=0.0, severity=600),
+    ServiceAlarm.HISTORY: AlarmRule(limit=10.0, hysteresis=0.0, delay_s=0.0, severity=500),
 }
 SERVICE_RULES = {alarm: _RULES_OF_SERVICE[alarm] for alarm in OF_SERVE}
 FLEET_RULES = {alarm: _RULES_OF_SERVICE[alarm] for alarm in OF_FLEET}

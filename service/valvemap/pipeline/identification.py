@@ -4,6 +4,7 @@ The live service and the replay of recordings both use this object; it reads no 
 I/O.
 """
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
@@ -38,6 +39,7 @@ from valvemap.pipeline.ports import (
     ValveDescription,
     ValveResult,
 )
+from valvemap.pipeline.provenance import Reviewed
 from valvemap.pipeline.recommendation import Recommendation
 from valvemap.pipeline.result_tables import ResultTables, descriptions
 from valvemap.pipeline.sample_intake import SampleIntake
@@ -330,10 +332,15 @@ class Identification:
 
     @changes_state
     def watch_service(
-        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+        self,
+        now: int,
+        checkpoint_age_s: float,
+        days_left: float,
+        load: float,
+        history_waits_s: float = math.nan,
     ) -> tuple[AlarmReport, ...]:
-        """Update the service's alarms: age of the checkpoints, certificate, load."""
-        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load)
+        """Update the service's alarms: age of the checkpoints, certificate, load, history."""
+        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load, history_waits_s)
 
     @changes_state
     def arm(self, valve: str) -> None:
@@ -369,6 +376,10 @@ class Identification:
     def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return the state beside the estimators as bytes, of the given valves or of all."""
         return self._kept.memories(valves)
+
+    def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
+        """Compare stored checkpoints with the configuration, see :func:`provenance.review`."""
+        return self._kept.review(stored)
 
     @changes_state
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:

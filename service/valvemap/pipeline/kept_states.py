@@ -13,17 +13,20 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.provenance import (
+    ALARMS,
+    BASELINE,
+    MEMORY,
+    PLACES,
+    TIMING,
+    Reviewed,
+    review,
+)
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import TimingSettings, TimingState
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
-
-MEMORY = "Diagnostics"  # a valve's state beside its estimators; no estimator has this name
-TIMING = "Signals"  # how its signals are stamped; likewise
-BASELINE = "Baseline"  # its approved map; likewise
-ALARMS = "Alarms"  # the state of its alarms; likewise
-PLACES = "Recommended"  # the errors of its estimators' maps at places; likewise
 
 
 class KeptStates:
@@ -54,6 +57,9 @@ class KeptStates:
         self._maps = maps
         self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # by fleet, has T, has numbers
         self._timing_keys: dict[int, str] = {}  # both cached on first use: 0.5 ms each
+        self._meanings = [
+            "" if plan.meaning is None else plan.meaning.to_text() for plan in valves.plans
+        ]
 
     def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return `checkpoints` and `memories` of the given valves, or of all."""
@@ -63,6 +69,10 @@ class KeptStates:
             estimators += self._checkpoints_of(valve, state)
             beside += self._memories_of(valve, state)
         return [*estimators, *beside, *self._of_service()]
+
+    def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
+        """Return stored checkpoints in the terms of the present configuration."""
+        return review(stored, self._valves.plans, self._arrivals.alignment)
 
     def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return every estimator's state as bytes, of the given valves or of all."""
@@ -129,6 +139,7 @@ class KeptStates:
                 state=valve_state.lane_to_bytes(lane, keys[name]),
                 lam=lane.lam,
                 frozen=lane.frozen,
+                meaning=self._meanings[valve],
             )
             for name, lane in state.lanes.items()
         ]
@@ -146,7 +157,7 @@ class KeptStates:
             found.append(_beside(name, TIMING, timing.to_bytes(key), state.t, key))
         if self._approved.counts[valve]:
             found.append(self._baseline_of(valve))
-        return found
+        return [replace(one, meaning=self._meanings[valve]) for one in found]
 
     def _of_service(self) -> list[Checkpoint]:
         alarms = self._alarms.of_service

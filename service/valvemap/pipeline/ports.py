@@ -596,6 +596,21 @@ class CheckpointStore(Protocol):
     def load(self) -> Sequence["Checkpoint"]:
         """Return the newest checkpoint of each (valve, estimator)."""
 
+    def put_aside(
+        self,
+        aside: Sequence[tuple["Checkpoint", str]],
+        moved: Mapping[tuple[str, str], tuple[str, str]],
+    ) -> None:
+        """Keep checkpoints that are not restored, each with its reason, and rename others.
+
+        ``moved`` maps (valve, estimator) to its new name.
+
+        Raises
+        ------
+        StorageError
+            naming the file.
+        """
+
     @property
     def size(self) -> int:
         """Size in bytes."""
@@ -607,7 +622,11 @@ class CheckpointStore(Protocol):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """One estimator's state as bytes, and the operator's settings."""
+    """One estimator's state as bytes, and the operator's settings.
+
+    ``meaning`` is that of the valve's signals, see :class:`valvemap.pipeline.meaning.Meaning`;
+    empty: unknown.
+    """
 
     valve: str
     estimator: str
@@ -616,6 +635,7 @@ class Checkpoint:
     state: bytes
     lam: float | None
     frozen: bool
+    meaning: str = ""
 
 
 @dataclass(frozen=True)
@@ -644,18 +664,14 @@ class Past:
 
 
 class PastStore(Protocol):
-    """Stores and returns the history of signals and results; from any thread, one at a time.
+    """Stores and returns the history of signals and results; from any thread, one at a time."""
 
-    Attributes
-    ----------
-    lost : int
-        Rows lost by damage to the file.
-    """
-
-    lost: int
+    @property
+    def lost(self) -> int:
+        """Rows lost by damage to the file, or because others of their time are stored."""
 
     def save(self, pieces: Iterable[Piece]) -> int:
-        """Save all pieces or none; return the number of values skipped as not newer.
+        """Save all pieces or none; return the number of values skipped as stored already.
 
         Raises
         ------
@@ -663,8 +679,8 @@ class PastStore(Protocol):
             naming the file.
         """
 
-    def forget(self, now: int) -> int:
-        """Drop blocks too old at ``now`` (UTC ns) or over the size limit; return their number."""
+    def forget(self) -> int:
+        """Drop blocks that are too old or over the size limit; return their number."""
 
     def read(
         self,

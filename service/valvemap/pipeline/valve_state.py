@@ -25,6 +25,7 @@ from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import RULES, Alarm
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
+from valvemap.pipeline.meaning import Meaning
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.places import MapErrors
 from valvemap.pipeline.quality_gate import GateState, QualityGate
@@ -51,7 +52,7 @@ class ValvePlan:
     and ``map_dp`` (bar) are the axes of the published table. ``feed_forward`` is None if the answer
     is never written to the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is
     that of the sensors, ``nodes`` are their names in messages about missing signals, ``alarms`` the
-    rules of the alarms; ``nameplate`` is published only.
+    rules of the alarms; ``nameplate`` is published only; ``meaning`` is stored with the states.
     """
 
     name: str
@@ -67,6 +68,7 @@ class ValvePlan:
     nodes: Mapping[str, str] = field(default_factory=dict)
     alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
     nameplate: Nameplate = BLANK
+    meaning: Meaning | None = None
     follows: bool = False
     references: frozenset[str] = frozenset()
 
