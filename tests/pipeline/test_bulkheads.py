@@ -68,7 +68,7 @@ class Past:
     def take_notes(self):
         return []
 
-    def forget(self, now):
+    def forget(self):
         pass
 
     def rows(self, valve):

@@ -274,7 +274,7 @@ class _Learnt:
         """Return each estimator's error at places visited again, and the recommended one."""
         ranking, names = self._fleet.rank_now(0), list(self.plan.estimators)
         errors = np.where(np.isfinite(ranking.errors), ranking.errors, np.nan)
-        found = recommendation(ranking, names, self._fleet.inverse(0), None)
+        found = recommendation(ranking, names, self._fleet.inverse(0))
         return dict(zip(names, errors.tolist(), strict=True)), found
 
     @property

@@ -7,14 +7,14 @@ call each gates, estimates and scores a batch for any number of valves; one valv
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.capabilities import FindsLags, finds_changes
+from valvemap.model.capabilities import FindsCauses, FindsLags, finds_changes
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarms import Alarms
@@ -41,8 +41,11 @@ from valvemap.pipeline.valve_state import (
     Lane,
     ValvePlan,
     ValveState,
+    findings_of,
+    merged_findings,
     nothing_seen,
 )
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 MISFIT_EVERY_NS = 10_000_000_000  # interval at which the adaptation status is polled: it is slow
@@ -84,7 +87,6 @@ class Fleet:
         self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
         self._keys = tuple((name, key_of(one)) for name, one in plan.estimators.items())
-        self._places_key = f"places {key_of(_Compared(self._keys))}"
         self._gate = plan.gate.initial_state(M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
         self._lanes = {
@@ -100,6 +102,7 @@ class Fleet:
         names = [plan.inverse, *plan.estimators]
         self._finder = next((n for n in names if finds_changes(plan.estimators[n])), None)
         self._laggard = next((n for n in names if isinstance(plan.estimators[n], FindsLags)), None)
+        self._finders = [n for n, one in plan.estimators.items() if isinstance(one, FindsCauses)]
         self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
@@ -393,9 +396,14 @@ class Fleet:
         """
         self._places.from_bytes(m, data, dict(self._keys))
 
-    def forget_errors(self, m: int, name: str) -> None:
-        """Forget the errors of one estimator's map, after its reset."""
-        self._places.forget(m, list(self._lanes).index(name))
+    def findings(self, m: int) -> tuple[Finding, ...]:
+        """Return the causes that the running estimators of one valve find, the likeliest first."""
+        running = [name for name in self._finders if not self.has_failed(m, name)]
+        return merged_findings(findings_of(self._lanes[name].get(m)) for name in running)
+
+    def reset_errors(self, m: int, name: str) -> None:
+        """Reset the errors of one estimator's map, after its reset."""
+        self._places.reset(m, list(self._lanes).index(name))
 
     def put(self, m: int, name: str, lane: Lane) -> None:
         """Replace a lane; its estimator must be the plan's, except for ``lam``."""
@@ -471,14 +479,17 @@ class Fleet:
         names = tuple(valves)
         return [
             Columns(self._key, names, {**gate, **own, "demand": self._demand}),
-            Columns(self._places_key, names, self._places.columns()),
+            Columns("places", names, self._places.columns_of_valves()),
             Columns("alarms", names, {**self.alarms.columns(), "misfit_due": self._misfit_due}),
-            *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
+            *(
+                lanes.columns(name, names, self._places.columns_of_lane(e))
+                for e, (name, lanes) in enumerate(self._lanes.items())
+            ),
         ]
 
     def take_up(self, written: Sequence[Columns]) -> None:
         """Update the fleet after the arrays of `columns` were written to."""
-        _, _, _, *of_lanes = written
+        of_lanes = written[len(written) - len(self._lanes) :]
         for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
             lanes.take_up(columns.arrays)
         for m in range(len(self._t)):
@@ -490,13 +501,6 @@ class Fleet:
         too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
         failed = self.alarms.failures()
         return np.column_stack((self._gate.counts(), beyond, too_fast, failed))
-
-
-@dataclass(frozen=True)
-class _Compared:
-    """The estimators that a valve's places are bound to, in order: names and hashes."""
-
-    estimators: tuple[tuple[str, str], ...]
 
 
 def _nothing_saved(_: Times) -> Restore:

@@ -223,7 +223,7 @@ class KeptStates:
         fleet.places_from_bytes(m, kept.state)
         for name in fleet.plan.estimators:
             if not fleet.lane(m, name).t:  # the estimator was reset
-                fleet.forget_errors(m, name)
+                fleet.reset_errors(m, name)
 
     def _number(self, kept: Checkpoint) -> int:
         number = self._valves.numbers.get(kept.valve)

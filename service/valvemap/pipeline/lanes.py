@@ -135,8 +135,10 @@ class Lanes:
         lane = self.get(m)
         return lane.estimator.predict(lane.state, U, dp, T)
 
-    def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
-        """Return the state of all lanes as named arrays over valves."""
+    def columns(
+        self, name: str, valves: tuple[str, ...], beside: Mapping[str, NDArray[Any]]
+    ) -> Columns:
+        """Return the state of all lanes as named arrays over valves, with those ``beside``."""
         spread = self._spread
         return Columns(
             f"{name} {self._key}",
@@ -150,6 +152,7 @@ class Lanes:
                 "ages": spread.ages,
                 "overall": spread.overall,
                 **self._rests.columns(),
+                **beside,
                 "beyond": self.beyond,
                 "frozen": self._frozen,
                 "lam": self._lam,

@@ -123,9 +123,8 @@ class ResultTables:
     def recommendation(self, valve: int) -> Recommendation:
         """Return which estimator of one valve is recommended, and why."""
         fleet, m = self._valves.at(valve)
-        inverse = fleet.inverse(m)
-        survey = self._maps.surveys[valve].get(inverse)
-        return recommendation(fleet.ranking(m), list(fleet.plan.estimators), inverse, survey)
+        names = list(fleet.plan.estimators)
+        return recommendation(fleet.ranking(m), names, fleet.inverse(m))
 
     def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
         """Results of the given valves; stopped valves are separate, and all if one raises."""
@@ -200,7 +199,7 @@ class ResultTables:
             signals=self._intake.signals(valves, at_best),
             baselines=[self._approved.of(int(valve)) for valve in valves],
             recommended=[self.recommendation(int(valve)) for valve in valves],
-            findings=[self._maps.findings(int(valve)) for valve in valves],
+            findings=[fleet.findings(m) for m in places.tolist()],
             alarms=AlarmResults(
                 self._alarms_base + fleet.alarms.version[places],
                 lambda m: fleet.alarms.reports(int(places[m])),
