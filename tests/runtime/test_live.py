@@ -14,7 +14,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Command
-from valvemap.pipeline.provenance import ALARMS, MEMORY
+from valvemap.pipeline.provenance import ALARMS, MEMORY, PLACES
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.publishing_turns import VALVES_AT_ONCE
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
@@ -280,7 +280,7 @@ async def test_states_are_kept_at_their_interval(live, store, clock):
     clock.advance(10.0)
     await live.tick()
     await live.settle()
-    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY, ALARMS]
+    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY, ALARMS, PLACES]
 
 
 def a_disk_that_takes(store, clock, seconds):
