@@ -61,7 +61,7 @@ READ = {
 def valves(waits=None):
     estimators = {"RLS": RecursiveLeastSquares(), "Auto": Auto()}
     plans = [ValvePlan(name, QualityGate(), estimators, "Auto") for name in ("V", "W")]
-    align = Alignment(AlignmentSettings(), has_T=(True,) * 2, has_sequence=(True,) * 2)
+    align = Alignment(AlignmentSettings(), optional=(("T",),) * 2, has_sequence=(True,) * 2)
     return Identification(plans, align, waits=waits)
 
 

@@ -550,14 +550,14 @@ async def test_a_slow_disk_holds_nothing_up(live, store, clock):
 @pytest.fixture
 def starting(plan, source, sink, store, clock):
     """A service whose second estimator waits for the compiler."""
-    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
     waits = list(plan.estimators)[1:]
     preview = Identification([plan], align, waits=waits)
     return LiveService(preview, source, sink, store, clock, LiveSettings())
 
 
 def whole(plan):
-    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
     return Identification([plan], align)
 
 
