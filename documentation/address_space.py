@@ -25,8 +25,12 @@ names those that have a node where not all do. Ids and paths never change. Below
 `Identification` and `DeviceHealth` have BrowseNames of Devices and Machinery, and the valves are
 below `Objects/DeviceSet` as well, see [devices](../devices.md).
 
-A result's SourceTimestamp is that of the sample behind it. Uncertain is what rests on poor
-excitation, Bad what rests on a lost sensor; a stale value is never Good.
+A result's SourceTimestamp is that of the sample behind it. A result is Uncertain if the samples do
+not determine it well (excitation), Bad if a sensor is lost; a stale value is never Good. Without a
+sample for `alignment.stale_after_s` (default 2 s), results are Bad.
+
+`Predict`, `PredictMeasurement`, `Invert` and `Compare` need the role Observer. All other methods
+and the writable variables need the role Operator.
 """
 
 

@@ -1,8 +1,9 @@
 """The page of quantities and statuses, generated from the vocabulary's tables."""
 
+from documentation.alarms import alarm_tables
 from documentation.tables import table
+from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
-from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import (
     Adaptation,
@@ -29,6 +30,11 @@ _ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
         "FeedForwardStatus",
         "`s=<Valve>.Inverse.FeedForwardStatus`: whether RequiredU is written to the valve.",
     ),
+    (
+        FindingCode,
+        "FindingCodes",
+        "`s=<Valve>.Diagnostics.FindingCodes`: the causes that explain a valve's samples.",
+    ),
 )
 
 
@@ -42,7 +48,7 @@ Each estimator publishes these quantities of each valve as `s=<Valve>.<Estimator
 The series are those of `/metrics`, labelled by valve and estimator."""
 
 _ALARMS = """\
-`s=Service.Alarms.<name>` of `valvemap serve` and `valvemap fleet serve`, see
+`s=<Valve>.Alarms.<name>` of each valve and `s=Service.Alarms.<name>` of the service, see
 [Alarms](../alarms.md)."""
 
 
@@ -61,8 +67,7 @@ def vocabulary_page() -> str:
     for statuses, title, where in _ENUMERATIONS:
         rows = [[str(int(s)), f"`{s.name}`", s.label, s.sentence] for s in statuses]
         parts += [f"## {title}", where, table(["value", "name", "on the page", "meaning"], rows)]
-    of = [[f"`{one.label}`", _owner(one), one.sentence] for one in ServiceAlarm]
-    parts += ["## Alarms of the service", _ALARMS, table(["name", "published by", "meaning"], of)]
+    parts += ["## Alarms", _ALARMS, alarm_tables()]
     return "\n\n".join(parts) + "\n"
 
 
@@ -75,10 +80,6 @@ def _signal(signal: Signal) -> list[str]:
         f"{low:g} … {high:g}",
         f"{signal.sentence[0].upper()}{signal.sentence[1:]}.",
     ]
-
-
-def _owner(alarm: ServiceAlarm) -> str:
-    return "both" if alarm in OF_SERVE else "`valvemap fleet serve`"
 
 
 def _row(quantity: Quantity) -> list[str]:

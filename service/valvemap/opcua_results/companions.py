@@ -18,7 +18,7 @@ from guarded_opcua import (
     add_property,
     add_variable,
 )
-from valvemap.opcua_results.information_model import DEVICE_HEALTH, IDENTIFICATION
+from valvemap.opcua_results.information_model import DEVICE_HEALTH, IDENTIFICATION, SERVICE
 from valvemap.pipeline.nameplate import Nameplate
 
 DI = "http://opcfoundation.org/UA/DI/"
@@ -98,13 +98,14 @@ class Companions:
     async def add_health(self, owner: ua.NodeId) -> Variable:
         """Add the DeviceHealth of a valve, or of the service."""
         server = self.server
+        whose = "service" if owner.Identifier == SERVICE else "valve"
         server.refer(owner, ua.ObjectIds.HasInterface, self._of_di(_I_DEVICE_HEALTH))
         return await add_variable(
             server,
             owner,
             f"{owner.Identifier}.{DEVICE_HEALTH}",
             None,
-            description="Health of the valve by NAMUR NE 107, from its active alarms.",
+            description=f"Health of the {whose} by NAMUR NE 107, from its active alarms.",
             type=ua.VariantType.Int32,
             data_type=self._of_di(_HEALTH_ENUMERATION),
             name=ua.QualifiedName("DeviceHealth", self.di),

@@ -195,8 +195,9 @@ def survey_variables(
         ),
         VariableNode(
             f"{prefix}.Conditioning",
-            "Ratio of the largest to the smallest uncertainty among combinations of parameters;"
-            " infinite while one is not excited, NaN where the map has no parameters.",
+            "Ratio of the largest to the smallest uncertainty among combinations of parameters. "
+            "1 is best; the larger, the less the samples determine one of the combinations. "
+            "Infinite while one is not excited, NaN where the map has no parameters.",
         ),
         VariableNode(
             f"{prefix}.SuggestedU",
@@ -334,7 +335,8 @@ def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
         ),
         VariableNode(
             f"{prefix}.Since",
-            "Source time at which the measured value last went beyond its limit.",
+            "Source time since which the measured value was beyond its limit when the alarm was "
+            "last raised.",
             ua.VariantType.DateTime,
         ),
         VariableNode(
@@ -350,8 +352,8 @@ def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
         ),
         VariableNode(
             f"{prefix}.Confirmed",
-            "Whether the alarm is confirmed: false between its acknowledgement and its "
-            "confirmation.",
+            "False while an acknowledged alarm waits for Confirm; else true, also for an alarm "
+            "that was never active or is not yet acknowledged.",
             ua.VariantType.Boolean,
         ),
     )
@@ -451,7 +453,10 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
         ),
         VariableNode(
             f"{prefix}.RequiredU",
-            "Control voltage that passes FlowDemand at PressureDrop, in % of its range.",
+            "Control voltage U, in % of its range, that passes FlowDemand at PressureDrop at the "
+            "oil temperature measured last. The map is that of the estimator named by the setting "
+            "inverse; by default the one that Recommended names, until then Auto or the first. "
+            "The method Invert returns the 95 % interval of this U.",
             unit=Unit.PERCENT,
             range=U_RANGE,
         ),
@@ -468,8 +473,10 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
         ),
         VariableNode(
             f"{prefix}.{FEED_FORWARD_STATUS}",
-            "Whether RequiredU is written to the valve, and the reason if not; the configured "
-            f"fallback acts until then. {_sentences(FeedForwardStatus)}",
+            "Whether RequiredU is written to the valve, and the first reason if not. With reasons "
+            "1 to 3 nothing is written. With the others feed_forward.fallback applies: hold the "
+            "last U, ramp to fallback_percent, or hand the valve back to the source. "
+            f"{_sentences(FeedForwardStatus)}",
             ua.VariantType.Int32,
             statuses=FeedForwardStatus,
         ),
@@ -520,9 +527,10 @@ def counter_name(counter: str) -> str:
 def counter_variable(valve: str, counter: str) -> VariableNode:
     """The variable of one counter of a valve."""
     meaning = COUNTERS.get(counter, f"{counter.replace('_', ' ').capitalize()}.")
+    since = "A restart keeps it." if counter in _KEPT else "Counted since the service started."
     return VariableNode(
         f"{valve}.{counter_name(counter)}",
-        f"{meaning} Counted since the service started.",
+        f"{meaning} {since}",
         ua.VariantType.UInt64,
     )
 
@@ -532,7 +540,8 @@ def health_variables(valve: str) -> tuple[VariableNode, VariableNode]:
     return (
         VariableNode(
             f"{valve}.{SAMPLE_AGE}",
-            "Delay of the newest learnt sample behind the source's clock.",
+            "Age of the newest sample by the source's clock; it grows while no sample arrives. "
+            "Beyond alignment.stale_after_s results are no longer Good.",
             unit=Unit.SECOND,
             range=(0.0, YEAR_S),
         ),
@@ -590,7 +599,8 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
             ),
             VariableNode(
                 f"{SERVICE}.Start.Compiled",
-                "Share of the kernels that are compiled. Until 100 %, slow estimators wait.",
+                "Share of the numerical kernels that are compiled. Until 100 %, estimators that "
+                "are too slow without them (Auto) wait; no sample is lost.",
                 unit=Unit.PERCENT,
                 range=(0.0, 100.0),
             ),
@@ -692,16 +702,17 @@ def _check_unique(what: str, names: Sequence[str], taken: set[str]) -> None:
             raise ConfigurationError(f"{what} '{name}': the name is taken")
 
 
+_KEPT = {"lane_failures"}  # part of the checkpoint
 COUNTERS = {
     "aligned": "Samples whose signals were aligned.",
     "late": "Signals received after their sample had been dropped.",
     "missing": "Samples dropped because a signal was missing.",
     "duplicates": "Signals received twice for one sample.",
     "clock_steps": "Jumps of the source's clock backwards.",
-    "lost_by_time": "Samples lost according to the usual sampling interval, where there is no "
-    "Sequence.",
-    "restarts": "Restarts of the source's Sequence.",
-    "gaps": "Samples lost according to the source's Sequence.",
+    "lost_by_time": "Samples lost according to the usual sampling interval, where the source "
+    "has no Sequence.",
+    "restarts": "Restarts of the source's Sequence, its running number of samples.",
+    "gaps": "Samples lost according to the source's Sequence, its running number of samples.",
     "bad_status": "Samples rejected for their OPC UA status.",
     "not_finite": "Samples rejected for a value that is not finite.",
     "out_of_range": "Samples rejected for a value outside the sensor's range.",

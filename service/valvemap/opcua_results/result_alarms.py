@@ -36,6 +36,7 @@ from valvemap.opcua_results.information_model import (
 )
 from valvemap.opcua_results.result_types import ALARM, Place, type_of
 from valvemap.opcua_results.result_values import Shown, alarm_values
+from valvemap.pipeline.alarm_guide import GUIDES
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
 from valvemap.pipeline.ports import (
     AlarmChange,
@@ -174,7 +175,7 @@ class ResultAlarms:
         now = {new.name: new for new in alarm_values(reports, self._clock.now())}
         for alarm in reports:
             prefix = f"{owner}.{ALARMS}.{alarm.name}"
-            description = ALARM_DESCRIPTIONS[alarm.name]
+            description = f"{ALARM_DESCRIPTIONS[alarm.name]} {GUIDES[alarm.name].action}"
             each = await add_object(
                 self._server,
                 parent,

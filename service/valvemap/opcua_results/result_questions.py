@@ -91,7 +91,10 @@ class ResultQuestions:
                 _STATUS,
             ),
             required=Role.OBSERVER,
-            description=f"Control voltage for a flow. Status: {_numbered(InverseStatus)}.",
+            description="Control voltage U (%) for a flow Q (l/min) at a pressure drop dp (bar), "
+            "from the same map as RequiredU; Lower and Upper (%) are the ends of its 95 % "
+            "interval. T is the oil temperature (°C), NaN the one measured last. "
+            f"Status: {_numbered(InverseStatus)}.",
         )
 
     async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
@@ -104,15 +107,20 @@ class ResultQuestions:
             partial(self._compare, valve),
             inputs=(Argument("Estimator", "Whose map", type=ua.VariantType.String),),
             outputs=(
-                Argument("Mean", "Now less then, over all points; NaN: none", unit=flow),
-                Argument("Largest", "The largest of them, with its sign", unit=flow),
-                Argument("U", "Where that is", unit=Unit.PERCENT),
-                Argument("dp", "Where that is", unit=Unit.BAR),
-                Argument("Points", "How many could be compared", type=ua.VariantType.UInt32),
+                Argument(
+                    "Mean",
+                    "Present minus approved flow, mean over the points; NaN without any",
+                    unit=flow,
+                ),
+                Argument("Largest", "The difference of the largest size, with its sign", unit=flow),
+                Argument("U", "Control voltage of Largest", unit=Unit.PERCENT),
+                Argument("dp", "Pressure drop of Largest", unit=Unit.BAR),
+                Argument("Points", "Number of compared points", type=ua.VariantType.UInt32),
             ),
             required=Role.OBSERVER,
-            description="Difference between the present map and the approved one, where both "
-            "rest on measurements.",
+            description="Flow of the present map minus that of the approved one, at the points of "
+            "a grid where both rest on measurements: Mean and Largest (l/min; negative: less flow "
+            "than approved), U (%) and dp (bar) of Largest, and the number of points.",
         )
 
     def _predict(

@@ -81,6 +81,15 @@ def text_of(name: str, measured: Measured) -> str:
     return f"{said(measured)}, since {since}.{may_be}"
 
 
+def possible_causes(name: str) -> tuple[str, ...]:
+    """Return the causes that the text of an alarm names unless its data exclude them.
+
+    >>> possible_causes("Unexcited")
+    ('a machine at standstill', 'a valve that is never moved')
+    """
+    return _TEXTS[name][1]
+
+
 def _duration(seconds: float) -> str:
     if not seconds < float("inf"):
         return "ever"
@@ -166,9 +175,10 @@ def _rejected(m: Measured) -> str:
 
 
 ALARM_DESCRIPTIONS = {
-    "Changed": "The flow changed abruptly; it stays until it is acknowledged.",
-    "Residual": "Residuals are larger than usual at the same places.",
-    "Misfit": "The structure does not fit the valve.",
+    "Changed": "The flow changed abruptly; the alarm stays active until it is acknowledged.",
+    "Residual": "Residuals are larger than usual at the same U and pressure drop.",
+    "Misfit": "The form of the map (its structure) does not fit the valve; the valve need "
+    "not have changed.",
     "SensorLost": "No usable sample arrives.",
     "SensorFrozen": "A sensor's value is constant while others vary.",
     "Unexcited": "Nothing was learnt for a long time.",
@@ -196,7 +206,7 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
     "Unexcited": (_unexcited, ("a machine at standstill", "a valve that is never moved")),
     "Extrapolated": (
         _extrapolated,
-        ("a demand beyond what the machine did so far", "a map that was reset"),
+        ("a demand outside the operating points of the machine until now", "a map that was reset"),
     ),
     "SamplesLost": (
         _samples_lost,

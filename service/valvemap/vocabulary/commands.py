@@ -81,10 +81,17 @@ ACTIONS: Final = (
         "reset",
         "Reset",
         Subject.ESTIMATOR,
-        "Reset the estimator: drop all that it has learnt.",
+        "Reset the estimator: drop all that it has learnt. A failed estimator starts again; Freeze "
+        "and the forgetting factor remain.",
     ),
-    Action("freeze", "Freeze", Subject.ESTIMATOR, "Stop adaptation: predict only."),
-    Action("resume", "Resume", Subject.ESTIMATOR, "Resume adaptation."),
+    Action(
+        "freeze",
+        "Freeze",
+        Subject.ESTIMATOR,
+        "Stop adaptation: the estimator learns nothing until Resume. Predictions, residuals, "
+        "alarms and RequiredU continue with the present map. It survives a restart and Reset.",
+    ),
+    Action("resume", "Resume", Subject.ESTIMATOR, "End Freeze: learn from the next sample on."),
     Action(
         "set_forgetting_factor",
         "SetForgettingFactor",
@@ -105,27 +112,31 @@ ACTIONS: Final = (
         "roll_back",
         "RollBack",
         Subject.BASELINE,
-        "Restore all estimators to their states at the approval.",
+        "Restore all estimators to their states at the approval. Failed estimators start again; "
+        "Freeze and the forgetting factors remain.",
     ),
     Action(
         "replace_valve",
         "ValveReplaced",
         Subject.BASELINE,
-        "Declare the valve replaced: reset all estimators and drop the approved map.",
+        "Declare the valve replaced: reset all estimators and drop the approved map. Armed, the "
+        "demand and Freeze remain: feed-forward writes again once the new map is identified, until "
+        "then the configured fallback applies. Disarm first if this is not wanted.",
         effect=Effect.BASELINE,
     ),
     Action(
         "acknowledge",
         "Acknowledge",
         Subject.ALARM,
-        "Acknowledge the alarm. A reported change of the valve is acknowledged with it.",
+        "Acknowledge the alarm: it was seen. Changed also ends then; all other alarms end when "
+        "the measured value is back within the limit.",
         values=1,
     ),
     Action(
         "confirm",
         "Confirm",
         Subject.ALARM,
-        "Confirm that the cause was dealt with.",
+        "Confirm that the cause was dealt with, after Acknowledge.",
         values=1,
     ),
     Action("remark", "AddComment", Subject.ALARM, "Add a comment to the alarm.", values=1),

@@ -18,7 +18,7 @@ class FindingCode(Described):
     EDGE_DRIFT = 1, "edge drifts", "The metering edge moves steadily: overlap grows or wears."
     GAIN_CHANGE = 2, "gain changed", "The flow at all openings changed suddenly."
     EDGE_CHANGE = 3, "edge changed", "The metering edge moved suddenly."
-    PLAY = 4, "play", "The spool follows U behind a play."
+    PLAY = 4, "play", "The spool has play: after U turns, it moves only once U has passed the play."
     HYSTERESIS = 5, "hysteresis", "The flow depends on the path of U, as with friction."
     LAG_U = 6, "spool lags", "The spool follows U with a first-order lag."
     LAG_Q = 7, "meter lags", "The flow meter follows the flow with a first-order lag."
@@ -30,7 +30,11 @@ class FindingCode(Described):
     COMPENSATOR = 13, "compensator", "Above a pressure drop the flow does not rise with it."
     PUMP_LIMIT = 14, "pump at its limit", "The pump does not deliver more than a largest flow."
     REACTING_U = 15, "reacting control", "U reacts to the noise of the flow in the same sample."
-    MISFIT = 16, "misfit", "The samples contradict the map, and no listed cause explains it."
+    MISFIT = (
+        16,
+        "misfit",
+        "The samples contradict the map, and none of the other causes explains it.",
+    )
 
 
 @dataclass(frozen=True)

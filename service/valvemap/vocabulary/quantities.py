@@ -103,7 +103,8 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "Residual",
         "residual",
-        "Measured minus predicted flow of the newest sample, before the update.",
+        "Measured minus predicted flow of the newest sample, predicted before the sample was "
+        "learnt (the innovation).",
         unit="l/min",
         bounds=Bounds.DIFFERENCE,
         in_frame=True,

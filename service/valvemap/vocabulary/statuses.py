@@ -50,28 +50,48 @@ class Status(Described):
         1,
         "warming up",
         (
-            "The samples so far do not determine all parameters, or the map has not yet predicted "
-            "better than the mean flow."
+            "The samples do not yet determine all parameters, or the map does not yet predict "
+            "the flow better than the mean of the measured flows does. Move U over its range and "
+            "change the pressure drop; SuggestedU and SuggestedDp are the best next test point."
         ),
     )
     UNEXCITED = (
         2,
         "not excited",
-        "The inputs do not vary in some direction; the parameters there are held.",
+        (
+            "U, p1 and p2 vary too little to update all parameters; those without information keep "
+            "their values. This is normal while the valve is at rest. Move U and the pressure drop "
+            "to learn more."
+        ),
     )
     REJECTED = (
         3,
         "rejected",
-        "The sample is not finite or of bad quality; the state is unchanged.",
+        (
+            "The sample was refused and nothing was learnt from it: its status is Bad, a value is "
+            "not a number or out of range, constant for too long, too fast, or a spike. The "
+            "counter in Diagnostics that counts up names the reason."
+        ),
     )
-    FROZEN = 4, "frozen", "Adaptation is switched off; the sample was predicted only."
-    HELD = 5, "held", "The update would have left the range of numbers; the state was not touched."
+    FROZEN = (
+        4,
+        "frozen",
+        "Freeze was called: the flow was predicted, nothing was learnt. Resume continues.",
+    )
+    HELD = (
+        5,
+        "held",
+        (
+            "The update would have made numbers too large to compute with: the sample was not "
+            "learnt, and the parameters are unchanged. If it persists, Reset the estimator."
+        ),
+    )
     EXTRAPOLATING = (
         6,
         "extrapolating",
         (
-            "Nothing was measured near this point, or the estimator cannot describe it; the state "
-            "was not touched."
+            "Of Predict: nothing was measured near this point. Of a sample: U or the pressure drop "
+            "is outside the range of the estimator's structure; the sample was not learnt."
         ),
     )
     FAILED = (
@@ -86,8 +106,9 @@ class Status(Described):
         8,
         "unreliable",
         (
-            "The sample was used, but at places visited again the flow lies outside the 95 % "
-            "interval too often, however much the interval is widened."
+            "The sample was used, but at places visited again the flow was outside the published "
+            "95 % interval too often, also after the interval was widened as far as is allowed. Do "
+            "not rely on the map's intervals; compare Findings and the other estimators."
         ),
     )
 
@@ -131,8 +152,9 @@ class Adaptation(Described):
         4,
         "reacting",
         (
-            "The news in U from sample to sample goes with the residual: U reacts to the noise of "
-            "the same sample, or is as noisy itself; the map is biased by that."
+            "Changes of U from one sample to the next follow the residual: a controller moves U "
+            "with the noise of the measured flow, or the measured U is noisy itself. This biases "
+            "the map. Move U independently of the measured flow, e.g. in steps of the command."
         ),
     )
 
@@ -144,7 +166,10 @@ class InverseStatus(Described):
     ABOVE_REACH = (
         1,
         "above reach",
-        "The valve cannot pass the demanded flow at this pressure drop; U = 100 %.",
+        (
+            "The valve cannot pass the demanded flow at this pressure drop; U = 100 %. Demand less "
+            "flow, or provide a larger pressure drop."
+        ),
     )
     BELOW_REACH = 2, "below reach", "Even the closed valve passes more than demanded; U = 0 %."
     NOT_MONOTONE = 3, "not monotone", "The map falls with U here; no U can be trusted."
@@ -157,7 +182,10 @@ class InverseStatus(Described):
     OUTSIDE = (
         6,
         "outside",
-        "The pressure drop is outside the table; U is that of its nearest end.",
+        (
+            "Only of an exported lookup table: the pressure drop is outside its range; U is that "
+            "of the nearest end."
+        ),
     )
     EXTRAPOLATING = (
         7,
@@ -169,24 +197,42 @@ class InverseStatus(Described):
 class FeedForwardStatus(Described):
     """Whether the answer is written to the valve, and if not, why."""
 
-    WRITING = 0, "writing", "RequiredU is written to the valve, no faster than the slew."
+    WRITING = (
+        0,
+        "writing",
+        (
+            "RequiredU is written to the valve; U changes no faster than "
+            "feed_forward.slew_percent_per_s."
+        ),
+    )
     NOT_CONFIGURED = 1, "not configured", "nodes.required_U is not configured."
-    DISARMED = 2, "disarmed", "No client has called Arm since the start or the last Disarm."
+    DISARMED = (
+        2,
+        "disarmed",
+        "Nothing is written: no operator has called Arm since the start or the last Disarm.",
+    )
     SOURCE_LOST = 3, "source lost", "There is no connection to the source."
     REFUSED = 4, "refused", "The source refuses the command or the heartbeat."
-    STALE = 5, "stale", "The newest sample is older than max_age_s."
+    STALE = 5, "stale", "The newest sample is older than feed_forward.max_age_s."
     BAD_SAMPLE = 6, "bad sample", "The newest sample is Bad or was rejected."
     NO_DEMAND = 7, "no demand", "Flow, pressure drop or temperature is not known."
-    MAP_NOT_GOOD = 8, "map not good", "The map is not identified there, or falls with U."
+    MAP_NOT_GOOD = (
+        8,
+        "map not good",
+        (
+            "The map's status is WARMING_UP, HELD, FAILED or UNRELIABLE, or it is not identified "
+            "at the demand, or its flow falls there while U rises."
+        ),
+    )
     EXTRAPOLATED = 9, "extrapolated", "There are no measurements near the demand."
     ABOVE_REACH = (
         10,
         "above reach",
         "The valve cannot pass the demanded flow at this pressure drop.",
     )
-    OUT_OF_RANGE = 11, "out of range", "RequiredU is outside range_percent."
+    OUT_OF_RANGE = 11, "out of range", "RequiredU is outside feed_forward.range_percent."
     TOO_UNSURE = (
         12,
         "too unsure",
-        "The 95 % interval of RequiredU is wider than max_width_percent.",
+        "The 95 % interval of RequiredU is wider than feed_forward.max_width_percent.",
     )
