@@ -201,7 +201,9 @@ def survey_variables(
         ),
         VariableNode(
             f"{prefix}.SuggestedU",
-            "Control voltage of the test point that would reduce the map's uncertainty most.",
+            "Control voltage, in % of its range, of the test point that would reduce the map's "
+            "uncertainty most. It is within the configured ranges; whether the plant can drive "
+            "it safely is for the operator to judge.",
             unit=Unit.PERCENT,
             range=U_RANGE,
         ),
@@ -294,7 +296,8 @@ def waiting_variable(valve: str) -> VariableNode:
     return VariableNode(
         f"{valve}.{WAITING}",
         "Reason why no samples are made of the valve's signals or none are learnt: a sentence "
-        "for each signal at fault, with the setting that would help; empty if there is none.",
+        'for each signal at fault, with the setting that would help, e.g. that p2 "has sent no '
+        'value: is nodes.p2 the right node?". Empty if samples are learnt.',
         ua.VariantType.String,
         dimensions=(0,),
     )

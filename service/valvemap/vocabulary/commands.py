@@ -88,8 +88,9 @@ ACTIONS: Final = (
         "freeze",
         "Freeze",
         Subject.ESTIMATOR,
-        "Stop adaptation: the estimator learns nothing until Resume. Predictions, residuals, "
-        "alarms and RequiredU continue with the present map. It survives a restart and Reset.",
+        "Stop adaptation: the estimator learns nothing until Resume. Predictions, residuals and "
+        "RequiredU continue with the present map. Alarms continue, too, but Changed and LagFound, "
+        "which need learning, are not raised. It survives a restart and Reset.",
     ),
     Action("resume", "Resume", Subject.ESTIMATOR, "End Freeze: learn from the next sample on."),
     Action(
@@ -121,7 +122,8 @@ ACTIONS: Final = (
         Subject.BASELINE,
         "Declare the valve replaced: reset all estimators and drop the approved map. Armed, the "
         "demand and Freeze remain: feed-forward writes again once the new map is identified, until "
-        "then the configured fallback applies. Disarm first if this is not wanted.",
+        "then the configured fallback applies. Disarm first if this is not wanted. "
+        "The name plate in Identification comes from the configuration.",
         effect=Effect.BASELINE,
     ),
     Action(
