@@ -184,6 +184,12 @@ async def test_what_finds_no_room_is_counted(keeper, monkeypatch):
     assert keeper.lost == 3
 
 
+async def test_signals_that_are_bad_find_no_room_either_and_are_counted(keeper, monkeypatch):
+    monkeypatch.setattr(past, "MOST_ROWS", 0)
+    keeper.note(results_of([0], t=[20], quality=BAD))
+    assert keeper.lost == 3  # of RLS, of the inverse map, of the signals
+
+
 async def test_a_disk_that_fails_is_counted_and_the_next_save_goes_on(keeper, store):
     store.broken = True
     keeper.take(samples_of([0]))

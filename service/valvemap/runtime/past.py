@@ -99,8 +99,9 @@ class PastKeeper:
 
     def note(self, results: Results) -> None:
         """Buffer results."""
-        if self._has_room(len(results.valves) * (len(results.estimators) + 1)):
-            self._results += _noted(results)
+        noted = list(_noted(results))
+        if self._has_room(sum(len(one.valves) for one in noted)):
+            self._results += noted
 
     def note_alarm(self, change: AlarmChange) -> None:
         """Buffer a change of an alarm."""
