@@ -7,7 +7,8 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 # Markers of the tests that need foreign programs, or a minute of waiting.
-PEERS := node or compiler or milo or languages or broker or mosquitto or image or chromium or minor or tutorial
+PEERS := node or compiler or milo or languages or broker or mosquitto or image or chromium or minor \
+    or tutorial or notebooks
 
 # The files that hold a marker: to collect all others, too, takes a process a quarter of a minute.
 marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)

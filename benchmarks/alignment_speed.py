@@ -39,7 +39,7 @@ def measured() -> Figures:
 
 def per_change(valves: int, *, numbered: bool = True, order: str = "samples") -> float:
     """Time per change, ns, that come sample by sample, or by ``queues``, or after ``delays``."""
-    align = Alignment(AlignmentSettings(), (True,) * valves, (numbered,) * valves)
+    align = Alignment(AlignmentSettings(), (("T",),) * valves, (numbered,) * valves)
     signals = STRIDE if numbered else SIGNALS
     each = max(1, CHANGES // signals // valves)
     rng = np.random.default_rng(0)

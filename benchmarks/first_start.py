@@ -91,10 +91,11 @@ async def _poll(client: Client, began: float, found: Figures) -> None:
     index = await client.get_namespace_index(NAMESPACE)
     names = [f"{name}.SampleCount" for name in ESTIMATORS]
     names += [f"Diagnostics.{name}" for name in ("Aligned", *LOSSES)]
-    nodes = [client.get_node(ua.NodeId(f"{VALVE}.{name}", index)) for name in names]
-    waits = set(ESTIMATORS)
+    ids = [ua.NodeId(f"{VALVE}.{name}", index) for name in names]
+    waits = {name for name in ESTIMATORS if f"first result of {name}, s" not in found}
     while waits:
-        values = [value or 0 for value in await client.read_values(nodes)]
+        read = await client.uaclient.read_attributes(ids, ua.AttributeIds.Value)
+        values = [int(one.Value.Value or 0) for one in read]  # some are Uncertain, not yet Good
         counts, (aligned, *lost) = values[: len(ESTIMATORS)], values[len(ESTIMATORS) :]
         for name, count in zip(ESTIMATORS, counts, strict=True):
             if count and name in waits:

@@ -23,8 +23,9 @@ from benchmarks.live_speed import free_url, names_of, rig, running
 from benchmarks.reliability_load import Service, service_of
 from valvemap.config.models import HistoryConfig, NodesConfig, ValveConfig
 from valvemap.opcua_results.results_server import NAMESPACE
-from valvemap.pipeline.ports import SIGNALS, Piece
+from valvemap.pipeline.ports import Piece
 from valvemap.storage.history import HistoryFile
+from valvemap.vocabulary.signals import PUBLISHED
 
 VALVES, HZ, SECONDS = 100, 100.0, 60.0
 DAY_S, DAY_HZ, BUCKETS, RAW = 86_400, 100, 2_000, 100_000
@@ -49,7 +50,7 @@ def beside() -> Figures:
         with HistoryFile(kept) as file:
             rows = _rows(file, config.valves[0].name)
     return {
-        "samples/s learnt": found["reached, notifications/s"] / live_speed.SIGNALS,
+        "samples/s learnt": found["reached, notifications/s"] / live_speed.PUBLISHED,
         "values of signals kept per second": found["reached, notifications/s"],  # dp for Sequence
         "samples lost": found["lost"],
         "cores of the service": found["cores of the service"],
@@ -88,7 +89,7 @@ def _make_day(path: Path, start: int) -> None:
     with HistoryFile(path) as store:
         for first in range(0, DAY_S * DAY_HZ, AT_ONCE):
             k = np.arange(first, min(first + AT_ONCE, DAY_S * DAY_HZ))
-            columns = {name: 50.0 + np.cumsum(rng.normal(size=len(k))) for name in SIGNALS}
+            columns = {name: 50.0 + np.cumsum(rng.normal(size=len(k))) for name in PUBLISHED}
             t, good = start + k * (10**9 // DAY_HZ), np.zeros(len(k), np.uint32)
             store.save([Piece("V.Signals", t, good, columns)])
 

@@ -70,7 +70,7 @@ def three() -> dict[str, Estimator]:
 
 def service(valves: int, estimators: Estimators) -> Identification:
     plans = [ValvePlan(f"V{v}", QualityGate(), estimators(), "RLS") for v in range(valves)]
-    return Identification(plans, Alignment(AlignmentSettings(), (True,) * valves))
+    return Identification(plans, Alignment(AlignmentSettings(), (("T",),) * valves))
 
 
 def rate(valves: int, each: int, estimators: Estimators, odd: float = 0.0, age: int = 0) -> float:

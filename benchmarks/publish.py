@@ -20,7 +20,7 @@ import numpy as np
 from guarded_opcua import Limits, Pki, Role, ServerSettings, UserStore, trust
 from guarded_opcua.security.certificates import ensure_certificate
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from valvemap.pipeline.data_changes import Signal
+from valvemap.vocabulary.signals import Signal
 from valvemap_rig.fleet_server import FleetServer
 from valvemap_rig.scenario import BUILTIN, Fleet
 

@@ -43,7 +43,7 @@ FAULTS = "| fault | lost | twice | bits different | data again after, s |"
 LOADS = "| circumstance | measured |"
 Rows = Iterable[tuple[str, str]]
 HISTORY = 40_000  # samples that the source remembers: 400 s
-ALIGN = Alignment(AlignmentSettings(), (True,), (True,))
+ALIGN = Alignment(AlignmentSettings(), (("T",),), (True,))
 
 
 def disorder(delay_s: float, *, doubled: bool, again_s: float, seed: int) -> str:

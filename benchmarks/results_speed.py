@@ -24,7 +24,8 @@ from valvemap.cli.logs import set_up_logs
 from valvemap.config.logs import LogConfig
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.vocabulary.signals import PER_VALVE
 
 NUMBERS = "PredictedFlow", "Residual", "ResidualRmse", "NoiseStd"
 WARM_S = 5.0
@@ -102,10 +103,10 @@ def _sample(valves: int, k: int) -> DataChanges:
     U, dp = 37.0 * k % 100.0, 1.0 + 61.0 * k % 200.0
     one = np.array([U, 200.0, 200.0 - dp, U * np.sqrt(dp) / 10.0, 40.0, float(k)])
     return DataChanges(
-        item=np.arange(valves * SIGNALS_PER_VALVE, dtype=np.int32),
+        item=np.arange(valves * PER_VALVE, dtype=np.int32),
         value=np.tile(one, valves),
-        status=np.zeros(valves * SIGNALS_PER_VALVE, np.uint32),
-        source_time=np.full(valves * SIGNALS_PER_VALVE, time.time_ns() // 100 * 100),
+        status=np.zeros(valves * PER_VALVE, np.uint32),
+        source_time=np.full(valves * PER_VALVE, time.time_ns() // 100 * 100),
     )
 
 

@@ -3,6 +3,7 @@
 from documentation.tables import table
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
 from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
+from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import (
     Adaptation,
     Described,
@@ -31,6 +32,11 @@ _ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
 )
 
 
+_SIGNALS = """\
+A valve has these signals, in these units. Without its node or column, an optional signal is not a
+number, which is no fault; a value outside of the plausible range is one, and the sample is
+rejected."""
+
 _INTRODUCTION = """\
 Each estimator publishes these quantities of each valve as `s=<Valve>.<Estimator>.<name>`.
 The series are those of `/metrics`, labelled by valve and estimator."""
@@ -43,7 +49,9 @@ _ALARMS = """\
 def vocabulary_page() -> str:
     """Return the page."""
     parts = [
-        "# Quantities and statuses",
+        "# Signals, quantities and statuses",
+        _SIGNALS,
+        table(["name", "unit", "need", "plausible", "meaning"], [_signal(s) for s in SENSORS]),
         _INTRODUCTION,
         table(
             ["name", "unit", "in Frame", "in history", "series", "meaning"],
@@ -56,6 +64,17 @@ def vocabulary_page() -> str:
     of = [[f"`{one.label}`", _owner(one), one.sentence] for one in ServiceAlarm]
     parts += ["## Alarms of the service", _ALARMS, table(["name", "published by", "meaning"], of)]
     return "\n\n".join(parts) + "\n"
+
+
+def _signal(signal: Signal) -> list[str]:
+    low, high = signal.plausible
+    return [
+        f"`{signal.label}`",
+        signal.unit,
+        signal.need.value,
+        f"{low:g} … {high:g}",
+        f"{signal.sentence[0].upper()}{signal.sentence[1:]}.",
+    ]
 
 
 def _owner(alarm: ServiceAlarm) -> str:

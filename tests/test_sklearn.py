@@ -6,12 +6,12 @@ pytest.importorskip("sklearn")
 from sklearn.base import clone
 from sklearn.model_selection import cross_val_score
 from sklearn.pipeline import make_pipeline
-from sklearn.utils.estimator_checks import parametrize_with_checks
+from sklearn.utils.estimator_checks import check_estimator, parametrize_with_checks
 
 from valvemap.model.forgetting import Adaptive, Directional
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms, TensorSpline
-from valvemap.sklearn import FlowMapRegressor
+from valvemap.sklearn import EXPECTED_FAILURES, AutoFlowMap, FlowMapRegressor
 
 
 @pytest.fixture
@@ -74,3 +74,50 @@ def test_a_structure_without_a_pressure_drop_is_refused(valve):
 def test_a_finite_p0_draws_to_zero(valve):
     X, Q = valve
     assert np.abs(FlowMapRegressor(p0=1e-12).fit(X, Q).theta_).max() < 0.1
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_auto_fails_the_checks_with_other_columns_and_no_others():
+    results = check_estimator(AutoFlowMap(), expected_failed_checks=EXPECTED_FAILURES)
+    by_status = {status: set() for status in ("passed", "xfail", "skipped")}
+    for result in results:
+        by_status[result["status"]].add(result["check_name"])
+    assert by_status["xfail"] == set(EXPECTED_FAILURES)
+    assert len(by_status["passed"]) > 35
+    for result in results:
+        if result["status"] == "xfail":
+            assert "U, dp or U, dp, T are allowed" in str(result["exception"].__cause__ or result)
+
+
+@pytest.fixture
+def worn():
+    """A dead band, and a flow that rises with the temperature."""
+    rng = np.random.default_rng(3)
+    U, dp, T = (rng.uniform(low, high, 4000) for low, high in ((0, 100), (5, 200), (30, 60)))
+    Q = 2.0 * np.clip(U - 8.0, 0.0, 90.0) * np.sqrt(dp / 200) * (1 + 0.004 * (T - 40))
+    return np.column_stack([U, dp, T]), Q + 0.2 * rng.normal(size=4000)
+
+
+def test_auto_chooses_a_structure_that_eq_7_has_not(worn):
+    X, Q = worn
+    model = AutoFlowMap().fit(X[:3000], Q[:3000])
+    assert model.structure_ != "eq. (7)"
+    assert model.score(X[3000:], Q[3000:]) > 0.9985
+    assert FlowMapRegressor().fit(X[:3000], Q[:3000]).score(X[3000:], Q[3000:]) < 0.998
+    Q_hat, std = model.predict(X[3000:], return_std=True)
+    assert Q_hat.shape == std.shape == (1000,)
+    assert np.median(std) < 0.2
+
+
+def test_auto_learns_the_same_in_parts_to_the_bit(worn):
+    X, Q = worn
+    whole, parts = AutoFlowMap().fit(X, Q), AutoFlowMap()
+    for i in range(0, len(X), 700):
+        parts.partial_fit(X[i : i + 700], Q[i : i + 700])
+    np.testing.assert_array_equal(parts.predict(X), whole.predict(X))
+
+
+@pytest.mark.parametrize("features", [1, 4])
+def test_auto_names_the_columns_that_it_takes(features):
+    with pytest.raises(ValueError, match=rf"X has {features} feature\(s\); U, dp or U, dp, T"):
+        AutoFlowMap().fit(np.ones((9, features)), np.ones(9))

@@ -8,17 +8,21 @@ Estimators on arrays:
     theta, its history, innovations, covariance of X (N, n) and y (N,), or of y and u.
 `FlowMapRegressor`
     The flow map as a scikit-learn estimator (extra ``sklearn``).
+`AutoFlowMap`
+    The same with the structure chosen by the service.
 
 Recordings and maps:
 
 `read_recording`
     The samples of a CSV or Parquet file, valve by valve, a batch at a time.
+`fit`
+    One valve's map from a recording: a path, a data frame, a dict of arrays.
 `replay`
     Recordings through the service's own pipeline: what each estimator knows at the end.
 `load_config`, `Config`
     Configurations (TOML) and their schema.
 `open_model`, `Model`
-    A saved map, or one identified from a recording.
+    A saved map, or one identified from a recording: predict, invert, interval, compare, plot, save.
 `invert`
     The control voltage that passes a flow at a pressure drop, with its interval.
 `Samples`
@@ -42,7 +46,8 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from valvemap.app.models import open_model
+    from valvemap.app.flow_model import Model
+    from valvemap.app.models import fit, open_model
     from valvemap.app.replay import replay
     from valvemap.config.loading import load_config
     from valvemap.config.models import Config
@@ -50,8 +55,7 @@ if TYPE_CHECKING:
     from valvemap.model import recursive_least_squares, recursive_maximum_likelihood
     from valvemap.model.inverse_map import invert
     from valvemap.model.samples import Samples
-    from valvemap.sklearn import FlowMapRegressor
-    from valvemap.storage.models import Model
+    from valvemap.sklearn import AutoFlowMap, FlowMapRegressor
     from valvemap.storage.recordings import read_recording
 
 __all__ = [
@@ -60,6 +64,7 @@ __all__ = [
     "Samples",
     "ValvemapError",
     "__version__",
+    "fit",
     "invert",
     "load_config",
     "open_model",
@@ -70,14 +75,16 @@ __all__ = [
 ]
 
 if find_spec("sklearn") is not None:  # help() looks at every name
-    __all__ += ["FlowMapRegressor"]
+    __all__ += ["AutoFlowMap", "FlowMapRegressor"]
 
 _HOMES = {
+    "AutoFlowMap": "valvemap.sklearn",
     "Config": "valvemap.config.models",
     "FlowMapRegressor": "valvemap.sklearn",
-    "Model": "valvemap.storage.models",
+    "Model": "valvemap.app.flow_model",
     "Samples": "valvemap.model.samples",
     "ValvemapError": "valvemap.errors",
+    "fit": "valvemap.app.models",
     "invert": "valvemap.model.inverse_map",
     "load_config": "valvemap.config.loading",
     "open_model": "valvemap.app.models",

@@ -7,7 +7,8 @@
     ├── RecordingError            a recording cannot be read or written
     │   └── NoRecording           it is not there, or of no known kind, exit code 2
     ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
-    │   └── NoSuchFile            what was named is not there, exit code 2
+    │   ├── NoSuchFile            what was named is not there, exit code 2
+    │   └── StateFileLost         removed or replaced while in use; a new file was made
     ├── FleetError                broker, topics or memory of a fleet cannot be used
     │   ├── BrokerAway            worth another try: no broker can be reached
     │   ├── BlockError            a message is no block that can be read
@@ -52,6 +53,10 @@ class NoSuchFile(StorageError):  # noqa: N818
     """What was named is not there."""
 
     exit_code = 2
+
+
+class StateFileLost(StorageError):  # noqa: N818
+    """The file was removed or replaced; a new one was made, and nothing is saved in it."""
 
 
 class FleetError(ValvemapError):

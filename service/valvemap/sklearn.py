@@ -1,10 +1,11 @@
 """The flow map as a scikit-learn regressor (extra ``[sklearn]``)."""
 
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from valvemap.model.auto import Auto
 from valvemap.model.forgetting import Exponential, Forgetting
 from valvemap.model.least_squares_state import (
     initial_state,
@@ -13,15 +14,34 @@ from valvemap.model.least_squares_state import (
     predict,
 )
 from valvemap.model.model_structures import FiveTerms, Structure
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Samples
 
 try:
     from sklearn.base import BaseEstimator, RegressorMixin
     from sklearn.utils.validation import check_is_fitted, validate_data
 except ImportError as error:
     raise ImportError(
-        "FlowMapRegressor needs scikit-learn: pip install valvemap[sklearn]"
+        "valvemap.sklearn needs scikit-learn: pip install valvemap[sklearn]"
     ) from error
+
+
+_OTHER_COLUMNS: Final = "it fits X of 4, 5 or 10 columns; the columns are U, dp or U, dp, T"
+EXPECTED_FAILURES: Final = dict.fromkeys(
+    (
+        "check_n_features_in_after_fitting",
+        "check_positive_only_tag_during_fit",
+        "check_estimators_dtypes",
+        "check_dtype_object",
+        "check_regressors_train",
+        "check_regressor_data_not_an_array",
+        "check_regressors_no_decision_function",
+        "check_regressors_int",
+        "check_fit2d_1sample",
+    ),
+    _OTHER_COLUMNS,
+)
+"""Checks of scikit-learn that `AutoFlowMap` fails, and why: ``check_estimator(AutoFlowMap(),
+expected_failed_checks=EXPECTED_FAILURES)`` passes."""
 
 
 class FlowMapRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -118,3 +138,96 @@ class FlowMapRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return np.stack([np.ones(len(X)), columns[0]], axis=1)
         U, dp, *others = columns
         return np.column_stack([FiveTerms().regressors(U, dp, np.full(len(X), np.nan)), *others])
+
+
+class AutoFlowMap(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """The flow map whose structure is chosen from the samples, as the service's `Auto` does.
+
+    The columns of X are fixed: U (%), dp (bar) and optionally T (°C),. Of scikit-learn's
+    checks fail those that need other columns, see `EXPECTED_FAILURES`.
+
+    Parameters
+    ----------
+    lam : float
+        Forgetting factor of a cell of the map, per sample that falls into it.
+    interval : float
+        Time between two samples, s.
+    lag_U, lag_Q : float or None
+        First-order lag of U's effect and of the flow meter, s; None: estimated, which needs the
+        samples in the order of time.
+
+    Attributes
+    ----------
+    state_ : AutoState
+        State for the next `partial_fit`.
+    structure_ : str
+        The chosen structure in words.
+    n_features_in_ : int
+        Columns of X.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> X = np.column_stack([rng.uniform(0, 100, 3000), rng.uniform(5, 200, 3000)])
+    >>> Q = 2.0 * np.clip(X[:, 0] - 6.0, 0.0, 90.0) * np.sqrt(X[:, 1] / 200.0)
+    >>> AutoFlowMap().fit(X, Q).predict([[50.0, 100.0]]).round(1)
+    array([62.2])
+    """
+
+    def __init__(
+        self,
+        lam: float = 0.998,
+        interval: float = 0.01,
+        lag_U: float | None = 0.0,
+        lag_Q: float | None = 0.0,
+    ) -> None:
+        self.lam = lam
+        self.interval = interval
+        self.lag_U = lag_U
+        self.lag_Q = lag_Q
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from N samples and from no earlier ones: X (N, 2 or 3), y (N,) in l/min."""
+        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
+        self._begin()
+        return self._learn(rows, output)
+
+    def partial_fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from further samples, in their order."""
+        first = not hasattr(self, "state_")
+        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=first)
+        if first:
+            self._begin()
+        return self._learn(rows, output)
+
+    def predict(self, X: ArrayLike, *, return_std: bool = False) -> Floats | tuple[Floats, Floats]:
+        """Flow (N,), l/min, and if wanted its standard deviation (N,), NaN where unknown."""
+        check_is_fitted(self)
+        rows = validate_data(self, X, dtype=np.float64, reset=False)
+        Q, std = self._auto().predict(self.state_, *self._signals(rows))
+        return (Q, std) if return_std else Q
+
+    def _begin(self) -> None:
+        if self.n_features_in_ not in (2, 3):
+            raise ValueError(
+                f"X has {self.n_features_in_} feature(s); U, dp or U, dp, T are allowed"
+            )
+        self.state_ = self._auto().initial_state()
+        self._seen = 0
+
+    def _learn(self, X: Floats, y: Floats) -> Self:
+        U, dp, T = self._signals(X)
+        step = round(self.interval * 1e9)
+        t = step * np.arange(self._seen, self._seen + len(X))
+        samples = Samples.of(t, U, dp, np.zeros_like(dp), np.asarray(y, np.float64), T)
+        self.state_, _ = self._auto().update(self.state_, samples)
+        self._seen += len(X)
+        self.structure_ = self._auto().describe(self.state_)
+        return self
+
+    def _auto(self) -> Auto:
+        return Auto(lam=self.lam, lag_U=self.lag_U, lag_Q=self.lag_Q)
+
+    def _signals(self, X: Floats) -> tuple[Floats, Floats, Floats]:
+        U, dp, *others = (np.ascontiguousarray(column) for column in X.T)
+        return U, dp, others[0] if others else np.full(len(X), np.nan)

@@ -58,7 +58,7 @@ def identification():
         for one in default_estimators()
     }
     plan = ValvePlan("Valvistor", QualityGate(), estimators, "Auto")
-    known = Identification([plan], Alignment(AlignmentSettings(), (True,)))
+    known = Identification([plan], Alignment(AlignmentSettings(), (("T",),)))
     known.take_samples(0, plant(2_000))
     known.refresh_all_maps()
     return known

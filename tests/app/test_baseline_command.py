@@ -14,6 +14,7 @@ from valvemap.opcua_client.connection import Security
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Command
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
 
@@ -23,7 +24,7 @@ VALVE = "V7"
 @pytest.fixture
 async def served(tmp_path):
     plan = ValvePlan(VALVE, QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
-    identification = Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     settings = results_settings(users=users, none_on_loopback=True)
     described = identification.descriptions()
@@ -59,7 +60,7 @@ async def test_an_operator_approves_compares_and_goes_back(served):
     assert identification.result(0).estimators["RLS"].theta.tolist() == theta.tolist()
     assert await act(operator, VALVE, Action.REPLACED) == "V7: no map is approved"
     identification.take_samples(0, plant(600, first=700))
-    identification.approve(VALVE)
+    identification.do(Command.of("approve", VALVE))
     with pytest.raises(CommandRejected, match="V7 has no estimator 'RML'"):
         await act(who(), VALVE, Action.COMPARE, "RML")
 

@@ -10,6 +10,7 @@ from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
 from valvemap.config.estimators import RlsConfig
 from valvemap.config.models import NodesConfig, ValveConfig
+from valvemap.pipeline.ports import Command
 
 pytestmark = pytest.mark.waits
 
@@ -83,8 +84,8 @@ async def test_the_required_voltage_reaches_the_valve(
     U = []
 
     def demanding(identification):
-        identification.demand("Valvistor", 60.0, 100.0)
-        identification.arm("Valvistor")
+        identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
+        identification.do(Command.of("arm", "Valvistor"))
         required = identification.result(0).inverse.required_U
         return U and U[-1] > 5.0 and abs(U[-1] - required) < 1.0
 

@@ -47,7 +47,7 @@ identification.invert("Valvistor", 30.0, 50.0, 40.0)
 for estimator in identification.plans[0].estimators:
     identification.predict("Valvistor", estimator, 50.0, 50.0, 40.0)
     identification.predict_measurement("Valvistor", estimator, 50.0, 50.0, 40.0)
-    identification.reset("Valvistor", estimator)
+    identification.do(Command.of("reset", "Valvistor", estimator))
 identification.restore(identification.checkpoints())
 identification.take(as_changes(plant(2_000, first=20_000)))
 

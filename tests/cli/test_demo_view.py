@@ -71,7 +71,7 @@ def view():
         estimators={"RLS": RecursiveLeastSquares(forgetting=Exponential(0.99))},
         inverse="RLS",
     )
-    identification = Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
     return _View(identification, scenario)
 
 

@@ -101,7 +101,11 @@ def test_a_model_is_exported_and_the_error_is_stated(folder, form, tmp_path, cap
             2,
             "valve 'X' is not there; V1 is",
         ),
-        (["export", "all/V1.RLS.json", "--to", "x.xls"], 2, ".xls; .csv, .c, .st are allowed"),
+        (
+            ["export", "all/V1.RLS.json", "--to", "x.xls"],
+            2,
+            ".xls; .csv, .c, .st, .fmu are allowed",
+        ),
         (["export", "all/V1.RLS.json", "--to", "x.c", "--dp-min", "300"], 2, "300 … 200 bar"),
         (["replay", "plant.csv", "--save", "plant.csv/x"], 1, "plant.csv/x: not a directory"),
     ],

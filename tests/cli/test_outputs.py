@@ -25,7 +25,7 @@ READ = {  # what a command reads, or its own folder of certificates, users and s
     "files",
     "ca",
 }
-READ_OF = {("invert", "file"), ("export", "file"), ("baseline", "file")}
+READ_OF = {("invert", "file"), ("export", "file"), ("baseline", "file"), ("state import", "file")}
 WRITTEN = {  # (command, parameter): the command line, {} is the path; and the file that is there
     ("invert", "out"): ("invert m.json --Q 1 --dp 2 --to {}", "answers.csv", ""),
     ("export", "out"): ("export m.json --to {}", "map.c", ""),
@@ -41,6 +41,7 @@ WRITTEN = {  # (command, parameter): the command line, {} is the path; and the f
     ("connect", "sheet"): ("connect opc.tcp://127.0.0.1:1 --sheet {}", "sheet.html", ""),
     ("report", "out"): ("report --out {}", "reports", "paper.html"),
     ("history export", "file"): ("history export {}", "r.csv", ""),
+    ("state export", "file"): ("state export {}", "states.sqlite", ""),
     ("fleet reidentify", "out"): ("fleet reidentify r.csv --out {}", "models", "V1.RLS.json"),
 }
 

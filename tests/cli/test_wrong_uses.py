@@ -134,7 +134,7 @@ ASKED_WRONGLY = uses(
     ("invert none.json --Q 1 --dp 2", ["none.json: no such file"]),
     ("invert ok.csv --from none.csv", ["none.csv: no such file", "Q,dp"]),
     ("export ok.csv", ["--to"]),
-    ("export ok.csv --to x.doc", ["x.doc", ".csv, .c, .st are allowed"]),
+    ("export ok.csv --to x.doc", ["x.doc", ".csv, .c, .st, .fmu are allowed"]),
     ("export ok.csv --to nowhere/x.c", ["there is no folder nowhere"]),
     ("trust --user x", ["--user NAME, --role ROLE and FILE"]),
     ("trust text.txt --user x --role king", ["role 'king'", "observer, operator, engineer"]),

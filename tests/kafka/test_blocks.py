@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from support.plant import START, plant
+from valvemap.pipeline.ports import Command
 
 pa = pytest.importorskip("pyarrow")
 
@@ -102,8 +103,8 @@ def identification():
     late = np.array([START + 60_000_000_000])
     found.say_overdue(np.array([0]), late)
     found.refresh_maps()
-    found.demand("a", 60.0, 100.0)
-    found.approve("b")
+    found.do(Command.of("demand", "a", 60.0, 100.0))
+    found.do(Command.of("approve", "b"))
     return found
 
 

@@ -19,8 +19,9 @@ from valvemap.kafka.collect import Collector, site_of
 from valvemap.kafka.settings import CatalogueConfig, CollectConfig, FleetConfig, TopicsConfig
 from valvemap.kafka.spool import Spool
 from valvemap.model.samples import Samples
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.sources import Part, Sources
+from valvemap.vocabulary.signals import PER_VALVE
 
 VALVES, SAMPLES, PER_GROUP = 5, 400, 2
 CONFIG = FleetConfig(
@@ -67,7 +68,7 @@ def messages(truth):
     each = [as_changes(one) for one in truth]
     changes = DataChanges.concatenate(
         [
-            DataChanges(one.item + np.int32(k * SIGNALS_PER_VALVE), *list(vars(one).values())[1:])
+            DataChanges(one.item + np.int32(k * PER_VALVE), *list(vars(one).values())[1:])
             for k, one in enumerate(each)
         ]
     )

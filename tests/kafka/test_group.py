@@ -14,7 +14,14 @@ from support.plant import START
 from valvemap.app.build import build_identification
 from valvemap.config.estimators import AutoConfig, RlsConfig
 from valvemap.errors import BlockError, FleetError
-from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
+from valvemap.kafka.commands import (
+    Command,
+    Reply,
+    carry_out,
+    read_command,
+    read_reply,
+    write_message,
+)
 from valvemap.kafka.memory import MAGIC, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import read_results
 from valvemap.pipeline.valve_columns import Columns
@@ -62,8 +69,7 @@ def test_what_is_learnt_is_what_one_machine_learns(plan, messages):
     for message in messages:
         feed(fleet, [message])
         if isinstance(message, Command):
-            operator = getattr(alone, message.action)
-            operator(*filter(None, (message.valve, message.estimator)), *message.values)
+            carry_out(message, alone)
             continue
         for valve, samples in message.samples.items():
             for part in (samples[:3], samples[3:]):  # cut otherwise

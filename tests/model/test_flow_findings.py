@@ -90,6 +90,13 @@ def test_a_healthy_valve_has_no_findings(seed):
     assert FlowMap().findings(learnt(lambda U, dp, t, e: valve(U, dp) + e, seed)) == ()
 
 
+def test_a_hidden_cause_is_misfit_without_another_name():
+    found = FlowMap().findings(
+        learnt(lambda U, dp, t, e: valve(U, dp) * (1 + 0.05 * np.sin(t / 12)) + e)
+    )
+    assert [one.code for one in found] == [Code.MISFIT]
+
+
 def test_before_the_first_fit_there_is_nothing_to_say():
     assert FlowMap().findings(FlowMap().initial_state()) == ()
 

@@ -13,8 +13,9 @@ from support.stream import NODES, RATE_HZ, Collector, NumberedServer, until, wat
 from valvemap.clock import SystemClock
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings
 from valvemap.opcua_source.history import NEVER, Knowledge
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
+from valvemap.vocabulary.signals import PER_VALVE
 
 pytestmark = pytest.mark.waits
 
@@ -53,8 +54,8 @@ async def test_a_cut_longer_than_the_source_holds_costs_nothing(limits, named):
     ):
         await proxy.cut_for(CUT_S)
         await all_in_order(served, collector)
-        assert source.counters.from_history >= RATE_HZ * SIGNALS_PER_VALVE / 2
-        asked = RATE_HZ * SIGNALS_PER_VALVE * collector.longest_wait_s
+        assert source.counters.from_history >= RATE_HZ * PER_VALVE / 2
+        asked = RATE_HZ * PER_VALVE * collector.longest_wait_s
         assert source.counters.from_history < 2 * asked  # it is asked for what is missing alone
 
 
@@ -102,7 +103,7 @@ async def test_what_a_short_history_has_no_more_is_counted_to_the_sample():
         lost = numbers[-1] - numbers[0] + 1 - len(numbers)
         assert lost > 0
         assert collector.counters["gaps"] == lost
-        assert 0 < source.counters.from_history <= 50 * SIGNALS_PER_VALVE
+        assert 0 < source.counters.from_history <= 50 * PER_VALVE
 
 
 async def test_who_does_not_want_history_does_not_get_it():

@@ -27,7 +27,8 @@ from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
 from valvemap.opcua_source import subscription as subscriptions
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from valvemap.opcua_source.source_nodes import parse_node_id
-from valvemap.pipeline.data_changes import DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.vocabulary.signals import Signal
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -39,6 +39,9 @@ def changes(before, after):
 class Operator:
     """As much of one as nodes need."""
 
+    def do(self, command):
+        return getattr(self, command.action)(*command.arguments)
+
     def alarms(self, valve):
         return ()
 

@@ -13,6 +13,9 @@ from valvemap.opcua_results.result_demands import ResultDemands
 class Operator:
     """Notes what is demanded, and rejects what is said so."""
 
+    def do(self, command):
+        return getattr(self, command.action)(*command.arguments)
+
     def __init__(self, rejects=()):
         self.demands, self.rejects = [], rejects
 

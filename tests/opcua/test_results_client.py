@@ -32,6 +32,9 @@ VALVE = ValveDescription(
 
 
 class Operator:
+    def do(self, command):
+        return getattr(self, command.action)(*command.arguments)
+
     def predict(self, _valve, _estimator, U, dp, _T):
         return U * dp, 0.5, Status.EXTRAPOLATING
 

@@ -36,7 +36,7 @@ def samples():
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def client(tmp_path_factory):
     plan = ValvePlan("V1", QualityGate(), {"RLS": RecursiveLeastSquares()}, inverse="RLS")
-    identification = Identification([plan], Alignment(AlignmentSettings(), has_T=(False,)))
+    identification = Identification([plan], Alignment(AlignmentSettings(), optional=((),)))
     settings = results_settings(none_on_loopback=True)
     with HistoryFile(tmp_path_factory.mktemp("history") / "history.sqlite") as store:
         keeper = PastKeeper(store, ["V1"])

@@ -118,6 +118,9 @@ ALARMS_OF_A_VALVE = (CHANGED, LAG_FOUND)
 class Operator:
     """Remembers what it was asked."""
 
+    def do(self, command):
+        return getattr(self, command.action)(*command.arguments)
+
     def __init__(self):
         self.calls = []
 

@@ -20,7 +20,7 @@ from valvemap.pipeline.alarms import (
     Alarms,
     ServiceAlarms,
 )
-from valvemap.pipeline.ports import Remark
+from valvemap.pipeline.ports import Command, Remark
 from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.statuses import Quality, Status
 
@@ -329,9 +329,9 @@ def test_the_clock_that_goes_back_raises_nothing(known):
     assert active(known) == []
 
 
-def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
+def test_the_service_watches_its_checkpoints_its_certificate_its_load_and_its_history():
     alarms = ServiceAlarms()
-    checkpoint, certificate, load = OF_SERVE
+    checkpoint, certificate, load, history = OF_SERVE
     alarms.note(START, {checkpoint: 10.0, certificate: -400.0, load: 0.2})
     alarms.note(START + S, {checkpoint: 70.0, certificate: -29.0, load: 0.95})
     assert [r.name for r in alarms.reports() if r.active] == ["Checkpoint", "Certificate"]
@@ -339,6 +339,11 @@ def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
     alarms.note(START + 40 * S, {checkpoint: 1.0, certificate: np.nan, load: 0.95})
     assert [r.name for r in alarms.reports() if r.active] == ["Certificate", "Load"]
     assert alarms.acknowledge("Load", said_at(41, "busy"))
+    alarms.note(START + 41 * S, {history: 12.0})
+    assert "The history was not saved for 12.0 s" in alarms.reports()[3].text
+    alarms.note(START + 42 * S, {history: 0.0})
+    alarms.note(START + 43 * S, {history: np.inf})
+    assert alarms.reports()[3].text.startswith("Rows of the history were lost")
     again = ServiceAlarms()
     again.from_bytes(alarms.to_bytes())
     assert again.reports() == alarms.reports()
@@ -383,14 +388,14 @@ def test_alarms_are_resumed_after_a_restart_and_acknowledged_by_name(fresh):
     after = fresh()
     after.restore([*before.checkpoints(), *before.memories()])
     assert after.alarms("Valvistor") == before.alarms("Valvistor")
-    after.acknowledge("Valvistor", "SensorLost", said_at(61))
+    after.do(Command.of("acknowledge", "Valvistor", "SensorLost", said_at(61)))
     assert after.result(0) is not None
     (results,) = after.results([0])
     assert [r.acked for r in results.alarms.reports(0) if r.active] == [True]
     with pytest.raises(CommandRejected, match="nothing to acknowledge"):
-        after.acknowledge("Valvistor", "SensorLost", said_at(62))
+        after.do(Command.of("acknowledge", "Valvistor", "SensorLost", said_at(62)))
     with pytest.raises(CommandRejected, match=r"Service\.Load"):
-        after.acknowledge(None, "Load", said_at(0))
+        after.do(Command.of("acknowledge", None, "Load", said_at(0)))
 
 
 def test_what_was_acknowledged_is_to_be_confirmed_and_remarks_outlive_a_restart(fresh):
@@ -401,17 +406,17 @@ def test_what_was_acknowledged_is_to_be_confirmed_and_remarks_outlive_a_restart(
     assert before.alarmed() == ["Valvistor"]
     lost = "Valvistor", "SensorLost"
     with pytest.raises(CommandRejected, match="nothing to confirm"):
-        before.confirm(*lost, said_at(61))
-    before.acknowledge(*lost, said_at(62, "on my way"))
-    before.remark(*lost, said_at(63, "the cable " + 500 * "x"))
+        before.do(Command.of("confirm", *lost, said_at(61)))
+    before.do(Command.of("acknowledge", *lost, said_at(62, "on my way")))
+    before.do(Command.of("remark", *lost, said_at(63, "the cable " + 500 * "x")))
     after = fresh()
     after.restore([*before.checkpoints(), *before.memories()])
     (report,) = (r for r in after.alarms("Valvistor") if r.name == "SensorLost")
     assert (report.active, report.acked, report.confirmed) == (True, True, False)
     assert (report.comment[:10], len(report.comment)) == ("the cable ", 200)
     assert (report.commented_by, report.commented) == ("operator", START + 63 * S)
-    after.confirm(*lost, said_at(64))
+    after.do(Command.of("confirm", *lost, said_at(64)))
     (report,) = (r for r in after.alarms("Valvistor") if r.name == "SensorLost")
     assert (report.confirmed, report.at, report.comment[:9]) == (True, START + 64 * S, "the cable")
     with pytest.raises(CommandRejected, match="nothing to confirm"):
-        after.confirm(*lost, said_at(65))
+        after.do(Command.of("confirm", *lost, said_at(65)))

@@ -5,11 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.vocabulary.signals import PER_VALVE, Signal
 
 SECOND = 1_000_000_000
 BAD, UNCERTAIN = 0x80000000, 0x40000000
-ONE_VALVE = Alignment(AlignmentSettings(), has_T=(True,))
+ONE_VALVE = Alignment(AlignmentSettings(), optional=(("T",),))
 
 
 def changes(*rows):
@@ -75,7 +76,7 @@ def test_the_same_time_of_the_same_signal_is_a_duplicate():
 
 
 def test_times_within_the_tolerance_belong_together():
-    align = Alignment(AlignmentSettings(tolerance_ns=2_000_000), has_T=(True,))
+    align = Alignment(AlignmentSettings(tolerance_ns=2_000_000), optional=(("T",),))
     batch = [(s, t + 0.0005 * s, 1.0) for t in range(3) for s in range(5)]
     times, _, _ = run(align, changes(*batch))
     assert times == [0, 1, 2]
@@ -83,7 +84,7 @@ def test_times_within_the_tolerance_belong_together():
 
 
 def test_a_silent_signal_is_waited_for_only_within_bounds():
-    align = Alignment(AlignmentSettings(max_pending=64), has_T=(True,))
+    align = Alignment(AlignmentSettings(max_pending=64), optional=(("T",),))
     no_Q = [s for s in range(5) if s != Signal.Q]
     batch = [row for t in range(1, 1000) for row in sample(t / 100, signals=no_Q)]
     state, _ = align.update(align.initial_state(), changes(*sample(0)))
@@ -110,7 +111,7 @@ def test_a_clock_that_jumps_ahead_costs_nothing():
 
 def test_a_held_temperature_serves_until_it_is_too_old():
     hold = {Signal.T: 10 * SECOND}
-    align = Alignment(AlignmentSettings(hold_ns=hold), has_T=(True,))
+    align = Alignment(AlignmentSettings(hold_ns=hold), optional=(("T",),))
     batch = [(Signal.T, 0, 40.0)]
     batch += [row for t in (0, 10, 11) for row in sample(t, signals=range(4))]
     times, _, (samples,) = run(align, changes(*batch))
@@ -120,7 +121,7 @@ def test_a_held_temperature_serves_until_it_is_too_old():
 
 
 def test_a_valve_without_a_thermometer_needs_none():
-    align = Alignment(AlignmentSettings(), has_T=(False,))
+    align = Alignment(AlignmentSettings(), optional=((),))
     times, _, (samples,) = run(align, changes(*sample(0, signals=range(4))))
     assert times == [0]
     assert np.isnan(samples.T[0])
@@ -135,11 +136,9 @@ def test_the_worst_signal_decides_the_quality():
 
 
 def test_valves_do_not_meet():
-    align = Alignment(AlignmentSettings(), has_T=(True, False))
+    align = Alignment(AlignmentSettings(), optional=(("T",), ()))
     one = changes(*sample(0))
-    two = DataChanges(
-        one.item + np.int32(SIGNALS_PER_VALVE), one.value * 2, one.status, one.source_time
-    )
+    two = DataChanges(one.item + np.int32(PER_VALVE), one.value * 2, one.status, one.source_time)
     _, samples = align.update(
         align.initial_state(), DataChanges.concatenate([one[:3], two, one[3:]])
     )

@@ -17,7 +17,7 @@ from valvemap.pipeline.valve_timing import ValveTiming
 
 
 def arrivals():
-    return Arrivals(["Valvistor"], Alignment(AlignmentSettings(), has_T=(True,)))
+    return Arrivals(["Valvistor"], Alignment(AlignmentSettings(), optional=(("T",),)))
 
 
 @pytest.fixture
@@ -87,6 +87,14 @@ def test_its_head_is_json(under_way):
     assert special == []
 
 
+def test_states_of_valves_with_and_without_a_temperature_have_the_keys_of_0_1():
+    both = Alignment(AlignmentSettings(), optional=(("T",), ()))
+    packed = Arrivals(["V1", "V2"], both).to_bytes()
+    assert b"f1313d23fda406722b07f7b25959b457aad304bd7fe717da49e79cde322e4d72" in packed.replace(
+        b"\0", b""
+    )
+
+
 VALVES, CULPRIT, STEP_NS, SKEW_NS = 3, 1, 20_000_000, 2_000_000
 
 
@@ -111,8 +119,8 @@ def batches(staggered, count=30, n=25):
 
 
 def of_three():
-    timing = Timing(TimingSettings(), (True,) * VALVES)
-    alignment = Alignment(AlignmentSettings(), (True,) * VALVES)
+    timing = Timing(TimingSettings(), (("T",),) * VALVES)
+    alignment = Alignment(AlignmentSettings(), (("T",),) * VALVES)
     return Arrivals([f"V{v}" for v in range(VALVES)], alignment, timing)
 
 

@@ -7,6 +7,7 @@ from support.plant import as_changes, plant
 from valvemap.errors import CommandRejected
 from valvemap.model.samples import Samples
 from valvemap.pipeline.baseline import Baseline
+from valvemap.pipeline.ports import Command
 
 VALVE = "Valvistor"
 
@@ -25,20 +26,23 @@ def learnt(identification):
 
 def test_nothing_is_approved_before_something_is_known(identification):
     with pytest.raises(CommandRejected, match="not one to build on"):
-        identification.approve(VALVE)
-    for wanted in (identification.roll_back, lambda valve: identification.compare(valve, "RLS")):
+        identification.do(Command.of("approve", VALVE))
+    for wanted in (
+        lambda: identification.do(Command.of("roll_back", VALVE)),
+        lambda: identification.compare(VALVE, "RLS"),
+    ):
         with pytest.raises(CommandRejected, match="has no baseline"):
-            wanted(VALVE)
+            wanted()
 
 
 def test_a_version_has_number_time_and_hash(learnt):
-    learnt.approve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
     first = learnt.baseline(0)
     assert first.number == 1
     assert first.t == plant(600).t[-1]
     assert first.version == f"1-{first.digest[:12]}"
     assert len(first.digest) == 64
-    learnt.approve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
     assert learnt.baseline(0).version.startswith("2-")
     assert learnt.baseline(0).digest == first.digest  # nothing was learnt in between
     (results,) = learnt.results([0])
@@ -46,9 +50,9 @@ def test_a_version_has_number_time_and_hash(learnt):
 
 
 def test_a_map_is_compared_with_the_approved_one(learnt):
-    learnt.approve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
     assert learnt.compare(VALVE, "RLS").largest == 0.0
-    learnt.reset(VALVE, "RLS")
+    learnt.do(Command.of("reset", VALVE, "RLS"))
     learnt.take_samples(0, worn(plant(3000, seed=4, first=600)))
     found = learnt.compare(VALVE, "RLS")
     expected = -0.1 * (3 + 0.1 * found.U * np.sqrt(found.dp) - 0.02 * found.dp)
@@ -60,39 +64,39 @@ def test_a_map_is_compared_with_the_approved_one(learnt):
 
 def test_going_back_is_to_the_last_bit(learnt):
     theta = {name: lane.state.to_bytes("k") for name, lane in learnt.state(0).lanes.items()}
-    learnt.approve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
     learnt.take_samples(0, worn(plant(300, seed=4, first=600)))
-    learnt.roll_back(VALVE)
+    learnt.do(Command.of("roll_back", VALVE))
     assert theta == {name: lane.state.to_bytes("k") for name, lane in learnt.state(0).lanes.items()}
 
 
 def test_another_valve_starts_from_nothing(learnt):
-    learnt.approve(VALVE)
-    learnt.replace_valve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
+    learnt.do(Command.of("replace_valve", VALVE))
     assert learnt.baseline(0) is None
     assert learnt.result(0).estimators["RLS"].sample_count == 0
     learnt.take_samples(0, plant(600, first=600))
-    learnt.approve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
     assert learnt.baseline(0).number == 2
 
 
 def test_a_restart_keeps_the_approved_map_and_that_there_is_none(learnt, fresh):
-    learnt.approve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
     again = fresh()
     _, refused = again.restore([*learnt.checkpoints(), *learnt.memories()])
     assert not refused
     assert again.baseline(0) == learnt.baseline(0)
-    again.replace_valve(VALVE)
+    again.do(Command.of("replace_valve", VALVE))
     third = fresh()
     third.restore([*again.checkpoints(), *again.memories()])
     assert third.baseline(0) is None
     third.take_samples(0, plant(600))
-    third.approve(VALVE)
+    third.do(Command.of("approve", VALVE))
     assert third.baseline(0).number == 2
 
 
 def test_a_damaged_one_is_not_believed(learnt):
-    learnt.approve(VALVE)
+    learnt.do(Command.of("approve", VALVE))
     packed = bytearray(learnt.baseline(0).to_bytes())
     packed[-1000] ^= 1
     with pytest.raises(ValueError, match="hash"):

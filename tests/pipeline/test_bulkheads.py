@@ -21,7 +21,7 @@ from valvemap.errors import CommandRejected
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Remark
+from valvemap.pipeline.ports import Command, Remark
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.past import PastKeeper
 from valvemap.vocabulary.statuses import Quality, Status
@@ -31,7 +31,7 @@ BATCHES = 8
 
 
 def fresh():
-    return Identification(plans(), Alignment(AlignmentSettings(), (True,) * VALVES))
+    return Identification(plans(), Alignment(AlignmentSettings(), (("T",),) * VALVES))
 
 
 def changes_of(number):
@@ -68,7 +68,7 @@ class Past:
     def take_notes(self):
         return []
 
-    def forget(self, now):
+    def forget(self):
         pass
 
     def rows(self, valve):
@@ -93,7 +93,7 @@ class Running:
         )
         self.keeper = keeper
         for name in names:
-            self.known.demand(name, 30.0, 100.0)
+            self.known.do(Command.of("demand", name, 30.0, 100.0))
 
     async def run(self):
         for changes in map(changes_of, range(BATCHES)):
@@ -168,7 +168,7 @@ async def test_an_error_in_any_step_of_one_valve_costs_the_others_nothing(
         assert shown.estimators[name].quality is Quality.BAD
     for name in set(LANES) - set(step.stops):
         assert shown.estimators[name].sample_count == 20 * BATCHES
-    known.reset(f"V{CULPRIT}", step.stops[0])
+    known.do(Command.of("reset", f"V{CULPRIT}", step.stops[0]))
     assert not running.alarm(CULPRIT).active
     assert known.lane(f"V{CULPRIT}", step.stops[0]).status is not Status.FAILED
     before = known.result(CULPRIT).estimators[step.stops[0]].sample_count
@@ -199,8 +199,8 @@ def test_a_lane_that_failed_keeps_its_last_state_and_stays_failed_over_a_restart
     alarm = next(a for a in again.alarms(f"V{CULPRIT}") if a.name == "LaneFailed")
     assert alarm.active
     assert "RLS, learning: RuntimeError: injected" in alarm.text
-    again.acknowledge(f"V{CULPRIT}", "LaneFailed", Remark("seen", "operator", 1))
-    again.reset(f"V{CULPRIT}", "RLS")
+    again.do(Command.of("acknowledge", f"V{CULPRIT}", "LaneFailed", Remark("seen", "operator", 1)))
+    again.do(Command.of("reset", f"V{CULPRIT}", "RLS"))
     again.take(changes[6])
     assert again.result(CULPRIT).estimators["RLS"].sample_count == 20
 
@@ -223,11 +223,11 @@ def test_what_an_operator_asks_of_a_lane_that_failed_is_answered(monkeypatch):
     known.take_samples(CULPRIT, signals(CULPRIT, 0))
     known.stop(CULPRIT, next(iter(STEPS)).step, RuntimeError("x" * 10_000))
     assert known.predict(f"V{CULPRIT}", "RLS", 50.0, 100.0, 40.0)[2] is Status.FAILED
-    known.freeze(f"V{CULPRIT}", "RLS")
-    known.resume(f"V{CULPRIT}", "RLS")
+    known.do(Command.of("freeze", f"V{CULPRIT}", "RLS"))
+    known.do(Command.of("resume", f"V{CULPRIT}", "RLS"))
     assert known.lane(f"V{CULPRIT}", "RLS").status is Status.FAILED
     with pytest.raises(CommandRejected, match="stopped at an unexpected error"):
-        known.approve(f"V{CULPRIT}")
+        known.do(Command.of("approve", f"V{CULPRIT}"))
     assert known.required(CULPRIT)[1] is Status.FAILED
     alarm = next(a for a in known.alarms(f"V{CULPRIT}") if a.name == "LaneFailed")
     assert len(alarm.text) < 1_000
@@ -240,6 +240,6 @@ def test_a_failure_is_logged_once_and_beyond_a_hundred_they_are_counted_alone():
     assert len(known.new_failures()) == 1
     for _ in range(200):
         known.stop(CULPRIT, STEPS[0].step, RuntimeError("again"))
-        known.reset(f"V{CULPRIT}", "RLS")
+        known.do(Command.of("reset", f"V{CULPRIT}", "RLS"))
     assert len(known.new_failures()) == 100
     assert known.counters(CULPRIT)["lane_failures"] == 200

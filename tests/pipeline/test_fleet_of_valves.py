@@ -12,10 +12,12 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.model.support import Support
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
-from valvemap.pipeline.data_changes import DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Command
 from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
+from valvemap.vocabulary.signals import Signal
 
 LENGTHS = (120, 7, 60, 200)
 STRICT = QualityGate({**QualityGate().limits, Signal.Q: SignalLimits(0.0, 60.0)})
@@ -34,7 +36,7 @@ def plans(plan):
 
 
 def service(plans):
-    return Identification(plans, Alignment(AlignmentSettings(), (True,) * len(plans)))
+    return Identification(plans, Alignment(AlignmentSettings(), (("T",),) * len(plans)))
 
 
 def mixed(parts):
@@ -58,10 +60,10 @@ def known(identification, valve):
 def test_valves_of_several_plans_learn_together_what_they_learn_alone(plans):
     parts = [plant(n, seed=k) for k, n in enumerate(LENGTHS)]
     together, alone = service(plans), service(plans)
-    together.set_forgetting_factor("c", "RLS", 0.9)
-    alone.set_forgetting_factor("c", "RLS", 0.9)
-    together.freeze("a", "RML")
-    alone.freeze("a", "RML")
+    together.do(Command.of("set_forgetting_factor", "c", "RLS", 0.9))
+    alone.do(Command.of("set_forgetting_factor", "c", "RLS", 0.9))
+    together.do(Command.of("freeze", "a", "RML"))
+    alone.do(Command.of("freeze", "a", "RML"))
     changes = mixed(parts)
     for cut in np.array_split(np.arange(len(changes)), 5):
         together.take(changes[slice(cut[0], cut[-1] + 1)])
@@ -89,7 +91,7 @@ def test_what_was_handed_out_does_not_change_with_later_samples(plan):
 
 
 def test_a_batch_tells_which_samples_are_whose():
-    align = Alignment(AlignmentSettings(), (True, True, True))
+    align = Alignment(AlignmentSettings(), (("T",),) * 3)
     _, arrived = align.update(align.initial_state(), mixed([plant(3), plant(0), plant(5, seed=1)]))
     assert list(arrived) == [0, 2]
     assert [len(arrived[valve]) for valve in arrived] == [3, 5]

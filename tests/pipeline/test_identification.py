@@ -12,7 +12,9 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.maps_and_surveys import SURVEYS_AT_ONCE
-from valvemap.pipeline.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from valvemap.pipeline.ports import Command
+from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
+from valvemap.vocabulary.signals import SENSORS
 from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 
@@ -56,7 +58,7 @@ def test_lost_sensors_make_every_result_bad(identification):
 
 def test_freeze_stops_learning_and_resume_goes_on(identification):
     identification.take_samples(0, plant(300))
-    identification.freeze("Valvistor", "RLS")
+    identification.do(Command.of("freeze", "Valvistor", "RLS"))
     before = thetas(identification)
     identification.take_samples(0, plant(50, seed=2, first=300))
     after = thetas(identification)
@@ -65,15 +67,15 @@ def test_freeze_stops_learning_and_resume_goes_on(identification):
     result = identification.result(0).estimators["RLS"]
     assert (result.status, result.sample_count) == (Status.FROZEN, 300)
     assert np.isfinite(result.residual)
-    identification.resume("Valvistor", "RLS")
+    identification.do(Command.of("resume", "Valvistor", "RLS"))
     identification.take_samples(0, plant(50, seed=3, first=350))
     assert thetas(identification)["RLS"] != before["RLS"]
 
 
 def test_reset_forgets_the_samples_and_keeps_the_settings(identification):
-    identification.set_forgetting_factor("Valvistor", "RLS", 0.97)
+    identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", 0.97))
     identification.take_samples(0, plant(300))
-    identification.reset("Valvistor", "RLS")
+    identification.do(Command.of("reset", "Valvistor", "RLS"))
     assert identification.result(0).estimators["RLS"].sample_count == 0
     assert identification.lane("Valvistor", "RLS").estimator.lam == 0.97
 
@@ -81,30 +83,30 @@ def test_reset_forgets_the_samples_and_keeps_the_settings(identification):
 @pytest.mark.parametrize("lam", [1e-300, 0.0, 0.8, -1.0, 1.01, np.nan, np.inf, -1e308])
 def test_a_forgetting_factor_out_of_range_is_refused(identification, lam):
     with pytest.raises(CommandRejected, match=r"factor .*: allowed is 0\.8333 <= lam <= 1"):
-        identification.set_forgetting_factor("Valvistor", "RLS", lam)
+        identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", lam))
 
 
 def test_a_network_has_no_forgetting_factor(identification):
     with pytest.raises(CommandRejected, match=r"Valvistor\.RBF has no forgetting factor"):
-        identification.set_forgetting_factor("Valvistor", "RBF", 0.99)
+        identification.do(Command.of("set_forgetting_factor", "Valvistor", "RBF", 0.99))
 
 
 def test_the_standing_demand_is_answered_and_predicted_back(identification):
     identification.take_samples(0, plant(2000))
-    identification.demand("Valvistor", 60.0, 100.0)
+    identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
     inverse = identification.result(0).inverse
     assert inverse.status == InverseStatus.OK
     Q, std, status = identification.predict("Valvistor", "RLS", inverse.required_U, 100.0, 40.0)
     assert pytest.approx(60.0, abs=1e-6) == Q
     assert 0 < std < 1
     assert status is Status.OK
-    identification.demand("Valvistor", np.nan, np.nan)
+    identification.do(Command.of("demand", "Valvistor", np.nan, np.nan))
     assert np.isnan(identification.result(0).inverse.required_U)
 
 
 def test_a_restart_goes_on_as_if_there_had_been_none(identification, fresh):
     samples = plant(600)
-    identification.set_forgetting_factor("Valvistor", "RLS", 0.98)
+    identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", 0.98))
     identification.take_samples(0, samples[:300])
     restarted = fresh()
     restored, refused = restarted.restore(identification.checkpoints())
@@ -147,7 +149,7 @@ def test_a_new_measurement_is_expected_within_the_noise_of_the_residuals(identif
         assert 1.0 < (upper - lower) / result.noise_std < 8.0
     checkpoints = identification.checkpoints()
     before = identification.lane("Valvistor", "RLS").spread
-    identification.reset("Valvistor", "RLS")
+    identification.do(Command.of("reset", "Valvistor", "RLS"))
     assert np.isnan(identification.result(0).estimators["RLS"].noise_std)
     identification.restore(checkpoints)
     after = identification.lane("Valvistor", "RLS").spread
@@ -169,7 +171,7 @@ def test_every_map_is_surveyed_when_the_inverse_is_tabulated_anew(identification
 
 def test_a_fleet_is_surveyed_in_turns(plan):
     plans = [replace(plan, name=f"V{k}") for k in range(20)]
-    fleet = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 20))
+    fleet = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * 20))
     seen = []
     for _ in range(2):
         fleet.refresh_maps()
@@ -201,12 +203,12 @@ def test_a_U_that_an_estimator_cannot_describe_is_counted_and_teaches_nothing(id
 def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alone(plan):
     doubted = replace(plan, accuracy=SensorAccuracy(p1=1.0, p2=1.0, Q=0.5))
     one, other = (
-        Identification([each], Alignment(AlignmentSettings(), has_T=(True,)))
+        Identification([each], Alignment(AlignmentSettings(), optional=(("T",),)))
         for each in (plan, doubted)
     )
     for identification in (one, other):
         identification.take_samples(0, plant(500))
-        identification.demand("Valvistor", 60.0, 80.0)
+        identification.do(Command.of("demand", "Valvistor", 60.0, 80.0))
     point = "Valvistor", "RLS", 50.0, 100.0, 40.0
     sure, doubtful = one.predict(*point), other.predict(*point)
     slope = 0.1 * 50.0 / 20.0 - 0.02
@@ -224,7 +226,7 @@ def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alon
 
 def test_samples_too_fast_for_a_meter_are_counted_where_everybody_sees(plan):
     slow = replace(plan, estimators={"Auto": Auto(lag_U=0.0, lag_Q=0.3)}, inverse="Auto")
-    identification = Identification([slow], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([slow], Alignment(AlignmentSettings(), optional=(("T",),)))
     identification.take_samples(0, plant(500))  # U jumps from sample to sample
     assert identification.counters(0)["too_fast_for_lag"] > 400
 
@@ -232,7 +234,7 @@ def test_samples_too_fast_for_a_meter_are_counted_where_everybody_sees(plan):
 def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):
     network = RbfNetwork(U_range=(-100.0, 100.0), dp_range=(0.0, 200.0))
     both = replace(plan, estimators={"RBF": network}, inverse="RBF", U_range=(-100.0, 100.0))
-    identification = Identification([both], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([both], Alignment(AlignmentSettings(), optional=(("T",),)))
     for k in range(4):
         samples = plant(5000, seed=k, first=5000 * k)
         samples.U[::2] *= -1.0
@@ -258,13 +260,13 @@ def test_where_nothing_was_measured_predict_invert_and_the_demand_say_extrapolat
     answer = identification.invert("Valvistor", 100.0, 150.0, 70.0)
     assert answer.status[0] == InverseStatus.EXTRAPOLATING
     assert answer.lower[0] < answer.U[0] < answer.upper[0]
-    identification.demand("Valvistor", 20.0, 50.0)
+    identification.do(Command.of("demand", "Valvistor", 20.0, 50.0))
     assert identification.result(0).inverse.status == InverseStatus.OK
     hot = samples[part][:1]
     hot.T[:] = 80.0
     identification.take_samples(0, hot)
     assert identification.result(0).inverse.status == InverseStatus.EXTRAPOLATING
-    identification.reset("Valvistor", "RLS")
+    identification.do(Command.of("reset", "Valvistor", "RLS"))
     assert len(identification.lane("Valvistor", "RLS").support.boxes) == 0
 
 
@@ -280,7 +282,7 @@ def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
     assert (result.sample_count, result.status) == (0, Status.REJECTED)
     insisting = Identification(
         [replace(plan, insist=True) for plan in doubting.plans],
-        Alignment(AlignmentSettings(), (True,)),
+        Alignment(AlignmentSettings(), (("T",),)),
     )
     insisting.take(as_changes(swapped))
     assert insisting.result(0).estimators["RLS"].sample_count == 300
@@ -300,14 +302,14 @@ def test_the_newest_sample_is_published_as_the_source_sent_it(identification):
 
 
 GATED = {
-    signal: SignalLimits(*PLAUSIBLE[signal], frozen_s=5.0, max_rate_per_s=1e5, spike=80.0)
+    signal: SignalLimits(*signal.plausible, frozen_s=5.0, max_rate_per_s=1e5, spike=80.0)
     for signal in SENSORS
 }
 
 
 def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
     gated = replace(plan, gate=QualityGate(limits=GATED))
-    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
     changes = as_changes(plant(400))
     lost = np.r_[0 : 6 * 120, 6 * 122 : len(changes)]  # a hole, behind which samples wait
     changes = DataChanges(*(column[lost] for column in vars(changes).values()))
@@ -318,13 +320,13 @@ def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
         return Identification([gated], align)
 
     whole = fresh()
-    whole.demand("Valvistor", 50.0, 100.0)
-    whole.freeze("Valvistor", "RML")
+    whole.do(Command.of("demand", "Valvistor", 50.0, 100.0))
+    whole.do(Command.of("freeze", "Valvistor", "RML"))
     whole.take(changes)
     rng = np.random.default_rng(3)
     part, at = fresh(), 0
-    part.demand("Valvistor", 50.0, 100.0)
-    part.freeze("Valvistor", "RML")
+    part.do(Command.of("demand", "Valvistor", 50.0, 100.0))
+    part.do(Command.of("freeze", "Valvistor", "RML"))
     for until in [*np.sort(rng.integers(0, len(changes), 12)).tolist(), len(changes)]:
         part.take(changes[at:until])
         kept, at = [*part.checkpoints(), *part.memories()], until
@@ -346,6 +348,6 @@ def test_the_memory_of_a_valve_with_another_gate_is_left_aside(plan, identificat
     identification.take(as_changes(plant(50)))
     kept = [*identification.checkpoints(), *identification.memories()]
     other = replace(plan, gate=QualityGate(limits=GATED))
-    restarted = Identification([other], Alignment(AlignmentSettings(), has_T=(True,)))
+    restarted = Identification([other], Alignment(AlignmentSettings(), optional=(("T",),)))
     restored, refused = restarted.restore(kept)
     assert (len(restored), list(refused)) == (5, ["Valvistor.Diagnostics"])

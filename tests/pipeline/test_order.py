@@ -11,8 +11,8 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 
 START, STEP, SECOND = 1_800_000_000_000_000_000, 10_000_000, 1_000_000_000
-ORDERED = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
-BY_TIME = Alignment(AlignmentSettings(), has_T=(True,))
+ORDERED = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
+BY_TIME = Alignment(AlignmentSettings(), optional=(("T",),))
 LOSSES = ("late", "missing", "duplicates", "clock_steps", "gaps", "lost_by_time", "restarts")
 
 
@@ -160,7 +160,7 @@ def test_a_sample_without_one_of_its_signals_is_missing_not_a_gap():
 @pytest.mark.parametrize("room", [64, 4096])
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
 def test_what_queues_lost_of_some_signals_and_numbers_is_counted_once(share, room):
-    align = Alignment(AlignmentSettings(max_pending=room), (True,), (True,))
+    align = Alignment(AlignmentSettings(max_pending=room), (("T",),), (True,))
     changes = stream(np.arange(2000))
     for seed in range(5):
         within = np.isin(np.arange(12000) // 6, np.arange(500, 1500))
@@ -226,7 +226,7 @@ def test_without_its_numbers_a_valve_is_gone_on_with_by_time():
 
 
 def test_when_many_samples_lack_a_signal_the_oldest_make_room():
-    align = Alignment(AlignmentSettings(max_pending=64), (True,), (True,))
+    align = Alignment(AlignmentSettings(max_pending=64), (("T",),), (True,))
     changes = stream(np.arange(2000))
     no_Q = rows(changes, (changes.item != 3) | (np.arange(12000) < 600))
     times, _, losses = run(align, no_Q)
@@ -256,7 +256,7 @@ def test_a_source_that_becomes_slower_loses_nothing():
 
 
 def test_without_a_number_samples_wait_for_earlier_ones_where_that_is_asked_for():
-    align = Alignment(AlignmentSettings(reorder_by_time_ns=SECOND), (True,))
+    align = Alignment(AlignmentSettings(reorder_by_time_ns=SECOND), (("T",),))
     changes = stream(np.arange(1500))
     ordered = run(align, changes, flush=True)
     assert len(ordered[0]) == 1500
@@ -273,7 +273,7 @@ wild = st.lists(
 @settings(max_examples=200)
 @given(wild, st.integers(0, 2**31), st.booleans())
 def test_a_stream_cut_anywhere_gives_the_same_samples(changes, seed, numbered):
-    align = Alignment(AlignmentSettings(max_pending=16), (True,), (numbered,))
+    align = Alignment(AlignmentSettings(max_pending=16), (("T",),), (numbered,))
     many = DataChanges(
         item=np.array([c[0] for c in changes], np.int32),
         value=np.array([c[2] for c in changes], float),

@@ -18,7 +18,7 @@ from valvemap.pipeline import valve_state
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.ports import Checkpoint, Command
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.valve_state import ValvePlan
@@ -38,8 +38,8 @@ def fresh():
         "Auto": Auto(),
     }
     plans = [ValvePlan(name, QualityGate(), estimators, "RLS") for name in ("a", "b")]
-    align = Alignment(AlignmentSettings(), (True,) * TWO, (False,) * TWO)
-    return lambda: Identification(plans, align, Timing(TimingSettings(), (True,) * TWO))
+    align = Alignment(AlignmentSettings(), (("T",),) * TWO, (False,) * TWO)
+    return lambda: Identification(plans, align, Timing(TimingSettings(), (("T",),) * TWO))
 
 
 def changes(n, first=0):
@@ -54,7 +54,7 @@ def changes(n, first=0):
 def kept(fresh):
     learnt = fresh()
     learnt.take(changes(400))
-    learnt.set_forgetting_factor("a", "RLS", 0.99)
+    learnt.do(Command.of("set_forgetting_factor", "a", "RLS", 0.99))
     return learnt.kept()
 
 

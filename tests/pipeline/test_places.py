@@ -270,12 +270,12 @@ def test_maps_are_compared_at_fixed_numbers_of_samples():
     assert places.due(one)[0] == FIRST_LOOK
 
 
-def test_a_reset_forgets_the_errors_of_one_estimator():
+def test_a_reset_deletes_the_errors_of_one_estimator():
     places, _ = taught()
     U = places.points(0)[0]
     places.look_back(0, [(U, 0.0 * U + 0.1)] * 2)
     assert places.ranking(0).chosen == 0
-    places.forget(0, 0)
+    places.reset(0, 0)
     assert places.ranking(0).chosen == -1
     assert not np.isfinite(places.ranking(0).errors[0])
     assert np.isfinite(places.ranking(0).errors[1])

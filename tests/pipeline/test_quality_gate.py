@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from valvemap.model.samples import Samples
-from valvemap.pipeline.data_changes import Signal
-from valvemap.pipeline.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
+from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import Quality
 
 GOOD, BAD = Quality.GOOD, Quality.BAD
@@ -28,8 +28,8 @@ def judge(gate, *batches):
 
 
 def limited(signal, **limits):
-    plausible = {s: SignalLimits(*PLAUSIBLE[s]) for s in SENSORS}
-    low, high = PLAUSIBLE[signal]
+    plausible = {s: SignalLimits(*s.plausible) for s in SENSORS}
+    low, high = signal.plausible
     return QualityGate({**plausible, signal: SignalLimits(**{"low": low, "high": high, **limits})})
 
 

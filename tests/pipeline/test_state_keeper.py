@@ -31,8 +31,8 @@ def valves():
         ValvePlan(f"V{m}", QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
         for m in range(VALVES)
     ]
-    every = (True,) * VALVES
-    return Identification(plans, Alignment(AlignmentSettings(), every, has_sequence=every))
+    align = Alignment(AlignmentSettings(), (("T",),) * VALVES, (True,) * VALVES)
+    return Identification(plans, align)
 
 
 @cache

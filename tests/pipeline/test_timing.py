@@ -8,12 +8,13 @@ import pytest
 from support.plant import START, as_changes, plant
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
-from valvemap.pipeline.data_changes import DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.timing_words import STILL_NS
 from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.vocabulary.signals import Signal
 
 MS = 1_000_000
 FLOW = (Signal.U, Signal.P1, Signal.P2, Signal.Q)
@@ -73,7 +74,7 @@ def on_change(n=1200, step=50 * MS, seed=7, still=()):
 
 
 def timing():
-    return Timing(TimingSettings(), has_T=(False,))
+    return Timing(TimingSettings(), optional=((),))
 
 
 def fed(changes, cuts=(), stage=None):
@@ -85,7 +86,7 @@ def fed(changes, cuts=(), stage=None):
 
 
 def samples_of(out):
-    align = Alignment(AlignmentSettings(), has_T=(False,))
+    align = Alignment(AlignmentSettings(), optional=((),))
     _, samples = align.update(align.initial_state(), out)
     return samples[0]
 
@@ -189,7 +190,7 @@ def test_a_restart_changes_nothing(make, share):
 
 def test_signals_that_carry_one_time_pass_as_they_come():
     changes = as_changes(plant(300))
-    stage = Timing(TimingSettings(), has_T=(True,), has_sequence=(True,))
+    stage = Timing(TimingSettings(), optional=(("T",),), has_sequence=(True,))
     out, _ = fed(changes, [6, 12, 900], stage)
     for one, other in zip(columns(changes), columns(out), strict=True):
         assert np.array_equal(one, other)
@@ -214,7 +215,7 @@ def test_the_state_of_a_valve_is_kept_with_what_was_found():
     plan = ValvePlan("V1", QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
 
     def fresh():
-        return Identification([plan], Alignment(AlignmentSettings(), has_T=(False,)), timing())
+        return Identification([plan], Alignment(AlignmentSettings(), optional=((),)), timing())
 
     changes, _ = skewed()
     whole, first, second = fresh(), fresh(), fresh()
@@ -261,7 +262,7 @@ def test_the_deadband_of_a_source_enters_the_interval_of_the_flow():
     plan = ValvePlan("V1", QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
     found = {}
     for bands in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.8, 1.5, 0.0)):
-        align = Alignment(AlignmentSettings(), has_T=(False,))
+        align = Alignment(AlignmentSettings(), optional=((),))
         identification = Identification([plan], align, timing())
         identification.take(with_deadbands(bands))
         _, std, _ = identification.predict("V1", "RLS", 50.0, 100.0, 40.0)
@@ -273,7 +274,7 @@ def test_the_deadband_of_a_source_enters_the_interval_of_the_flow():
     assert np.sqrt(wide**2 - sharp**2) == pytest.approx(expected, rel=0.25)
     assert "steps from" in identification.timing(0)[Signal.P2]
     assert np.isfinite(identification.result(0).estimators["RLS"].systematic_std)
-    again = Identification([plan], Alignment(AlignmentSettings(), has_T=(False,)), timing())
+    again = Identification([plan], Alignment(AlignmentSettings(), optional=((),)), timing())
     _, refused = again.restore([*identification.checkpoints(), *identification.memories()])
     assert not refused
     assert again.predict("V1", "RLS", 50.0, 100.0, 40.0)[1] == wide

@@ -5,9 +5,9 @@ import pytest
 
 from support.plant import as_changes, plant
 from valvemap.pipeline.alignment import AlignmentSettings
-from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.kernels.waiting import NEVER
 from valvemap.pipeline.waiting import waited_for
+from valvemap.vocabulary.signals import Signal
 
 T = 1_800_000_000_000_000_000
 MS = 1_000_000
@@ -31,13 +31,13 @@ SELDOM = (
     ],
 )
 def test_the_signal_that_is_waited_for_is_named_with_what_helps(newest, said):
-    assert waited_for(np.array(newest), AlignmentSettings(), has_T=True) == said
+    assert waited_for(np.array(newest), AlignmentSettings(), optional=("T",)) == said
 
 
 def test_a_setting_that_is_there_is_asked_for_no_more():
     newest = np.array([T, T - 3 * MS, T - 4000 * MS, T, NEVER])
     settings = AlignmentSettings(tolerance_ns=5 * MS, hold_ns={Signal.P2: 10_000 * MS})
-    assert waited_for(newest, settings, has_T=False) == ()
+    assert waited_for(newest, settings, optional=()) == ()
 
 
 def test_a_valve_without_its_flow_says_so_while_it_is_lost(identification):

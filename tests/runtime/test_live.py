@@ -13,7 +13,8 @@ from valvemap.errors import CommandRejected, SourceLost, SourceRejected, Storage
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.kept_states import ALARMS, MEMORY
+from valvemap.pipeline.ports import Command
+from valvemap.pipeline.provenance import ALARMS, MEMORY, PLACES
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.publishing_turns import VALVES_AT_ONCE
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
@@ -99,7 +100,7 @@ async def test_silence_makes_results_bad_once(live, sink, clock):
 @pytest.fixture
 def numbered(plan, source, sink, store, clock):
     """A service whose valve has a running number."""
-    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
     return LiveService(Identification([plan], align), source, sink, store, clock, LiveSettings())
 
 
@@ -155,9 +156,9 @@ async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(
 async def leading(live, source, clock):
     """A service that has led its valve to the answer; returns the samples taken so far."""
     await live.take(as_changes(plant(1000)))
-    live.identification.freeze("Valvistor", "RLS")
-    live.identification.demand("Valvistor", 50.0, 100.0)
-    live.identification.arm("Valvistor")
+    live.identification.do(Command.of("freeze", "Valvistor", "RLS"))
+    live.identification.do(Command.of("demand", "Valvistor", 50.0, 100.0))
+    live.identification.do(Command.of("arm", "Valvistor"))
     clock.advance(10.0)  # the plant's clock: a sample for every 10 ms of the 1,000
     for first in range(1000, 1030):
         clock.advance(0.1)
@@ -171,7 +172,7 @@ def now(samples, clock):
 
 
 async def test_nothing_is_written_before_somebody_arms(live, source):
-    live.identification.demand("Valvistor", 50.0, 100.0)
+    live.identification.do(Command.of("demand", "Valvistor", 50.0, 100.0))
     await live.take(as_changes(plant(1000)))
     await live.tick()
     assert source.written == source.heartbeats == []
@@ -202,7 +203,7 @@ async def test_a_refused_write_is_repeated_and_why_nothing_is_written_is_publish
 ):
     first = await leading(live, source, clock)
     source.refuses = True
-    live.identification.demand("Valvistor", 60.0, 100.0)
+    live.identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
     for k in range(5):
         clock.advance(0.1)
         await live.take(as_changes(now(plant(1, seed=3, first=first + k), clock)))
@@ -239,7 +240,7 @@ async def test_a_lost_source_is_not_written_to_and_the_valve_stays_armed(live, s
 
 
 async def test_a_restart_disarms(live, store, fresh):
-    live.identification.arm("Valvistor")
+    live.identification.do(Command.of("arm", "Valvistor"))
     await live.keep()
     again = fresh()
     again.restore(store.load())
@@ -248,9 +249,9 @@ async def test_a_restart_disarms(live, store, fresh):
 
 async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
     bare = replace(plan, feed_forward=None)
-    identification = Identification([bare], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification = Identification([bare], Alignment(AlignmentSettings(), optional=(("T",),)))
     with pytest.raises(CommandRejected, match=r"nodes\.required_U"):
-        identification.arm("Valvistor")
+        identification.do(Command.of("arm", "Valvistor"))
     inverse = identification.result(0).inverse
     assert inverse.feed_forward is FeedForwardStatus.NOT_CONFIGURED
 
@@ -279,7 +280,7 @@ async def test_states_are_kept_at_their_interval(live, store, clock):
     clock.advance(10.0)
     await live.tick()
     await live.settle()
-    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY, ALARMS]
+    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY, ALARMS, PLACES]
 
 
 def a_disk_that_takes(store, clock, seconds):
@@ -319,7 +320,7 @@ async def test_an_end_keeps_all_where_there_is_time(live, store, clock):
 
 async def test_states_of_many_valves_are_packed_a_few_at_a_time(plan, source, sink, store, clock):
     plans = [replace(plan, name=f"V{n}") for n in range(100)]
-    many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 100))
+    many = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * 100))
     live = LiveService(many, source, sink, store, clock, LiveSettings())
     most, states = [], live._keeper.states
     live._keeper.states = lambda valves: most.append(len(valves)) or states(valves)
@@ -357,7 +358,7 @@ async def test_where_time_is_short_the_valves_shown_longest_ago_come_first(
 ):
     n = 3 * VALVES_AT_ONCE
     plans = [replace(plan, name=f"V{k}") for k in range(n)]
-    every = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * n))
+    every = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * n))
     settings = LiveSettings(publish_budget_s=0.0)
     live = LiveService(every, source, sink, store, clock, settings)
     one = as_changes(plant(1))
@@ -392,7 +393,7 @@ async def test_publishing_leaves_most_of_the_time_to_what_comes_in(live, sink, c
 async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink, store, clock):
     n = 200
     plans = [replace(plan, name=f"V{k}") for k in range(n)]
-    many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * n))
+    many = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * n))
     live = LiveService(many, source, sink, store, clock, LiveSettings())
     saved = []
     store.save = lambda checkpoints: saved.append([c.valve for c in checkpoints])
@@ -544,3 +545,62 @@ async def test_a_slow_disk_holds_nothing_up(live, store, clock):
     assert count(live) == 320
     may_go_on.set()
     await live.settle()
+
+
+@pytest.fixture
+def starting(plan, source, sink, store, clock):
+    """A service whose second estimator waits for the compiler."""
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
+    waits = list(plan.estimators)[1:]
+    preview = Identification([plan], align, waits=waits)
+    return LiveService(preview, source, sink, store, clock, LiveSettings())
+
+
+def whole(plan):
+    align = Alignment(AlignmentSettings(), optional=(("T",),), has_sequence=(True,))
+    return Identification([plan], align)
+
+
+async def test_a_preview_publishes_and_its_successor_misses_no_sample(starting, plan, sink):
+    changes = as_changes(plant(300))
+    await starting.take(changes[:600])
+    first, *waiting = sink.published[-1].estimators.values()
+    assert first.sample_count == 100
+    assert {one.sample_count for one in waiting} == {0}
+    await starting.complete(whole(plan))
+    await starting.take(changes[600:])
+    assert {one.sample_count for one in sink.published[-1].estimators.values()} == {300}
+
+
+async def test_a_preview_saves_nothing_and_its_successor_does(starting, plan, store, clock):
+    await starting.take(as_changes(plant(300)))
+    clock.advance(60.0)
+    await starting.tick()
+    assert await starting.keep()
+    assert not store.load()
+    await starting.complete(whole(plan))
+    clock.advance(60.0)
+    await starting.tick()
+    await starting.settle()
+    assert store.load()
+
+
+async def test_a_preview_that_falls_behind_waits_for_its_successor(starting, plan):
+    starting._changes_per_s = 600.0  # a slow machine
+    taking = asyncio.create_task(starting.take(as_changes(plant(300))))
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert not taking.done()
+    await starting.complete(whole(plan))
+    await taking
+    assert count(starting) == 300
+
+
+async def test_a_preview_that_waits_ends_at_once_when_it_is_asked_to(starting, clock):
+    starting._changes_per_s = 600.0
+    taking = asyncio.create_task(starting.take(as_changes(plant(300))))
+    await asyncio.sleep(0)
+    starting.end_soon()
+    clock.advance(1.0)
+    await taking
+    assert count(starting) == 0

@@ -18,6 +18,7 @@ from valvemap.pipeline.ports import (
 )
 from valvemap.runtime import past
 from valvemap.runtime.past import PastKeeper
+from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.statuses import Quality
 
 VALVES = ("V1", "V2", "V3")
@@ -28,7 +29,7 @@ class Store:
     """Fulfils PastStore."""
 
     def __init__(self):
-        self.pieces, self.forgotten, self.broken, self.noted = [], [], False, []
+        self.pieces, self.forgotten, self.broken, self.noted = [], 0, False, []
 
     lost = size = 0
 
@@ -46,8 +47,8 @@ class Store:
             raise StorageError("disk full")
         self.noted += changes
 
-    def forget(self, now):
-        self.forgotten.append(now)
+    def forget(self):
+        self.forgotten += 1
         return 0
 
 
@@ -150,29 +151,31 @@ async def test_changes_of_alarms_are_kept_and_no_room_for_them_is_counted(keeper
     assert store.noted == changes
     store.broken = True
     keeper.note_alarm(changes[0])
-    await keeper.settle()
+    assert not await keeper.settle()
+    assert keeper.lost == 0
+    await keeper.end()
     assert keeper.lost == 1
 
 
 async def test_it_keeps_once_a_second_and_forgets_once_a_minute(keeper, store):
     for second in range(120):
         keeper.take(samples_of([0], n=1, start=second))
-        keeper.tick(float(second), utc=second)
-        keeper.tick(second + 0.5, utc=second)
+        keeper.tick(float(second))
+        keeper.tick(second + 0.5)
         await asyncio.wait_for(keeper._keeping, 5.0)
     assert len(store.pieces) == 120
-    assert store.forgotten == [0, 60]
+    assert store.forgotten == 2
 
 
 async def test_a_large_fleet_is_kept_less_often(store):
     keeper = PastKeeper(store, [f"V{k}" for k in range(2_000)])
     keeper.take(samples_of([0]))
-    keeper.tick(0.0, utc=0)
+    keeper.tick(0.0)
     await keeper._keeping
     keeper.take(samples_of([0], start=20))
-    keeper.tick(2.0, utc=0)
+    keeper.tick(2.0)
     assert keeper._keeping.done()
-    keeper.tick(4.0, utc=0)
+    keeper.tick(4.0)
     await keeper._keeping
     assert len(store.pieces) == 2
 
@@ -190,14 +193,90 @@ async def test_signals_that_are_bad_find_no_room_either_and_are_counted(keeper, 
     assert keeper.lost == 3  # of RLS, of the inverse map, of the signals
 
 
-async def test_a_disk_that_fails_is_counted_and_the_next_save_goes_on(keeper, store):
+async def a_second(keeper, now):
+    keeper.tick(now)
+    await keeper._keeping
+
+
+async def test_rows_that_the_disk_refuses_wait_for_the_next_save(keeper, store):
+    report = AlarmReport("LagFound", True, False, 300, 1, 1, 1, "it lags")  # noqa: FBT003
+    store.broken = True
+    for second in range(60):
+        keeper.take(samples_of([0], start=10 * second))
+        keeper.note_alarm(AlarmChange("V1", second, report))
+        await a_second(keeper, float(second))
+    assert (keeper.failures, keeper.lost, store.pieces) == (60, 0, [])
+    store.broken = False
+    keeper.take(samples_of([0], start=600))
+    await a_second(keeper, 60.0)
+    (piece,) = store.pieces
+    assert piece.t.tolist() == [10 * second + k for second in range(61) for k in range(3)]
+    assert [change.t for change in store.noted] == list(range(60))
+    assert keeper.lost == 0
+
+
+@pytest.mark.parametrize("seconds", [22, 60])
+async def test_a_full_disk_loses_no_row(tmp_path, seconds):
+    """Of the real file, whose pages are limited for a while."""
+    with HistoryFile(tmp_path / "history.sqlite") as store:
+        keeper = PastKeeper(store, VALVES)
+        for second in range(seconds + 20):
+            if second == 10:
+                (pages,) = store._writer.execute("PRAGMA page_count").fetchone()
+                store._writer.execute(f"PRAGMA max_page_count = {pages}")
+            if second == 10 + seconds:
+                store._writer.execute("PRAGMA max_page_count = 1000000")
+            keeper.take(samples_of([0, 1, 2], n=100, start=100 * second))
+            keeper.note(results_of([0, 1, 2], t=100 * second + 99))
+            await a_second(keeper, float(second))
+        assert keeper.failures > seconds / 2
+        assert keeper.counters.lost == 0
+        for valve in VALVES:
+            found = store.read(f"{valve}.Signals", "Q", 0, 10**9, most=10**9)
+            assert len(found.t) == 100 * (seconds + 20)
+            assert len(store.read(f"{valve}.RLS", "Residual", 0, 10**9, most=10**9).t) == (
+                seconds + 20
+            )
+
+
+async def test_rows_that_wait_and_rows_that_are_lost_are_measured_for_the_alarm(
+    keeper, store, monkeypatch
+):
+    monkeypatch.setattr(past, "MOST_ROWS", 30)
+    keeper.take(samples_of([0]))
+    await a_second(keeper, 1.0)
+    assert keeper.waits_s(1.5) == 0.0
+    store.broken = True
+    for second in range(2, 13):
+        keeper.take(samples_of([0], start=10 * second))
+        await a_second(keeper, float(second))
+        if second < 12:
+            assert keeper.waits_s(second + 0.5) == second - 1.5
+    assert keeper.waits_s(12.5) == float("inf")  # once: a row found no room
+    assert keeper.waits_s(13.0) == 11.0
+    store.broken = False
+    await a_second(keeper, 14.0)
+    assert keeper.waits_s(14.0) == 0.0
+
+
+async def test_rows_beyond_the_buffer_are_counted_while_the_disk_refuses(
+    keeper, store, monkeypatch
+):
+    monkeypatch.setattr(past, "MOST_ROWS", 30)
+    store.broken = True
+    for second in range(20):
+        keeper.take(samples_of([0], start=10 * second))
+        await a_second(keeper, float(second))
+    store.broken = False
+    await a_second(keeper, 20.0)
+    assert (keeper.lost, sum(len(piece.t) for piece in store.pieces)) == (30, 30)
+
+
+async def test_rows_that_cannot_be_saved_at_the_end_are_counted(keeper, store):
     store.broken = True
     keeper.take(samples_of([0]))
-    await keeper.settle()
-    store.broken = False
-    keeper.take(samples_of([0], start=30))
-    await keeper.settle()
-    assert (keeper.failures, keeper.lost, len(store.pieces)) == (1, 3, 1)
+    await keeper.end()
+    assert (keeper.failures, keeper.lost) == (1, 3)
 
 
 async def test_what_damage_took_is_counted_with_the_rest_and_said(keeper, store, capsys):

@@ -87,7 +87,7 @@ class Scripted:
 @pytest.fixture
 def two(plan):
     plans = [replace(plan, name=name) for name in ("a", "b", "c")]
-    return Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 3))
+    return Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * 3))
 
 
 def parts(north, south):
@@ -132,7 +132,7 @@ async def test_what_both_send_is_learnt_as_from_one(two, plan, sink, store, cloc
     live = LiveService(two, sources, sink, store, clock, LiveSettings())
     await live.start()
     await run_until(sources, live, clock, lambda: min(counts(two)) == 100)
-    alone = Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    alone = Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
     alone.take(as_changes(plant(100, seed=3)))
     theta = two.result(1).estimators["RLS"].theta
     np.testing.assert_array_equal(theta, alone.result(0).estimators["RLS"].theta)

@@ -71,15 +71,16 @@ def a_save_without_transaction():
 
 
 def a_forgotten_counter():
-    """Rows that the disk refused are not counted."""
-    keep = PastKeeper._keep
+    """Rows that found no room are not counted."""
+    room = PastKeeper._has_room
 
-    async def uncounted(self, forget_at):
+    def uncounted(self, rows):
         before = self.lost
-        await keep(self, forget_at)
+        found = room(self, rows)
         self.lost = before
+        return found
 
-    return mock.patch.object(PastKeeper, "_keep", uncounted)
+    return mock.patch.object(PastKeeper, "_has_room", uncounted)
 
 
 def a_buffer_without_bound():
@@ -123,9 +124,9 @@ def rows_lost_between_buffer_and_disk():
     """Rows that arrive while the disk is written are dropped with the saved ones."""
     keep = PastKeeper._keep
 
-    async def dropping(self, forget_at):
-        await keep(self, forget_at)
-        self._samples, self._results, self._rows = [], [], 0
+    async def dropping(self, **options):
+        await keep(self, **options)
+        self._samples, self._results = [], []
 
     return mock.patch.object(PastKeeper, "_keep", dropping)
 

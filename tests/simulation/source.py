@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from valvemap.errors import SourceLost
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import SourceCounters
+from valvemap.vocabulary.signals import PER_VALVE, Signal
 
 BAD = 0x8000_0000
 _CONNECTING_S = 0.05
@@ -166,15 +167,15 @@ class Server:
         return message, overflown
 
     def _send(self, known, changes, valve, k):
-        whole, rng, case = (valve, k, 0, SIGNALS_PER_VALVE), self._rng, self.case
+        whole, rng, case = (valve, k, 0, PER_VALVE), self._rng, self.case
         is_new = self._time.elapsed - self.at[k] < case.publishing_s
         if is_new and rng.random() < case.late:
             known.held.append(whole)
             return
         if is_new and rng.random() < case.split:
-            edge = rng.randrange(1, SIGNALS_PER_VALVE)
+            edge = rng.randrange(1, PER_VALVE)
             changes.append((valve, k, 0, edge))
-            known.held.append((valve, k, edge, SIGNALS_PER_VALVE))
+            known.held.append((valve, k, edge, PER_VALVE))
             return
         changes.append(whole)
         if rng.random() < case.duplicated:
@@ -189,8 +190,8 @@ class Server:
         """The parts of samples as data changes; valves have their numbers at this source."""
         item, value, status, t = [], [], [], []
         for valve, k, first, stop in parts:
-            here = numbered_here[valve] * SIGNALS_PER_VALVE
-            last = stop if self.case.numbered else min(stop, SIGNALS_PER_VALVE - 1)
+            here = numbered_here[valve] * PER_VALVE
+            last = stop if self.case.numbered else min(stop, PER_VALVE - 1)
             for signal in range(first, last):
                 item.append(here + signal)
                 value.append(self.values[valve][k, signal])
@@ -316,7 +317,7 @@ class Client:
                 gap = self.server.remembered(self._known + 1, stop)
                 missed = range(self._known + 1, stop)
                 self.server.excuse((valve, k) for k in missed if k not in gap for valve in every)
-                parts += [(valve, k, 0, SIGNALS_PER_VALVE) for k in gap for valve in every]
+                parts += [(valve, k, 0, PER_VALVE) for k in gap for valve in every]
             parts += message.changes
             self._message = message.number
             self._known = max(self._known, *(k for _, k, *_ in message.changes))

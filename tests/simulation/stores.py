@@ -28,6 +28,9 @@ class StateFile:
     def sync(self):
         self.durable = self.committed
 
+    def put_aside(self, aside, moved):
+        pass
+
     def lose_power(self):
         self.committed = self.durable
 
@@ -58,7 +61,7 @@ class PastFile:
         if self.refuses:
             raise StorageError("history: disk full")
 
-    def forget(self, now):
+    def forget(self):
         return 0
 
     def take_notes(self):

@@ -88,7 +88,7 @@ def fresh(case):
         max_pending=_MOST_PENDING,
     )
     flags = tuple(numbered[valve] for valve in range(case.valves))
-    return Identification(plans, Alignment(settings, (True,) * case.valves, flags))
+    return Identification(plans, Alignment(settings, (("T",),) * case.valves, flags))
 
 
 def reorder(case):

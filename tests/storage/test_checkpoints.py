@@ -225,7 +225,7 @@ def test_a_process_killed_while_it_writes_leaves_the_last_whole_save(path, saves
 @pytest.mark.parametrize("seed", range(3))
 def test_a_flipped_bit_costs_at_most_one_generation_and_is_never_believed(path, seed):
     rng = np.random.default_rng(seed)
-    states = {t: rng.bytes(3000) for t in (1, 2)}
+    states = {t: rng.bytes(5000) for t in (1, 2)}
     names = [(valve, name) for valve in ("V1", "V2") for name in ("RLS", "RML")]
     with CheckpointFile(path) as store:
         for t, state in states.items():

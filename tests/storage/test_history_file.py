@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from valvemap.errors import StorageError
 from valvemap.pipeline.ports import AlarmChange, AlarmReport, Piece
 from valvemap.storage import alarm_changes
-from valvemap.storage.history import BLOCK, HistoryFile
+from valvemap.storage.history import HistoryFile
 from valvemap.storage.history_blocks import MOST_ROWS, unpack
+from valvemap.storage.history_series import BLOCK
 
 EVER = -(2**63), 2**63 - 1
 S = 1_000_000_000
@@ -75,13 +76,26 @@ def test_changes_of_alarms_are_kept_once_and_read_by_owner(path):
         assert store.changes(None, *EVER, skip=1, most=2) == [changed(2), changed(2, "V2")]
 
 
+class Monotonic:
+    """A clock that stands still until it is set."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
 def test_old_and_excessive_changes_of_alarms_are_forgotten(path, monkeypatch):
-    with HistoryFile(path, keep_s=10.0) as store:
-        store.note([changed(k * S) for k in range(20)])
-        store.forget(20 * S)
+    clock = Monotonic()
+    with HistoryFile(path, keep_s=10.0, clock=clock) as store:
+        store.note([changed(k * S) for k in range(10)])
+        store.forget()
+        store.note([changed(k * S) for k in range(10, 20)])
+        clock.now = 11.0
+        store.forget()
         assert store.changes("V1", *EVER, most=1) == [changed(10 * S)]
         monkeypatch.setattr(alarm_changes, "MOST_CHANGES", 3)
-        store.forget(20 * S)
+        store.forget()
         assert [change.t // S for change in store.changes("V1", *EVER, most=99)] == [17, 18, 19]
 
 
@@ -170,20 +184,116 @@ def test_nothing_is_known_of_what_was_never_kept(path):
 
 
 def test_what_is_old_is_forgotten(path):
-    with HistoryFile(path, keep_s=50.0) as store:
+    clock = Monotonic()
+    with HistoryFile(path, keep_s=50.0, clock=clock) as store:
         for k in range(10):
             store.save([piece(10 * k * S, 10, step=S)])
-        assert store.forget(now=100 * S) == 5
+            clock.now += 10.0
+            store.forget()
         assert whole(store).t[0] == 50 * S
         store.save([piece(100 * S, 5_000, step=S)])  # joins what is left
         assert len(whole(store).t) == 5_050
+
+
+def test_rows_age_only_while_the_file_is_open(path):
+    for k in range(4):
+        clock = Monotonic()
+        with HistoryFile(path, keep_s=25.0, clock=clock) as store:
+            store.save([piece(10 * k * S, 10, step=S)])
+            store.forget()
+            clock.now = 10.0
+            store.forget()
+    with HistoryFile(path) as store:
+        assert whole(store).t[0] == 20 * S  # written 20 s of open file before the last look
+
+
+def test_the_rate_of_growth_is_that_of_the_rows_that_are_there(path):
+    clock = Monotonic()
+    with HistoryFile(path, most_bytes=1_000_000, clock=clock) as store:
+        assert store.bytes_per_s == 0.0
+        for k in range(500):
+            store.save([piece(1_000 * k * S, 1_000, step=S)])
+            clock.now += 60.0
+            store.forget()
+        assert store.size < 1_300_000
+        assert store.bytes_per_s == pytest.approx(16_200 / 60, rel=0.3)
+
+
+DAY = 86_400 * S
+
+
+@pytest.mark.parametrize("step", [-3_600 * S, 3_600 * S, -8 * DAY, 8 * DAY, -S, 1])
+def test_no_row_is_lost_where_a_clock_steps(path, step):
+    """Of a source whose clock steps, for good, in the middle."""
+    clock, t = Monotonic(), []
+    with HistoryFile(path, keep_s=7 * 86_400.0, clock=clock) as store:
+        for k in range(200):
+            one = piece(20_000 * DAY + k * S + (step if k >= 100 else 0), 10, step=S // 10)
+            t += one.t.tolist()
+            store.save([one])
+            clock.now += 1.0
+            if k % 60 == 0:
+                store.forget()
+        there = len(whole(store).t)
+        assert there + store.lost == len(set(t))  # what comes twice is the same row
+        found = whole(store)
+        assert (np.diff(found.t) > 0).all()
+        np.testing.assert_array_equal(found.t, sorted(set(t)))
+        back = whole(store, backwards=True)
+        np.testing.assert_array_equal(back.t[::-1], found.t)
+        np.testing.assert_array_equal(back.values[::-1], found.values)
+        np.testing.assert_array_equal(found.values, found.t + 1 / 8)
+
+
+def test_a_sample_a_day_ahead_does_not_hold_off_the_others(path):
+    with HistoryFile(path) as store:
+        for k in range(360):
+            store.save([piece(20_000 * DAY + 10 * k * S, 10, step=S)])
+            if k == 3:
+                store.save([piece(20_001 * DAY, 1)])
+        found = whole(store)
+        assert (len(found.t), store.lost) == (3_601, 0)
+        assert found.t[-1] == 20_001 * DAY
+    with HistoryFile(path) as store:
+        store.save([piece(20_000 * DAY + 3_600 * S, 5_000, step=S)])
+        assert len(whole(store).t) == 8_601
+
+
+def test_rows_of_one_time_that_differ_are_counted(path):
+    with HistoryFile(path) as store:
+        store.save([piece(0, 10)])
+        late = piece(5, 5)
+        late.columns["Q"][:] = 7.0
+        assert store.save([late]) == 2 * 5
+        assert store.lost == 4  # the last one is at the last time: a repetition
+        assert whole(store).values[5] == 5 + 1 / 8
+
+
+def test_what_is_sent_again_is_no_loss(path):
+    with HistoryFile(path) as store:
+        store.save([piece(0, 50)])
+        assert store.save([piece(20, 10), piece(0, 5)]) == 2 * 15
+        assert store.lost == 0
+
+
+@given(order=st.permutations(range(12)), span=SPANS, backwards=st.booleans())
+def test_pieces_in_any_order_are_read_in_order_of_time(tmp_path_factory, order, span, backwards):
+    low, high, skip, most = span
+    with HistoryFile(tmp_path_factory.mktemp("h") / "f") as store:
+        for k in order:
+            store.save([piece(k, 4, step=12)])  # overlapping
+        t = np.arange(48)
+        expected = t[(t >= low) & (t <= high)]
+        expected = (expected[::-1] if backwards else expected)[skip : skip + most]
+        found = store.read("V1.Signals", "Q", low, high, backwards=backwards, skip=skip, most=most)
+        np.testing.assert_array_equal(found.t, expected)
 
 
 def test_the_oldest_goes_where_there_is_too_much(path):
     with HistoryFile(path, most_bytes=300_000) as store:
         for k in range(40):
             store.save([piece(1_000 * k, 1_000)])
-            store.forget(now=0)
+            store.forget()
         assert store.size < 400_000
         assert whole(store).t[-1] == 39_999
         assert len(whole(store).t) < 20_000

@@ -19,11 +19,11 @@ from valvemap.pipeline import (
     valve_state,
 )
 from valvemap.pipeline.alignment import Alignment
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.runtime import past
+from valvemap.vocabulary.signals import PER_VALVE
 
 VALVES, CULPRIT = 20, 7
 LANES = ("RLS", "RML", "RBF")
@@ -126,7 +126,7 @@ def _of(plan, *_):
 STEPS = (
     Injected(
         *("alignment", Step.ALIGNMENT, LANES, Alignment, "take"),
-        lambda _alignment, _waiting, changes: CULPRIT in changes.item // SIGNALS_PER_VALVE,
+        lambda _alignment, _waiting, changes: CULPRIT in changes.item // PER_VALVE,
     ),
     Injected(
         *("gate", Step.GATE, LANES, QualityGate, "judge"),
@@ -139,7 +139,7 @@ STEPS = (
     _learning("RBF", RbfNetwork),
     Injected(
         *("outside of any step", Step.LEARNING, LANES, lanes.Lanes, "take"),
-        lambda _lanes, samples, segments, _stop: _among(samples, segments),
+        lambda _lanes, samples, segments, _restore, _stop: _among(samples, segments),
     ),
     Injected(
         *("support", Step.SUPPORT, LANES, shared_support.SharedSupport, "learn"),

@@ -12,7 +12,7 @@ from support.plant import START, as_changes, plant
 from support.results import results_settings
 from support.stream import until
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.ports import Remark
+from valvemap.pipeline.ports import Command, Remark
 from valvemap.runtime.past import PastKeeper
 
 S = 1_000_000_000
@@ -85,11 +85,12 @@ class Plant:
         await self.set_lag(0.0)
         for valve in ("Valvistor", None):
             for act, waits in (
-                (self.live.acknowledge, lambda report: not report.acked),
-                (self.live.confirm, lambda report: not report.confirmed),
+                ("acknowledge", lambda report: not report.acked),
+                ("confirm", lambda report: not report.confirmed),
             ):
                 for report in filter(waits, self.live.alarms(valve)):
-                    act(valve, report.name, Remark("", "", self.clock.now()))
+                    remark = Remark("", "", self.clock.now())
+                    self.live.do(Command.of(act, valve, report.name, remark))
         await self.publish()
 
     async def publish(self):

@@ -55,6 +55,7 @@ from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.page.viewers import Senseless as SenselessRequest
 from valvemap.page.viewers import _request
+from valvemap.pipeline import ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.identification import Identification
@@ -173,7 +174,7 @@ def _of_states():
             lambda kept=kept: [kept.state],
             (StateMismatchError,),
         )
-    arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), has_T=(True,)))
+    arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), optional=(("T",),)))
     arrivals.take(as_changes(plant(20)))
     found["state: arrays"] = Decoder(_arrays_of, _arrays, (StateMismatchError,))
     found["state: arrivals"] = Decoder(
@@ -494,11 +495,11 @@ def _alarms_of(file):
 
 def _learnt(samples=300):
     plan = ValvePlan(name=VALVE, gate=QualityGate(), estimators=ESTIMATORS, inverse="RLS")
-    alignment = Alignment(AlignmentSettings(), has_T=(True,))
-    learnt = Identification([plan], alignment, Timing(TimingSettings(), (True,)))
+    alignment = Alignment(AlignmentSettings(), optional=(("T",),))
+    learnt = Identification([plan], alignment, Timing(TimingSettings(), (("T",),)))
     learnt.take_samples(0, plant(samples))
     learnt.refresh_maps()
-    learnt.approve(VALVE)
+    learnt.do(ports.Command.of("approve", VALVE))
     learnt._alarms.of_service.note(0, {ServiceAlarm.CHECKPOINT: 1e9})
     return learnt
 

@@ -24,6 +24,7 @@ from valvemap.config.models import (
     StateConfig,
     ValveConfig,
 )
+from valvemap.pipeline.ports import Command
 from valvemap_rig.excitation import External
 from valvemap_rig.scenario import BUILTIN
 from valvemap_rig.server import RigServer
@@ -142,8 +143,8 @@ def open_settings(config):
 async def _feed_for_ever(rig_url, service_url, state):
     config = feeding_config(rig_url, service_url, Path(state))
     identification = learnt(config)
-    identification.demand(VALVE, Q, DP)
-    identification.arm(VALVE)
+    identification.do(Command.of("demand", VALVE, Q, DP))
+    identification.do(Command.of("arm", VALVE))
     await serve(config, asyncio.Event(), open_settings(config), identification)
 
 

@@ -13,10 +13,11 @@ from support.plant import lively
 from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
 from valvemap.config.models import GateConfig, ValveConfig
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
-from valvemap.pipeline.kept_states import ALARMS
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.provenance import ALARMS
 from valvemap.storage.checkpoints import LOG, CheckpointFile
+from valvemap.vocabulary.signals import PER_VALVE
 
 GATE = {"U": {"max_rate_per_s": 400.0}, "T": {"frozen_s": 1e6}, "Q": {"spike": 60.0}}
 AT_ONCE = 5  # samples in a batch, and …
@@ -37,10 +38,10 @@ def sent(first, n):
     """Samples of a source that has each for ever."""
     k = range(first, first + n)
     return DataChanges(
-        item=np.tile(np.arange(SIGNALS_PER_VALVE, dtype=np.int32), n),
+        item=np.tile(np.arange(PER_VALVE, dtype=np.int32), n),
         value=np.array([[*lively(one, 0), one] for one in k]).ravel(),
-        status=np.zeros(SIGNALS_PER_VALVE * n, np.uint32),
-        source_time=np.repeat(START + np.arange(first, first + n) * STEP_NS, SIGNALS_PER_VALVE),
+        status=np.zeros(PER_VALVE * n, np.uint32),
+        source_time=np.repeat(START + np.arange(first, first + n) * STEP_NS, PER_VALVE),
     )
 
 

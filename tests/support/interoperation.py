@@ -83,7 +83,7 @@ def identification():
     plan = ValvePlan(
         name="Valvistor", gate=gate, estimators=estimators, inverse="RLS", nameplate=plate
     )
-    return Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    return Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
 
 
 def taken(first):
@@ -102,7 +102,7 @@ async def identify(live, server, past):
         for results in live.results([0]):
             await server.publish(results)
             past.note(results)
-        past.tick(asyncio.get_running_loop().time(), int(samples.t[-1]))
+        past.tick(asyncio.get_running_loop().time())
         first += SAMPLES
         await asyncio.sleep(PERIOD_S)
 

@@ -9,13 +9,14 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
+from valvemap.vocabulary.signals import SENSORS
 
-GATE = QualityGate(limits={s: SignalLimits(*PLAUSIBLE[s], spike=60.0) for s in SENSORS})
+GATE = QualityGate(limits={s: SignalLimits(*s.plausible, spike=60.0) for s in SENSORS})
 
 
 class Sink:
@@ -33,7 +34,7 @@ class Sink:
 
 def fresh():
     plan = ValvePlan("V1", GATE, {"RLS": RecursiveLeastSquares()}, "RLS")
-    return Identification([plan], Alignment(AlignmentSettings(), (True,), (True,)))
+    return Identification([plan], Alignment(AlignmentSettings(), (("T",),), (True,)))
 
 
 async def lived(served, store, seconds):

@@ -40,7 +40,7 @@ class Tree:
         self.change(path, line, line + new)
 
     def run(self, *arguments, code=0, **environment):
-        """Run Python on the copy; return what it wrote."""
+        """Run Python on the copy; return its output."""
         paths = os.pathsep.join(str(self.folder / name) for name in SOURCES)
         done = subprocess.run(
             [sys.executable, *map(str, arguments)],
@@ -48,12 +48,12 @@ class Tree:
             cwd=self.folder,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=600,
             check=False,
         )
         assert done.returncode == code, done.stdout + done.stderr
-        return done.stdout + done.stderr
+        return done.stderr + done.stdout
 
     def valvemap(self, *arguments, code=0):
-        """Run a command of the copy; return what it wrote."""
+        """Run a command of the copy; return its output."""
         return self.run("-m", "valvemap", *arguments, code=code)

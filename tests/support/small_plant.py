@@ -35,7 +35,7 @@ def plan():
 
 @pytest.fixture
 def fresh(plan):
-    return lambda: Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    return lambda: Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
 
 
 @pytest.fixture
@@ -121,6 +121,10 @@ class FakeStore:
     kept: list = field(default_factory=list)
     size: int = 0
     damaged: tuple = ()
+    aside: list = field(default_factory=list)
+
+    def put_aside(self, aside, moved):
+        self.aside += aside
 
     def save(self, checkpoints):
         self.kept = list(checkpoints)

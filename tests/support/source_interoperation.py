@@ -19,7 +19,8 @@ from support.processes import free_port
 from support.proxy import Proxy
 from valvemap.errors import SourceLost, SourceRejected
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from valvemap.pipeline.data_changes import DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.vocabulary.signals import Signal
 
 START_MS = 1_800_000_000_000
 STEP_MS = 10

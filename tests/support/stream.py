@@ -13,8 +13,9 @@ from support.proxy import Proxy
 from valvemap.clock import SystemClock
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
+from valvemap.vocabulary.signals import PER_VALVE
 from valvemap_rig.history import Ring
 
 RATE_HZ = 100
@@ -111,18 +112,18 @@ class NumberedServer:
         return self.sent_between(first, self.written, valve)
 
     def sent_between(self, first, stop, valve=0):
-        own = slice(SIGNALS_PER_VALVE * valve, SIGNALS_PER_VALVE * (valve + 1))
+        own = slice(PER_VALVE * valve, PER_VALVE * (valve + 1))
         chosen = [self.sent[k] for k in range(first, stop)]
         n = len(chosen)
         return DataChanges(
-            item=np.tile(np.arange(SIGNALS_PER_VALVE, dtype=np.int32), n),
+            item=np.tile(np.arange(PER_VALVE, dtype=np.int32), n),
             value=np.array([values[own] for _, values in chosen], float).ravel(),
-            status=np.zeros(SIGNALS_PER_VALVE * n, np.uint32),
-            source_time=np.repeat([t // 100 * 100 for t, _ in chosen], SIGNALS_PER_VALVE),
+            status=np.zeros(PER_VALVE * n, np.uint32),
+            source_time=np.repeat([t // 100 * 100 for t, _ in chosen], PER_VALVE),
         )
 
     def publish(self, t):
-        valves = range(len(self.variables) // SIGNALS_PER_VALVE)
+        valves = range(len(self.variables) // PER_VALVE)
         values = [x for v in valves for x in (*self.shows(self.written, v), self.written)]
         self.sent[self.written] = t, values
         self.server.write(
@@ -144,14 +145,14 @@ class Collector:
     arrived: list = field(default_factory=list)
 
     def __post_init__(self):
-        self.align = Alignment(AlignmentSettings(), (True,), (self.numbered,))
+        self.align = Alignment(AlignmentSettings(), (("T",),), (self.numbered,))
         self.state = self.align.initial_state()
 
     async def connected(self, source_started):
         pass
 
     async def take(self, changes):
-        number = changes.item % SIGNALS_PER_VALVE == SIGNALS_PER_VALVE - 1
+        number = changes.item % PER_VALVE == PER_VALVE - 1
         self.numbers += changes.value[number].astype(np.int64).tolist()
         self.state, samples = self.align.take(self.state, changes)
         self.times += samples.samples.t.tolist()

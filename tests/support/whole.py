@@ -15,7 +15,7 @@ from support.processes import free_port, service_url
 from support.stream import SIGNALS
 from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
-from valvemap.pipeline.kept_states import ALARMS, MEMORY
+from valvemap.pipeline.provenance import ALARMS, MEMORY
 from valvemap.runtime.live import POSITION
 from valvemap.storage.checkpoints import LOG, CheckpointFile
 

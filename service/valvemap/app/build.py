@@ -1,24 +1,27 @@
 """Builds plans, alignment and layouts from the configuration, without importing a server."""
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
+from dataclasses import fields
 from typing import Any, Final, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
 from valvemap.config.models import RECOMMENDED, Config, GateConfig, NodesConfig, ValveConfig
-from valvemap.config.signals import SignalsConfig
+from valvemap.config.signals import SignalConfig, SignalsConfig
+from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
-from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.quality_gate import SENSORS, QualityGate
+from valvemap.pipeline.meaning import Meaning, SignalMeaning
+from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
-from valvemap.pipeline.units import MEASURED, READ, Measure
+from valvemap.pipeline.units import Measure
 from valvemap.pipeline.valve_state import ValvePlan, runs_interpreted
 from valvemap.runtime.state_keeper import KEPT_PER_S
 from valvemap.storage.layout import Layout, ValveLayout
+from valvemap.vocabulary.signals import MEASURED, OPTIONAL, READ, SENSORS, Signal
 
 R = TypeVar("R")
 
@@ -51,7 +54,6 @@ def build_preview(config: Config) -> Identification:
 
 def build_alignment(config: Config) -> Alignment:
     """Return the alignment of the signals of all valves."""
-    signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
     given, reorder_ns = config.alignment, round(config.alignment.reorder_ms * 1e6)
     settings = AlignmentSettings(
         tolerance_ns=round(given.tolerance_ms * 1e6),
@@ -59,12 +61,19 @@ def build_alignment(config: Config) -> Alignment:
         max_pending=given.max_pending,
         reorder_ns=reorder_ns,
         reorder_by_time_ns=reorder_ns if "reorder_ms" in given.model_fields_set else 0,
-        hold_ns={signals[name]: round(s * 1e9) for name, s in given.hold_s.items()},
+        hold_ns={Signal.of(name): round(s * 1e9) for name, s in given.hold_s.items()},
     )
     return Alignment(
         settings,
-        has_T=tuple(valve.nodes.T is not None for valve in config.valves),
+        optional=_optional(config),
         has_sequence=tuple(valve.nodes.sequence is not None for valve in config.valves),
+    )
+
+
+def _optional(config: Config) -> tuple[tuple[str, ...], ...]:
+    """Return the names of each valve's optional signals."""
+    return tuple(
+        tuple(name for name in OPTIONAL if valve.nodes.of(name)) for valve in config.valves
     )
 
 
@@ -77,7 +86,7 @@ def build_timing(config: Config) -> Timing | None:
     horizon_s = max(given.reorder_ms, 2.0 * slowest_ms) * 1e-3
     return Timing(
         TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
-        has_T=[valve.nodes.T is not None for valve in config.valves],
+        optional=_optional(config),
         has_sequence=[valve.nodes.sequence is not None for valve in config.valves],
     )
 
@@ -85,7 +94,27 @@ def build_timing(config: Config) -> Timing | None:
 def build_plans(config: Config) -> list[ValvePlan]:
     """Return a plan per valve; objects of equal configuration are created once and shared."""
     shared = _Shared()
-    return [_plan(valve, shared) for valve in config.valves]
+    return [_plan(config, valve, shared) for valve in config.valves]
+
+
+def meaning_of(
+    config: Config, valve: ValveConfig, estimators: Mapping[str, Estimator[Any]]
+) -> Meaning:
+    """Return what a valve's signals mean: it is stored with the states learnt from them."""
+    lam = {name: one.lam for name, one in estimators.items() if isinstance(one, Forgetful)}
+    signals: dict[str, SignalMeaning] = {}
+    for name in READ:
+        source = valve.nodes.source_of(name)
+        node = valve.nodes.of(source)
+        if node is not None and name in MEASURED:
+            given: SignalConfig = getattr(valve.signals, source)
+            scaling, limit = given.measure(source).scaling(source), given.error_limit(source)
+            signals[name] = SignalMeaning(
+                node, given.in_words(source), scaling.gain, scaling.offset, limit
+            )
+        elif node is not None:
+            signals[name] = SignalMeaning(node)
+    return Meaning(config.source_of(valve).url, signals, lam)
 
 
 def build_layout(config: Config) -> Layout:
@@ -116,7 +145,7 @@ class _Shared:
         return found
 
 
-def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
+def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
     estimators: dict[str, Estimator[Any]] = {
         e.name: shared(build_estimator, e, *ranges) for e in valve.estimators
@@ -137,6 +166,7 @@ def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
         nameplate=valve.identification.nameplate(valve.name),
         nodes=_labels(valve.nodes),
         accuracy=shared(_accuracy, valve.signals, valve.nodes.dp is not None),
+        meaning=meaning_of(config, valve, estimators),
     )
 
 
@@ -147,7 +177,7 @@ def _at_first(estimators: Mapping[str, Estimator[Any]]) -> str:
 
 def _gate(configured: GateConfig) -> QualityGate:
     return QualityGate(
-        limits={s: getattr(configured, name).limits(s) for s, name in _GATES.items()},
+        limits={s: getattr(configured, s.label).limits(s) for s in SENSORS},
         use_uncertain=configured.use_uncertain,
     )
 
@@ -163,7 +193,8 @@ def _labels(nodes: NodesConfig) -> dict[str, str]:
 
 
 def _accuracy(signals: SignalsConfig, has_dp: bool) -> SensorAccuracy:  # noqa: FBT001 - hashed
-    limits = {name: getattr(signals, name).error_limit(name) for name in MEASURED}
+    stated = [field.name for field in fields(SensorAccuracy)]
+    limits = {name: getattr(signals, name).error_limit(name) for name in stated}
     if has_dp:
         limits |= {"p1": signals.dp.error_limit("dp"), "p2": 0.0}
     return SensorAccuracy(**limits)
@@ -182,9 +213,6 @@ def _feed_forward(valve: ValveConfig) -> FeedForward | None:
         max_width_percent=given.max_width_percent,
         has_heartbeat=valve.nodes.heartbeat is not None,
     )
-
-
-_GATES = dict(zip(SENSORS, MEASURED, strict=True))
 
 
 def _axis(low: float, high: float) -> tuple[float, ...]:

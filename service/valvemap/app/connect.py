@@ -12,13 +12,14 @@ from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group, group
 from valvemap.plant.readings import Given, Record
 from valvemap.plant.verdict import Verdict, judge
+from valvemap.vocabulary.signals import PER_VALVE
 
 _PER_LOT: Final = 5  # nodes watched under one name
 _MOST_OF_A_VALVE: Final = 30  # variables of one valve that are watched
@@ -218,7 +219,7 @@ def _by_node(changes: DataChanges, lots: Sequence[ValveNodes]) -> dict[str, Data
     items = changes.item[order]
     for number, lot in enumerate(lots):
         for signal, _, node in lot.signals():
-            item = number * SIGNALS_PER_VALVE + signal
+            item = number * PER_VALVE + signal
             low, high = np.searchsorted(items, [item, item + 1])
             if node not in found or len(found[node]) < high - low:
                 found[node] = changes[order[low:high]]

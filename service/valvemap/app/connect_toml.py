@@ -6,10 +6,11 @@ from valvemap.app.connect import Found
 from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_source.client import SourceSettings
 from valvemap.opcua_source.source_units import SaidOfNode, contradiction
-from valvemap.pipeline.units import MEASURED, QUANTITY_OF, Measure, inside
+from valvemap.pipeline.units import QUANTITY_OF, Measure, inside
 from valvemap.plant.readings import Reading
 from valvemap.plant.roles import Role
 from valvemap.plant.verdict import Verdict
+from valvemap.vocabulary.signals import MEASURED
 
 
 def configuration(found: Found, settings: SourceSettings, template: str) -> str:

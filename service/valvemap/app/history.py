@@ -11,10 +11,10 @@ from valvemap.model.samples import Floats, Samples
 from valvemap.runtime.past import signals_of
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.recordings import RecordingWriter
+from valvemap.vocabulary.signals import MEASURED
 from valvemap.vocabulary.statuses import Quality
 
 ROWS = 100_000  # per read
-_SIGNALS = "U", "p1", "p2", "Q", "T"
 
 
 def export_history(
@@ -72,7 +72,7 @@ def _samples(store: HistoryFile, valve: str, start: int, stop: int) -> Iterator[
             return
         last = int(rows.t[-1])
         columns: dict[str, Floats] = {
-            name: store.read(series, name, start, last, most=ROWS).values for name in _SIGNALS
+            name: store.read(series, name, start, last, most=ROWS).values for name in MEASURED
         }
         quality = np.minimum(rows.codes >> 30, int(Quality.BAD)).astype(np.uint8)
         measured = ~np.isnan(rows.values)  # rows that mark a loss have no sample

@@ -1,11 +1,14 @@
 """Models for use outside the service: loaded from a file, or identified from a recording."""
 
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from valvemap.app.flow_model import Model
+from valvemap.app.given import recordings_in
 from valvemap.errors import ConfigurationError, StorageError
-from valvemap.storage.models import Model, is_model, load_model, save_model
+from valvemap.storage.models import is_model, load_model, save_model
 
 if TYPE_CHECKING:
     from valvemap.app.replay import Progress, Report
@@ -14,19 +17,106 @@ if TYPE_CHECKING:
 PREFERRED: Final = "Auto"
 
 
+def fit(
+    recordings: object,
+    *,
+    units: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | None = None,
+    valve: str | None = None,
+    estimator: str | None = None,
+    config: "Config | None" = None,
+    insist: bool = False,
+    progress: "Progress" = lambda _file, _fraction: None,
+) -> Model:
+    """Identify one valve's map, as the service would from the same samples.
+
+    Parameters
+    ----------
+    recordings
+        A path (CSV, Parquet), a data frame (pandas, polars, pyarrow; extra ``dataframes``), a dict
+        of arrays by column, or a list of these, in the order of time. Columns are t, U, p1, p2, Q
+        and optionally T, valve, quality; see :func:`valvemap.read_recording`.
+    units
+        Units that differ from %, bar, l/min, °C, by signal: ``{"p1": "psi", "Q": "gpm"}``.
+    columns
+        Columns with other names, by signal: ``{"t": "Time", "U": "Control signal"}``.
+    valve, estimator
+        Valve and estimator; by default a recording's only valve, and the recommended estimator
+        (else Auto or the first). With an estimator, the others do not run.
+    config
+        Configuration: valves and estimators, columns and units.
+    insist
+        Process implausible signals, too.
+    progress
+        Called with a recording and the fraction done (0 to 1).
+
+    Raises
+    ------
+    RecordingError
+        if a recording cannot be read, or nothing can be learnt from it; names it.
+    ConfigurationError
+        if there is no such valve, estimator, unit or column, or the choice is ambiguous.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> U, dp = rng.uniform(0, 100, 2000), rng.uniform(5, 200, 2000)
+    >>> rows = {"t": np.arange(2000), "U": U, "p1": dp, "p2": 0 * dp, "Q": 0.1 * U * np.sqrt(dp)}
+    >>> fit(rows, estimator="RLS").predict(50.0, [25.0, 100.0]).round(6)
+    array([25., 50.])
+    """
+    from valvemap.app.replay import (  # noqa: PLC0415 - a saved map needs none of it
+        refuse_if_nothing_was_learnt,
+        replay,
+    )
+
+    given = recordings_in(recordings)
+    for file in given:
+        if isinstance(file, Path) and is_model(file):
+            raise ConfigurationError(f"{file} is a saved model: valvemap.open_model opens it")
+    report = replay(
+        given,
+        config,
+        progress=progress,
+        only=None if valve is None else [valve],
+        estimators=None if estimator is None else [estimator],
+        insist=insist,
+        units=units,
+        columns=columns,
+    )
+    where = given[0] if isinstance(given[0], Path) else type(given[0]).__name__
+    valve = _chosen(where, "valve", valve, list(report))
+    refuse_if_nothing_was_learnt({valve: report[valve]})
+    names = _recursive(report[valve])
+    name = _chosen(where, "estimator", estimator or _preferred(report, valve) or names[0], names)
+    found = report[valve][name]
+    return Model(
+        valve=valve,
+        name=name,
+        estimator=found.lane.estimator,
+        state=found.lane.state,
+        noise_std=found.noise_std,
+        T=found.T,
+        t=found.lane.t,
+        samples=found.lane.spread.weights,
+        support=found.lane.support,
+    )
+
+
 def open_model(
-    file: Path,
+    file: object,
     valve: str | None = None,
     estimator: str | None = None,
     config: "Config | None" = None,
     progress: "Progress" = lambda _file, _fraction: None,
 ) -> Model:
-    """Load a model (.json), or identify one from a recording.
+    """Load a model (.json), or identify one from recordings, as :func:`fit` does.
 
     Parameters
     ----------
     file
-        A saved model, or a recording to identify from.
+        A saved model, or recordings to identify from; see :func:`fit`.
     valve, estimator
         Valve and estimator; by default a recording's only valve, and the recommended estimator
         (else Auto or the first).
@@ -42,33 +132,16 @@ def open_model(
     ConfigurationError
         if there is no such valve or estimator, or the choice is ambiguous.
     """
-    if is_model(file):
-        model = load_model(file)
-        for what, wanted, there in (
-            ("valve", valve, model.valve),
-            ("estimator", estimator, model.name),
-        ):
-            if wanted not in (None, there):
-                raise ConfigurationError(f"{file}: {what} {wanted!r} is not there; {there} is")
-        return model
-    from valvemap.app.replay import replay  # noqa: PLC0415 - a saved map needs none of it
-
-    report = replay([file], config, progress=progress)
-    valve = _chosen(file, "valve", valve, list(report))
-    names = _recursive(report[valve])
-    name = _chosen(file, "estimator", estimator or _preferred(report, valve) or names[0], names)
-    found = report[valve][name]
-    return Model(
-        valve=valve,
-        name=name,
-        estimator=found.lane.estimator,
-        state=found.lane.state,
-        noise_std=found.noise_std,
-        T=found.T,
-        t=found.lane.t,
-        samples=found.lane.spread.weights,
-        support=found.lane.support,
-    )
+    if not isinstance(file, str | os.PathLike) or not is_model(Path(file)):
+        return fit(file, valve=valve, estimator=estimator, config=config, progress=progress)
+    model = Model(**vars(load_model(Path(file))))
+    for what, wanted, there in (
+        ("valve", valve, model.valve),
+        ("estimator", estimator, model.name),
+    ):
+        if wanted not in (None, there):
+            raise ConfigurationError(f"{file}: {what} {wanted!r} is not there; {there} is")
+    return model
 
 
 def save_models(target: Path, report: "Report") -> list[Path]:
@@ -126,7 +199,7 @@ def _is_determined(report: "Report", valve: str, name: str) -> bool:
     return all(value == value for value in values)  # noqa: PLR0124 - NaN is not itself
 
 
-def _chosen(file: Path, what: str, wanted: str | None, there: Sequence[str]) -> str:
+def _chosen(file: Path | str, what: str, wanted: str | None, there: Sequence[str]) -> str:
     if wanted is None and len(there) == 1:
         return there[0]
     if wanted in there:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from valvemap.app.build import build_layout, build_plans
+from valvemap.app.given import layout_of, recordings_in
 from valvemap.config.models import Config, ValveConfig
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.forgetting import Exponential
@@ -93,34 +95,44 @@ Report = Mapping[str, Mapping[str, EstimatorReport]]
 
 
 def replay(
-    files: Iterable[Path],
+    recordings: object,
     config: Config | None = None,
-    verify: Path | None = None,
+    verify: object = None,
     progress: Progress = lambda _file, _fraction: None,
     tap: Tap = lambda _valve, _samples, _traces: None,
     *,
     insist: bool = False,
     only: Collection[str] | None = None,
+    estimators: Collection[str] | None = None,
+    units: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | None = None,
     read_ahead: bool = True,
     header: tuple[str, ...] | None = None,
     given: Mapping[str, Given] | None = None,
 ) -> Report:
-    """Run recordings through the pipeline, file after file, in constant memory.
+    """Run recordings through the pipeline, one after the other; files in constant memory.
 
     Parameters
     ----------
-    files, verify
-        Recordings to identify from, and one to predict with the final parameters.
+    recordings, verify
+        Recordings to identify from, and one to predict with the final parameters. Each is a path
+        (CSV, Parquet), a data frame (pandas, polars, pyarrow; extra ``dataframes``) or a dict of
+        arrays by column; ``recordings`` may be a list of them.
     config
         Valves and estimators; without it the default estimators run on every valve found.
     progress
-        Called with the file and the fraction done (0 to 1).
+        Called with the file (of a table, the name of its type) and the fraction done (0 to 1).
     tap
         Called with every batch and the estimators' traces of it.
     insist
         Process implausible signals, too.
     only
         Names of the valves to identify; None: all.
+    estimators
+        Names of the estimators to run; None: all.
+    units, columns
+        Unit and column of each signal that differ from the standard, such as ``{"p1": "psi"}`` and
+        ``{"U": "Control signal"}``; with ``config``, they are part of it.
     read_ahead
         Read the next batch in a thread while one is processed; useless if all processors are
         busy.
@@ -138,31 +150,28 @@ def replay(
     RecordingError, ConfigurationError
     """
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
-    layout = Layout() if config is None else build_layout(config)
-    layout = replace(layout, header=header, given=given or {})
-    valves: dict[str, _Learnt] = {}
+    layout = replace(_layout(config, units, columns), header=header, given=given or {})
     turn = _one_ahead if read_ahead else iter
-    for file in files:
-        for name, samples in _read(file, layout, progress, turn):
-            if only is not None and name not in only:
+    valves: dict[str, _Learnt] = {}
+    found = dict[str, None]()
+    for recording in recordings_in(recordings):
+        for name, samples in _read(recording, layout, progress, turn):
+            found[name] = None
+            if (only is not None and name not in only) or (plans and name not in plans):
                 continue
             if name not in valves:
-                plan = _default_plan(name) if plans is None else plans.get(name)
-                if plan is None:
-                    continue
-                valves[name] = _Learnt(replace(plan, insist=plan.insist or insist))
-            judged, traces = valves[name].learn(valves[name].look_at(samples, file))
+                plan = _default_plan(name) if plans is None else plans[name]
+                plan = replace(plan, insist=plan.insist or insist)
+                valves[name] = _Learnt(_chosen(plan, estimators))
+            judged, traces = valves[name].learn(valves[name].look_at(samples, recording))
             tap(name, judged, traces)
     if not valves:
-        named = ", ".join(plans or ())
-        raise ConfigurationError(f"the recordings hold none of the configured valves: {named}")
+        raise _none_of(only, plans, found)
     if verify is None:
         checks = {name: [_check(v, v.last, scored=False)] for name, v in valves.items()}
     else:
-        checks = {name: [] for name in valves}
-        for name, samples in _read(verify, layout, progress, turn):
-            if name in valves:
-                checks[name].append(_check(valves[name], samples, scored=True))
+        coming = (_read(one, layout, progress, turn) for one in recordings_in(verify))
+        checks = _verified(valves, chain.from_iterable(coming))
     return {
         name: _report(valve, _summed(checks[name]), verified=verify is not None)
         for name, valve in valves.items()
@@ -217,7 +226,7 @@ class _Learnt:
         self._plausibility = Plausibility(1)
         self.samples = 0
 
-    def look_at(self, samples: Samples, file: Path) -> Samples:
+    def look_at(self, samples: Samples, recording: object) -> Samples:
         """Check the plausibility of a batch; return it with implausible samples rejected.
 
         Raises
@@ -232,8 +241,8 @@ class _Learnt:
         for finding in self._plausibility.findings(0):
             if finding.kind is Kind.REFUSED and not self.plan.insist:
                 raise RecordingError(
-                    f"{file}: valve {self.plan.name}: {finding.sentence}; --insist learns from it "
-                    "all the same"
+                    f"{_name(recording)}: valve {self.plan.name}: {finding.sentence}; --insist "
+                    "(insist=True in Python) learns from it all the same"
                 )
         return samples if self.plan.insist else refuse(samples, refused)
 
@@ -265,12 +274,32 @@ class _Learnt:
         """Return each estimator's error at places visited again, and the recommended one."""
         ranking, names = self._fleet.rank_now(0), list(self.plan.estimators)
         errors = np.where(np.isfinite(ranking.errors), ranking.errors, np.nan)
-        found = recommendation(ranking, names, self._fleet.inverse(0), None)
+        found = recommendation(ranking, names, self._fleet.inverse(0))
         return dict(zip(names, errors.tolist(), strict=True)), found
 
     @property
     def beyond_range(self) -> int:
         return int(self._fleet.rejections()[0, COUNTER_NAMES.index("beyond_range")])
+
+
+def _none_of(
+    only: Collection[str] | None, plans: Collection[str] | None, found: Collection[str]
+) -> ConfigurationError:
+    there = ", ".join(found)
+    if only is not None:
+        return ConfigurationError(f"valve {', '.join(only)} is not there; allowed is {there}")
+    named = ", ".join(plans or ())
+    return ConfigurationError(f"the recordings hold none of the configured valves: {named}")
+
+
+def _verified(
+    valves: Mapping[str, "_Learnt"], batches: Iterable[tuple[str, Samples]]
+) -> dict[str, list[Mapping[str, "_Check"]]]:
+    checks: dict[str, list[Mapping[str, _Check]]] = {name: [] for name in valves}
+    for name, samples in batches:
+        if name in valves:
+            checks[name].append(_check(valves[name], samples, scored=True))
+    return checks
 
 
 @dataclass(frozen=True)
@@ -369,17 +398,59 @@ def _report(
     return report
 
 
+def refuse_if_nothing_was_learnt(report: Report) -> None:
+    """Raise RecordingError if no sample of a valve could be used; it names the reasons."""
+    empty = []
+    for valve, estimators in report.items():
+        r = next(iter(estimators.values()))
+        if all(r.lane.count == 0 for r in estimators.values()):
+            why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
+            why = why or "they are too few"
+            empty.append(f"{valve}: nothing was learnt from {r.samples} samples: {why}")
+    if empty:
+        raise RecordingError("; ".join(empty))
+
+
+def _chosen(plan: ValvePlan, names: Collection[str] | None) -> ValvePlan:
+    """Return the plan with the chosen estimators only."""
+    if names is None:
+        return plan
+    for name in names:
+        if name not in plan.estimators:
+            known = ", ".join(plan.estimators)
+            raise ConfigurationError(f"estimator {name!r} is not there; allowed is {known}")
+    kept = {name: plan.estimators[name] for name in plan.estimators if name in names}
+    inverse = plan.inverse if plan.inverse in kept else next(iter(kept))
+    return replace(plan, estimators=kept, inverse=inverse)
+
+
+def _layout(
+    config: Config | None, units: Mapping[str, str] | None, columns: Mapping[str, str] | None
+) -> Layout:
+    if config is None:
+        return layout_of(units, columns)
+    if units or columns:
+        raise ConfigurationError("with a config, units and columns are its valves.signals")
+    return build_layout(config)
+
+
+def _name(recording: object) -> Path:
+    """Return a file, or the name of a table's type."""
+    return recording if isinstance(recording, Path) else Path(type(recording).__name__)
+
+
 def _read(
-    file: Path,
-    layout: Layout | None,
+    recording: object,
+    layout: Layout,
     progress: Progress,
     turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
 ) -> Iterator[tuple[str, Samples]]:
-    with read_recording(file, layout=layout) as recording:
+    file = _name(recording)
+    with read_recording(recording, layout=layout) as batches:
         progress(file, 0.0)
-        for name, samples in turn(recording):
+        for name, samples in turn(batches):
             yield name, samples
-            progress(file, recording.fraction)
+            progress(file, batches.fraction)
 
 
 def _one_ahead(items: Iterator[T]) -> Iterator[T]:

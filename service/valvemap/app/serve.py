@@ -15,6 +15,7 @@ from valvemap.app.connections import (
     build_supervisor_settings,
     own_certificate,
 )
+from valvemap.app.history_span import span_in_words
 from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.memory import giving_back
 from valvemap.app.plan import Plan, make_plan
@@ -93,8 +94,10 @@ async def serve(
             opened.enter_context(past)
             for note in past.take_notes():
                 log.warning("history damaged", reason=note, lost=past.lost)
+            log.info("history kept", size=span_in_words(config, past.bytes_per_s))
         if store.set_aside is not None:
             log.warning("damaged or old state file set aside", file=str(store.set_aside))
+        opened.callback(_name_lost_file, store)
         opened.push_async_callback(shown.end)
         await opened.enter_async_context(giving_back())
         while plan is not None:
@@ -113,6 +116,11 @@ async def serve(
                 plan, before = back, None
             else:
                 plan, before, known = following, plan, states
+
+
+def _name_lost_file(store: CheckpointFile) -> None:
+    if store.renewed:
+        log.warning("state file was lost while in use", file=str(store.path), times=store.renewed)
 
 
 async def _live(

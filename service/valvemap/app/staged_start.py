@@ -69,8 +69,8 @@ class Compilation:
             warm_up_aside(self._config, self._note, lambda: self.is_over)
             if self.is_over:
                 return
-            interpreted.end()
-        warm_up(self._config, self._note, lambda: self.is_over)
+        with interpreted.compiling():  # the event loop's thread does not wait for the compiler
+            warm_up(self._config, self._note, lambda: self.is_over)
 
     def _note(self, done: int, of: int) -> None:
         if (done, of) != self.parts:
@@ -88,6 +88,7 @@ async def complete(config: Config, compiled: Compilation, live: LiveService) -> 
     if compiled.is_over:
         return
     await live.complete(await asyncio.to_thread(build_identification, config))
+    interpreted.end()
     log.info("all estimators started")
 
 

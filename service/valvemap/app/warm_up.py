@@ -90,14 +90,16 @@ def warm_up_aside(
     config = _one_of_each_kind(config)
     if was_warmed_up():
         return
+    of = len(_parts(config))
     with _helpers(config, min(os.cpu_count() or 1, _MOST_HELPERS), _NICENESS) as shared:
-        of = len(_parts(config))
         while any(helper.is_alive() for helper in shared.helpers) and not is_over():
             progress(shared.done.value, of)
             wait([helper.sentinel for helper in shared.helpers if helper.is_alive()], _POLL_S)
         if is_over():
             for helper in shared.helpers:
                 helper.terminate()
+    if shared.done.value == of:
+        note_warm_up()
 
 
 def _one_of_each_kind(config: Config) -> Config:

@@ -11,8 +11,8 @@ from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.errors import SourceRejected
 from valvemap.opcua_source.client import OpcUaSource
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
-from valvemap.pipeline.units import MEASURED
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.vocabulary.signals import MEASURED, PER_VALVE
 
 FEW = 5  # values; a signal with fewer is treated as on change
 UNSTEADY = 5.0  # ratio of long to short intervals; a larger one means not cyclic
@@ -112,7 +112,7 @@ def seen_of(
 ) -> dict[str, Watched]:
     """Return the statistics of one valve's signals, by role."""
     of_signal = {
-        role: changes[changes.item == number * SIGNALS_PER_VALVE + place]
+        role: changes[changes.item == number * PER_VALVE + place]
         for place, role in enumerate(MEASURED)
         if role in roles
     }

@@ -36,7 +36,7 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     ),
     "export": Entry(
         "invert",
-        "Export the inverse map as a lookup table with a stated error, for a PLC or a program.",
+        "Export the map for a PLC, a program or a simulator: a lookup table with a stated error.",
     ),
     "report": Entry(
         "report", "Rebuild the paper's figures and tables, and judge its claims (in a clone)."
@@ -55,6 +55,7 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "Approve a valve's map as reference, compare with it, restore it.",
     ),
     "history": Entry("history", "Past signals, as kept by the service."),
+    "state": Entry("state", "List, adopt, rename, export and import learnt states."),
     "fleet": Entry("fleet", "Identify the valves of many machines, through Kafka."),
     "schema": Entry(
         "package",

@@ -17,6 +17,7 @@ from valvemap.config.estimators import AutoConfig, RlsConfig
 from valvemap.config.models import FeedForwardConfig, NodesConfig, ValveConfig
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Command
 from valvemap.vocabulary.statuses import FeedForwardStatus
 from valvemap_rig.excitation import Scattered
 from valvemap_rig.scenario import Scenario
@@ -86,7 +87,7 @@ def commission(identification: Identification, scenario: Scenario) -> None:
     for number, plan in enumerate(identification.plans):
         identification.take_samples(number, samples)
         if plan.name != LIVING:
-            identification.freeze(plan.name, plan.inverse)
+            identification.do(Command.of("freeze", plan.name, plan.inverse))
     identification.refresh_maps()
 
 
@@ -94,7 +95,7 @@ def arm(identification: Identification) -> str:
     """Arm the feed-forward of all three, as an operator would; return a sentence for the log."""
     names = [plan.name for plan in identification.plans]
     for name in names:
-        identification.arm(name)
+        identification.do(Command.of("arm", name))
     return f"armed     {', '.join(names)}: this demo has called Inverse.Arm of each"
 
 
@@ -131,7 +132,8 @@ class Course:
             if math.isfinite(Q):
                 self._count(valve, t, Q - demand(t))
         self.t_s = float(t_s[-1])
-        self._identification.demand(valve, demand(self.t_s + self._lead_s), float(samples.dp[-1]))
+        flow = demand(self.t_s + self._lead_s)
+        self._identification.do(Command.of("demand", valve, flow, float(samples.dp[-1])))
         if valve != LIVING:
             return
         if self._is_held():  # the age of a held U is undefined

@@ -15,7 +15,10 @@ from valvemap.model.inversion import Inversion
 from valvemap.vocabulary.statuses import InverseStatus
 
 if TYPE_CHECKING:
+    from valvemap.app.flow_model import Model
     from valvemap.config.models import Config
+    from valvemap.model.flow_table import FlowTable
+    from valvemap.model.lookup_table import LookupTable
 
 MOST_ROWS: Final = 50
 
@@ -94,7 +97,7 @@ def export(
         typer.Option(
             "--to",
             metavar="FILE",
-            help="FILE.csv, .c (C99) or .st (IEC 61131-3)",
+            help="FILE.csv, .c (C99), .st (IEC 61131-3) or .fmu (FMI 2.0)",
             callback=new_file,
         ),
     ],
@@ -116,12 +119,14 @@ def export(
     *,
     force: ForceOption = False,
 ) -> None:
-    """Export the inverse map as a lookup table with a stated error, for a PLC or a program."""
+    """Export the map for a PLC, a program or a simulator: a lookup table with a stated error."""
     from valvemap.app.models import open_model
+    from valvemap.model.flow_table import flow_table
     from valvemap.model.lookup_table import lookup_table
-    from valvemap.storage.lookup_tables import check_form, write_table
+    from valvemap.storage import lookup_tables
+    from valvemap.storage.flow_tables import write_flow_table
 
-    check_form(out)
+    lookup_tables.check_form(out)
     loaded = _configured(config)
     with bars() as progress:
         model = open_model(file, valve, estimator, loaded, of_files(progress))
@@ -129,7 +134,7 @@ def export(
     T = 40.0 if np.isnan(T) else T
     size = points_Q, points_dp
     try:
-        with working("measuring the table's error"):
+        with working("bounding the table's error"):
             table = lookup_table(
                 model.estimator,
                 model.state,
@@ -141,14 +146,40 @@ def export(
             )
     except ValueError as error:
         raise ConfigurationError(f"{file}: {error}") from None
-    write_table(out, table, f"{model.valve} by {model.name}")
+    title = f"{model.valve} by {model.name}"
+    shown: LookupTable | FlowTable = table
+    match out.suffix.lower():
+        case lookup_tables.UNIT:
+            _write_unit(out, model, table, title)
+        case lookup_tables.CSV:
+            shown = flow_table(model.estimator, model.state, table)
+            write_flow_table(out, shown, title)
+        case _:
+            lookup_tables.write_table(out, table, title)
+    grounds = "certified" if shown.certified else "measured"
     write_line(
-        f"written: {out}: {size[0]} x {size[1]} points at {T:g} °C, within {table.error_U:.2g} % "
-        f"of U and {table.error_Q:.2g} l/min of the map"
+        f"written: {out}: {size[0]} x {size[1]} points at {T:g} °C, within {shown.error_U:.2g} % "
+        f"of U and {shown.error_Q:.2g} l/min of the map ({grounds})"
     )
-    share = float(np.mean(table.guessed))
+    share = float(np.mean(shown.guessed))
     if share > 0.0:
         write_line(f"{share:.0%} of the points are extrapolated, and marked so in the table")
+
+
+def _write_unit(out: Path, model: "Model", table: "LookupTable", title: str) -> None:
+    from valvemap.model.valve_tables import valve_tables
+    from valvemap.storage.fmi_units import write_unit
+
+    given = model.estimator, model.state, table, model.support, model.noise_std
+    try:
+        tables = valve_tables(*given)
+    except ValueError as error:
+        raise ConfigurationError(f"{out}: {error}") from None
+    binary = write_unit(out, tables, title)
+    if binary is None:
+        write_line("without a binary: there is no C compiler here; import it as a source FMU")
+    else:
+        write_line(f"with a binary for {binary} and its source")
 
 
 def _configured(config: Path | None) -> "Config | None":

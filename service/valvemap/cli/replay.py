@@ -14,7 +14,6 @@ from valvemap.cli.options import ConfigOption, ForceOption, new_file, new_models
 from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
-from valvemap.errors import RecordingError
 from valvemap.owned_files import write_whole
 
 _BEYOND = "beyond_range"  # has a separate line
@@ -88,7 +87,7 @@ def replay(
 ) -> None:
     """Identify valves from recordings, as the live service does."""
     from valvemap.app.models import save_models
-    from valvemap.app.replay import as_json
+    from valvemap.app.replay import as_json, refuse_if_nothing_was_learnt
     from valvemap.app.replay import replay as run
     from valvemap.pipeline.row_tallies import RowTallies
     from valvemap.plant.answers import parse_answers
@@ -149,7 +148,7 @@ def replay(
             page = write_page(plot, title, tables, notes, pictures)
         for written in (*pictures, page):
             console.print(f"written: {written}", soft_wrap=True)
-    _refuse_if_nothing_was_learnt(report)
+    refuse_if_nothing_was_learnt(report)
 
 
 def _best_first(estimators: "Mapping[str, EstimatorReport]") -> "dict[str, EstimatorReport]":
@@ -206,19 +205,6 @@ def _hints(report: "Report") -> Iterator[str]:
     for valve, estimators in report.items():
         for hint in dict.fromkeys(hint for r in estimators.values() for hint in r.hints):
             yield f"{valve}: hint: {hint}"
-
-
-def _refuse_if_nothing_was_learnt(report: "Report") -> None:
-    """Raise RecordingError if no sample of a valve could be used; it names the reasons."""
-    empty = []
-    for valve, estimators in report.items():
-        r = next(iter(estimators.values()))
-        if all(r.lane.count == 0 for r in estimators.values()):
-            why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
-            why = why or "they are too few"
-            empty.append(f"{valve}: nothing was learnt from {r.samples} samples: {why}")
-    if empty:
-        raise RecordingError("; ".join(empty))
 
 
 def _not_learnt_from(report: "Report") -> Iterator[str]:

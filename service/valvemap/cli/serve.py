@@ -103,6 +103,10 @@ def check_config(
         named = f"{of_valves.name}: " if isinstance(of_valves, NamedSourceConfig) else ""
         write_line(f"source   {named}{of_valves.url} ({of_valves.security})")
     write_line(f"results  {loaded.server.url}")
+    if loaded.history.file is not None:
+        from valvemap.app.history_span import span_in_words
+
+        write_line(f"history  {loaded.history.file}: {span_in_words(loaded)}")
     for valve in loaded.valves:
         estimators = ", ".join(estimator.name for estimator in valve.estimators)
         at = "" if valve.source is None else f" at {valve.source}"

@@ -73,6 +73,9 @@ class ServiceAlarmsConfig(Section):
         AlarmConfig(), description="days that it is valid; it comes below; default 30"
     )
     Load: AlarmConfig = Field(AlarmConfig(), description="share of time at work; default 0.9")
+    History: AlarmConfig = Field(
+        AlarmConfig(), description="s for which rows of the history wait; default 10"
+    )
 
     def rules(self, checkpoint_interval_s: float) -> dict[ServiceAlarm, AlarmRule]:
         """Return the rule of each alarm of the service."""

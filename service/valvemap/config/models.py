@@ -18,11 +18,11 @@ from valvemap.config.estimators import SECTIONS, EstimatorConfig, default_estima
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
-from valvemap.config.sections import Section, SettingsFile
+from valvemap.config.sections import Section, SettingsFile, per_signal
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.extrapolation import ONE_EDGE
-from valvemap.pipeline.data_changes import Signal
-from valvemap.pipeline.quality_gate import PLAUSIBLE, SignalLimits
+from valvemap.pipeline.quality_gate import SignalLimits
+from valvemap.vocabulary.signals import IN_DIFFERENCE, Measured, Need, Signal
 
 RIG_NAMESPACE = "urn:valvemap:rig"
 _OF_ANY_RANGE = [f'"{kind}"' for kind, section in SECTIONS.items() if section.any_U_range]
@@ -181,7 +181,7 @@ class AlignmentConfig(Section):
     max_pending: int = Field(
         4_096, ge=16, le=1_000_000, description="most waiting samples of a valve"
     )
-    hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
+    hold_s: dict[Measured, float] = Field(
         default_factory=dict,
         description="time for which a signal's last value is held; none = found at the start",
     )
@@ -223,7 +223,7 @@ class LimitsConfig(Section):
 
     def limits(self, signal: Signal) -> SignalLimits:
         """Return the gate's limits; the range defaults to that of any real sensor."""
-        low, high = PLAUSIBLE[signal]
+        low, high = signal.plausible
         return SignalLimits(
             low=low if self.low is None else self.low,
             high=high if self.high is None else self.high,
@@ -233,31 +233,29 @@ class LimitsConfig(Section):
         )
 
 
-class GateConfig(Section):
+class GateConfig(per_signal("Limits", lambda _: (LimitsConfig, LimitsConfig()))):  # type: ignore[misc]
     """Which samples may teach the estimators."""
 
     use_uncertain: bool = Field(
         default=False, description="learn from values whose status is Uncertain"
     )
-    U: LimitsConfig = LimitsConfig()
-    p1: LimitsConfig = LimitsConfig()
-    p2: LimitsConfig = LimitsConfig()
-    Q: LimitsConfig = LimitsConfig()
-    T: LimitsConfig = LimitsConfig()
 
 
-class NodesConfig(Section):
+def _node_field(signal: Signal) -> tuple[Any, Any]:
+    if signal.label in IN_DIFFERENCE:
+        return str | None, Field(None, description=signal.sentence)
+    if signal.need is Need.REQUIRED:
+        return str, Field(description=signal.sentence)
+    sensor = ", where there is a sensor" if signal.need is Need.OPTIONAL else ""
+    return str | None, Field(None, description=signal.sentence + sensor)
+
+
+class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: ignore[misc]
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
-    U: str = Field(description="control voltage")
-    p1: str | None = Field(None, description="pressure before the valve")
-    p2: str | None = Field(None, description="pressure behind the valve")
     dp: str | None = Field(
         None, description="p1 - p2 of one transmitter, in place of p1 and p2: p2 is 0 then"
     )
-    Q: str = Field(description="flow")
-    T: str | None = Field(None, description="oil temperature, where there is a sensor")
-    sequence: str | None = Field(None, description="running number of the sample")
     required_U: str | None = Field(
         None, description="where to write the feed-forward voltage, if at all"
     )
@@ -315,12 +313,7 @@ class NodesConfig(Section):
         """Return the virtual rig's nodes, including the written ones if ``commanded``."""
         head = f"nsu={RIG_NAMESPACE};s={valve}."
         return cls(
-            U=head + "U",
-            p1=head + "p1",
-            p2=head + "p2",
-            Q=head + "Q",
-            T=head + "Temperature",
-            sequence=head + "Sequence",
+            **{signal.label: head + signal.at_rig for signal in Signal},
             required_U=head + "UCommand" if commanded else None,
             heartbeat=head + "Heartbeat" if commanded else None,
         )

@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, field_validator, model_validator
 
-from valvemap.config.sections import Section
+from valvemap.config.sections import Section, per_signal
 from valvemap.pipeline.units import (
     QUANTITY_OF,
     SYMBOLS,
@@ -72,21 +72,32 @@ class SignalConfig(Section):
             unit = inside(QUANTITY_OF[signal])  # the configured unit is that of raw
         return Measure(self.column, unit, self.raw, self.range)
 
+    def in_words(self, signal: str) -> str:
+        """Return unit and scaling in words.
+
+        >>> SignalConfig(unit="mA", raw=(4, 20), range=(0, 100)).in_words("U")
+        '[4, 20] mA for [0, 100] %'
+        """
+        measure = self.measure(signal)
+        unit = (measure.unit or inside(QUANTITY_OF[signal])).symbol
+        if self.raw is None or self.range is None:
+            return unit
+        known = self.known_unit
+        raw = known.symbol if known is not None and known.quantity is Quantity.ELECTRICAL else "raw"
+        low, high = self.raw
+        least, most = self.range
+        return f"[{low:g}, {high:g}] {raw} for [{least:g}, {most:g}] {unit}"
+
     def error_limit(self, signal: str) -> float:
         """Return the limit ± of the sensor's error, in the internal unit."""
         unit = self.measure(signal).unit or inside(QUANTITY_OF[signal])
         return float(unit.factor) * self.accuracy
 
 
-class SignalsConfig(Section):
+class SignalsConfig(per_signal("Signals", lambda _: (SignalConfig, SignalConfig()))):  # type: ignore[misc]
     """The signals of a valve, and the command that is written."""
 
-    U: SignalConfig = SignalConfig()
-    p1: SignalConfig = SignalConfig()
-    p2: SignalConfig = SignalConfig()
     dp: SignalConfig = SignalConfig()
-    Q: SignalConfig = SignalConfig()
-    T: SignalConfig = SignalConfig()
     required_U: SignalConfig = SignalConfig()
 
     @model_validator(mode="after")

@@ -17,6 +17,7 @@ from valvemap.errors import BlockError
 from valvemap.kafka.json_messages import loads, text, whole
 from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alignment import ByValve
+from valvemap.vocabulary.signals import MEASURED
 
 VERSION: Final = 1
 
@@ -26,7 +27,7 @@ _SAMPLES: Final = "samples"
 _VALVE: Final = pa.dictionary(pa.int32(), pa.string())
 _COLUMNS: Final[Mapping[str, pa.DataType]] = {
     "t": TIME,
-    **dict.fromkeys(("U", "p1", "p2", "Q", "T"), pa.float64()),
+    **dict.fromkeys(MEASURED, pa.float64()),
     "quality": pa.uint8(),
 }
 _WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # small blocks

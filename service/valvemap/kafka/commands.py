@@ -17,9 +17,12 @@ from valvemap.kafka.json_messages import (
     text,
     whole,
 )
+from valvemap.pipeline import ports
 from valvemap.pipeline.alarms import ALARM_NAMES
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Remark
+from valvemap.vocabulary import commands
+from valvemap.vocabulary.commands import Subject
 
 VERSION: Final = 1
 _COMMAND: Final = "command"
@@ -76,19 +79,11 @@ NOTHING: Final = ""
 ESTIMATOR: Final = "estimator"
 ALARM: Final = "alarm"
 
+_ON: Final = {Subject.ESTIMATOR: ESTIMATOR, Subject.ALARM: ALARM}
+
 # Each action: its object beside the valve, and its number of values.
 ACTIONS: Final = {
-    "reset": (ESTIMATOR, 0),
-    "freeze": (ESTIMATOR, 0),
-    "resume": (ESTIMATOR, 0),
-    "set_forgetting_factor": (ESTIMATOR, 1),
-    "demand": (NOTHING, 2),
-    "approve": (NOTHING, 0),
-    "roll_back": (NOTHING, 0),
-    "replace_valve": (NOTHING, 0),
-    "acknowledge": (ALARM, 1),
-    "confirm": (ALARM, 1),
-    "remark": (ALARM, 1),
+    **{a.name: (_ON.get(a.on, NOTHING), a.values) for a in commands.ACTIONS if a.in_fleet},
     "predict": (ESTIMATOR, 3),
     "predict_measurement": (ESTIMATOR, 3),
     "invert": (NOTHING, 3),
@@ -121,10 +116,13 @@ def carry_out(command: Command, operator: Identification) -> tuple[float | None,
         raise CommandRejected(f"no alarm {command.estimator!r}: there are {', '.join(ALARM_NAMES)}")
     who = (command.valve, command.estimator) if on else (command.valve,)
     values = [float("nan") if value is None else value for value in command.values]
+    if command.action in ANSWERS:
+        return _numbers(command.action, getattr(operator, command.action)(*who, *values))
     given: list[Any] = [*values]
     if on == ALARM:
         given = [Remark(command.comment, command.by, int(command.values[0] or 0))]
-    return _numbers(command.action, getattr(operator, command.action)(*who, *given))
+    operator.do(ports.Command.of(command.action, *who, *given))
+    return ()
 
 
 def _numbers(action: str, found: Any) -> tuple[float | None, ...]:  # noqa: ANN401 - of any action
@@ -133,10 +131,8 @@ def _numbers(action: str, found: Any) -> tuple[float | None, ...]:  # noqa: ANN4
             found = (found.U[0], found.lower[0], found.upper[0], found.status[0])
         case "compare":
             found = (found.mean, found.largest, found.U, found.dp, found.points)
-        case "predict" | "predict_measurement":
-            pass
         case _:
-            return ()
+            pass
     return tuple(float(value) if np.isfinite(value) else None for value in found)
 
 

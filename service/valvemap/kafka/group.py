@@ -32,6 +32,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Step
 from valvemap.pipeline.ports import Results
+from valvemap.vocabulary.signals import OPTIONAL
 
 REPEATED: Final = "repeated"  # blocks received before
 MISSING: Final = "missing"  # blocks never received
@@ -71,7 +72,7 @@ class Group:
         self.plan = plan
         self._catalogue = catalogue
         self._rhythm = rhythm or Rhythm()
-        alignment = Alignment(AlignmentSettings(), (True,) * len(plan.plans))  # done by collect
+        alignment = Alignment(AlignmentSettings(), (OPTIONAL,) * len(plan.plans))  # done by collect
         self.identification = Identification(plan.plans, alignment)
         self.number = 0
         self.counts = dict.fromkeys(COUNTS, 0)

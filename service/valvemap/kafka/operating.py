@@ -16,6 +16,8 @@ from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
 from valvemap.pipeline.alarms import FLEET_RULES, ServiceAlarms
 from valvemap.pipeline.ports import AlarmReport, Answer, Remark, Version
+from valvemap.pipeline.ports import Command as Asked
+from valvemap.vocabulary.commands import NAMED, Action
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 
@@ -80,37 +82,25 @@ class FleetOperator:
         if asked is not None and not asked.done():
             asked.set_result(reply)
 
-    async def reset(self, valve: str, estimator: str) -> None:
-        """Reset an estimator."""
-        await self._ask(valve, "reset", estimator)
+    def do(self, command: Asked) -> Answer[None]:
+        """Carry out an operator's command on a valve, or (None) on the service's alarms."""
+        action = NAMED[command.action]
+        if command.valve is None:
+            self._do_here(action, command)
+            return None
+        if not action.in_fleet:
+            raise CommandRejected(f"{command.valve}: {NO_FEED_FORWARD}")
+        return self._send(command.valve, command)
 
-    async def freeze(self, valve: str, estimator: str) -> None:
-        """Stop adaptation."""
-        await self._ask(valve, "freeze", estimator)
+    def _do_here(self, action: Action, command: Asked) -> None:
+        act = getattr(self.service_alarms, action.name)
+        if act(command.part, command.remark) is False:
+            raise CommandRejected(f"Service.{command.part}: there is nothing to {action.name}")
 
-    async def resume(self, valve: str, estimator: str) -> None:
-        """Resume adaptation."""
-        await self._ask(valve, "resume", estimator)
-
-    async def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
-        """Change the forgetting factor from the next sample on."""
-        await self._ask(valve, "set_forgetting_factor", estimator, lam)
-
-    async def demand(self, valve: str, Q: float, dp: float) -> None:
-        """Set the standing demand; NaN clears it."""
-        await self._ask(valve, "demand", "", Q, dp)
-
-    async def approve(self, valve: str) -> None:
-        """Store the current map as the baseline, the map of the valve when new."""
-        await self._ask(valve, "approve")
-
-    async def roll_back(self, valve: str) -> None:
-        """Restore the baseline."""
-        await self._ask(valve, "roll_back")
-
-    async def replace_valve(self, valve: str) -> None:
-        """Note that the valve was replaced."""
-        await self._ask(valve, "replace_valve")
+    async def _send(self, valve: str, command: Asked) -> None:
+        remark = command.remark
+        values = command.values if remark is None else (remark.t,)
+        await self._ask(valve, command.action, command.part, *values, remark=remark)
 
     async def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
@@ -142,37 +132,6 @@ class FleetOperator:
         """Return the baseline of a valve, by its number."""
         return self._mirror.baseline(valve)
 
-    def arm(self, valve: str) -> None:
-        """Reject the command: a fleet does not write to valves."""
-        raise CommandRejected(f"{valve}: {NO_FEED_FORWARD}")
-
-    def disarm(self, valve: str) -> None:
-        """Reject the command: a fleet does not write to valves."""
-        raise CommandRejected(f"{valve}: {NO_FEED_FORWARD}")
-
-    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Acknowledge an alarm of a valve, or (None) of the service."""
-        if valve is not None:
-            return self._say("acknowledge", valve, alarm, remark)
-        if not self.service_alarms.acknowledge(alarm, remark):
-            raise CommandRejected(f"Service.{alarm}: there is nothing to acknowledge")
-        return None
-
-    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Confirm an acknowledged alarm."""
-        if valve is not None:
-            return self._say("confirm", valve, alarm, remark)
-        if not self.service_alarms.confirm(alarm, remark):
-            raise CommandRejected(f"Service.{alarm}: there is nothing to confirm")
-        return None
-
-    def remark(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Comment on an alarm."""
-        if valve is not None:
-            return self._say("remark", valve, alarm, remark)
-        self.service_alarms.remark(alarm, remark)
-        return None
-
     def alarmed(self) -> Iterable[str]:
         """Valves with at least one alarm so far."""
         return [name for name, number in self._numbers.items() if self._mirror.reports(number)]
@@ -182,9 +141,6 @@ class FleetOperator:
         if valve is None:
             return self.service_alarms.reports()
         return self._mirror.reports(self._numbers[valve]) or self._quiet[valve]
-
-    async def _say(self, action: str, valve: str, alarm: str, remark: Remark) -> None:
-        await self._ask(valve, action, alarm, remark.t, remark=remark)
 
     async def _ask(
         self,

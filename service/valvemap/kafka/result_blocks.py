@@ -26,7 +26,6 @@ from valvemap.model.change import Change
 from valvemap.model.samples import Floats
 from valvemap.model.survey import Survey
 from valvemap.pipeline.ports import (
-    SIGNALS,
     AlarmReport,
     AlarmResults,
     EstimatorResults,
@@ -38,6 +37,7 @@ from valvemap.pipeline.ports import (
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation
 from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind
+from valvemap.vocabulary.signals import PUBLISHED
 
 _RESULTS: Final = "results"
 _FLOATS: Final = pa.list_(pa.float64())
@@ -98,7 +98,7 @@ def write_results(block: ResultsBlock) -> bytes:
     if signals is not None:
         columns["signals.t"] = times(signals.t)
         columns["signals.quality"] = pa.array(signals.quality)
-        for k, name in enumerate(SIGNALS):
+        for k, name in enumerate(PUBLISHED):
             columns[f"signals.{name}"] = pa.array(np.ascontiguousarray(signals.values[:, k]))
     for estimator, own in found.estimators.items():
         for name, form in _ESTIMATOR.items():
@@ -211,7 +211,7 @@ def _table_shape(said: object) -> tuple[int, int]:
 def _signals(batch: pa.RecordBatch) -> SignalResults | None:
     if "signals.t" not in batch.schema.names:
         return None
-    columns = [_plain(pa.float64()).values(batch, f"signals.{name}") for name in SIGNALS]
+    columns = [_plain(pa.float64()).values(batch, f"signals.{name}") for name in PUBLISHED]
     return SignalResults(
         t=_plain(TIME).values(batch, "signals.t"),
         quality=_plain(pa.uint8()).values(batch, "signals.quality"),

@@ -209,8 +209,7 @@ class Show:
                 await self._doubt(server)
                 await self._look_after(server, reader)
         finally:
-            if self._past is not None:
-                await self._past.settle()
+            if self._past is not None and await self._past.settle():
                 reader.commit()
 
     async def _take(self, server: ResultsServer, heard: Heard) -> None:
@@ -291,11 +290,11 @@ class Show:
     async def _look_after(self, server: ResultsServer, reader: Reader) -> None:
         now, utc = self._clock.monotonic(), self._clock.now()
         if self._past is not None:
-            self._past.tick(now, utc)
+            self._past.tick(now)
             if now >= self._commit_due:
                 self._commit_due = now + _COMMIT_EVERY_S
-                await self._past.settle()
-                reader.commit()
+                if await self._past.settle():
+                    reader.commit()
         if now < self._health_due:
             return
         self._health_due = now + HEALTH_EVERY_S

@@ -112,6 +112,13 @@ class ChoosesStructure(Protocol):
 
 
 @runtime_checkable
+class FitsInBursts(Protocol):
+    """An estimator that fits a map in some updates: for seconds, if kernels run interpreted."""
+
+    fits_in_bursts: ClassVar[bool]
+
+
+@runtime_checkable
 class PathDependent(Protocol):
     """An estimator whose flow depends on the direction of U (hysteresis)."""
 

@@ -116,7 +116,8 @@ def _changes(state: FlowMapState) -> Iterator[Finding]:
     size = f"{scale * float(state.stay[memory.CHANGE_OF]):+.3g} {unit}"
     when = datetime.fromtimestamp(1e-9 * float(counters[memory.CHANGE_TIME]), UTC)
     text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when:%Y-%m-%d %H:%M:%S} UTC."
-    yield Finding(code, rules.CERTAIN, text)
+    explains = 1.0 - _hidden(state)  # after a change that explains the flow none surprises
+    yield Finding(code, rules.CERTAIN * explains, text)
 
 
 def _compensator(state: FlowMapState, both: Both) -> Iterator[Finding]:
@@ -138,6 +139,19 @@ def _compensator(state: FlowMapState, both: Both) -> Iterator[Finding]:
 
 def _misfit(state: FlowMapState) -> Iterator[Finding]:
     left, noise = (float(state.scalars[k]) for k in (fits.MISFIT, fits.VARIANCE))
-    if left > noise > 0.0:
+    hidden = _hidden(state)
+    if hidden > rules.WORTH_SAYING:
+        size = math.sqrt(float(state.scalars[fits.SURPRISE]))
+        text = f"Flows at known places differ {size:.2g} times as much as noise explains."
+        yield Finding(FindingCode.MISFIT, hidden, text)
+    elif left > noise > 0.0:
         text = f"Places differ from the smooth map by {left**0.5:.2g} l/min."
         yield Finding(FindingCode.MISFIT, left / (left + noise), text)
+
+
+def _hidden(state: FlowMapState) -> float:
+    """Probability that stays in known cells are more surprising than all models allow."""
+    if state.scalars[fits.STAYS_SEEN] < rules.FEWEST_STAYS:
+        return 0.0
+    excess = (float(state.scalars[fits.SURPRISE]) - rules.SURPRISED) / rules.SURPRISE_STEP
+    return 1.0 / (1.0 + math.exp(-min(max(excess, -50.0), 50.0)))

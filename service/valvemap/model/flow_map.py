@@ -1,6 +1,7 @@
 """`FlowMap`: the map as one Gaussian model, all of whose scales the samples decide."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -46,6 +47,8 @@ class FlowMap:
     >>> flow_map.predict(state, np.array([50.0]), np.array([100.0]), np.array([40.0]))[0].round(2)
     array([70.])
     """
+
+    fits_in_bursts: ClassVar[bool] = True
 
     U_range: Range = (0.0, 100.0)
     dp_range: Range = (0.0, 200.0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
+from valvemap.model.flow_units import Powers, no_powers
 from valvemap.model.forgetting import (
     Adaptive,
     Directional,
@@ -24,6 +25,7 @@ from valvemap.model.kernels.change_detection import SUSPICIOUS, value_of
 from valvemap.model.kernels.factors import covariance, rotate_in
 from valvemap.model.kernels.information_form import determine
 from valvemap.model.kernels.places import (
+    DEVIATION,
     FIELDS,
     FIELDS_OF_VISITS,
     KNOWN,
@@ -31,28 +33,49 @@ from valvemap.model.kernels.places import (
     NODES_A,
     NODES_B,
     PROVEN,
+    SPREAD,
 )
 from valvemap.model.kernels.recursion import Batch, Memory, evaluate, run
 from valvemap.model.kernels.row_layout import (
+    BEND,
+    BLOCK_PRODUCT,
+    BLOCK_SQUARE,
+    CARRIED,
+    COMMON,
     FACTORED,
     FILLED,
     FLOOR,
     HASTE,
     HEAD,
+    LAG,
+    LAST_D,
+    LAST_E,
+    LAST_MEAN,
+    LAST_SCORED,
+    LOCAL,
     MISFIT,
     MISFIT_POWER,
     NEW,
     NODE,
     PLACES_OF_COUNTERS,
     PLACES_OF_NOISE,
+    POWER,
     PRODUCT,
     REACTION,
     REVISITED,
+    SCALE,
+    SIZE,
+    SQUARE,
     SQUARES,
     STALE,
+    SUM,
     SUSPECT_TIME,
     TIME,
     VARIANCE,
+    VISIT_COMMON,
+    VISIT_POWER,
+    VISIT_SQUARES,
+    VISIT_SUM,
     WEIGHT,
     Counts,
     Places,
@@ -183,6 +206,25 @@ class RlsState(State):
     @property
     def _places(self) -> Places:
         return _places_of(self.rhs.shape[-1])
+
+
+def flow_powers(state: RlsState) -> Powers:
+    """Return the power of Q of each value of a state; see `valvemap.model.flow_units`."""
+    at, found = _places_of(len(state.rhs)), no_powers(state)
+    row, detector = found["row"], found["row"][at.detector : at.x]
+    row[at.theta : at.scale] = row[at.early : at.previous] = row[at.reaction : at.factor] = 1
+    row[at.omega : at.moments] = row[at.doubt : at.noise] = row[at.noise + VARIANCE] = 2
+    detector[_LINEAR], detector[_SQUARE] = 1, 2
+    found["rhs"][:] = found["window"][:, -1:] = found["flows"][:] = 1
+    found["places"][:, DEVIATION], found["places"][:, SPREAD] = 1, 2
+    return found
+
+
+_LINEAR = [SUM, SIZE, LAST_D, LAST_E, VISIT_SUM, LAST_MEAN, BEND, LAST_SCORED]
+_LINEAR += [REACTION + reaction.LAST_E, REACTION + reaction.LAST_V]
+_SQUARE = [FLOOR, POWER, LOCAL, VISIT_POWER, MISFIT, MISFIT_POWER, NEW, LAG]
+_SQUARE += [VISIT_SQUARES, VISIT_COMMON, COMMON, CARRIED]
+_SQUARE += [SCALE, PRODUCT, SQUARE, BLOCK_PRODUCT, BLOCK_SQUARE]
 
 
 def initial_state(

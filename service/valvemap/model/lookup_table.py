@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.extrapolation import trusted
 from valvemap.model.inverse_map import invert
+from valvemap.model.map_pieces import MapPieces
 from valvemap.model.samples import Codes, Floats
 from valvemap.model.support import Support
+from valvemap.model.table_error import ROUNDING, Cells, certified_errors
 from valvemap.vocabulary.statuses import InverseStatus
 
 S = TypeVar("S", bound=State)
@@ -18,7 +20,7 @@ LEVELS: Final = np.linspace(0.0, 100.0, 401)
 WITHIN: Final = np.array([1e-6, 0.15, 0.35, 0.5, 0.65, 0.85, 1.0 - 1e-6])
 EDGES: Final = np.array([1e-6, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3])
 MARGIN: Final = 1.25
-ROUNDING: Final = 1e-4
+SLACK_U: Final = 1.2  # of the measured error in U: a bound below is not refined
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,12 @@ class LookupTable:
     T
         Oil temperature, °C.
     error_U, error_Q
-        Largest difference from the map, % and l/min: the maximum over 49 points in each cell, plus
-        25 %.
+        Largest difference from the map's inverse, %, and of the flow that U gives from the demanded
+        one (limited to lowest … highest), l/min.
+    certified
+        Whether the errors are bounds over the whole domain (:mod:`~valvemap.model.table_error`):
+        for polynomials, splines and `Auto`. Else they are the largest at 49 points of each cell,
+        plus 25 %: for networks of Gaussians.
     """
 
     dp: Floats
@@ -59,6 +65,7 @@ class LookupTable:
     T: float
     error_U: float = np.nan
     error_Q: float = np.nan
+    certified: bool = False
 
     def interpolate(self, Q: Floats, dp: Floats) -> tuple[Floats, Codes]:
         """Return U (N,) within 0 … 100 %, and status: :class:`InverseStatus`.
@@ -155,7 +162,11 @@ def lookup_table(
         guessed = beyond.reshape(points) & ~np.isnan(U)
     table = LookupTable(dp, lowest, highest, r, U, guessed, T)
     error_U, error_Q = _errors(estimator, state, table)
-    return replace(table, error_U=error_U, error_Q=error_Q)
+    pieces = MapPieces.of(estimator, state, (dp[0], dp[-1]), T)
+    if pieces is not None:
+        tolerance = SLACK_U * error_U
+        error_U, error_Q = certified_errors(_cells(table), pieces, tolerance)
+    return replace(table, error_U=error_U, error_Q=error_Q, certified=pieces is not None)
 
 
 def _inverse(estimator: Estimator[Any], state: Any, Q: Floats, dp: Floats, T: float) -> Floats:  # noqa: ANN401 - its own state
@@ -163,7 +174,7 @@ def _inverse(estimator: Estimator[Any], state: Any, Q: Floats, dp: Floats, T: fl
 
 
 def _errors(estimator: Estimator[Any], state: Any, table: LookupTable) -> tuple[float, float]:  # noqa: ANN401
-    """Largest differences in U and in the flow that it gives, within the cells."""
+    """Largest differences in U from the inverse, and of its flow from the demanded one."""
     r, dp = (
         (axis[:-1, None] + np.diff(axis)[:, None] * WITHIN).ravel() for axis in (table.r, table.dp)
     )
@@ -171,14 +182,50 @@ def _errors(estimator: Estimator[Any], state: Any, table: LookupTable) -> tuple[
     low, high = (np.interp(dp, table.dp, x) for x in (table.lowest, table.highest))
     Q = (low + r[:, None] * (high - low)).ravel()
     dp = np.tile(dp, len(r))
-    T = np.full_like(Q, table.T)
+    T, demand = np.full_like(Q, table.T), np.clip(Q, np.tile(low, len(r)), np.tile(high, len(r)))
     mine, _ = table.interpolate(Q, dp)
     exact = _inverse(estimator, state, Q, dp, table.T)
     both = np.isfinite(mine) & np.isfinite(exact)
-    flows = (estimator.predict(state, U[both], dp[both], T[both])[0] for U in (mine, exact))
+    flow, _ = estimator.predict(state, mine[both], dp[both], T[both])
     apart_U = float(np.abs(mine - exact)[both].max(initial=0.0))
-    apart_Q = float(np.abs(np.subtract(*flows)).max(initial=0.0))
+    apart_Q = float(np.abs(flow - demand[both]).max(initial=0.0))
     return MARGIN * apart_U + ROUNDING, MARGIN * apart_Q + ROUNDING
+
+
+def _cells(table: LookupTable) -> Cells:
+    """Return the cells with a U at all corners, and the edges of the reach, where U is 0 or 100."""
+    rows = table.U, table.r[:, None] + 0.0 * table.U
+    below, above = (
+        (np.full((2, len(table.dp)), x), np.full((2, len(table.dp)), y))
+        for x, y in ((0.0, 0.0), (100.0, 1.0))
+    )
+    parts = [_cells_of(table, *x) for x in (rows, below, above)]
+    names = Cells.__dataclass_fields__
+    whole = Cells(**{k: np.concatenate([getattr(part, k) for part in parts]) for k in names})
+    return whole[np.isfinite(whole.U00 + whole.U01 + whole.U10 + whole.U11)]
+
+
+def _cells_of(table: LookupTable, U: Floats, r: Floats) -> Cells:
+    shape = U.shape[0] - 1, U.shape[1] - 1
+
+    def along_dp(values: Floats) -> Floats:
+        return np.broadcast_to(values, shape).ravel()
+
+    spans = table.highest - table.lowest
+    return Cells(
+        U00=U[:-1, :-1].ravel(),
+        U01=U[:-1, 1:].ravel(),
+        U10=U[1:, :-1].ravel(),
+        U11=U[1:, 1:].ravel(),
+        r=r[:-1, :-1].ravel(),
+        dr=np.diff(r, axis=0)[:, :-1].ravel(),
+        dp=along_dp(table.dp[:-1]),
+        ddp=along_dp(np.diff(table.dp)),
+        low=along_dp(table.lowest[:-1]),
+        dlow=along_dp(np.diff(table.lowest)),
+        span=along_dp(spans[:-1]),
+        dspan=along_dp(np.diff(spans)),
+    )
 
 
 def _place(axis: Floats, x: Floats) -> tuple[NDArray[np.intp], Floats]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valvemap.model.fleet import alone, member, repeated, update_one
+from valvemap.model.flow_units import Powers
 from valvemap.model.forgetting import Directional, check_lam, least_lam
 from valvemap.model.kernels import maximum_likelihood as kernel
 from valvemap.model.kernels import reaction
@@ -20,6 +21,7 @@ from valvemap.model.maximum_likelihood_lags import lags_of
 from valvemap.model.maximum_likelihood_state import (
     MaximumLikelihoodState,
     diagonals,
+    flow_powers,
     initial_state_of,
     learn,
     memory_of,
@@ -199,6 +201,10 @@ class MaximumLikelihood:
             return np.asarray(np.linalg.inv(P))
         except np.linalg.LinAlgError:  # singular
             return np.full_like(P, np.nan)
+
+    def flow_powers(self, state: MaximumLikelihoodState) -> Powers | None:
+        """Return the powers of Q of a state's values; None with a prior in units of Q."""
+        return None if isinstance(self.structure, StructureWithPrior) else flow_powers(state)
 
     def root_margin(self, state: MaximumLikelihoodState) -> float:
         """1 - max|root of D̂(q)|: 1 for white noise, near 0 on the edge of invertibility."""

@@ -9,18 +9,28 @@ import numpy as np
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.fleet import alone
+from valvemap.model.flow_units import Powers, no_powers
 from valvemap.model.kernels import maximum_likelihood as kernel
 from valvemap.model.kernels import reaction
 from valvemap.model.kernels.factors import covariance
 from valvemap.model.kernels.filtered_scores import (
+    BEFORE,
+    BLOCK_PRODUCT,
     BLOCK_SQUARE,
     BLOCKS,
+    DOUBT,
     GATHERED,
+    LAST,
     PLACES_OF_COLOUR,
+    PRODUCT,
+    REACTED,
     REACTING,
     ROWS_OF_BLOCKS,
+    SCORE,
     SQUARE,
+    THIS,
 )
+from valvemap.model.kernels.filtered_scores import REACTION as BLOCK_REACTION
 from valvemap.model.samples import Codes, Floats, Segments
 
 
@@ -82,6 +92,30 @@ class MaximumLikelihoodState(State):
             "early": Contents(self.early).or_nan(),
             "colour": Contents(self.colour).within(0.0, where=of_colour),
         }
+
+
+def flow_powers(state: MaximumLikelihoodState) -> Powers:
+    """Return the power of Q of each value of a static map's state.
+
+    P is in units of σ², so that of the noise model, whose regressors are residuals, shrinks by Q².
+    """
+    n, ns = len(state.theta), len(state.rls_theta)
+    found = no_powers(state)
+    noise = (np.arange(n) >= ns).astype(np.int64)
+    found["theta"][:ns] = found["rls_theta"][:] = found["early"][:] = 1
+    found["factor"][:] = noise[:, None] - noise
+    found["factor"][np.arange(n), np.arange(n)] = -2 * noise
+    found["spread"][:] = -noise[:, None] - noise
+    found["prior"][:] = -2 * noise
+    for name in ("raw", "filtered"):
+        found[name][[0, -1]] = 1  # output and residual
+    found["monitor"][[kernel.VARIANCE, kernel.POWER, kernel.RLS_POWER, kernel.OUTPUT_POWER]] = 2
+    found["omega"][:] = 2
+    found["blocks"][[THIS, BEFORE, BLOCK_REACTION, REACTED, SCORE]] = 1
+    found["blocks"][DOUBT] = 2
+    found["colour"][[PRODUCT, SQUARE, BLOCK_PRODUCT, BLOCK_SQUARE]] = 2
+    found["colour"][[LAST, REACTING + reaction.LAST_E, REACTING + reaction.LAST_V]] = 1
+    return found
 
 
 def initial_state_of(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:

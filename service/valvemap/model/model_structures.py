@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from valvemap.errors import ConfigurationError
 from valvemap.model.kernels import polynomial, spline
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Samples
 
 WALTHER_SHIFT: Final = 0.7
 KELVIN: Final = 273.15
@@ -31,6 +31,25 @@ class Structure(Protocol):
 
     def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
         """Return rows Xᵀ (N, n) at N points; a row depends on its point only, bit by bit."""
+
+
+@runtime_checkable
+class StructureOfSignals(Structure, Protocol):
+    """A structure that uses further signals of a sample, such as optional ones.
+
+    `regressors` is for points of which only U, dp and T are known; there it assumes usual values
+    of the further signals, as for a sample in which they are NaN.
+    """
+
+    def regressors_of(self, samples: Samples) -> Floats:
+        """Return rows Xᵀ (N, n) of N samples."""
+
+
+def rows_of(structure: Structure, samples: Samples) -> Floats:
+    """Return the rows Xᵀ (N, n) of N samples, by all signals that the structure uses."""
+    if isinstance(structure, StructureOfSignals):
+        return structure.regressors_of(samples)
+    return structure.regressors(samples.U, samples.dp, samples.T)
 
 
 @runtime_checkable

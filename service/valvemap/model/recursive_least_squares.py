@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from valvemap.model.change import Change
 from valvemap.model.fleet import learn_many, member, update_one
+from valvemap.model.flow_units import Powers
 from valvemap.model.forgetting import (
     Adaptive,
     Exponential,
@@ -24,6 +25,7 @@ from valvemap.model.kernels.rules import LARGEST
 from valvemap.model.least_squares_state import (
     RlsState,
     adaptations,
+    flow_powers,
     information,
     initial_state,
     is_determined,
@@ -35,7 +37,7 @@ from valvemap.model.least_squares_state import (
     variances,
 )
 from valvemap.model.linear_map import LinearParameters
-from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
+from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior, rows_of
 from valvemap.model.place_grid import grid_of, grid_of_rows
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.vocabulary.statuses import Adaptation, Quality
@@ -130,7 +132,7 @@ class RecursiveLeastSquares:
 
     def update_many(self, states: RlsState, samples: Samples, segments: Segments) -> Trace:
         """Update many models with their samples; their states are written in place."""
-        X = self.structure.regressors(samples.U, samples.dp, samples.T)
+        X = rows_of(self.structure, samples)
         usable = samples.quality != Quality.BAD
         for signal in (samples.U, samples.dp):  # a structure may clip its arguments
             usable &= np.abs(signal) <= LARGEST
@@ -179,6 +181,11 @@ class RecursiveLeastSquares:
     def information(self, state: RlsState) -> Floats:
         """P⁻¹ (n, n); singular while theta is not determined."""
         return information(state)
+
+    def flow_powers(self, state: RlsState) -> Powers | None:
+        """Return the powers of Q of a state's values; None with a prior in units of Q."""
+        has_prior = isinstance(self.structure, StructureWithPrior) or np.isfinite(self.p0)
+        return None if has_prior else flow_powers(state)
 
     @property
     def finds_changes(self) -> bool:

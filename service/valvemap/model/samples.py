@@ -7,6 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from valvemap.vocabulary.signals import MEASURED
 from valvemap.vocabulary.statuses import Quality
 
 Floats = NDArray[np.float64]
@@ -31,7 +32,11 @@ class Samples:
     Q : float64
         Flow through the valve, l/min.
     T : float64
-        Oil temperature, °C; NaN where there is no sensor.
+        Oil temperature, °C.
+
+    The signals are those of :mod:`~valvemap.vocabulary.signals`, in its order; optional ones are
+    NaN where there is no sensor.
+
     quality : uint8
         :class:`Quality`.
 
@@ -62,16 +67,21 @@ class Samples:
         Q: ArrayLike,
         T: ArrayLike | None = None,
         quality: ArrayLike | None = None,
+        **optional: ArrayLike | None,
     ) -> Self:
-        """Convert anything array-like; T defaults to NaN, quality to GOOD."""
+        """Convert anything array-like; optional signals default to NaN, quality to GOOD."""
         time = np.ascontiguousarray(t, dtype=np.int64)
+        given = {"U": U, "p1": p1, "p2": p2, "Q": Q, "T": T, **optional}
+        signals = {
+            name: np.full(time.shape, np.nan)
+            if (values := given.pop(name, None)) is None
+            else np.ascontiguousarray(values, dtype=np.float64)
+            for name in MEASURED
+        }
+        assert not given, f"no such signals: {list(given)}"  # noqa: S101 - a programmer's mistake
         return cls(
             t=time,
-            U=np.ascontiguousarray(U, dtype=np.float64),
-            p1=np.ascontiguousarray(p1, dtype=np.float64),
-            p2=np.ascontiguousarray(p2, dtype=np.float64),
-            Q=np.ascontiguousarray(Q, dtype=np.float64),
-            T=np.full(time.shape, np.nan) if T is None else np.ascontiguousarray(T, np.float64),
+            **signals,
             quality=(
                 np.full(time.shape, Quality.GOOD, np.uint8)
                 if quality is None
@@ -91,6 +101,11 @@ class Samples:
             return cls.empty()
         columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
         return cls(**{name: np.concatenate(column) for name, column in columns.items()})
+
+    @property
+    def values(self) -> Floats:
+        """Return all signals in the order of the table, (N, COUNT)."""
+        return np.stack([getattr(self, name) for name in MEASURED], axis=1)
 
     @property
     def dp(self) -> Floats:

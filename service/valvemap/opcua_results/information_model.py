@@ -29,6 +29,7 @@ from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Bounds, Kind, Quantity
+from valvemap.vocabulary.signals import PUBLISHED, SENSORS
 from valvemap.vocabulary.statuses import Described, FeedForwardStatus, InverseStatus
 
 NAMESPACE = SERVICE_NAMESPACE
@@ -129,24 +130,26 @@ def estimator_variables(
 
 
 def signal_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
-    """The newest sample of one valve, in the order of ``pipeline.ports.SIGNALS``."""
-    p_range = 0.0, max(valve.dp_range)
-    meant = (
-        ("U", "Control voltage", Unit.PERCENT, U_RANGE),
-        ("p1", "Pressure before the valve", Unit.BAR, p_range),
-        ("p2", "Pressure behind the valve", Unit.BAR, p_range),
-        ("Q", "Flow", Unit.LITRE_PER_MINUTE, valve.Q_range),
-        ("dp", "Pressure drop p1 - p2", Unit.BAR, valve.dp_range),
-        ("T", "Oil temperature", Unit.DEGREE_CELSIUS, T_RANGE),
-    )
+    """The newest sample of one valve, in the order of ``vocabulary.signals.PUBLISHED``."""
+    ranges = {
+        "%": U_RANGE,
+        "bar": (0.0, max(valve.dp_range)),
+        "l/min": valve.Q_range,
+        "°C": T_RANGE,
+    }
+    meant = {
+        signal.label: (signal.sentence, signal.unit, ranges[signal.unit]) for signal in SENSORS
+    }
+    meant["dp"] = "pressure drop p1 - p2", "bar", valve.dp_range
     return tuple(
         VariableNode(
             f"{valve.name}.{SIGNALS}.{name}",
-            f"{words} of the newest sample, as measured.",
-            unit=unit,
+            f"{words[0].upper()}{words[1:]} of the newest sample, as measured.",
+            unit=_UNITS[unit],
             range=bounds,
         )
-        for name, words, unit, bounds in meant
+        for name in PUBLISHED
+        for words, unit, bounds in [meant[name]]
     )
 
 
@@ -662,7 +665,12 @@ _KINDS = {
     Kind.COUNT: ua.VariantType.UInt64,
     Kind.CODE: ua.VariantType.Int32,
 }
-_UNITS = {"l/min": Unit.LITRE_PER_MINUTE}
+_UNITS = {
+    "%": Unit.PERCENT,
+    "bar": Unit.BAR,
+    "l/min": Unit.LITRE_PER_MINUTE,
+    "°C": Unit.DEGREE_CELSIUS,
+}
 
 
 @cache

@@ -10,15 +10,16 @@ from asyncua import ua
 
 from guarded_opcua import Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import ROOT
-from valvemap.pipeline.ports import SIGNALS, AlarmReport, PastStore
+from valvemap.pipeline.ports import AlarmReport, PastStore
 from valvemap.runtime.past import REQUIRED_U
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
+from valvemap.vocabulary.signals import PUBLISHED
 
 _NO_DATA: Final = np.uint32(ua.StatusCodes.BadNoData)
 _BAD: Final = 0x8000_0000
 _ESTIMATED: Final = frozenset(quantity.name for quantity in HISTORY_QUANTITIES)
 _PARTS: Final = {
-    "Signals": frozenset(SIGNALS),
+    "Signals": frozenset(PUBLISHED),
     "Inverse": frozenset({REQUIRED_U}),
 }
 

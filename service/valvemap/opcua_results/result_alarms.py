@@ -41,11 +41,13 @@ from valvemap.pipeline.ports import (
     AlarmChange,
     AlarmReport,
     Answer,
+    Command,
     Operator,
     Remark,
     Results,
     ValveDescription,
 )
+from valvemap.vocabulary.commands import NAMED, Action
 
 CONDITION = "Condition"
 MOST_OF_A_COMMENT = 200  # characters shown in LastAction
@@ -68,7 +70,6 @@ _COMMENT = Argument("Comment", "Action taken", type=ua.VariantType.String)
 
 Show = Callable[[str, Shown], None]
 AddVariable = Callable[[ua.NodeId, VariableNode, Shown], Awaitable[Any]]
-Act = Callable[[str | None, str, Remark], Answer[None]]
 
 
 class ResultAlarms:
@@ -200,22 +201,15 @@ class ResultAlarms:
         valve: str | None,
         alarm: str,
     ) -> None:
-        for name, act, words in (
-            (
-                "Acknowledge",
-                self._operator.acknowledge,
-                "Acknowledge the alarm. A reported change of the valve is acknowledged with it.",
-            ),
-            ("Confirm", self._operator.confirm, "Confirm that the cause was dealt with."),
-        ):
+        for action in (NAMED["acknowledge"], NAMED["confirm"]):
             await add_method(
                 place,
                 parent,
-                f"{parent.Identifier}.{name}",
-                partial(self._act, name, act, valve, alarm),
+                f"{parent.Identifier}.{action.method}",
+                partial(self._act, action, valve, alarm),
                 inputs=(_COMMENT,),
                 required=Role.OPERATOR,
-                description=words,
+                description=action.sentence,
             )
 
     def keys(self, valve: str | None) -> list[ConditionKey]:
@@ -240,28 +234,27 @@ class ResultAlarms:
 
     def acknowledge(self, condition: ua.NodeId, comment: str) -> Answer[None]:
         """Acknowledge a condition."""
-        return self._act_on(condition, "Acknowledge", self._operator.acknowledge, comment)
+        return self._act_on(condition, NAMED["acknowledge"], comment)
 
     def confirm(self, condition: ua.NodeId, comment: str) -> Answer[None]:
         """Confirm a condition."""
-        return self._act_on(condition, "Confirm", self._operator.confirm, comment)
+        return self._act_on(condition, NAMED["confirm"], comment)
 
     def remark(self, condition: ua.NodeId, comment: str) -> Answer[None]:
         """Add a comment to a condition."""
-        return self._act_on(condition, "AddComment", self._operator.remark, comment)
+        return self._act_on(condition, NAMED["remark"], comment)
 
-    def _act_on(self, condition: ua.NodeId, name: str, act: Act, comment: str) -> Answer[None]:
+    def _act_on(self, condition: ua.NodeId, action: Action, comment: str) -> Answer[None]:
         found = self._owner_of(condition)
         if found is None:
             raise Refused(f"{condition.to_string()}: there is no such condition")
-        return self._act(name, act, *found, comment)
+        return self._act(action, *found, comment)
 
-    def _act(
-        self, name: str, act: Act, valve: str | None, alarm: str, comment: str
-    ) -> Answer[None]:
+    def _act(self, action: Action, valve: str | None, alarm: str, comment: str) -> Answer[None]:
         now = self._clock.now()
-        asked = partial(act, valve, alarm, Remark(comment, caller(), now))
-        return answered(asked, lambda _: self._acted(name, valve, alarm, comment, now))
+        remark = Remark(comment, caller(), now)
+        asked = partial(self._operator.do, Command(action.name, valve, alarm, remark=remark))
+        return answered(asked, lambda _: self._acted(action.method, valve, alarm, comment, now))
 
     def _acted(self, name: str, valve: str | None, alarm: str, comment: str, now: int) -> None:
         owner, every = SERVICE if valve is None else valve, self._operator.alarms(valve)

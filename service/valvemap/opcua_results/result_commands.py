@@ -1,20 +1,20 @@
 """Operator commands on valves: methods that change state, each recorded in LastAction."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any
 
 from asyncua import ua
 
 from guarded_opcua import Argument, Clock, OutOfRange, Role, add_method
 from valvemap.opcua_results.answers import answered, say_nothing
-from valvemap.opcua_results.information_model import ARMED, BASELINE, INVERSE
+from valvemap.opcua_results.information_model import ARMED, INVERSE
 from valvemap.opcua_results.result_notes import ResultNotes
 from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_types import Place
 from valvemap.opcua_results.result_values import Shown, baseline_values
 from valvemap.opcua_results.result_variables import ResultVariables
-from valvemap.pipeline.ports import Answer, Operator
+from valvemap.pipeline.ports import Answer, Command, Operator
+from valvemap.vocabulary.commands import Action, Effect, Subject, actions_on
 
 
 class ResultCommands:
@@ -48,117 +48,46 @@ class ResultCommands:
         self._notes = notes
         self._clock = clock
 
-    async def add_to_estimator(
-        self, place: Place, parent: ua.NodeId, valve: str, estimator: str
+    async def add(
+        self, place: Place, parent: ua.NodeId, subject: Subject, valve: str, part: str
     ) -> None:
-        """Add the commands of an estimator of a valve."""
-        command = partial(self._add, place, parent, f"{valve}.{estimator}")
-        who = (valve, estimator)
-        await command(
-            "Reset",
-            partial(self._operator.reset, *who),
-            "Reset the estimator: drop all that it has learnt.",
-        )
-        await command(
-            "Freeze", partial(self._operator.freeze, *who), "Stop adaptation: predict only."
-        )
-        await command("Resume", partial(self._operator.resume, *who), "Resume adaptation.")
-        await command(
-            "SetForgettingFactor",
-            partial(self._set_forgetting_factor, *who),
-            "Set the forgetting factor from the next sample on; 1: all samples have equal weight.",
-            Argument("ForgettingFactor", "0 < λ <= 1"),
-        )
-
-    async def add_to_inverse(self, place: Place, parent: ua.NodeId, valve: str) -> None:
-        """Add the commands of a valve's inverse map: Arm and Disarm."""
-        command = partial(self._add, place, parent, f"{valve}.{INVERSE}")
-        await command(
-            "Arm",
-            partial(self._arm, valve),
-            "Arm writing of RequiredU to the valve; a restart disarms it.",
-        )
-        await command(
-            "Disarm",
-            partial(self._disarm, valve),
-            "Disarm: write nothing more to the valve; the source takes its own command.",
-        )
-
-    async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
-        """Add the commands of the baseline: Approve, RollBack and ValveReplaced."""
-        command = partial(self._add, place, parent, f"{valve}.{BASELINE}")
-        await command(
-            "Approve",
-            partial(self._approve, valve),
-            "Approve the present map as the reference for later comparison.",
-        )
-        await command(
-            "RollBack",
-            partial(self._operator.roll_back, valve),
-            "Restore all estimators to their states at the approval.",
-        )
-        await command(
-            "ValveReplaced",
-            partial(self._replace_valve, valve),
-            "Declare the valve replaced: reset all estimators and drop the approved map.",
-        )
-
-    async def _add(
-        self,
-        place: Place,
-        parent: ua.NodeId,
-        prefix: str,
-        name: str,
-        function: Callable[..., Answer[None]],
-        description: str,
-        *inputs: Argument,
-    ) -> None:
-        valve, _, part = prefix.partition(".")
-
-        def command(*arguments: Any) -> Answer[None]:  # noqa: ANN401 - the command's own
-            given = "".join(f" {argument:g}" for argument in arguments)
-            return answered(
-                partial(function, *arguments),
-                lambda _: self._notes.acted(valve, f"{part} {name}{given}"),
-                partial(self._notes.refused, valve) if part == BASELINE else say_nothing,
+        """Add the methods of all commands on a subject: ``part`` of a valve."""
+        for action in actions_on(subject):
+            await add_method(
+                place,
+                parent,
+                f"{valve}.{part}.{action.method}",
+                partial(self._do, action, valve, part),
+                inputs=[Argument(given.name, given.meaning) for given in action.inputs],
+                required=Role.OPERATOR,
+                description=action.sentence,
             )
 
-        await add_method(
-            place,
-            parent,
-            f"{prefix}.{name}",
-            command,
-            inputs=inputs,
-            required=Role.OPERATOR,
-            description=description,
-        )
+    def _do(self, action: Action, valve: str, part: str, *values: float) -> Answer[None]:
+        for given, value in zip(action.inputs, values, strict=True):
+            if not given.above < value <= given.up_to:
+                raise OutOfRange(f"{given.name} {value:g}: allowed is {given.meaning}")
+        estimator = part if action.on is Subject.ESTIMATOR else ""
+        command = Command(action.name, valve, estimator, values)
 
-    def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> Answer[None]:
-        if not 0.0 < lam <= 1.0:
-            raise OutOfRange(f"forgetting factor {lam:g}: allowed is 0 < λ <= 1")
-        return self._operator.set_forgetting_factor(valve, estimator, lam)
+        def done(_: None) -> None:
+            for new in self._changed(action.effect, valve):
+                self._variables.show(valve, new)
+            said = "".join(f" {value:g}" for value in values)
+            self._notes.acted(valve, f"{part} {action.method}{said}")
 
-    def _arm(self, valve: str) -> Answer[None]:
-        asked = partial(self._operator.arm, valve)
-        return answered(asked, lambda _: self._show_armed(valve, armed=True))
+        refused: Callable[[str], None] = say_nothing
+        if action.on is Subject.BASELINE:
+            refused = partial(self._notes.refused, valve)
+        return answered(partial(self._operator.do, command), done, refused)
 
-    def _disarm(self, valve: str) -> Answer[None]:
-        asked = partial(self._operator.disarm, valve)
-        return answered(asked, lambda _: self._show_armed(valve, armed=False))
-
-    def _show_armed(self, valve: str, *, armed: bool) -> None:
-        new = Shown(f"{INVERSE}.{ARMED}", armed, ua.StatusCodes.Good, self._clock.now())
-        self._variables.show(valve, new)
-
-    def _approve(self, valve: str) -> Answer[None]:
-        asked = partial(self._operator.approve, valve)
-        return answered(asked, lambda _: self._show_baseline(valve))
-
-    def _replace_valve(self, valve: str) -> Answer[None]:
-        asked = partial(self._operator.replace_valve, valve)
-        return answered(asked, lambda _: self._show_baseline(valve))
-
-    def _show_baseline(self, valve: str) -> None:
-        found = self._operator.baseline(self._slots.number(valve))
-        for new in baseline_values(found, self._clock.now()):
-            self._variables.show(valve, new)
+    def _changed(self, effect: Effect, valve: str) -> Iterable[Shown]:
+        now = self._clock.now()
+        match effect:
+            case Effect.ARMED | Effect.DISARMED:
+                armed = effect is Effect.ARMED
+                return [Shown(f"{INVERSE}.{ARMED}", armed, ua.StatusCodes.Good, now)]
+            case Effect.BASELINE:
+                return baseline_values(self._operator.baseline(self._slots.number(valve)), now)
+            case _:
+                return ()

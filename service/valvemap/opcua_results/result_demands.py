@@ -11,7 +11,7 @@ from valvemap.errors import CommandRejected
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import INVERSE
 from valvemap.opcua_results.result_notes import ResultNotes
-from valvemap.pipeline.ports import Answer, Operator
+from valvemap.pipeline.ports import Answer, Command, Operator
 
 _NOTHING = (np.nan, np.nan)
 
@@ -52,7 +52,7 @@ class ResultDemands:
         for name, (Q, dp) in self._standing.items():
             if not np.isnan(Q):
                 with suppress(CommandRejected):
-                    outcome = self._operator.demand(name, Q, dp)
+                    outcome = self._operator.do(Command("demand", name, values=(Q, dp)))
                     if isawaitable(outcome):
                         await outcome
 
@@ -62,4 +62,5 @@ class ResultDemands:
                 self._standing[valve] = (Q, dp)
             self._notes.acted(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
 
-        return answered(partial(self._operator.demand, valve, Q, dp), demanded)
+        command = Command("demand", valve, values=(Q, dp))
+        return answered(partial(self._operator.do, command), demanded)

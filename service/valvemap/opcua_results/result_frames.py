@@ -20,9 +20,9 @@ from valvemap.opcua_results.information_model import (
     VariableNode,
 )
 from valvemap.opcua_results.result_values import Column, estimator_own_words, worse
-from valvemap.pipeline.ports import SIGNALS as SIGNAL_NAMES
 from valvemap.pipeline.ports import Results, ValveDescription
 from valvemap.vocabulary.quantities import FRAME_QUANTITIES
+from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import Quality
 
 
@@ -41,7 +41,7 @@ def frame_names(valve: ValveDescription) -> tuple[str, ...]:
             f"{estimator.name}.ParameterVector.{name}" for name in estimator.parameter_names
         ]
     columns += [f"{INVERSE}.RequiredU", f"{INVERSE}.RequiredUStatus"]
-    return (*columns, *(f"{SIGNALS}.{name}" for name in SIGNAL_NAMES))
+    return (*columns, *(f"{SIGNALS}.{name}" for name in PUBLISHED))
 
 
 def frame_variables(valve: ValveDescription) -> tuple[VariableNode, VariableNode]:
@@ -89,6 +89,6 @@ def _signals(results: Results) -> Floats:
     """Return the newest sample of M valves, (M, 6); NaN where the sensors are lost."""
     signals = results.signals
     if signals is None:
-        return np.full((len(results.valves), len(SIGNAL_NAMES)), np.nan)
+        return np.full((len(results.valves), len(PUBLISHED)), np.nan)
     lost = (signals.quality == Quality.BAD) | (signals.t == 0)
     return np.where(lost[:, None], np.nan, signals.values)

@@ -45,6 +45,7 @@ from valvemap.opcua_results.result_questions import ResultQuestions
 from valvemap.opcua_results.result_types import AddPart, Place
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.commands import Subject
 from valvemap.vocabulary.statuses import FeedForwardStatus
 
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
@@ -122,7 +123,7 @@ class ResultParts:
             each = await add_object(place, parent, id_, description=words)
             for node in parameters:
                 await add(each, node, None)
-        await self._commands.add_to_estimator(place, parent, valve.name, estimator.name)
+        await self._commands.add(place, parent, Subject.ESTIMATOR, valve.name, estimator.name)
         await self._questions.add_to_estimator(place, parent, valve.name, estimator.name)
 
     async def declare_alarm(self, place: Place, own: ua.NodeId) -> None:
@@ -152,7 +153,7 @@ class ResultParts:
             await self._variables.add(place, parent, node, value, take)
         if valve.map_Q and valve.map_dp:
             await self._add_map(place, parent, valve)
-        await self._commands.add_to_inverse(place, parent, valve.name)
+        await self._commands.add(place, parent, Subject.INVERSE, valve.name, INVERSE)
         await self._questions.add_to_inverse(place, parent, valve.name)
 
     async def _add_map(self, place: Place, parent: ua.NodeId, valve: ValveDescription) -> None:
@@ -175,7 +176,7 @@ class ResultParts:
         for node in baseline_variables(valve.name):
             empty = "" if node.kind == ua.VariantType.String else None
             await self._variables.add(place, parent, node, empty)
-        await self._commands.add_to_baseline(place, parent, valve.name)
+        await self._commands.add(place, parent, Subject.BASELINE, valve.name, BASELINE)
         await self._questions.add_to_baseline(place, parent, valve.name)
 
     async def _add_diagnostics(

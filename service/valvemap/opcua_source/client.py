@@ -43,8 +43,9 @@ from valvemap.opcua_source.subscription import (
     take_over,
 )
 from valvemap.opcua_source.succession import Estate, divided
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import SourceCounters
+from valvemap.vocabulary.signals import PER_VALVE
 
 __all__ = ["OpcUaSource", "Security", "SourceSettings", "ValveNodes"]
 
@@ -90,7 +91,7 @@ class OpcUaSource:
         self._left: Left | None = None
         self._left_at = 0.0
         self._parts: deque[Part] = deque()  # received, not returned yet
-        self._knowledge = Knowledge(len(self._valves) * SIGNALS_PER_VALVE)
+        self._knowledge = Knowledge(len(self._valves) * PER_VALVE)
         self._history = SourceHistory()
         self._mark: Mark | None = None
         self._holds_back = False

@@ -16,13 +16,14 @@ from valvemap.opcua_client.connection import Connection, status_name
 from valvemap.opcua_client.responses import Senseless
 from valvemap.opcua_source.decoding import DecodeError, HistoryPiece, decode_history_response
 from valvemap.opcua_source.source_nodes import MonitoredNode
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.vocabulary.signals import PER_VALVE
 
 _log = bounded_logger(__name__)
 
 NEVER = -(2**63)
 _VALUES_AT_ONCE = 6_000  # of all nodes together: 1,000 samples of a valve per request
-_NODES_AT_ONCE = 16 * SIGNALS_PER_VALVE
+_NODES_AT_ONCE = 16 * PER_VALVE
 _TOGETHER_NS = 1_000_000_000  # holes that start within 1 s are read together
 _MOST_FAILURES = 3  # in a row, then the hole is skipped: a failing history must not block
 _MICROSECOND_NS = 1_000  # resolution of datetime
@@ -77,12 +78,12 @@ class Knowledge:
         items, at = np.unique(ahead.item, return_index=True)
         first = np.full(len(self.known_to), NEVER, np.int64)
         first[items] = ahead.source_time[at]
-        until = _of_valve(first.reshape(-1, SIGNALS_PER_VALVE).max(axis=1))
+        until = _of_valve(first.reshape(-1, PER_VALVE).max(axis=1))
         high = np.maximum(np.where(first == NEVER, until, first), NEVER + longest_ns + 1) - 1
         low = np.maximum(self.known_to + 1, high - longest_ns)
         missing = self.doubtful & (self.known_to != NEVER) & (low <= high)
         is_next = missing & (first != NEVER)
-        beside = _of_valve(is_next.reshape(-1, SIGNALS_PER_VALVE).any(axis=1))
+        beside = _of_valve(is_next.reshape(-1, PER_VALVE).any(axis=1))
         chosen = np.flatnonzero(missing & beside)
         return Holes(chosen, low[chosen], high[chosen])
 
@@ -96,7 +97,7 @@ class Knowledge:
 
 def _of_valve(by_valve: NDArray[Any]) -> NDArray[Any]:
     """Repeat a value per valve for each of its items."""
-    return np.repeat(by_valve, SIGNALS_PER_VALVE)
+    return np.repeat(by_valve, PER_VALVE)
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, status_name
 from valvemap.opcua_client.requests import in_chunks, operation_limits
 from valvemap.opcua_source.source_nodes import MonitoredNode
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE
+from valvemap.vocabulary.signals import PER_VALVE
 
 _log = logging.getLogger(__name__)
 
-_ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publishes
+_ITEMS_AT_ONCE = 20 * PER_VALVE  # between two requests the server publishes
 
 
 @dataclass(frozen=True)

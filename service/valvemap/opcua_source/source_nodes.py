@@ -12,8 +12,8 @@ from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import Connection, in_one_line, status_name
 from valvemap.opcua_client.requests import namespaces_of, read_attributes
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, Signal
-from valvemap.pipeline.units import READ, Measure
+from valvemap.pipeline.units import Measure
+from valvemap.vocabulary.signals import PER_VALVE, READ, Signal
 
 REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # nodes that are written
 
@@ -216,7 +216,7 @@ def _checked(
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:
     for signal, name, text in nodes.signals():
-        yield _Wanted(number * SIGNALS_PER_VALVE + signal, number, text, name)
+        yield _Wanted(number * PER_VALVE + signal, number, text, name)
     for role in (REQUIRED_U, HEARTBEAT):
         text = getattr(nodes, role)
         if text is not None:

@@ -11,9 +11,8 @@ from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, in_one_line
 from valvemap.opcua_client.requests import in_chunks, operation_limits, read_values
 from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import (
-    MEASURED,
     QUANTITY_OF,
     UNECE,
     Measure,
@@ -23,6 +22,7 @@ from valvemap.pipeline.units import (
     unit_by_number,
     unit_of,
 )
+from valvemap.vocabulary.signals import MEASURED, PER_VALVE, Signal
 
 _HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _PROPERTIES: Final = ("EngineeringUnits", "EURange")
@@ -34,16 +34,16 @@ class Scales:
     """Converts data changes to the internal units."""
 
     def __init__(self, valves: Sequence[ValveNodes]) -> None:
-        n = len(valves) * SIGNALS_PER_VALVE
+        n = len(valves) * PER_VALVE
         self._gain, self._offset = np.ones(n), np.zeros(n)
         for number, valve in enumerate(valves):
             for place, name in enumerate(MEASURED):
                 scaling = valve.measure(valve.source_of(name)).scaling(name)
-                item = number * SIGNALS_PER_VALVE + place
+                item = number * PER_VALVE + place
                 self._gain[item], self._offset[item] = scaling.gain, scaling.offset
         self._has_none = bool((self._gain == 1.0).all() and (self._offset == 0.0).all())
         differences = [number for number, valve in enumerate(valves) if valve.dp is not None]
-        self._dp_items = np.array(differences, np.int32) * SIGNALS_PER_VALVE + Signal.P1
+        self._dp_items = np.array(differences, np.int32) * PER_VALVE + Signal.P1
 
     def __call__(self, changes: DataChanges) -> DataChanges:
         """Return the changes in internal units; the same object if no signal needs conversion."""
@@ -176,7 +176,7 @@ def _wanted(
     valves: Sequence[ValveNodes], nodes: CheckedNodes
 ) -> Iterator[tuple[int, str, ua.NodeId, str]]:
     for node in nodes.monitored:
-        valve, signal = divmod(node.item, SIGNALS_PER_VALVE)
+        valve, signal = divmod(node.item, PER_VALVE)
         if signal < len(MEASURED):
             yield valve, valves[valve].source_of(MEASURED[signal]), node.node, node.label
     for number in range(len(valves)):

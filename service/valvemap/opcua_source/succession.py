@@ -10,7 +10,7 @@ from valvemap.opcua_client.connection import Ticket
 from valvemap.opcua_source.history import Knowledge
 from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.opcua_source.subscription import Left, Part, Tally
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE
+from valvemap.vocabulary.signals import PER_VALVE
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def divided(estate: Estate, valves: Sequence[ValveNodes]) -> Estate:
     for item, key in _keys(estate.valves):
         item_of[item] = ours.get(key, -1)
     both = item_of >= 0
-    knowledge = Knowledge(len(valves) * SIGNALS_PER_VALVE)
+    knowledge = Knowledge(len(valves) * PER_VALVE)
     knowledge.known_to[item_of[both]] = estate.knowledge.known_to[both]
     knowledge.doubtful[item_of[both]] = estate.knowledge.doubtful[both]
     left, surplus = estate.left, estate.surplus
@@ -77,4 +77,4 @@ def _keys(valves: Sequence[ValveNodes]) -> Iterator[tuple[int, tuple[object, ...
     """Yield the items of the given valves, each with the key that identifies it."""
     for number, valve in enumerate(valves):
         for signal, _, text in valve.signals():
-            yield number * SIGNALS_PER_VALVE + signal, (valve.valve, signal, text)
+            yield number * PER_VALVE + signal, (valve.valve, signal, text)

@@ -78,6 +78,7 @@ _BY_STATUS: Mapping[int, Reason] = {
     Status.HELD: Reason.HELD,
     Status.EXTRAPOLATING: Reason.EXTRAPOLATING,
     Status.FAILED: Reason.FAILED,
+    Status.UNRELIABLE: Reason.MISFIT,
 }
 _BAD = 0x8000_0000
 _BAD_WAITING_FOR_INITIAL_DATA = 0x8032_0000

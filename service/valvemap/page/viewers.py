@@ -25,6 +25,7 @@ from valvemap.page.packing import Packing
 from valvemap.page.ports import Wanted
 from valvemap.page.rates import TokenBucket
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
+from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 _SLOW_READER_S = 10.0  # s; timeout of sending one message
@@ -304,6 +305,14 @@ def _host_of(viewer: Viewer) -> str:
     return viewer.socket.client.host if viewer.socket.client else ""
 
 
+def _signals() -> Iterator[tuple[str, tuple[str, str]]]:
+    """Yield name, caption and unit of each signal, the pressure drop behind its pressures."""
+    for signal in SENSORS:
+        yield signal.label, (signal.caption, signal.unit)
+        if signal is Signal.P2:
+            yield "dp", ("Δp", "bar")
+
+
 def _greeting(observer: Observer) -> dict[str, Any]:
     return {
         "link": observer.link.value,
@@ -324,6 +333,7 @@ def _greeting(observer: Observer) -> dict[str, Any]:
             "status": [(status.label, status.sentence) for status in Status],
             "inverse": [(INVERSE_SEVERITIES[s], s.sentence) for s in InverseStatus],
             "reason": [(reason.label, reason.sentence) for reason in Reason],
+            "signals": dict(_signals()),
         },
     }
 

@@ -1,13 +1,14 @@
 """Texts of alarms: the measured value, its beginning, and possible causes. Pure."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
 
 from valvemap.vocabulary.service_alarms import ServiceAlarm
+from valvemap.vocabulary.signals import MEASURED
 
-SIGNALS = ("U", "p1", "p2", "Q", "T")
 HOUR_S = 3_600.0
 
 
@@ -112,7 +113,7 @@ def _lost(m: Measured) -> str:
 
 def _frozen(m: Measured) -> str:
     return (
-        f"{SIGNALS[int(m.detail)]} was constant to the last digit for {_duration(m.value)} while "
+        f"{MEASURED[int(m.detail)]} was constant to the last digit for {_duration(m.value)} while "
         f"other signals varied (limit {m.limit:g} s)"
     )
 
@@ -139,6 +140,8 @@ def _lane_failed(m: Measured) -> str:
 
 
 def _checkpoint(m: Measured) -> str:
+    if math.isinf(m.value):
+        return "The state file was removed or replaced while in use; all states are saved again"
     return f"States were not saved for {_duration(m.value)} (limit {m.limit:g} s)"
 
 
@@ -148,6 +151,12 @@ def _certificate(m: Measured) -> str:
 
 def _load(m: Measured) -> str:
     return f"The service works {100.0 * m.value:.0f} % of the time (limit {100.0 * m.limit:g} %)"
+
+
+def _history(m: Measured) -> str:
+    if math.isinf(m.value):
+        return "Rows of the history were lost; History.Lost is their number"
+    return f"The history was not saved for {_duration(m.value)} (limit {m.limit:g} s); rows wait"
 
 
 def _rejected(m: Measured) -> str:
@@ -198,9 +207,16 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
         ("a filter of the flow meter", "the valve's own dynamics", "time stamps made too late"),
     ),
     "LaneFailed": (_lane_failed, ()),
-    "Checkpoint": (_checkpoint, ("a full disk", "a disk that is too slow", "missing rights")),
+    "Checkpoint": (
+        _checkpoint,
+        ("a full disk", "a disk that is too slow", "missing rights", "a removed file"),
+    ),
     "Certificate": (_certificate, ()),
     "Load": (_load, ("too many valves or clients", "other work on this machine")),
+    "History": (
+        _history,
+        ("a full disk", "missing rights", "a damaged file", "a clock that steps"),
+    ),
     "MessagesRejected": (
         _rejected,
         (

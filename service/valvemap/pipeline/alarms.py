@@ -35,9 +35,10 @@ from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Time
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
 from valvemap.pipeline.kernels.alarms import Senses, Watched
-from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Restore, saved
+from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, CopyBuffer, Restore, saved
 from valvemap.pipeline.ports import AlarmReport, Remark
 from valvemap.vocabulary.service_alarms import OF_FLEET, OF_SERVE, ServiceAlarm
+from valvemap.vocabulary.signals import COUNT
 from valvemap.vocabulary.statuses import Adaptation
 
 LOSS_MEMORY_S = 60.0  # s; time constant of the share of lost samples
@@ -88,6 +89,7 @@ _RULES_OF_SERVICE: Mapping[ServiceAlarm, AlarmRule] = {
     ServiceAlarm.CERTIFICATE: AlarmRule(limit=30.0, hysteresis=0.0, delay_s=0.0, severity=500),
     ServiceAlarm.LOAD: AlarmRule(limit=0.9, hysteresis=0.2, delay_s=30.0, severity=600),
     ServiceAlarm.MESSAGES_REJECTED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=0.0, severity=600),
+    ServiceAlarm.HISTORY: AlarmRule(limit=10.0, hysteresis=0.0, delay_s=0.0, severity=500),
 }
 SERVICE_RULES = {alarm: _RULES_OF_SERVICE[alarm] for alarm in OF_SERVE}
 FLEET_RULES = {alarm: _RULES_OF_SERVICE[alarm] for alarm in OF_FLEET}
@@ -158,6 +160,7 @@ class Alarms:
         self._senses = _nothing_seen(M)
         self._patient = np.zeros(M, np.bool_)
         self._reasons = np.zeros(M, f"<U{MOST_OF_A_REASON}")
+        self._written = *self._arrays().values(), self._patient  # by a step
 
     @property
     def version(self) -> Times:
@@ -168,11 +171,7 @@ class Alarms:
         """Update with gated samples and the watched estimator's trace of them."""
         seen = Watched(
             samples.t,
-            samples.U,
-            samples.p1,
-            samples.p2,
-            samples.Q,
-            samples.T,
+            samples.values,
             samples.quality,
             trace.predicted,
             trace.residual,
@@ -285,9 +284,9 @@ class Alarms:
         """Number of lane failures (M,)."""
         return self._conditions.detail[:, Alarm.LANE_FAILED, 1].astype(np.int64)
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the alarms of the given valves; the result writes the copies back."""
-        return saved(self.columns().values(), members)
+        return saved(self._written, members, buffer)
 
     def overdue(self, chosen: Times, now: Times) -> None:
         """Update K valves that have sent no sample until ``now``, UTC ns by their sources."""
@@ -482,7 +481,7 @@ def _limits(rules: list[AlarmRule]) -> Floats:
 
 
 def _nothing_seen(M: int) -> Senses:
-    signals, places = (M, kernel.SIGNALS), (M, kernel.CELLS_U * kernel.CELLS_S)
+    signals, places = (M, COUNT), (M, kernel.CELLS_U * kernel.CELLS_S)
     memory = np.zeros((M, kernel.MEMORY))
     memory[:, kernel.CELL] = -1.0
     memory[:, [kernel.T_USUAL, kernel.Q_BEFORE]] = np.nan

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Samples, Segments, Times
-from valvemap.pipeline.data_changes import DataChanges, Signal
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels import alignment as kernel
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import Aligned, Changes, Rules, Waiting
+from valvemap.vocabulary.signals import MEASURED, REQUIRED, Signal
 
 COUNTER_NAMES = (
     "late",
@@ -104,7 +105,7 @@ def together(parts: Sequence[ByValve]) -> ByValve:
 class Alignment:
     """Aligns the changes of V valves.
 
-    ``has_T`` (V,) marks valves with a temperature sensor, ``has_sequence`` (V,) those with a
+    ``optional`` (V,) names each valve's optional signals, ``has_sequence`` (V,) marks those with a
     running number; if it is empty, no valve has one.
 
     Every change is added to the pending sample of its valve with its source time. Complete samples
@@ -118,7 +119,7 @@ class Alignment:
 
     Examples
     --------
-    >>> align = Alignment(AlignmentSettings(), has_T=(False,))
+    >>> align = Alignment(AlignmentSettings(), optional=((),))
     >>> changes = DataChanges(
     ...     item=np.array([0, 1, 2, 3], np.int32),
     ...     value=np.array([50.0, 200.0, 100.0, 80.0]),
@@ -131,12 +132,12 @@ class Alignment:
     """
 
     settings: AlignmentSettings
-    has_T: tuple[bool, ...]
+    optional: tuple[tuple[str, ...], ...]
     has_sequence: tuple[bool, ...] = ()
 
     def initial_state(self) -> Waiting:
         """Return the state before the first change."""
-        return self.nothing(len(self.has_T), min(_FIRST_CAPACITY, self.settings.max_pending))
+        return self.nothing(len(self.optional), min(_FIRST_CAPACITY, self.settings.max_pending))
 
     def nothing(self, valves: int, pending: int) -> Waiting:
         """Return the initial state of ``valves`` valves, with room for ``pending`` samples each."""
@@ -168,7 +169,7 @@ class Alignment:
 
     def waits(self, waiting: Waiting) -> NDArray[np.bool_]:
         """Mask (V,) of the valves with complete samples in the reorder buffer."""
-        found = np.zeros(len(self.has_T), np.bool_)
+        found = np.zeros(len(self.optional), np.bool_)
         kernel.find_waiting(self._rules, waiting, found)
         return found
 
@@ -238,30 +239,47 @@ class Alignment:
             valves = _NO_VALVES
             if done < len(changes):
                 waiting = _grown(waiting, min(2 * pending, self.settings.max_pending))
-        return waiting, _by_valve(_joined(parts), len(self.has_T))
+        return waiting, _by_valve(_joined(parts), len(self.optional))
 
     @cached_property
     def _numbered(self) -> NDArray[np.bool_]:
-        return np.array(self.has_sequence or (False,) * len(self.has_T), np.bool_)
+        return np.array(self.has_sequence or (False,) * len(self.optional), np.bool_)
 
     @cached_property
     def _rules(self) -> Rules:
-        settings, has_T = self.settings, np.array(self.has_T, np.bool_)
+        settings, absent = self.settings, ~presence(self.optional)
         one = [settings.hold_ns.get(Signal(j), 0) for j in range(slots.SIGNALS)]
-        hold = np.tile(np.array(one, np.int64), (len(has_T), 1))
-        hold[~has_T, Signal.T] = 0
+        hold = np.tile(np.array(one, np.int64), (len(absent), 1))
+        hold[absent] = 0
         needed = hold == 0
-        needed[~has_T, Signal.T] = False
-        bits = np.uint8(1) << np.arange(slots.SIGNALS, dtype=np.uint8)
+        needed[absent] = False
+        bits = np.int64(1) << np.arange(slots.SIGNALS)
         by_time = settings.reorder_by_time_ns
         return Rules(
-            required=(needed * bits).sum(axis=1).astype(np.uint8),
+            required=(needed * bits).sum(axis=1),
             hold=hold,
             numbered=self._numbered,
             reorder=np.where(self._numbered, settings.reorder_ns, by_time).astype(np.int64),
             tolerance=settings.tolerance_ns,
             max_wait=settings.max_wait_ns,
         )
+
+
+def presence(optional: Sequence[tuple[str, ...]]) -> NDArray[np.bool_]:
+    """Mask (V, COUNT) of the signals that V valves have: all required ones, and these optional.
+
+    >>> presence([("T",), ()])[:, -1]
+    array([ True, False])
+    """
+    return np.array([[name in REQUIRED or name in own for name in MEASURED] for own in optional])
+
+
+def optional_in_keys(optional: tuple[str, ...]) -> bool | tuple[str, ...]:
+    """Return a valve's optional signals as they enter the keys of stored states.
+
+    Version 0.1 knew one and noted whether there is a T: keys without another are as in its files.
+    """
+    return {(): False, ("T",): True}.get(optional, optional)
 
 
 _BY_SLOT = ("slots", "values", "status")
@@ -308,7 +326,7 @@ def _by_valve(out: Aligned, valves: int) -> ByValve:
     t, quality, edges = np.empty(n, np.int64), np.empty(n, np.uint8), np.zeros(valves + 1, np.int64)
     kernel.sort_by_valve(out, t, columns, quality, edges)
     present = np.flatnonzero(np.diff(edges))
-    U, p1, p2, Q, T = columns
     return ByValve(
-        Samples(t, U, p1, p2, Q, T, quality), Segments(present, edges[present], edges[present + 1])
+        Samples(t=t, quality=quality, **dict(zip(MEASURED, columns, strict=True))),
+        Segments(present, edges[present], edges[present + 1]),
     )

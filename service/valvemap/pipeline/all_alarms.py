@@ -1,5 +1,6 @@
 """The alarms of all valves and of the service: their state, and operators' actions on them."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -126,15 +127,21 @@ class AllAlarms:
         return new
 
     def watch_service(
-        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+        self,
+        now: int,
+        checkpoint_age_s: float,
+        days_left: float,
+        load: float,
+        history_waits_s: float = math.nan,
     ) -> tuple[AlarmReport, ...]:
-        """Update the service's alarms: age of the checkpoints, certificate, load."""
+        """Update the service's alarms: age of the checkpoints, certificate, load, history."""
         self.of_service.note(
             now,
             {
                 ServiceAlarm.CHECKPOINT: checkpoint_age_s,
                 ServiceAlarm.CERTIFICATE: -days_left,
                 ServiceAlarm.LOAD: load,
+                ServiceAlarm.HISTORY: history_waits_s,
             },
         )
         return self.of_service.reports()

@@ -16,10 +16,10 @@ from valvemap.model.samples import Times
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.fleet import Fleet
-from valvemap.pipeline.lane_failures import LaneFailures, Step
-from valvemap.pipeline.quality_gate import SENSORS
+from valvemap.pipeline.lane_failures import CopyBuffer, LaneFailures, Step
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_state import AnyEstimator, Lane, ValvePlan, ValveState
+from valvemap.vocabulary.signals import SENSORS
 
 R = TypeVar("R")
 
@@ -192,7 +192,9 @@ def _fleets(
             names.append([])
         places[:, valve] = number, len(names[number])
         names[number].append(plan.name)
+    buffer = CopyBuffer()
     fleets = [
-        Fleet(plan, len(own), own, failures, waits) for plan, own in zip(first, names, strict=True)
+        Fleet(plan, len(own), own, failures, waits, buffer)
+        for plan, own in zip(first, names, strict=True)
     ]
     return fleets, places[0], places[1]

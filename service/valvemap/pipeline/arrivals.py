@@ -17,16 +17,19 @@ from valvemap.pipeline.alignment import (
     Alignment,
     AlignmentSettings,
     ByValve,
+    optional_in_keys,
+    presence,
     together,
 )
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, Waiting
-from valvemap.pipeline.lane_failures import isolate, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, isolate, saved
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
+from valvemap.vocabulary.signals import COUNT, PER_VALVE
 
 _BY_SLOT: Final = ("slots", "values", "status")
 _DIGEST_BYTES: Final = 4
@@ -55,7 +58,7 @@ class _Key:
 
     names: tuple[str, ...]
     alignment: AlignmentSettings
-    has_T: tuple[bool, ...]
+    has_T: tuple[bool | tuple[str, ...], ...]
     has_sequence: tuple[bool, ...]
     timing: TimingSettings | None
 
@@ -83,7 +86,7 @@ class Arrivals:
 
     Examples
     --------
-    >>> arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), has_T=(False,)))
+    >>> arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), optional=((),)))
     >>> len(arrivals.take(DataChanges.empty()))
     0
     """
@@ -94,15 +97,16 @@ class Arrivals:
         self.names = tuple(names)
         self.alignment = alignment
         self.finds_timing = timing is not None
-        self.timing = timing or Timing(TimingSettings(), alignment.has_T, fixed=True)
+        self.timing = timing or Timing(TimingSettings(), alignment.optional, fixed=True)
         self._waiting = alignment.initial_state()
+        self._buffer = CopyBuffer()
         self.failed = np.zeros(len(self.names), np.bool_)
         self._errors: list[tuple[int, Exception]] = []
 
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
         if self.failed.any():
-            changes = changes[~self.failed[changes.item // SIGNALS_PER_VALVE]]
+            changes = changes[~self.failed[changes.item // PER_VALVE]]
         return self._align(self.timing.take(changes, self._fail))
 
     def new_failures(self) -> list[tuple[int, Exception]]:
@@ -149,12 +153,12 @@ class Arrivals:
 
     def waited_for(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
         """Return the signals that are missing for a valve's samples, and a remedy."""
-        timing, has_T = self.timing.valves[valve], self.alignment.has_T[valve]
+        timing, optional = self.timing.valves[valve], self.alignment.optional[valve]
         newest = np.maximum(self.alignment.newest(self._waiting, valve), timing.newest[:-1])
         if timing.stands == IN_SCANS:
             return (*timing.words.losses(nodes), *timing.words.still(nodes))
-        said = waited_for(newest, self.alignment.settings, has_T=has_T, nodes=nodes)
-        if timing.stands == LISTENING and (newest[: 4 + has_T] != NEVER).all():
+        said = waited_for(newest, self.alignment.settings, optional=optional, nodes=nodes)
+        if timing.stands == LISTENING and (newest[:COUNT][presence([optional])[0]] != NEVER).all():
             return ("how the signals come is not found yet: it takes some seconds of changes",)
         return said
 
@@ -244,14 +248,14 @@ class Arrivals:
             _Key(
                 self.names,
                 self.alignment.settings,
-                self.alignment.has_T,
+                tuple(map(optional_in_keys, self.alignment.optional)),
                 self.alignment.has_sequence,
                 self.timing.settings if self.finds_timing else None,
             )
         )
 
     def _align(self, changes: DataChanges) -> ByValve:
-        valve = changes.item // SIGNALS_PER_VALVE
+        valve = changes.item // PER_VALVE
         present = np.zeros(len(self.names), np.bool_)
         present[valve] = True
         members = np.flatnonzero(present)
@@ -273,12 +277,17 @@ class Arrivals:
             self._waiting, samples = do(members[rows])
             parts.append(samples)
 
-        isolate(members, align, lambda own: saved(self._waiting, own), self._fail)
+        isolate(members, align, self._saved, self._fail)
         return parts[0] if len(parts) == 1 else together(parts)
+
+    def _saved(self, valves: Times) -> Restore:
+        """Copy what waits of the given valves; the result writes the copies back."""
+        self._buffer.clear()
+        return saved(self._waiting, valves, self._buffer)
 
     def _fail(self, valve: int, error: Exception) -> None:
         self.failed[valve] = True
         self._errors.append((valve, error))
 
 
-_ALIKE: Final = Timing(TimingSettings(), (False,), fixed=True).valves[0].state
+_ALIKE: Final = Timing(TimingSettings(), ((),), fixed=True).valves[0].state

@@ -2,25 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from enum import IntEnum
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-
-
-class Signal(IntEnum):
-    """The signals of one valve, in the order of an item's number."""
-
-    U = 0
-    P1 = 1
-    P2 = 2
-    Q = 3
-    T = 4
-    SEQUENCE = 5
-
-
-SIGNALS_PER_VALVE = len(Signal)
 
 
 @dataclass(frozen=True)
@@ -30,7 +15,7 @@ class DataChanges:
     Attributes
     ----------
     item : int32
-        ``valve * SIGNALS_PER_VALVE + signal``.
+        ``valve * PER_VALVE + signal``, see :class:`~valvemap.vocabulary.signals.Signal`.
     value : float64
         The value; NaN if it is not a number.
     status : uint32

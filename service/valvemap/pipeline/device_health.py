@@ -7,7 +7,7 @@ FAILURE                     unusable output: SensorLost, SensorFrozen, LaneFaile
 OFF_SPEC                    deviation from the map, or extrapolation: Residual, Misfit,
                             Extrapolated; of the service: Load
 MAINTENANCE_REQUIRED        works, but needs inspection: Changed, LagFound, SamplesLost;
-                            of the service: Checkpoint, Certificate, MessagesRejected
+                            of the service: Checkpoint, Certificate, History, MessagesRejected
 NORMAL                      none of these; Unexcited only means that a machine is at rest
 CHECK_FUNCTION              never: the service is not informed of work on a device
 ==========================  ====================================================================
@@ -41,6 +41,7 @@ HEALTH_OF = {
     "Checkpoint": DeviceHealth.MAINTENANCE_REQUIRED,
     "Certificate": DeviceHealth.MAINTENANCE_REQUIRED,
     "Load": DeviceHealth.OFF_SPEC,
+    "History": DeviceHealth.MAINTENANCE_REQUIRED,
     "MessagesRejected": DeviceHealth.MAINTENANCE_REQUIRED,
 }
 _WORST_FIRST = (

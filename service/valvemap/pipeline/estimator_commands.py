@@ -35,7 +35,7 @@ class EstimatorCommands:
         fleet.start_again(m)
         if estimator == fleet.inverse(m):
             fleet.alarms.forget_map(m)
-        fleet.forget_errors(m, estimator)
+        fleet.reset_errors(m, estimator)
 
     def freeze(self, valve: str, estimator: str) -> None:
         """Stop adaptation."""

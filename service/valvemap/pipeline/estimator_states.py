@@ -12,7 +12,7 @@ from valvemap.model.change import Change
 from valvemap.model.estimator import State
 from valvemap.model.fleet import ManyModels, copied, member, members, repeated, stack
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
-from valvemap.pipeline.lane_failures import Restore, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
 from valvemap.pipeline.valve_state import AnyEstimator
 
 CHANGE = np.dtype([("count", np.int64), ("t", np.int64), ("size", np.float64)])  # see `Change`
@@ -33,6 +33,7 @@ class Stacked:
         self._laggard = estimator if isinstance(estimator, FindsLags) else None
         self._restarting = estimator if isinstance(estimator, Restarts) else None
         self._all = repeated(estimator.initial_state(), M)
+        self._arrays = tuple(self.columns().values())
         self._changes: list[Change | None] = [None] * M
         self._newest_changes = np.zeros(M, CHANGE)
         self._changed = np.zeros(M, np.int64)  # change counts behind `_changes`; -1: unknown
@@ -117,9 +118,9 @@ class Stacked:
         """Note that the arrays of `columns` were written to."""
         self._changed[:] = -1
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the states of the given valves; the result writes the copies back."""
-        restore = saved(self.columns().values(), members)
+        restore = saved(self._arrays, members, buffer)
 
         def restore_all() -> None:
             restore()
@@ -209,7 +210,7 @@ class Listed:
         stacked = type(self._all[0])(**written)
         self._all = [copied(member(stacked, m)) for m in range(len(self._all))]
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, _: CopyBuffer) -> Restore:
         """Copy the states of the given valves; the result writes the copies back."""
         states = {m: self._all[m] for m in members.tolist()}
 

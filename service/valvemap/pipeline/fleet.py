@@ -7,19 +7,20 @@ call each gates, estimates and scores a batch for any number of valves; one valv
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.capabilities import FindsLags, finds_changes
+from valvemap.model.capabilities import FindsCauses, FindsLags, finds_changes
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.lane_failures import (
+    CopyBuffer,
     LaneFailure,
     LaneFailures,
     Restore,
@@ -40,8 +41,11 @@ from valvemap.pipeline.valve_state import (
     Lane,
     ValvePlan,
     ValveState,
+    findings_of,
+    merged_findings,
     nothing_seen,
 )
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 MISFIT_EVERY_NS = 10_000_000_000  # interval at which the adaptation status is polled: it is slow
@@ -62,6 +66,8 @@ class Fleet:
         Names of the valves, and the list that collects their lanes' failures.
     waits
         Names of the estimators that do not run: their lanes keep their initial states.
+    buffer
+        Memory for copies of states; fleets that are not updated at once share it.
     """
 
     def __init__(
@@ -71,14 +77,16 @@ class Fleet:
         names: Sequence[str] | None = None,
         failures: LaneFailures | None = None,
         waits: Collection[str] = (),
+        buffer: CopyBuffer | None = None,
     ) -> None:
         self.plan = plan
+        self._buffer = buffer or CopyBuffer()
+        self._restore: Mapping[str | Step, Restore] = {}  # of each part, by the newest `_saved`
         self.waits = frozenset(waits) & plan.estimators.keys()
         self._names = [plan.name] * M if names is None else names
         self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
         self._keys = tuple((name, key_of(one)) for name, one in plan.estimators.items())
-        self._places_key = f"places {key_of(_Compared(self._keys))}"
         self._gate = plan.gate.initial_state(M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
         self._lanes = {
@@ -94,6 +102,7 @@ class Fleet:
         names = [plan.inverse, *plan.estimators]
         self._finder = next((n for n in names if finds_changes(plan.estimators[n])), None)
         self._laggard = next((n for n in names if isinstance(plan.estimators[n], FindsLags)), None)
+        self._finders = [n for n, one in plan.estimators.items() if isinstance(one, FindsCauses)]
         self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
@@ -162,7 +171,7 @@ class Fleet:
                 rests.append((traces[name].status, segments._replace(starts=segments.stops)))
                 continue
             stop = partial(self._stop_at, name, Step.LEARNING)
-            traces[name], own = lanes.take(judged, segments, stop)
+            traces[name], own = lanes.take(judged, segments, self._restore[name], stop)
             rests.append((traces[name].status, own))
         self._support_from(judged, rests, segments)
         traces = self._compared(judged, traces, segments)
@@ -176,7 +185,7 @@ class Fleet:
             self._note(running.members)
 
         stop = partial(self._stop_at, None, Step.ALARMS)
-        isolate_last(running.members, watch, self._alarms_saved, stop)
+        isolate_last(running.members, watch, self._restore[Step.ALARMS], stop)
         return judged, traces
 
     def _compared(
@@ -192,12 +201,13 @@ class Fleet:
             self._places.learn(judged, residual, early, status, running)
 
         stop = partial(self._stop_at, None, Step.COMPARISON)
-        isolate_last(running.members, compare, self._places.saved, stop)
+        isolate_last(running.members, compare, self._restore[Step.COMPARISON], stop)
         for said, lanes in zip(status, self._lanes.values(), strict=True):
             lanes.revise(said, running)
         for m in running.members[self._places.due(running.members) <= 0]:
             look = partial(self._look_back, int(m))
-            isolate_last(np.array([m]), look, self._places.saved, stop)
+            one = np.array([m])
+            isolate_last(one, look, self._places.saved(one, self._buffer), stop)
         return {
             name: replace(trace, status=said)
             for (name, trace), said in zip(traces.items(), status, strict=True)
@@ -230,7 +240,9 @@ class Fleet:
         """Compare the newest maps of one valve before it is due; return the ranking."""
         if not self.stopped()[m]:
             stop = partial(self._stop_at, None, Step.COMPARISON)
-            isolate(np.array([m]), partial(self._look_back, m), self._places.saved, stop)
+            one = np.array([m])
+            restore = self._places.saved(one, CopyBuffer())
+            isolate_last(one, partial(self._look_back, m), restore, stop)
         return self.ranking(m)
 
     def inverse(self, m: int) -> str:
@@ -297,18 +309,29 @@ class Fleet:
 
     def _saved(self, members: Times) -> Restore:
         """Copy the state of the given valves; the result writes the copies back."""
-        own = saved((*self._gate_arrays, self._t, self._T), members)
-        lanes = [lanes.saved(members) for lanes in self._lanes.values()]
-        places = self._places.saved(members)
-        alarms = self._alarms_saved(members)
-        return all_of([own, *lanes, self._support.saved(members), places, alarms])
+        self._buffer.clear()
+        buffer = self._buffer
+        self._restore = {
+            Step.GATE: saved(self._gate_arrays, members, buffer),
+            Step.SUPPORT: self._support.saved(members, buffer),
+            Step.COMPARISON: self._places.saved(members, buffer),
+            Step.ALARMS: self._copy_alarms(members),
+            **{name: lanes.saved(members, buffer) for name, lanes in self._lanes.items()},
+        }
+        times = saved((self._t, self._T), members, buffer)
+        return all_of([times, *self._restore.values()])
 
     @property
     def _gate_arrays(self) -> tuple[NDArray[Any], ...]:
         return *self._gate.memory, self._gate.bad_status
 
     def _alarms_saved(self, members: Times) -> Restore:
-        return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
+        self._buffer.clear()
+        return self._copy_alarms(members)
+
+    def _copy_alarms(self, members: Times) -> Restore:
+        due = saved([self._misfit_due], members, self._buffer)
+        return all_of([self.alarms.saved(members, self._buffer), due])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
         """Return the gated samples; all samples of a stopped valve are BAD."""
@@ -325,7 +348,7 @@ class Fleet:
                 quality[start:stop] = found[start:stop]
 
         stop_at = partial(self._stop_at, None, Step.GATE)
-        isolate_last(running.members, judge, partial(saved, self._gate_arrays), stop_at)
+        isolate_last(running.members, judge, self._restore[Step.GATE], stop_at)
         return replace(samples, quality=quality)
 
     def _support_from(
@@ -338,15 +361,15 @@ class Fleet:
             self._support.learn(judged, some, segments.of(running))
 
         stop = partial(self._stop_at, None, Step.SUPPORT)
-        isolate_last(segments.members[running], learn, self._support.saved, stop)
+        isolate_last(segments.members[running], learn, self._restore[Step.SUPPORT], stop)
 
     def _note(self, chosen: Times) -> None:
         """Update the alarms with the estimators' latest changes, lags and adaptation status."""
         if self._finder is not None:
-            found = self._lanes[self._finder].newest_changes(chosen)
+            found = self._lanes[self._finder].states.newest_changes(chosen)
             self.alarms.note_changes(chosen, found["count"], found["t"], found["size"])
         if self._laggard is not None:
-            self.alarms.note_lags(chosen, self._lanes[self._laggard].largest_lags(chosen))
+            self.alarms.note_lags(chosen, self._lanes[self._laggard].states.largest_lags(chosen))
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
         if len(due):
             self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
@@ -373,9 +396,14 @@ class Fleet:
         """
         self._places.from_bytes(m, data, dict(self._keys))
 
-    def forget_errors(self, m: int, name: str) -> None:
-        """Forget the errors of one estimator's map, after its reset."""
-        self._places.forget(m, list(self._lanes).index(name))
+    def findings(self, m: int) -> tuple[Finding, ...]:
+        """Return the causes that the running estimators of one valve find, the likeliest first."""
+        running = [name for name in self._finders if not self.has_failed(m, name)]
+        return merged_findings(findings_of(self._lanes[name].get(m)) for name in running)
+
+    def reset_errors(self, m: int, name: str) -> None:
+        """Reset the errors of one estimator's map, after its reset."""
+        self._places.reset(m, list(self._lanes).index(name))
 
     def put(self, m: int, name: str, lane: Lane) -> None:
         """Replace a lane; its estimator must be the plan's, except for ``lam``."""
@@ -419,7 +447,7 @@ class Fleet:
         Where an estimator itself is undecided, its errors at places visited again decide.
         """
         fits = self._places.fits(chosen)
-        own = [lanes.adaptations(chosen) for lanes in self._lanes.values()]
+        own = [lanes.states.adaptations(chosen) for lanes in self._lanes.values()]
         return [
             np.where(said == Adaptation.UNDECIDED, fit, said).astype(np.uint8)
             for said, fit in zip(own, fits, strict=True)
@@ -451,14 +479,17 @@ class Fleet:
         names = tuple(valves)
         return [
             Columns(self._key, names, {**gate, **own, "demand": self._demand}),
-            Columns(self._places_key, names, self._places.columns()),
+            Columns("places", names, self._places.columns_of_valves()),
             Columns("alarms", names, {**self.alarms.columns(), "misfit_due": self._misfit_due}),
-            *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
+            *(
+                lanes.columns(name, names, self._places.columns_of_lane(e))
+                for e, (name, lanes) in enumerate(self._lanes.items())
+            ),
         ]
 
     def take_up(self, written: Sequence[Columns]) -> None:
         """Update the fleet after the arrays of `columns` were written to."""
-        _, _, _, *of_lanes = written
+        of_lanes = written[len(written) - len(self._lanes) :]
         for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
             lanes.take_up(columns.arrays)
         for m in range(len(self._t)):
@@ -470,13 +501,6 @@ class Fleet:
         too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
         failed = self.alarms.failures()
         return np.column_stack((self._gate.counts(), beyond, too_fast, failed))
-
-
-@dataclass(frozen=True)
-class _Compared:
-    """The estimators that a valve's places are bound to, in order: names and hashes."""
-
-    estimators: tuple[tuple[str, str], ...]
 
 
 def _nothing_saved(_: Times) -> Restore:

@@ -4,6 +4,7 @@ The live service and the replay of recordings both use this object; it reads no 
 I/O.
 """
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
@@ -33,17 +34,19 @@ from valvemap.pipeline.plausibility import Finding
 from valvemap.pipeline.ports import (
     AlarmReport,
     Checkpoint,
-    Remark,
+    Command,
     Results,
     ValveDescription,
     ValveResult,
 )
+from valvemap.pipeline.provenance import Reviewed
 from valvemap.pipeline.recommendation import Recommendation
 from valvemap.pipeline.result_tables import ResultTables, descriptions
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValvePlan, ValveState
+from valvemap.vocabulary.commands import NAMED, Subject
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
@@ -51,7 +54,7 @@ from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 class Identification:
     """All valves of one service; implements :class:`valvemap.pipeline.ports.Operator`.
 
-    A facade: it builds the parts and forwards each call to one of them.
+    A facade: it builds the parts and forwards calls to them; some parts are public.
 
     Parameters
     ----------
@@ -92,6 +95,13 @@ class Identification:
         self._results = ResultTables(valves, arrivals, intake, maps, approved, armed, commands)
         self._kept = KeptStates(valves, arrivals, approved, alarms, maps)
         self._columns = KeptColumns(valves, intake, approved)
+        self._executors = {
+            Subject.ESTIMATOR: commands,
+            Subject.DEMAND: commands,
+            Subject.BASELINE: approved,
+            Subject.INVERSE: armed,
+            Subject.ALARM: alarms,
+        }
         self.plans = valves.plans
 
     def repeat(self, calls: Sequence[Call]) -> None:
@@ -104,6 +114,18 @@ class Identification:
         """Replace the whole state by that of an object with the same plans."""
         vars(self).update(vars(successor))
         self._results.show_all_alarms_again()
+
+    @changes_state
+    def do(self, command: Command) -> None:
+        """Carry out an operator's command.
+
+        Raises
+        ------
+        CommandRejected
+            with the reason; nothing is changed.
+        """
+        executor = self._executors[NAMED[command.action].on]
+        getattr(executor, command.action)(*command.arguments)
 
     @changes_state
     def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
@@ -227,26 +249,6 @@ class Identification:
         """Return the descriptions of all valves for a results server."""
         return descriptions(self.plans)
 
-    @changes_state
-    def reset(self, valve: str, estimator: str) -> None:
-        """Reset the estimator; the operator's settings remain."""
-        self._commands.reset(valve, estimator)
-
-    @changes_state
-    def freeze(self, valve: str, estimator: str) -> None:
-        """Stop adaptation."""
-        self._commands.freeze(valve, estimator)
-
-    @changes_state
-    def resume(self, valve: str, estimator: str) -> None:
-        """Resume adaptation."""
-        self._commands.resume(valve, estimator)
-
-    @changes_state
-    def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
-        """Set the forgetting factor from the next sample on."""
-        self._commands.set_forgetting_factor(valve, estimator, lam)
-
     def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
@@ -263,29 +265,9 @@ class Identification:
         """U for a demanded flow at a pressure drop."""
         return self._commands.invert(valve, Q, dp, T)
 
-    @changes_state
-    def demand(self, valve: str, Q: float, dp: float) -> None:
-        """Set the standing demand; NaN withdraws it."""
-        self._commands.demand(valve, Q, dp)
-
     def required(self, valve: int) -> tuple[Required, Status]:
         """Return the answer to a valve's standing demand, and its estimator's status."""
         return self._commands.required(valve)
-
-    @changes_state
-    def approve(self, valve: str) -> None:
-        """Store the estimators' states as the valve's baseline, the map when new."""
-        self._approved.approve(valve)
-
-    @changes_state
-    def roll_back(self, valve: str) -> None:
-        """Restore every estimator's state of the baseline."""
-        self._approved.roll_back(valve)
-
-    @changes_state
-    def replace_valve(self, valve: str) -> None:
-        """Note that the valve was replaced: reset its estimators and delete its baseline."""
-        self._approved.replace_valve(valve)
 
     def compare(self, valve: str, estimator: str) -> Difference:
         """Return the difference of an estimator's map from the baseline's."""
@@ -294,21 +276,6 @@ class Identification:
     def baseline(self, valve: int) -> Baseline | None:
         """Return the approved map, or None."""
         return self._approved.of(valve)
-
-    @changes_state
-    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Acknowledge an alarm of a valve or (None) of the service."""
-        self._alarms.acknowledge(valve, alarm, remark)
-
-    @changes_state
-    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Confirm an acknowledged alarm."""
-        self._alarms.confirm(valve, alarm, remark)
-
-    @changes_state
-    def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Store an operator's comment on an alarm."""
-        self._alarms.remark(valve, alarm, remark)
 
     def alarmed(self) -> list[str]:
         """Return the valves that have ever had an active alarm."""
@@ -330,20 +297,15 @@ class Identification:
 
     @changes_state
     def watch_service(
-        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+        self,
+        now: int,
+        checkpoint_age_s: float,
+        days_left: float,
+        load: float,
+        history_waits_s: float = math.nan,
     ) -> tuple[AlarmReport, ...]:
-        """Update the service's alarms: age of the checkpoints, certificate, load."""
-        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load)
-
-    @changes_state
-    def arm(self, valve: str) -> None:
-        """Arm feed-forward: the answer to the standing demand is written to the valve."""
-        self._armed.arm(valve)
-
-    @changes_state
-    def disarm(self, valve: str) -> None:
-        """Disarm feed-forward: nothing is written to the valve."""
-        self._armed.disarm(valve)
+        """Update the service's alarms: age of the checkpoints, certificate, load, history."""
+        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load, history_waits_s)
 
     def is_armed(self, valve: int) -> bool:
         """Whether an operator has armed the valve's feed-forward since the start."""
@@ -369,6 +331,10 @@ class Identification:
     def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return the state beside the estimators as bytes, of the given valves or of all."""
         return self._kept.memories(valves)
+
+    def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
+        """Compare stored checkpoints with the configuration, see :func:`provenance.review`."""
+        return self._kept.review(stored)
 
     @changes_state
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from valvemap.model.estimator import StateMismatchError, key_of
 from valvemap.pipeline import valve_state
-from valvemap.pipeline.alignment import AlignmentSettings
+from valvemap.pipeline.alignment import AlignmentSettings, optional_in_keys
 from valvemap.pipeline.all_alarms import OF_SERVICE, AllAlarms
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
@@ -13,17 +13,20 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.provenance import (
+    ALARMS,
+    BASELINE,
+    MEMORY,
+    PLACES,
+    TIMING,
+    Reviewed,
+    review,
+)
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import TimingSettings, TimingState
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
-
-MEMORY = "Diagnostics"  # a valve's state beside its estimators; no estimator has this name
-TIMING = "Signals"  # how its signals are stamped; likewise
-BASELINE = "Baseline"  # its approved map; likewise
-ALARMS = "Alarms"  # the state of its alarms; likewise
-PLACES = "Recommended"  # the errors of its estimators' maps at places; likewise
 
 
 class KeptStates:
@@ -52,8 +55,13 @@ class KeptStates:
         self._approved = approved
         self._alarms = alarms
         self._maps = maps
-        self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # by fleet, has T, has numbers
+        self._memory_keys: dict[
+            tuple[int, bool | tuple[str, ...], bool], str
+        ] = {}  # by fleet, `_has`
         self._timing_keys: dict[int, str] = {}  # both cached on first use: 0.5 ms each
+        self._meanings = [
+            "" if plan.meaning is None else plan.meaning.to_text() for plan in valves.plans
+        ]
 
     def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return `checkpoints` and `memories` of the given valves, or of all."""
@@ -63,6 +71,10 @@ class KeptStates:
             estimators += self._checkpoints_of(valve, state)
             beside += self._memories_of(valve, state)
         return [*estimators, *beside, *self._of_service()]
+
+    def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
+        """Return stored checkpoints in the terms of the present configuration."""
+        return review(stored, self._valves.plans, self._arrivals.alignment)
 
     def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return every estimator's state as bytes, of the given valves or of all."""
@@ -129,6 +141,7 @@ class KeptStates:
                 state=valve_state.lane_to_bytes(lane, keys[name]),
                 lam=lane.lam,
                 frozen=lane.frozen,
+                meaning=self._meanings[valve],
             )
             for name, lane in state.lanes.items()
         ]
@@ -146,7 +159,7 @@ class KeptStates:
             found.append(_beside(name, TIMING, timing.to_bytes(key), state.t, key))
         if self._approved.counts[valve]:
             found.append(self._baseline_of(valve))
-        return found
+        return [replace(one, meaning=self._meanings[valve]) for one in found]
 
     def _of_service(self) -> list[Checkpoint]:
         alarms = self._alarms.of_service
@@ -210,7 +223,7 @@ class KeptStates:
         fleet.places_from_bytes(m, kept.state)
         for name in fleet.plan.estimators:
             if not fleet.lane(m, name).t:  # the estimator was reset
-                fleet.forget_errors(m, name)
+                fleet.reset_errors(m, name)
 
     def _number(self, kept: Checkpoint) -> int:
         number = self._valves.numbers.get(kept.valve)
@@ -219,11 +232,11 @@ class KeptStates:
         return number
 
     def _memory_key(self, valve: int) -> str:
-        has_T, numbered = self._has(valve)
-        kind = self._valves.kind(valve), has_T, numbered
+        optional, numbered = self._has(valve)
+        kind = self._valves.kind(valve), optional, numbered
         if kind not in self._memory_keys:
             gate, settings = self._valves.plans[valve].gate, self._arrivals.alignment.settings
-            self._memory_keys[kind] = key_of(_Through(gate, settings, has_T, numbered))
+            self._memory_keys[kind] = key_of(_Through(gate, settings, optional, numbered))
         return self._memory_keys[kind]
 
     def _timing_key(self, valve: int) -> str:
@@ -232,11 +245,11 @@ class KeptStates:
             self._timing_keys[valve] = key_of(_Comes(settings, nodes, *self._has(valve)))
         return self._timing_keys[valve]
 
-    def _has(self, valve: int) -> tuple[bool, bool]:
-        """Whether a valve has a temperature sensor, and a running number."""
+    def _has(self, valve: int) -> tuple[bool | tuple[str, ...], bool]:
+        """Return a valve's optional signals, as in keys, and whether it has a running number."""
         alignment = self._arrivals.alignment
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
-        return alignment.has_T[valve], numbered
+        return optional_in_keys(alignment.optional[valve]), numbered
 
 
 def _beside(valve: str, name: str, state: bytes, t: int, key: str = "") -> Checkpoint:
@@ -251,7 +264,7 @@ class _Through:
 
     gate: QualityGate
     alignment: AlignmentSettings
-    has_T: bool
+    has_T: bool | tuple[str, ...]
     has_sequence: bool
 
 
@@ -261,5 +274,5 @@ class _Comes:
 
     settings: TimingSettings
     nodes: Mapping[str, str]
-    has_T: bool
+    has_T: bool | tuple[str, ...]
     has_sequence: bool

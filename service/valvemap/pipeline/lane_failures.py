@@ -6,6 +6,7 @@ the same bits as from one call. A step that belongs to one estimator stops that
 lane, one that belongs to the valve stops all of its lanes, until an operator resets one of them.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -19,6 +20,8 @@ from valvemap.model.samples import Times
 
 MOST_WAITING: Final = 100  # failures kept until they are logged; further ones are only counted
 MOST_OF_A_REASON: Final = 200  # characters
+SMALL: Final = 16_384  # bytes; smaller copies are allocated, from memory that Python has at hand
+ALIGNED: Final = 64  # bytes; copies begin at a cache line
 
 Restore = Callable[[], None]
 Stop = Callable[[int, Exception], None]
@@ -112,7 +115,8 @@ def isolate(
     ...     total[rows] += 1.0
     ...     if 1 in rows:
     ...         raise ValueError("not this one")
-    >>> isolate(np.arange(3), add, lambda own: saved([total], own), lambda m, e: print(m, e))
+    >>> save = lambda own: saved([total], own, CopyBuffer())
+    >>> isolate(np.arange(3), add, save, lambda m, e: print(m, e))
     1 not this one
     >>> total
     array([1., 0., 1.])
@@ -142,14 +146,63 @@ def _at(do: Callable[[NDArray[np.intp]], None], one: NDArray[np.intp], _: Any) -
 def isolate_last(
     members: Times,
     do: Callable[[NDArray[np.intp]], None],
-    save: Callable[[Times], Restore],
+    restore: Restore,
     stop: Stop,
 ) -> None:
-    """As `isolate` for one valve; for several, re-raise: the outer `isolate` finds the valve."""
+    """As `isolate` for one valve; for several, re-raise: the outer `isolate` finds the valve.
+
+    ``restore`` undoes what `do` writes, by the copy that the outer `isolate` has made.
+    """
     if len(members) == 1:
-        isolate(members, do, save, stop)
+        isolate(members, do, lambda _: restore, stop)
     elif len(members):
         do(np.arange(len(members)))
+
+
+class CopyBuffer:
+    """Memory for copies, reused by every step: fresh pages would cost more than the copies.
+
+    Examples
+    --------
+    >>> buffer = CopyBuffer()
+    >>> state = np.zeros((100, 1000))
+    >>> restore = saved([state], np.arange(90), buffer)
+    >>> state[:] = 1.0
+    >>> restore()
+    >>> state[89, 0], state[90, 0]
+    (np.float64(0.0), np.float64(1.0))
+    """
+
+    def __init__(self) -> None:
+        self._block = np.empty(0, np.uint8)
+        self._used = 0
+
+    def clear(self) -> None:
+        """Reuse the memory of all copies so far."""
+        self._used = 0
+
+    def copy(self, array: NDArray[Any], rows: slice | Times) -> NDArray[Any]:
+        """Copy rows of an array."""
+        if isinstance(rows, slice):
+            part = array[rows]
+            if part.nbytes < SMALL:
+                return part.copy()
+            copied = self._like(array, len(part))
+            copied[:] = part
+        else:
+            copied = self._like(array, len(rows))
+            np.take(array, rows, axis=0, out=copied, mode="clip")
+        return copied
+
+    def _like(self, array: NDArray[Any], K: int) -> NDArray[Any]:
+        """Return memory for K rows of an array."""
+        shape = K, *array.shape[1:]
+        size = math.prod(shape) * array.itemsize
+        if self._used + size > len(self._block):  # copies in the old block keep it alive
+            self._block, self._used = np.empty(2 * len(self._block) + size, np.uint8), 0
+        place = self._block[self._used : self._used + size]
+        self._used += -(-size // ALIGNED) * ALIGNED
+        return place.view(array.dtype).reshape(shape)
 
 
 def raised(_: int, error: Exception) -> None:
@@ -157,15 +210,23 @@ def raised(_: int, error: Exception) -> None:
     raise error
 
 
-def saved(arrays: Iterable[NDArray[Any]], members: Times) -> Restore:
+def saved(arrays: Iterable[NDArray[Any]], members: Times, buffer: CopyBuffer) -> Restore:
     """Copy the rows of the given valves; the result writes the copies back."""
-    copies = [(array, array[members]) for array in arrays]
+    rows = rows_of(members)
+    copies = [(array, buffer.copy(array, rows)) for array in arrays]
 
     def restore() -> None:
         for array, copy in copies:
-            array[members] = copy
+            array[rows] = copy
 
     return restore
+
+
+def rows_of(members: Times) -> slice | Times:
+    """Return the rows of the given valves: a slice, which copies faster, if they are adjacent."""
+    first = int(members[0]) if len(members) else 0
+    adjacent = len(members) < 2 or bool((members[1:] - members[:-1] == 1).all())
+    return slice(first, first + len(members)) if adjacent else members
 
 
 def all_of(restores: Sequence[Restore]) -> Restore:

@@ -4,7 +4,7 @@ Lanes that an operator froze or gave another ``lam`` are updated one valve at a 
 one call.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.capabilities import Forgetful
-from valvemap.model.change import Change
 from valvemap.model.estimator import key_of
 from valvemap.model.extrapolation import U_range_of
 from valvemap.model.residual_spread import ResidualSpread, noise_std
@@ -23,7 +22,7 @@ from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
-from valvemap.pipeline.lane_failures import Restore, all_of, isolate_last, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, all_of, isolate_last, saved
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
@@ -53,7 +52,7 @@ class Lanes:
         self, estimator: AnyEstimator, M: int, rests: "SharedRests", accuracy: SensorAccuracy
     ) -> None:
         self._estimator = estimator
-        self._states = states_of(estimator, M)
+        self.states = states_of(estimator, M)
         self._scores = np.tile(Score.none().sums, (M, 1))
         self._spread = ResidualSpread.none().of_many(M)
         self._rests = rests
@@ -63,13 +62,21 @@ class Lanes:
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # set by an operator; NaN: as configured
         self._notes = kernel.nothing(M)
+        spread = self._spread
+        arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
+        self._arrays = (*arrays, self.beyond, *self._notes)  # beside the states
 
     def take(
-        self, samples: Samples, segments: Segments, stop: Callable[[int, Exception], None]
+        self,
+        samples: Samples,
+        segments: Segments,
+        restore: Restore,
+        stop: Callable[[int, Exception], None],
     ) -> tuple[Trace, Segments]:
         """Update the lanes; return the trace, and the segments of samples in the present maps.
 
-        Failed lanes are skipped; ``stop`` is called with each lane whose update raises.
+        Failed lanes are skipped. A lane whose update raises is undone by ``restore``, a result of
+        `saved`, and ``stop`` is called with it.
         """
         running = ~self.failed[segments.members]
         trace, starts = nothing_of(len(samples)), segments.starts.copy()
@@ -79,7 +86,7 @@ class Lanes:
             trace, rests = self._take(samples, segments.of(running))
             starts[running] = rests.starts
 
-        isolate_last(segments.members[running], learn, self.saved, stop)
+        isolate_last(segments.members[running], learn, restore, stop)
         for _, start, end in zip(*segments.of(~running), strict=True):
             nothing = nothing_of(end - start)
             for f in fields(Trace):
@@ -100,15 +107,13 @@ class Lanes:
         if self.failed[m]:
             self._notes.status[m] = NO_STATUS
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the state of the given valves' lanes; the result writes the copies back."""
-        spread = self._spread
-        arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
-        own = saved((*arrays, self.beyond, *self._notes), members)
-        return all_of([self._states.saved(members), own])
+        own = saved(self._arrays, members, buffer)
+        return all_of([self.states.saved(members, buffer), own])
 
     def _take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
-        beyond, began = self._beyond_range(samples, segments), self._states.began()
+        beyond, began = self._beyond_range(samples, segments), self.states.began()
         if beyond is None:
             trace = self._learn(samples, segments)
         else:
@@ -130,14 +135,16 @@ class Lanes:
         lane = self.get(m)
         return lane.estimator.predict(lane.state, U, dp, T)
 
-    def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
-        """Return the state of all lanes as named arrays over valves."""
+    def columns(
+        self, name: str, valves: tuple[str, ...], beside: Mapping[str, NDArray[Any]]
+    ) -> Columns:
+        """Return the state of all lanes as named arrays over valves, with those ``beside``."""
         spread = self._spread
         return Columns(
             f"{name} {self._key}",
             valves,
             {
-                **{f"state_{n}": array for n, array in self._states.columns().items()},
+                **{f"state_{n}": array for n, array in self.states.columns().items()},
                 **{f"note_{n}": array for n, array in self._notes._asdict().items()},
                 "scores": self._scores,
                 "cells": spread.cells,
@@ -145,6 +152,7 @@ class Lanes:
                 "ages": spread.ages,
                 "overall": spread.overall,
                 **self._rests.columns(),
+                **beside,
                 "beyond": self.beyond,
                 "frozen": self._frozen,
                 "lam": self._lam,
@@ -153,27 +161,11 @@ class Lanes:
 
     def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Restore all lanes from the written arrays of `columns`."""
-        self._states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
+        self.states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
         self._rests.take_up(arrays)
         for m in np.flatnonzero(np.isfinite(self._lam)).tolist():
             if not _allows(self._estimator, float(self._lam[m])):
                 self._lam[m] = np.nan  # no longer permitted: use the configured value
-
-    def changes(self, chosen: Times) -> Sequence[Change | None]:
-        """Return the newest detected change of each given valve."""
-        return self._states.changes(chosen)
-
-    def newest_changes(self, chosen: Times) -> NDArray[Any]:
-        """Return the newest changes as a `CHANGE` table (K,); zeros if none was detected."""
-        return self._states.newest_changes(chosen)
-
-    def largest_lags(self, chosen: Times) -> Floats:
-        """Return the larger of the two estimated lags of the given valves, s."""
-        return self._states.largest_lags(chosen)
-
-    def adaptations(self, chosen: Times) -> Codes:
-        """Return the estimator's diagnosis of its residuals for the given valves."""
-        return self._states.adaptations(chosen)
 
     def recent_rmse(self, chosen: Times) -> Floats:
         """Return the root mean square of recent residuals of the given valves, l/min."""
@@ -181,7 +173,7 @@ class Lanes:
 
     def too_fast(self) -> Times:
         """Number of samples that moved too fast for the lags of their signals (M,)."""
-        return self._states.too_fast(len(self.beyond))
+        return self.states.too_fast(len(self.beyond))
 
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
         """Mask the samples (N,) whose U is beyond the estimator's range, and count them."""
@@ -199,10 +191,10 @@ class Lanes:
 
         If a map has restarted since, its support is reset.
         """
-        anew = np.flatnonzero((self._states.began() != before)[segments.members])
+        anew = np.flatnonzero((self.states.began() != before)[segments.members])
         if not len(anew):
             return segments
-        starts, since = segments.starts.copy(), self._states.samples_since()
+        starts, since = segments.starts.copy(), self.states.samples_since()
         for k in anew:
             m, stop = segments.members[k], segments.stops[k]
             learnt = starts[k] + np.flatnonzero(status[starts[k] : stop] <= Status.UNEXCITED)
@@ -212,7 +204,7 @@ class Lanes:
 
     def _learn(self, samples: Samples, segments: Segments) -> Trace:
         own_way = self._frozen[segments.members] | np.isfinite(self._lam[segments.members])
-        trace = self._states.update(samples, segments.of(~own_way))
+        trace = self.states.update(samples, segments.of(~own_way))
         for m, start, stop in zip(*segments.of(own_way), strict=True):
             rows = slice(start, stop)
             said = self._take_own_way(int(m), samples[rows])
@@ -225,7 +217,7 @@ class Lanes:
         count, t, predicted, residual, status = (array[m] for array in self._notes)
         lane = Lane(
             estimator=self._estimator,
-            state=self._states.get(m),
+            state=self.states.get(m),
             score=Score(self._scores[m].copy()),
             spread=self._spread.one(m),
             support=self._rests.one(m),
@@ -243,7 +235,7 @@ class Lanes:
     def results(self, chosen: Times) -> EstimatorResults:
         """Return the results of the given valves."""
         notes, said = self._notes, self._notes.status[chosen]
-        theta, std = self._states.parameters(chosen)
+        theta, std = self.states.parameters(chosen)
         status = np.where(said == NO_STATUS, Status.WARMING_UP, said).astype(np.uint8)
         return EstimatorResults(
             t=notes.t[chosen],
@@ -257,10 +249,10 @@ class Lanes:
             status=status,
             noise_std=noise_std(self._spread.overall[chosen]),
             survey=[None] * len(chosen),
-            change=self._states.changes(chosen),
-            structure=self._states.structures(chosen),
-            lags=self._states.lags(chosen),
-            adaptation=self._states.adaptations(chosen),
+            change=self.states.changes(chosen),
+            structure=self.states.structures(chosen),
+            lags=self.states.lags(chosen),
+            adaptation=self.states.adaptations(chosen),
             systematic_std=np.full(len(chosen), np.nan),
         )
 
@@ -289,7 +281,7 @@ class Lanes:
 
     def put(self, m: int, lane: Lane) -> None:
         """Replace the lane of valve ``m``."""
-        self._states.put(m, lane.state)
+        self.states.put(m, lane.state)
         self._scores[m] = lane.score.sums
         self._spread.put(m, lane.spread)
         self._rests.put(m, lane.support)
@@ -305,7 +297,7 @@ class Lanes:
         if lane.frozen:
             return _prediction_only(lane, samples)
         state, trace = lane.estimator.update(lane.state, samples)
-        self._states.put(m, state)
+        self.states.put(m, state)
         return trace
 
 

@@ -11,7 +11,6 @@ from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.sample_intake import SampleIntake
-from valvemap.vocabulary.findings import Finding
 
 MAPS_AT_ONCE = 100  # tables per refresh, 2 ms each
 SURVEYS_AT_ONCE = 40  # surveys per refresh, 0.5 ms each
@@ -41,7 +40,6 @@ class MapsAndSurveys:
         self.tables = [np.full((len(p.map_Q), len(p.map_dp)), np.nan) for p in valves.plans]
         self._tabulate_first()
         self.surveys: list[Mapping[str, Survey]] = [{} for _ in valves.plans]
-        self._findings: list[Mapping[str, tuple[Finding, ...]]] = [{} for _ in valves.plans]
         self._next_survey = self._next_map = 0
 
     def refresh(self, share: float = 1.0) -> None:
@@ -90,9 +88,3 @@ class MapsAndSurveys:
                 plan, state = self._valves.plans[valve], self._valves.state_of(valve, name)
                 found = valve_state.survey_of(plan, state, name)
                 self.surveys[valve] = {**self.surveys[valve], name: found}
-                causes = valve_state.findings_of(state.lanes[name])
-                self._findings[valve] = {**self._findings[valve], name: causes}
-
-    def findings(self, valve: int) -> tuple[Finding, ...]:
-        """Return the causes that the estimators of a valve found when last surveyed."""
-        return valve_state.merged_findings(self._findings[valve].values())

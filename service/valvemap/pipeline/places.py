@@ -6,7 +6,7 @@ A place is a cell of (U, sign(dp)·√|dp|, T). Two errors at places tell how go
 - the error of the newest map at the first sample of each place's newest visit, evaluated at fixed
   numbers of samples (`Places.due`).
 
-The first shows what the map predicts, the second what it forgets: an estimator with a short memory
+The first is an error of prediction, the second one of memory: an estimator with a short memory
 follows the flow from sample to sample and is wrong where it was before.
 """
 
@@ -23,7 +23,7 @@ from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Singles, Times
 from valvemap.pipeline.kernels import places as kernel
 from valvemap.pipeline.kernels.places import Record, Scratch, Seen
-from valvemap.pipeline.lane_failures import Restore, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
 from valvemap.vocabulary.statuses import Adaptation
 
 FIRST_LOOK: Final = 128  # samples until the maps are first evaluated at places left
@@ -91,12 +91,16 @@ class Ranking:
         Errors by which the estimators are ranked, l/min; infinite for those that are no candidates.
     places : int
         Number of places at which they are compared.
+    U, dp : float
+        The place at which fewest samples were judged, % and bar; NaN if there is none.
     """
 
     chosen: int
     sure: float
     errors: Floats
     places: int
+    U: float = np.nan
+    dp: float = np.nan
 
 
 class Places:
@@ -129,7 +133,7 @@ class Places:
         axes[..., kernel.LOWER], axes[..., kernel.HIGHER] = np.inf, -np.inf
         axes[..., kernel.WIDTH] = kernel.NARROWEST_U, kernel.NARROWEST_S, kernel.NARROWEST_T
         valves = np.zeros((M, kernel.OF_VALVE))
-        valves[:, [kernel.NOW, kernel.CHOSEN]], valves[:, kernel.DUE] = -1.0, FIRST_LOOK
+        valves[:, kernel.NOW], valves[:, kernel.DUE] = -1.0, FIRST_LOOK
         C = kernel.PLACES
         self._record = Record(
             axes=axes,
@@ -284,8 +288,8 @@ class Places:
 
     def _rank(self, m: int) -> None:
         """Choose the estimator with the least error at places visited again."""
-        valve, lanes = self._record.valves[m], self._record.lanes[m]
-        lanes[:, kernel.SCORE] = np.inf
+        lanes, before = self._record.lanes[m], self.chosen(np.array([m]))[0]
+        lanes[:, kernel.SCORE], lanes[:, kernel.CHOSEN] = np.inf, 0.0
         missed = (lanes[:, kernel.COVERED_N] >= kernel.TRIED) & (
             lanes[:, kernel.COVERED] < kernel.HOLDS
         )
@@ -294,7 +298,6 @@ class Places:
         candidates = np.flatnonzero(able)
         chosen = self._compared(m, candidates)
         if chosen.sum() < FEWEST_PLACES:
-            valve[kernel.CHOSEN], valve[kernel.SURE] = -1.0, 0.0
             return
         squares = self._record.places[m, candidates][:, chosen, kernel.SQUARE].astype(np.float64)
         again = _clipped(squares**0.5)
@@ -304,10 +307,10 @@ class Places:
         score = np.sqrt(mean + forgotten)
         lanes[candidates, kernel.SCORE] = score
         errors = again + forgotten[:, None]
-        best, before = int(np.argmin(score)), np.flatnonzero(candidates == valve[kernel.CHOSEN])
-        if len(before) and _sure(errors[[best, *before]], 0) < SURE:
-            best = int(before[0])
-        valve[kernel.CHOSEN], valve[kernel.SURE] = candidates[best], _sure(errors, best)
+        best, kept = int(np.argmin(score)), np.flatnonzero(candidates == before)
+        if len(kept) and _sure(errors[[best, *kept]], 0) < SURE:
+            best = int(kept[0])
+        lanes[candidates[best], kernel.CHOSEN] = 1.0 + _sure(errors, best)
 
     def _compared(self, m: int, candidates: NDArray[np.intp]) -> Flags:
         """Mask (places,) of the places at which all candidates were judged."""
@@ -318,14 +321,21 @@ class Places:
 
     def ranking(self, m: int) -> Ranking:
         """Return the recommended estimator of one valve, as of the last `look_back`."""
-        valve, errors = self._record.valves[m], self._record.lanes[m, :, kernel.SCORE].copy()
+        errors = self._record.lanes[m, :, kernel.SCORE].copy()
         compared = self._compared(m, np.flatnonzero(np.isfinite(errors)))
-        chosen = int(valve[kernel.CHOSEN])
-        return Ranking(chosen, float(valve[kernel.SURE]), errors, int(compared.sum()))
+        chosen = int(self.chosen(np.array([m]))[0])
+        sure = self._record.lanes[m, chosen, kernel.CHOSEN] - 1.0 if chosen >= 0 else 0.0
+        known = np.flatnonzero(self._record.seen[m] > 0)
+        U = dp = np.nan
+        if len(known):
+            judged = self._record.places[m, max(chosen, 0), known, kernel.JUDGED]
+            U, dp = self._record.points[m, known[np.argmin(judged)], : kernel.AT_T].tolist()
+        return Ranking(chosen, float(sure), errors, int(compared.sum()), U, dp)
 
     def chosen(self, members: Times) -> Times:
         """Return the number of the recommended estimator of each given valve (K,); -1: none."""
-        return np.asarray(self._record.valves[members, kernel.CHOSEN].astype(np.int64))
+        marks = self._record.lanes[members, :, kernel.CHOSEN]
+        return np.where(marks.any(axis=1), marks.argmax(axis=1), -1)
 
     def of(self, m: int, e: int) -> MapErrors:
         """Return a copy of what one estimator's errors say of its map."""
@@ -340,12 +350,10 @@ class Places:
             multiple=float(lane[kernel.MULTIPLE]),
         )
 
-    def forget(self, m: int, e: int) -> None:
-        """Forget the errors of one estimator, after its reset."""
+    def reset(self, m: int, e: int) -> None:
+        """Reset the errors of one estimator, after its own reset."""
         self._record.places[m, e] = 0.0
         self._record.lanes[m, e] = _no_errors()
-        if self._record.valves[m, kernel.CHOSEN] == e:
-            self._record.valves[m, kernel.CHOSEN] = -1.0
 
     def to_bytes(self, m: int, estimators: Mapping[str, str]) -> bytes:
         """Pack the places of one valve; ``estimators`` are the names and hashes of its E lanes."""
@@ -374,23 +382,27 @@ class Places:
         record = self._record
         for name in ("axes", "valves", "seen", "points"):
             getattr(record, name)[m] = getattr(kept, name)
-        chosen = int(kept.valves[kernel.CHOSEN])
-        record.valves[m, kernel.CHOSEN] = -1.0
         for e, name in enumerate(_named(estimators).tolist()):
-            self.forget(m, e)
+            self.reset(m, e)
             if name in before:
                 row = before.index(name)
                 record.places[m, e], record.lanes[m, e] = kept.places[row], kept.lanes[row]
-                if row == chosen:
-                    record.valves[m, kernel.CHOSEN] = e
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return all arrays, each (M, …), not copied."""
         return self._record._asdict()
 
-    def saved(self, members: Times) -> Restore:
+    def columns_of_valves(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that do not depend on the estimators, each (M, …), not copied."""
+        return {n: getattr(self._record, n) for n in ("axes", "valves", "seen", "points")}
+
+    def columns_of_lane(self, e: int) -> dict[str, NDArray[Any]]:
+        """Return the arrays of one estimator, each (M, …), not copied."""
+        return {"places": self._record.places[:, e], "errors": self._record.lanes[:, e]}
+
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the places of the given valves; the result writes the copies back."""
-        return saved(self._record, members)
+        return saved(self._record, members, buffer)
 
 
 _KEY: Final = "places 1"
@@ -419,7 +431,6 @@ class _Kept(State):
         valves.within(-kernel.LARGEST, kernel.LARGEST, kernel.MEAN_Q)
         valves.within(0.0, 4.0 * kernel.LARGEST**2, kernel.VARIANCE_Q)
         valves.within(-1.0, kernel.PLACES - 1.0, kernel.NOW)
-        valves.within(-1.0, len(self.lanes) - 1.0, kernel.CHOSEN)
         points = Contents(self.points).or_nan((every, kernel.AT_T))
         positive = every, every, [kernel.JUDGED, kernel.SQUARE, kernel.STD]
         places = Contents(self.places).within(0.0, where=positive)
@@ -427,6 +438,7 @@ class _Kept(State):
         lanes.within(-kernel.LARGEST, kernel.LARGEST, (every, kernel.NEWEST))
         lanes.within(1.0 / kernel.WIDEST, kernel.WIDEST, (every, kernel.MULTIPLE))
         lanes.within(0.0, max(Adaptation), (every, kernel.FIT))
+        lanes.within(0.0, 2.0, (every, kernel.CHOSEN))
         return {"axes": axes, "valves": valves, "points": points, "places": places, "lanes": lanes}
 
 

@@ -18,6 +18,7 @@ from valvemap.model.survey import Survey
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.recommendation import Recommendation
+from valvemap.vocabulary.commands import NAMED, Subject
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
 from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
@@ -262,15 +263,12 @@ class InverseResults:
     feed_forward: Codes
 
 
-SIGNALS = ("U", "p1", "p2", "Q", "dp", "T")
-
-
 @dataclass(frozen=True)
 class SignalResults:
     """The newest sample of each of M valves as received, in the service's units.
 
-    ``values`` (M, 6) are U, p1, p2, Q, dp and T; NaN if absent. ``quality`` (M,) is the source's,
-    BAD if the sensors are lost; ``t`` (M,) is 0 before the first sample.
+    ``values`` has a column for each of ``vocabulary.signals.PUBLISHED``; NaN if absent. ``quality``
+    (M,) is the source's, BAD if the sensors are lost; ``t`` (M,) is 0 before the first sample.
     """
 
     t: Times
@@ -311,6 +309,48 @@ class Remark:
     text: str
     by: str
     t: int
+
+
+@dataclass(frozen=True)
+class Command:
+    """An operator's command on a valve, or (None) the service.
+
+    ``part`` names the estimator or alarm; ``values`` are the command's numbers; an alarm's command
+    has a ``remark``.
+
+    Examples
+    --------
+    >>> Command.of("set_forgetting_factor", "V1", "RLS", 0.99)
+    Command(action='set_forgetting_factor', valve='V1', part='RLS', values=(0.99,), remark=None)
+    """
+
+    action: str
+    valve: str | None
+    part: str = ""
+    values: tuple[float, ...] = ()
+    remark: Remark | None = None
+
+    @classmethod
+    def of(cls, action: str, valve: str | None, *given: Any) -> "Command":  # noqa: ANN401
+        """Return a command of `ACTIONS` with its arguments in order."""
+        match NAMED[action].on:
+            case Subject.ESTIMATOR:
+                return cls(action, valve, given[0], tuple(given[1:]))
+            case Subject.ALARM:
+                return cls(action, valve, given[0], remark=given[1])
+            case _:
+                return cls(action, valve, values=tuple(given))
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """All of it but the action, as given to `of`."""
+        match NAMED[self.action].on:
+            case Subject.ESTIMATOR:
+                return (self.valve, self.part, *self.values)
+            case Subject.ALARM:
+                return (self.valve, self.part, self.remark)
+            case _:
+                return (self.valve, *self.values)
 
 
 @dataclass(frozen=True)
@@ -516,17 +556,8 @@ class Operator(Protocol):
     raises :class:`~valvemap.errors.CommandRejected` with a sentence.
     """
 
-    def reset(self, valve: str, estimator: str) -> Answer[None]:
-        """Reset the estimator."""
-
-    def freeze(self, valve: str, estimator: str) -> Answer[None]:
-        """Stop adaptation: predict only."""
-
-    def resume(self, valve: str, estimator: str) -> Answer[None]:
-        """Resume adaptation."""
-
-    def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> Answer[None]:
-        """Set the forgetting factor, 0 < lam <= 1, from the next sample on."""
+    def do(self, command: Command) -> Answer[None]:
+        """Carry out one of :mod:`~valvemap.vocabulary.commands`."""
 
     def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
@@ -541,38 +572,11 @@ class Operator(Protocol):
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Answer[Inversion]:
         """U for a demanded flow at a pressure drop; arrays of shape (1,)."""
 
-    def demand(self, valve: str, Q: float, dp: float) -> Answer[None]:
-        """Set the standing demand; NaN withdraws it."""
-
-    def approve(self, valve: str) -> Answer[None]:
-        """Store the valve's present state as its baseline, the map when new."""
-
-    def roll_back(self, valve: str) -> Answer[None]:
-        """Restore the estimators' states of the baseline."""
-
-    def replace_valve(self, valve: str) -> Answer[None]:
-        """Note that the valve was replaced: reset its estimators and delete its baseline."""
-
     def compare(self, valve: str, estimator: str) -> Answer[Compared]:
         """Return the difference of an estimator's map from the baseline."""
 
     def baseline(self, valve: int) -> Version | None:
         """Return the baseline of a valve, by its number."""
-
-    def arm(self, valve: str) -> Answer[None]:
-        """Arm feed-forward: the answer to the standing demand is written to the valve."""
-
-    def disarm(self, valve: str) -> Answer[None]:
-        """Disarm feed-forward: nothing is written to the valve."""
-
-    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Acknowledge an alarm of a valve or (None) of the service."""
-
-    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Confirm an acknowledged alarm."""
-
-    def remark(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Add an operator's comment to an alarm."""
 
     def alarmed(self) -> Iterable[str]:
         """Return the valves that have ever had an active alarm."""
@@ -596,6 +600,21 @@ class CheckpointStore(Protocol):
     def load(self) -> Sequence["Checkpoint"]:
         """Return the newest checkpoint of each (valve, estimator)."""
 
+    def put_aside(
+        self,
+        aside: Sequence[tuple["Checkpoint", str]],
+        moved: Mapping[tuple[str, str], tuple[str, str]],
+    ) -> None:
+        """Keep checkpoints that are not restored, each with its reason, and rename others.
+
+        ``moved`` maps (valve, estimator) to its new name.
+
+        Raises
+        ------
+        StorageError
+            naming the file.
+        """
+
     @property
     def size(self) -> int:
         """Size in bytes."""
@@ -607,7 +626,11 @@ class CheckpointStore(Protocol):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """One estimator's state as bytes, and the operator's settings."""
+    """One estimator's state as bytes, and the operator's settings.
+
+    ``meaning`` is that of the valve's signals, see :class:`valvemap.pipeline.meaning.Meaning`;
+    empty: unknown.
+    """
 
     valve: str
     estimator: str
@@ -616,6 +639,7 @@ class Checkpoint:
     state: bytes
     lam: float | None
     frozen: bool
+    meaning: str = ""
 
 
 @dataclass(frozen=True)
@@ -644,18 +668,14 @@ class Past:
 
 
 class PastStore(Protocol):
-    """Stores and returns the history of signals and results; from any thread, one at a time.
+    """Stores and returns the history of signals and results; from any thread, one at a time."""
 
-    Attributes
-    ----------
-    lost : int
-        Rows lost by damage to the file.
-    """
-
-    lost: int
+    @property
+    def lost(self) -> int:
+        """Rows lost by damage to the file, or because others of their time are stored."""
 
     def save(self, pieces: Iterable[Piece]) -> int:
-        """Save all pieces or none; return the number of values skipped as not newer.
+        """Save all pieces or none; return the number of values skipped as stored already.
 
         Raises
         ------
@@ -663,8 +683,8 @@ class PastStore(Protocol):
             naming the file.
         """
 
-    def forget(self, now: int) -> int:
-        """Drop blocks too old at ``now`` (UTC ns) or over the size limit; return their number."""
+    def forget(self) -> int:
+        """Drop blocks that are too old or over the size limit; return their number."""
 
     def read(
         self,

@@ -7,21 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from valvemap.model.samples import Samples, Segments, Times
-from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.kernels import gate as kernel
 from valvemap.pipeline.kernels.gate import Limits, Memory
+from valvemap.vocabulary.signals import COUNT, SENSORS, Signal
 
 COUNTER_NAMES = ("bad_status", "not_finite", "out_of_range", "frozen", "too_fast", "spike")
-SENSORS = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.T)
-
-# Physical bounds of all sensors: a value outside is not a measurement.
-PLAUSIBLE: Mapping[Signal, tuple[float, float]] = {
-    Signal.U: (-1_000.0, 1_000.0),
-    Signal.P1: (-10.0, 10_000.0),
-    Signal.P2: (-10.0, 10_000.0),
-    Signal.Q: (-100_000.0, 100_000.0),
-    Signal.T: (-100.0, 500.0),
-}
 
 
 @dataclass(frozen=True)
@@ -79,8 +69,8 @@ class GateState:
 class QualityGate:
     """Judges the samples of valves: status, NaN and inf, range; optionally frozen, rate, spike.
 
-    Samples of UNCERTAIN status pass if ``use_uncertain``, else they become BAD. A temperature of
-    NaN is an absent reading, not a fault: maps without T are not affected.
+    Samples of UNCERTAIN status pass if ``use_uncertain``, else they become BAD. NaN of an
+    optional signal is an absent reading, not a fault: maps without it are not affected.
 
     Examples
     --------
@@ -94,13 +84,13 @@ class QualityGate:
     """
 
     limits: Mapping[Signal, SignalLimits] = field(
-        default_factory=lambda: {s: SignalLimits(*PLAUSIBLE[s]) for s in SENSORS}
+        default_factory=lambda: {s: SignalLimits(*s.plausible) for s in SENSORS}
     )
     use_uncertain: bool = False
 
     def initial_state(self, valves: int = 1) -> GateState:
         """Return the state before the first sample."""
-        n = valves, kernel.SIGNALS
+        n = valves, COUNT
         return GateState(
             Memory(
                 last=np.full(n, np.nan),
@@ -122,7 +112,7 @@ class QualityGate:
         quality = samples.quality.copy()
         kernel.judge_samples(
             samples.t,
-            np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1),
+            samples.values,
             self._limits,
             state.memory,
             quality,

@@ -5,7 +5,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valvemap.model.survey import Survey
 from valvemap.pipeline.places import FEWEST_PLACES, Ranking
 
 CLEAR: Final = 0.95  # probability from which the recommended estimator is called better
@@ -21,9 +20,7 @@ class Recommendation(NamedTuple):
 NOT_YET: Final = Recommendation("", "No estimator has been compared yet.")
 
 
-def recommendation(
-    ranking: Ranking, names: Sequence[str], inverse: str, survey: Survey | None
-) -> Recommendation:
+def recommendation(ranking: Ranking, names: Sequence[str], inverse: str) -> Recommendation:
     """Return the recommendation of one valve.
 
     Parameters
@@ -34,16 +31,14 @@ def recommendation(
         Of the estimators (E,).
     inverse
         The estimator whose map is inverted now.
-    survey
-        Coverage of its map; None: not known.
 
     Examples
     --------
     >>> ranking = Ranking(1, 0.99, np.array([1.7, 0.42, np.inf]), 32)
-    >>> print(recommendation(ranking, ("RLS", "Auto", "RBF"), "Auto", None).reason)
+    >>> print(recommendation(ranking, ("RLS", "Auto", "RBF"), "Auto").reason)
     Auto has the least error at 32 places visited again: 0.42 l/min, next RLS 1.7 l/min (99 % sure).
     """
-    advice = _advice(survey)
+    advice = _advice(ranking)
     if ranking.chosen < 0:
         why = (
             f"None is recommended: fewer than {FEWEST_PLACES} places were visited again with a map "
@@ -69,9 +64,9 @@ def recommendation(
     return Recommendation(name, why + advice)
 
 
-def _advice(survey: Survey | None) -> str:
-    """What would improve the map."""
-    if survey is None or not np.isfinite(survey.suggested_U):
+def _advice(ranking: Ranking) -> str:
+    """Name what would improve map and ranking."""
+    if not np.isfinite(ranking.U):
         return ""
-    U, dp = survey.suggested_U, survey.suggested_dp
-    return f" Samples at U = {U:.0f} %, dp = {dp:.0f} bar would improve it most."
+    where = f"U = {ranking.U:.0f} %, dp = {ranking.dp:.0f} bar"
+    return f" More visits around {where} would improve it most."

@@ -26,7 +26,6 @@ from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.ports import (
-    SIGNALS,
     AlarmResults,
     EstimatorDescription,
     EstimatorResults,
@@ -39,6 +38,7 @@ from valvemap.pipeline.ports import (
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
+from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
@@ -123,9 +123,8 @@ class ResultTables:
     def recommendation(self, valve: int) -> Recommendation:
         """Return which estimator of one valve is recommended, and why."""
         fleet, m = self._valves.at(valve)
-        inverse = fleet.inverse(m)
-        survey = self._maps.surveys[valve].get(inverse)
-        return recommendation(fleet.ranking(m), list(fleet.plan.estimators), inverse, survey)
+        names = list(fleet.plan.estimators)
+        return recommendation(fleet.ranking(m), names, fleet.inverse(m))
 
     def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
         """Results of the given valves; stopped valves are separate, and all if one raises."""
@@ -167,7 +166,7 @@ class ResultTables:
             counters=np.zeros((1, len(COUNTERS)), np.int64),
             counter_names=COUNTERS,
             signals=SignalResults(
-                estimators[plan.inverse].t, bad, np.full((1, len(SIGNALS)), np.nan)
+                estimators[plan.inverse].t, bad, np.full((1, len(PUBLISHED)), np.nan)
             ),
             baselines=[None],
             recommended=[NOT_YET],
@@ -200,7 +199,7 @@ class ResultTables:
             signals=self._intake.signals(valves, at_best),
             baselines=[self._approved.of(int(valve)) for valve in valves],
             recommended=[self.recommendation(int(valve)) for valve in valves],
-            findings=[self._maps.findings(int(valve)) for valve in valves],
+            findings=[fleet.findings(m) for m in places.tolist()],
             alarms=AlarmResults(
                 self._alarms_base + fleet.alarms.version[places],
                 lambda m: fleet.alarms.reports(int(places[m])),
@@ -238,7 +237,7 @@ class ResultTables:
             accuracy = self._valves.accuracy(int(valve))
             if not accuracy.is_stated:
                 continue
-            newest = dict(zip(SIGNALS, self._intake.newest.values[valve], strict=True))
+            newest = dict(zip(PUBLISHED, self._intake.newest.values[valve], strict=True))
             point = (np.array([newest[signal]]) for signal in ("U", "dp", "T"))
             lane = replace(fleet.lane(int(self._valves.places[valve]), name), accuracy=accuracy)
             (found[k],) = valve_state.systematic(lane, *point)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.samples import Samples
-from valvemap.pipeline.units import MEASURED
+from valvemap.vocabulary.signals import MEASURED
 
 GAP: Final = 5.0  # times the usual step
 _USUAL_OF: Final = 1_000  # first steps, whose median is the usual one

@@ -14,7 +14,8 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
-from valvemap.pipeline.ports import SIGNALS, SignalResults
+from valvemap.pipeline.ports import SignalResults
+from valvemap.vocabulary.signals import PUBLISHED
 
 _CONTRADICTED = (
     "U, p1 - p2 and Q contradicted each other: once that is mended, a restart has the valve learnt"
@@ -51,7 +52,7 @@ class SampleIntake:
         self.newest = SignalResults(
             t=np.zeros(V, np.int64),
             quality=np.zeros(V, np.uint8),
-            values=np.full((V, len(SIGNALS)), np.nan),
+            values=np.full((V, len(PUBLISHED)), np.nan),
         )
         self.plausibility = Plausibility(V)
         self.refuted = np.zeros(V, np.bool_)
@@ -130,7 +131,7 @@ class SampleIntake:
         valves, _, stops = arrived.segments
         last, newest = arrived.samples[stops - 1], self.newest
         newest.t[valves], newest.quality[valves] = last.t, last.quality
-        columns = (getattr(last, name) for name in SIGNALS)
+        columns = (getattr(last, name) for name in PUBLISHED)
         newest.values[valves] = np.stack(list(columns), axis=1)
 
     def _without_implausible(self, arrived: ByValve) -> ByValve:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Floats, Times
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, Signal
 from valvemap.pipeline.kernels.scans import NEVER, Changed
+from valvemap.vocabulary.signals import PER_VALVE, SENSORS, Signal
 
 FEWEST_SCANS: Final = 4  # scans; with fewer nothing is detected
 OFTEN: Final = 0.98  # share of scans that contain a signal; below, it is written on change
@@ -29,7 +29,7 @@ CLEARLY: Final = 0.9  # ratio of misfits below which signals are used without in
 STEPS_OF_A_DEADBAND: Final = 8  # steps; with fewer no deadband is detected
 ABOUT_AS_SMALL: Final = 2.0  # times the smallest step; steps within this are of the deadband …
 MOST_STEPS: Final = 0.5  # … if at least this share of all steps is
-_MEASURED: Final = (Signal.P1, Signal.P2, Signal.Q, Signal.T)  # U is a command: no deadband
+_MEASURED: Final = tuple(s for s in SENSORS if s is not Signal.U)  # U is a command: no deadband
 _ENOUGH: Final = 24  # scans; with fewer the flow is not compared
 _TINY: Final = 1e-12
 _NOISE_OF_SECOND_DIFFERENCES: Final = 0.6745 * 6.0**0.5  # their median, for unit white noise
@@ -61,7 +61,7 @@ class Found:
     jitter: Floats
     period: int
     window: int
-    deadband: Floats = field(default_factory=lambda: np.zeros(SIGNALS_PER_VALVE))
+    deadband: Floats = field(default_factory=lambda: np.zeros(PER_VALVE))
 
 
 def is_stamped_alike(changes: Changed, there: NDArray[np.bool_]) -> bool:
@@ -103,10 +103,10 @@ def find_scans(changes: Changed, there: NDArray[np.bool_]) -> Found | None:
     window = int(np.clip(SPREAD_MARGIN * spread, min(SHORTEST_WINDOW_NS, period / 4), period / 2))
     comes = np.where(there, np.int64(Comes.WITH_THE_SCAN), np.int64(Comes.ABSENT))
     comes[there & (has.mean(axis=0) < OFTEN)] = Comes.HELD
-    offset = np.zeros(SIGNALS_PER_VALVE, np.int64)
-    limit = np.full(SIGNALS_PER_VALVE, np.inf)
-    jitter = np.zeros(SIGNALS_PER_VALVE)
-    base = np.array([_first_value(changes, j) for j in range(SIGNALS_PER_VALVE)])
+    offset = np.zeros(PER_VALVE, np.int64)
+    limit = np.full(PER_VALVE, np.inf)
+    jitter = np.zeros(PER_VALVE)
+    base = np.array([_first_value(changes, j) for j in range(PER_VALVE)])
     shifted, fast = values.copy(), np.zeros(len(values), np.bool_)
     fast[0] = True
     for j in np.flatnonzero((comes == Comes.WITH_THE_SCAN) & has.any(axis=0)):
@@ -131,7 +131,7 @@ def find_scans(changes: Changed, there: NDArray[np.bool_]) -> Found | None:
     deadband = np.array(
         [
             _deadband(changes, j) if comes[j] == Comes.HELD and j in _MEASURED else 0.0
-            for j in range(SIGNALS_PER_VALVE)
+            for j in range(PER_VALVE)
         ]
     )
     return Found(comes, offset, limit, jitter, period, window, deadband)
@@ -164,8 +164,8 @@ def _scans(changes: Changed, there: NDArray[np.bool_]) -> tuple[Times, Floats] |
             row, start, present = row + 1, t, 0
         present |= 1 << j
         rows.append(row)
-    times = np.full((row + 1, SIGNALS_PER_VALVE), NEVER)
-    values = np.full((row + 1, SIGNALS_PER_VALVE), np.nan)
+    times = np.full((row + 1, PER_VALVE), NEVER)
+    values = np.full((row + 1, PER_VALVE), np.nan)
     times[rows, signal] = time
     values[rows, signal] = changes.value[order]
     began = _began(changes)
@@ -176,7 +176,7 @@ def _scans(changes: Changed, there: NDArray[np.bool_]) -> tuple[Times, Floats] |
 def _began(changes: Changed) -> int:
     """Time of the first change after initial values, which may be arbitrarily old."""
     starts = []
-    for j in range(SIGNALS_PER_VALVE):
+    for j in range(PER_VALVE):
         own = np.unique(changes.time[changes.signal == j])
         if len(own) > 1:
             starts.append(int(own[1]))
@@ -186,7 +186,7 @@ def _began(changes: Changed) -> int:
 def _period(changes: Changed) -> int:
     """Shortest usual step of the most frequent signal, ns; 0: unknown."""
     steps = []
-    for j in range(SIGNALS_PER_VALVE):
+    for j in range(PER_VALVE):
         own = np.unique(changes.time[changes.signal == j])[1:]
         if len(own) > FEWEST_SCANS:
             steps.append(float(np.quantile(np.diff(own), 0.1)))

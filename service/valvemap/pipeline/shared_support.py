@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Codes, Flags, Samples, Segments, Times
 from valvemap.model.support import Support, SupportOfMany
-from valvemap.pipeline.lane_failures import Restore
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, rows_of
 from valvemap.vocabulary.statuses import Status
 
 SPARE = 8  # if no row is free, one row is added for every 8
@@ -83,10 +83,11 @@ class SharedSupport:
                 chosen = own._replace(members=rows).of(first)
                 self._kept.learn(samples, status, chosen)
 
-    def saved(self, members: Times) -> Restore:
+    def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the support of the given valves' maps; the result writes the copies back."""
         rows, at = np.unique(self._of[:, members], return_inverse=True)
-        copies, at = [array[rows] for array in self._arrays], at.reshape(-1, len(members))
+        at, where = at.reshape(-1, len(members)), rows_of(rows)
+        copies = [buffer.copy(array, where) for array in self._arrays]
 
         def restore() -> None:  # `learn` may have moved an estimator to another row
             for array, copy in zip(self._arrays, copies, strict=True):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels.scans import Changed
 from valvemap.pipeline.lane_failures import Stop, isolate, raised
 from valvemap.pipeline.scan_search import Comes
@@ -19,6 +19,7 @@ from valvemap.pipeline.valve_timing import (
     TimingState,
     ValveTiming,
 )
+from valvemap.vocabulary.signals import PER_VALVE
 
 __all__ = ["Timing", "TimingSettings", "TimingState"]
 
@@ -28,7 +29,7 @@ class Timing:
 
     Examples
     --------
-    >>> timing = Timing(TimingSettings(), has_T=(False,))
+    >>> timing = Timing(TimingSettings(), optional=((),))
     >>> len(timing.take(DataChanges.empty()))
     0
     """
@@ -36,15 +37,15 @@ class Timing:
     def __init__(
         self,
         settings: TimingSettings,
-        has_T: Sequence[bool],
+        optional: Sequence[tuple[str, ...]],
         has_sequence: Sequence[bool] = (),
         *,
         fixed: bool = False,
     ) -> None:
         self.settings = settings
-        self._has_T = list(has_T)
-        self._has_sequence = list(has_sequence or [False] * len(has_T))
-        self.valves = [self._fresh(number) for number in range(len(has_T))]
+        self._optional = list(optional)
+        self._has_sequence = list(has_sequence or [False] * len(optional))
+        self.valves = [self._fresh(number) for number in range(len(optional))]
         self._special = np.full(len(self.valves), not fixed)
         self._new: list[int] = []
         if fixed:
@@ -58,7 +59,7 @@ class Timing:
         """
         if not self._special.any() or not len(changes):
             return changes
-        valve = changes.item // SIGNALS_PER_VALVE
+        valve = changes.item // PER_VALVE
         special = self._special[valve]
         if not special.any():
             return changes
@@ -66,7 +67,7 @@ class Timing:
         for number in np.unique(valve[special]).tolist():
             own, before = changes[valve == number], self.valves[number].stands
             changed = Changed(
-                (own.item % SIGNALS_PER_VALVE).astype(np.int64),
+                (own.item % PER_VALVE).astype(np.int64),
                 own.value,
                 own.status,
                 own.source_time,
@@ -154,10 +155,12 @@ class Timing:
 
     def _fresh(self, number: int) -> ValveTiming:
         return ValveTiming(
-            self.settings, has_T=self._has_T[number], has_sequence=self._has_sequence[number]
+            self.settings,
+            optional=self._optional[number],
+            has_sequence=self._has_sequence[number],
         )
 
 
 def _as_changes(valve: int, out: Changed) -> DataChanges:
-    item = (valve * SIGNALS_PER_VALVE + out.signal).astype(np.int32)
+    item = (valve * PER_VALVE + out.signal).astype(np.int32)
     return DataChanges(item, out.value, out.status, out.time)

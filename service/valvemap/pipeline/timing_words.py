@@ -7,10 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.kernels.scans import NEVER, NEWEST, Scans
 from valvemap.pipeline.scan_search import Comes, Found
-from valvemap.pipeline.units import READ
+from valvemap.vocabulary.signals import READ, Signal
 
 STILL_NS: Final = 30_000_000_000  # time at rest after which an on-change signal is named
 

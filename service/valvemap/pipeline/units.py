@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.vocabulary.signals import SENSORS
+
 UNECE: Final = "http://www.opcfoundation.org/UA/units/un/cefact"
 
 
@@ -31,17 +33,9 @@ class Quantity(Enum):
         return self.name.lower()
 
 
-MEASURED: Final = ("U", "p1", "p2", "Q", "T")
-"""What a valve's samples consist of."""
-READ: Final = (*MEASURED, "sequence")
-"""All that is read of a valve, in the order of :class:`data_changes.Signal`."""
 QUANTITY_OF: Final = {
-    "U": Quantity.OPENING,
-    "p1": Quantity.PRESSURE,
-    "p2": Quantity.PRESSURE,
+    **{signal.label: Quantity(signal.unit) for signal in SENSORS},
     "dp": Quantity.PRESSURE,
-    "Q": Quantity.FLOW,
-    "T": Quantity.TEMPERATURE,
     "required_U": Quantity.OPENING,
 }
 """By signal, named as in the configuration."""

@@ -8,7 +8,13 @@ from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 
-from valvemap.model.capabilities import FindsCauses, Forgetful, PathDependent, ResidualStd
+from valvemap.model.capabilities import (
+    FindsCauses,
+    FitsInBursts,
+    Forgetful,
+    PathDependent,
+    ResidualStd,
+)
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import Estimator, State, StateMismatchError, Template, key_of
 from valvemap.model.extrapolation import U_range_of, trusted
@@ -25,6 +31,7 @@ from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import RULES, Alarm
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
+from valvemap.pipeline.meaning import Meaning
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.places import MapErrors
 from valvemap.pipeline.quality_gate import GateState, QualityGate
@@ -51,7 +58,7 @@ class ValvePlan:
     and ``map_dp`` (bar) are the axes of the published table. ``feed_forward`` is None if the answer
     is never written to the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is
     that of the sensors, ``nodes`` are their names in messages about missing signals, ``alarms`` the
-    rules of the alarms; ``nameplate`` is published only.
+    rules of the alarms; ``nameplate`` is published only; ``meaning`` is stored with the states.
     """
 
     name: str
@@ -67,6 +74,7 @@ class ValvePlan:
     nodes: Mapping[str, str] = field(default_factory=dict)
     alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
     nameplate: Nameplate = BLANK
+    meaning: Meaning | None = None
     follows: bool = False
     references: frozenset[str] = frozenset()
 
@@ -120,7 +128,7 @@ def nothing_seen(plan: ValvePlan) -> Support:
 
 def runs_interpreted(estimator: AnyEstimator) -> bool:
     """Whether an update takes milliseconds even if its kernels run interpreted."""
-    return not getattr(estimator, "fits_in_bursts", False)
+    return not isinstance(estimator, FitsInBursts)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:

@@ -15,11 +15,12 @@ import numpy as np
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Times
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, Signal
+from valvemap.pipeline.alignment import presence
 from valvemap.pipeline.kernels import scans as kernel
 from valvemap.pipeline.kernels.scans import NEVER, Changed, ScanRules, Scans
 from valvemap.pipeline.scan_search import Comes, Found, find_scans, is_stamped_alike
 from valvemap.pipeline.timing_words import Words
+from valvemap.vocabulary.signals import PER_VALVE
 
 LISTEN_NS: Final = 5_000_000_000  # detection of the timing needs this long …
 LISTEN_VALUES: Final = 25  # … and this many values of the fastest signal, …
@@ -89,7 +90,7 @@ class TimingState(State):
         for name in raw:
             found[name] = Contents(getattr(self, name)).or_nan().or_infinite()
         for name in ("back_signal", "signal"):
-            found[name] = Contents(getattr(self, name)).within(0, SIGNALS_PER_VALVE - 1)
+            found[name] = Contents(getattr(self, name)).within(0, PER_VALVE - 1)
         for name in ("limit", "jitter"):
             found[name].within(0.0)
         found["deadband"] = Contents(self.deadband).within(0.0)
@@ -103,10 +104,11 @@ class TimingState(State):
 class ValveTiming:
     """Timing of one valve's signals."""
 
-    def __init__(self, settings: TimingSettings, *, has_T: bool, has_sequence: bool) -> None:
+    def __init__(
+        self, settings: TimingSettings, *, optional: tuple[str, ...], has_sequence: bool
+    ) -> None:
         self._settings = settings
-        self._there = np.ones(SIGNALS_PER_VALVE, np.bool_)
-        self._there[Signal.T], self._there[Signal.SEQUENCE] = has_T, has_sequence
+        self._there = np.append(presence([optional])[0], has_sequence)
         self.stands = LISTENING
         self.found: Found | None = None
         self._back = NOTHING
@@ -217,7 +219,7 @@ class ValveTiming:
             max_wait=self._settings.max_wait_ns,
         )
         waiting = int(self._scans.course[kernel.SIZE])
-        out = _room(SIGNALS_PER_VALVE * (len(changes.time) + waiting))
+        out = _room(PER_VALVE * (len(changes.time) + waiting))
         n = kernel.make_scans(changes, flush, rules, self._scans, out)
         return _part(out, 0, n)
 
@@ -235,7 +237,7 @@ class ValveTiming:
     def newest(self) -> Times:
         """Source time of each signal's newest value, (6,), UTC ns; NEVER before the first."""
         newest = self._scans.seen.copy()
-        for j in range(SIGNALS_PER_VALVE):
+        for j in range(PER_VALVE):
             own = self._back.time[self._back.signal == j]
             if len(own):
                 newest[j] = max(int(newest[j]), int(own.max()))
@@ -299,17 +301,17 @@ class ValveTiming:
 
 def make_one_scan() -> None:
     """Compile the loop that makes scans."""
-    valve = ValveTiming(TimingSettings(), has_T=False, has_sequence=False)
+    valve = ValveTiming(TimingSettings(), optional=(), has_sequence=False)
     valve.put(replace(valve.state, stands=np.array(IN_SCANS)))
     valve.take(NOTHING, flush=True)
 
 
 NOTHING = Changed(np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint32), np.empty(0, np.int64))
 _NOT_FOUND = Found(
-    comes=np.zeros(SIGNALS_PER_VALVE, np.int64),
-    offset=np.zeros(SIGNALS_PER_VALVE, np.int64),
-    limit=np.zeros(SIGNALS_PER_VALVE),
-    jitter=np.zeros(SIGNALS_PER_VALVE),
+    comes=np.zeros(PER_VALVE, np.int64),
+    offset=np.zeros(PER_VALVE, np.int64),
+    limit=np.zeros(PER_VALVE),
+    jitter=np.zeros(PER_VALVE),
     period=0,
     window=0,
 )
@@ -327,7 +329,7 @@ def _like(state: TimingState) -> TimingState:
 
 
 def _no_scans(room: int) -> Scans:
-    n = SIGNALS_PER_VALVE
+    n = PER_VALVE
     return Scans(
         time=np.zeros(room, np.int64),
         signal=np.zeros(room, np.int64),
@@ -371,4 +373,4 @@ def _joined(first: Changed, second: Changed) -> Changed:
     )
 
 
-_NOTHING_SEEN: Final = ValveTiming(TimingSettings(), has_T=False, has_sequence=False).state
+_NOTHING_SEEN: Final = ValveTiming(TimingSettings(), optional=(), has_sequence=False).state

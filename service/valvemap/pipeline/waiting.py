@@ -6,11 +6,9 @@ from typing import Final
 
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import AlignmentSettings
-from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.kernels.waiting import NEVER
+from valvemap.vocabulary.signals import REQUIRED, SENSORS
 
-SENSORS: Final = ((Signal.U, "U"), (Signal.P1, "p1"), (Signal.P2, "p2"), (Signal.Q, "Q"))
-TEMPERATURE: Final = (Signal.T, "T")
 SELDOM_NS: Final = 500_000_000  # delay beyond which a signal is on-change or has stopped
 
 
@@ -18,19 +16,19 @@ def waited_for(
     newest: Times,
     settings: AlignmentSettings,
     *,
-    has_T: bool,
+    optional: tuple[str, ...],
     nodes: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[str, ...]:
     """Return a sentence for each signal whose absence prevents samples.
 
     Parameters
     ----------
-    newest : (5,)
+    newest : (COUNT,)
         Source time of each signal's newest value, UTC ns; ``NEVER`` before the first.
     settings
         The alignment's settings.
-    has_T
-        Whether there is a temperature sensor.
+    optional
+        Names of the valve's optional signals.
     nodes
         Names of the signals in messages: name and node, if known.
 
@@ -38,10 +36,10 @@ def waited_for(
     --------
     >>> import numpy as np
     >>> newest = np.array([5_000_000, 5_000_000, 2_000_000, 5_000_000, NEVER])
-    >>> waited_for(newest, AlignmentSettings(), has_T=False)
+    >>> waited_for(newest, AlignmentSettings(), optional=())
     ('p2 is stamped 3 ms before the others: alignment.tolerance_ms = 6',)
     """
-    signals = (*SENSORS, TEMPERATURE) if has_T else SENSORS
+    signals = [(s, s.label) for s in SENSORS if s.label in (*REQUIRED, *optional)]
     if all(newest[signal] == NEVER for signal, _ in signals):
         return ("no signal has sent a value: does the source publish?",)
     latest = max(int(newest[signal]) for signal, _ in signals)

@@ -51,7 +51,7 @@ def plot_agreement(path: Path, Q: Floats, predictions: Mapping[str, Floats]) -> 
         axes.set_ylabel("predicted Q̂, l/min")
         axes.set_title(f"{name}: {_fit(Q, Q_hat)}", fontsize=10)
         _note_outside(axes, int(np.sum((Q_hat < low) | (Q_hat > high))))
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def plot_residuals(path: Path, t: Times, residuals: Mapping[str, Floats]) -> None:
@@ -86,7 +86,7 @@ def plot_residuals(path: Path, t: Times, residuals: Mapping[str, Floats]) -> Non
         axes.set_ylabel(f"{name}\nQ - Q̂, l/min")
         _note_outside(axes, int(np.sum(np.abs(e) > limit)))
     panels[-1].set_xlabel("time, s")
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def plot_parameters(
@@ -133,7 +133,7 @@ def plot_parameters(
     if together:
         panels[0].set(xlabel="time, s", ylabel="parameters")
         panels[0].set_ylim(*_settled(theta))
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def plot_map(
@@ -178,7 +178,7 @@ def plot_map(
     space.set(xlabel="U, %", ylabel="Δp, bar", zlabel="Q, l/min")
     space.view_init(elev=24, azim=-125)
     space.locator_params(nbins=5)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _panels(
@@ -197,7 +197,14 @@ def _panels(
     return figure, panels[: max(count, 1)]
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a PNG file.
+
+    Raises
+    ------
+    StorageError
+        if it cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -34,6 +34,7 @@ from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.publishing_turns import PublishingTurns
+from valvemap.runtime.restoring import REMEDY, by_reason, restore
 from valvemap.runtime.state_keeper import POSITION, StateKeeper
 
 OLD = 2.0  # times `stale_after_s`; a sample older than this makes results Bad
@@ -48,7 +49,6 @@ HEALTH_EVERY_S = 0.5  # s; interval at which the service's health is published
 LONGEST_TICK_S = 0.5  # s; a longer tick is a stall of this process and is cut to this
 DAY_NS = 86_400_000_000_000
 FAREWELL_S = 4.2  # s; longest shutdown: some service managers kill after 5 s
-NAMED = 8  # valves and estimators named in one log line; the rest are counted
 
 log = structlog.get_logger(__name__)
 
@@ -166,20 +166,16 @@ class LiveService:
             elif not self._source.resume_at(one.state):
                 lost_place = True
         self._source.hold_back()
-        restored, refused = self.identification.restore(kept)
+        refused = restore(self.identification, self._store, kept)
         if lost_place:
             refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
         self.identification.was_away()
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # no sample has arrived yet
-        if self._store.damaged:
-            log.warning(
-                "states damaged, those before them taken", estimators=_named(self._store.damaged)
-            )
-        if restored:
-            log.info("states restored", estimators=_named(restored))
         if refused:
-            log.warning("states left aside, these start afresh", why=_by_reason(refused))
+            log.warning(
+                "states left aside, these start afresh", why=by_reason(refused), remedy=REMEDY
+            )
         self._note_new(range(len(self._lost)))
         while len(self._to_publish):  # in turns, so that clients are served in between
             await self._publish_until(self._clock.monotonic())
@@ -305,7 +301,7 @@ class LiveService:
             self.identification.refresh_maps(1.0 / parts)
         self._keeper.keep_in_turn(now)
         if self._past is not None:
-            self._past.tick(now, self._clock.now())
+            self._past.tick(now)
         await self._show_health(now)
 
     async def _doubt(self, now: float) -> None:
@@ -365,11 +361,13 @@ class LiveService:
         self._worked_s, self._worked_since = 0.0, now
         until, utc = self._settings.certificate_until_ns, self._clock.now()
         share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
+        age_s, self._keeper.file_lost = self._keeper.age_s(now), False
         return self.identification.watch_service(
             utc,
-            checkpoint_age_s=self._keeper.age_s(now),
+            checkpoint_age_s=age_s,
             days_left=(until - utc) / DAY_NS if until else math.nan,
             load=1.0 if self._to_publish.late else share,
+            history_waits_s=math.nan if self._past is None else self._past.waits_s(now),
         )
 
     async def _wait_no_longer(self, now: float) -> None:
@@ -401,7 +399,7 @@ class LiveService:
         """Save all states, or as many as the time limit permits; see `StateKeeper.keep`."""
         end = self._clock.monotonic() + within_s
         if self._past is not None:
-            await self._past.settle()
+            await self._past.end()
         return await self._keeper.keep(end)
 
     def states(self) -> list[Checkpoint]:
@@ -520,18 +518,3 @@ class LiveService:
 
 
 _NONE: Times = np.empty(0, np.int64)  # no valve: the next tick feeds these forward
-
-
-def _by_reason(refused: Mapping[str, str]) -> str:
-    """Return each reason once, with the first names it applies to."""
-    lines = []
-    for reason in dict.fromkeys(refused.values()):
-        names = [name for name, why in refused.items() if why == reason]
-        lines.append(f"{_named(names)}: {reason}")
-    return "; ".join(lines)
-
-
-def _named(names: Sequence[str]) -> str:
-    """Return the first names, and the number of the others."""
-    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"{', '.join(names[:NAMED])}{rest}"

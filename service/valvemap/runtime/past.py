@@ -1,6 +1,7 @@
 """Buffers signals and results for the history, and saves them at intervals."""
 
 import asyncio
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 from typing import Final, NamedTuple
@@ -12,19 +13,13 @@ from numpy.typing import NDArray
 from valvemap.errors import StorageError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.ports import (
-    SIGNALS,
-    AlarmChange,
-    PastCounters,
-    PastStore,
-    Piece,
-    Results,
-)
+from valvemap.pipeline.ports import AlarmChange, PastCounters, PastStore, Piece, Results
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
+from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import Quality
 
 REQUIRED_U: Final = "RequiredU"
-MOST_ROWS: Final = 1_000_000  # rows buffered: 60 MB; further rows are dropped
+MOST_ROWS: Final = 1_000_000  # rows buffered: 60 MB; further rows are dropped and counted
 SERIES_PER_S: Final = 500  # series saved per s, 0.1 ms each; more series lengthen the interval
 FORGET_EVERY_S: Final = 60.0
 _SIGNALS, _INVERSE = "Signals", "Inverse"
@@ -58,7 +53,8 @@ class _Noted(NamedTuple):
 class PastKeeper:
     """Buffers rows and saves them in a thread: identification waits for neither disk nor lock.
 
-    A kill loses the rows since the last save: one second for up to 100 valves.
+    A kill loses the rows since the last save: one second for up to 100 valves. If a save fails, as
+    on a full disk, its rows wait in the buffer for the next one.
 
     Parameters
     ----------
@@ -70,7 +66,7 @@ class PastKeeper:
     Attributes
     ----------
     lost : int
-        Rows dropped because the buffer was full or the disk refused them.
+        Rows dropped because the buffer was full, or could not be saved at the end.
     failures : int
         Saves that failed.
     """
@@ -86,6 +82,9 @@ class PastKeeper:
         self._keeping: asyncio.Task[None] | None = None
         self._failed: dict[str, Exception] = {}
         self.lost = self.failures = 0
+        self._failing_since = math.nan  # monotonic s, as of `tick`
+        self._now = 0.0
+        self._lost_before = store.lost
 
     def take_failed(self) -> list[tuple[int, Exception]]:
         """Return the valves whose rows raised an error in saving since the last call."""
@@ -108,8 +107,9 @@ class PastKeeper:
         if self._has_room(1):
             self._changes.append(change)
 
-    def tick(self, now: float, utc: int) -> None:
-        """Start a save of the buffer if one is due; ``now`` in s, ``utc`` in ns."""
+    def tick(self, now: float) -> None:
+        """Start a save of the buffer if one is due; ``now`` in s."""
+        self._now = now
         if now < self._due or (self._keeping is not None and not self._keeping.done()):
             return
         parts = len({noted.part for noted in self._results} | {_SIGNALS})
@@ -117,13 +117,28 @@ class PastKeeper:
         forget = now >= self._forget_due
         if forget:
             self._forget_due = now + FORGET_EVERY_S
-        self._keeping = asyncio.create_task(self._keep(utc if forget else None))
+        self._keeping = asyncio.create_task(self._keep(forget=forget))
 
-    async def settle(self) -> None:
-        """Save the whole buffer."""
+    def waits_s(self, now: float) -> float:
+        """Time for which saves have failed, s; ∞ once after rows were lost."""
+        lost, self._lost_before = self.counters.lost > self._lost_before, self.counters.lost
+        if lost:
+            return math.inf
+        return 0.0 if math.isnan(self._failing_since) else now - self._failing_since
+
+    async def settle(self) -> bool:
+        """Save the whole buffer; return whether no row waits any more."""
         if self._keeping is not None:
             await self._keeping
-        await self._keep(None)
+        await self._keep()
+        return self._rows == 0
+
+    async def end(self) -> None:
+        """Save the whole buffer; rows that cannot be saved are lost."""
+        if not await self.settle():
+            log.error("history rows lost at the end", rows=self._rows)
+            self.lost += self._rows
+            self._samples, self._results, self._changes, self._rows = [], [], [], 0
 
     @property
     def counters(self) -> PastCounters:
@@ -137,10 +152,10 @@ class PastKeeper:
         self._rows += rows
         return True
 
-    async def _keep(self, forget_at: int | None) -> None:
+    async def _keep(self, *, forget: bool = False) -> None:
         samples, results, rows = self._samples, self._results, self._rows
         changes = self._changes
-        self._samples, self._results, self._changes, self._rows = [], [], [], 0
+        self._samples, self._results, self._changes = [], [], []
 
         failed: dict[str, Exception] = {}
 
@@ -153,15 +168,22 @@ class PastKeeper:
                 self._save(pieces, failed)
             if changes:
                 self._store.note(changes)
-            if forget_at is not None:
-                self._store.forget(forget_at)
+            if forget:
+                self._store.forget()
 
         try:
             await asyncio.to_thread(keep)
+            self._rows -= rows  # until then they need their room: they return if refused
+            self._failing_since = math.nan
         except StorageError as error:
             self.failures += 1
-            self.lost += rows
-            log.warning("history not kept", reason=str(error))
+            if math.isnan(self._failing_since):
+                self._failing_since = self._now
+            self._samples, self._results = samples + self._samples, results + self._results
+            self._changes = changes + self._changes
+            log.warning(
+                "history not kept, its rows wait", reason=str(error), rows=self._rows, of=MOST_ROWS
+            )
         for note in self._store.take_notes():
             log.warning("history damaged", reason=note, lost=self._store.lost)
         self._failed = failed | self._failed
@@ -201,7 +223,9 @@ def _of_samples(
 
 
 def _signals(valve: str, samples: Sequence[Samples]) -> Piece:
-    columns = {name: np.concatenate([getattr(part, name) for part in samples]) for name in SIGNALS}
+    columns = {
+        name: np.concatenate([getattr(part, name) for part in samples]) for name in PUBLISHED
+    }
     t = np.concatenate([part.t for part in samples])
     quality = np.concatenate([part.quality for part in samples])
     return Piece(signals_of(valve), t, _CODES[quality], columns)
@@ -216,7 +240,7 @@ def _noted(results: Results) -> Iterator[_Noted]:
     yield _Noted(_INVERSE, valves, inverse.quality, inverse.t, {REQUIRED_U: inverse.required_U})
     if signals is not None:
         lost = signals.quality == Quality.BAD
-        columns = dict(zip(SIGNALS, signals.values[lost].T, strict=True))
+        columns = dict(zip(PUBLISHED, signals.values[lost].T, strict=True))
         yield _Noted(_SIGNALS, valves[lost], signals.quality[lost], signals.t[lost], columns)
 
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from valvemap.clock import Clock
 from valvemap.errors import SourceError, SourceLost
 from valvemap.model.samples import Floats, Times
-from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import Source, SourceCounters
 from valvemap.runtime.supervisor import Consumer, SupervisorSettings, supervise
+from valvemap.vocabulary.signals import PER_VALVE
 
 
 class SourceWithHeir(Source, Protocol):
@@ -40,8 +41,8 @@ class Part:
     @cached_property
     def items(self) -> NDArray[np.int32]:
         """Numbers of the source's items among the items of all valves."""
-        first = np.repeat(np.array(self.valves, np.int32) * SIGNALS_PER_VALVE, SIGNALS_PER_VALVE)
-        within = np.tile(np.arange(SIGNALS_PER_VALVE), len(self.valves))
+        first = np.repeat(np.array(self.valves, np.int32) * PER_VALVE, PER_VALVE)
+        within = np.tile(np.arange(PER_VALVE), len(self.valves))
         return np.asarray(first + within, np.int32)
 
     def renumbered(self, changes: DataChanges) -> DataChanges:

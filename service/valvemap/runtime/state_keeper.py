@@ -9,7 +9,7 @@ import numpy as np
 import structlog
 
 from valvemap.clock import Clock
-from valvemap.errors import StorageError
+from valvemap.errors import StateFileLost, StorageError
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.ports import AllSources, Checkpoint, CheckpointStore
@@ -46,6 +46,8 @@ class StateKeeper:
         Time of the last save, monotonic s; NaN before the first.
     failures : int
         Saves that failed.
+    file_lost : bool
+        Whether the file was found removed or replaced since this was last set to False.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class StateKeeper:
         self.mark: Any = None
         self.kept_at = math.nan
         self.failures = 0
+        self.file_lost = False
         self._identification = identification
         self._source = source
         self._store = store
@@ -75,9 +78,14 @@ class StateKeeper:
         self._packing_s = self._saving_s = 0.0  # last durations: packing one valve, one save
 
     def age_s(self, now: float) -> float:
-        """Time since the last save, s; before the first, since the start; 0 in a preview."""
+        """Time since the last save, s; before the first, since the start; ∞: the file is lost.
+
+        0 in a preview.
+        """
         if self._is_preview:
             return 0.0
+        if self.file_lost:
+            return math.inf
         return now - (self._began if math.isnan(self.kept_at) else self.kept_at)
 
     def states(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
@@ -100,10 +108,17 @@ class StateKeeper:
         StorageError
             naming the file; the states remain in memory.
         """
-        M = self._valves
         await self.settle()
         if self._is_preview:
             return True
+        try:
+            return await self._keep_all(until)
+        except StateFileLost as error:
+            self._begin_again(error)
+            return await self._keep_all(until)
+
+    async def _keep_all(self, until: float) -> bool:
+        M = self._valves
         oldest_first = np.roll(np.arange(M), -self._next).tolist()
         at_once = M if math.isinf(until) else KEPT_AT_ONCE
         for start in range(0, M, at_once):
@@ -149,6 +164,9 @@ class StateKeeper:
             states = [*await self._packed(valves), *self._position(mark)]
             began = self._clock.monotonic()
             await asyncio.to_thread(self._store.save, states)
+        except StateFileLost as error:
+            self._begin_again(error)
+            return
         except StorageError as error:
             self.failures += 1
             log.warning("checkpoint not kept", reason=str(error))
@@ -159,6 +177,14 @@ class StateKeeper:
         self._left_in_round = max(self._left_in_round - len(valves), 0)
         if mark is not None:
             self._source.commit(mark)
+
+    def _begin_again(self, error: StateFileLost) -> None:
+        """Begin a new round: the new file has no state, and no mark may be ahead of one."""
+        self.failures += 1
+        self.file_lost = True
+        self._left_in_round = 0
+        self._turns -= self._valves  # all are due
+        log.error("state file lost", reason=str(error))
 
     async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
         """Pack states into bytes, a few valves at a time, yielding to the event loop."""

@@ -81,10 +81,10 @@ def is_whole(row: Sequence[Any]) -> bool:
     return all(map(isinstance, row, KINDS)) and _checksum(report) == checksum
 
 
-def forget(connection: sqlite3.Connection, before: int) -> None:
-    """Drop rows older than the given time (UTC ns), and the oldest above the limit."""
-    connection.execute("DELETE FROM alarm_change WHERE t < ?", (before,))
-    excess = "SELECT id FROM alarm_change ORDER BY t DESC LIMIT -1 OFFSET ?"
+def forget(connection: sqlite3.Connection, until: int) -> None:
+    """Drop rows up to a number, and the first ones above the limit."""
+    connection.execute("DELETE FROM alarm_change WHERE id <= ?", (until,))
+    excess = "SELECT id FROM alarm_change ORDER BY id DESC LIMIT -1 OFFSET ?"
     connection.execute(f"DELETE FROM alarm_change WHERE id IN ({excess})", (MOST_CHANGES,))  # noqa: S608
 
 

@@ -1,14 +1,17 @@
 """The newest state of every estimator, in one SQLite file."""
 
-import hashlib
+import os
 import sqlite3
-from collections.abc import Sequence
-from contextlib import closing, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple, Self
 
+from valvemap.errors import StateFileLost
+from valvemap.pipeline.meaning import digest_of
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.storage import checkpoint_rows as rows_of
+from valvemap.storage.checkpoint_rows import APPLICATION_ID, SCHEMA_VERSION, Row, SetAside
 from valvemap.storage.closing import Closing
 from valvemap.storage.sqlite_files import (
     check_owner,
@@ -20,40 +23,13 @@ from valvemap.storage.sqlite_files import (
     text,
     transaction,
 )
-
-APPLICATION_ID = 0x76_6D_61_70  # "vmap"
-SCHEMA_VERSION = 2
+from valvemap.storage.state_lock import FileLock, is_at
 
 LOG = "the log of the last save"
+MOST_ASIDE = 8  # states set aside of one valve and estimator; the oldest are deleted
 
-_COLUMNS = "valve, estimator, generation, saved, key, t, state, lam, frozen, digest"
-_SELECT = f"SELECT {_COLUMNS} FROM checkpoint"  # noqa: S608 - constant
-_ROW = f"{_SELECT} WHERE rowid = ?"
-_INSERT = f"INSERT OR REPLACE INTO checkpoint ({_COLUMNS}) VALUES ({', '.join('?' * 10)})"  # noqa: S608
-_DIGEST_BYTES = 16
 _SMALLEST_BYTES = 512  # of any SQLite file
 _LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes, of a write-ahead log
-_MOST_ROWS = 1_000_000  # limit on the row ids tried in a damaged file
-_SCHEMA = (
-    """
-    CREATE TABLE checkpoint (
-        valve TEXT NOT NULL,
-        estimator TEXT NOT NULL,
-        generation INTEGER NOT NULL,
-        saved INTEGER NOT NULL,
-        key TEXT NOT NULL,
-        t INTEGER NOT NULL,
-        state BLOB NOT NULL,
-        lam REAL,
-        frozen INTEGER NOT NULL,
-        digest BLOB NOT NULL,
-        PRIMARY KEY (valve, estimator, generation)
-    )
-    """,
-    f"PRAGMA application_id = {APPLICATION_ID}",
-    f"PRAGMA user_version = {SCHEMA_VERSION}",
-)
-_TABLES = frozenset({"checkpoint"})
 
 
 class CheckpointFile(Closing):
@@ -68,6 +44,13 @@ class CheckpointFile(Closing):
     of the newest one is wrong, the previous generation is loaded. A damaged file is set aside and
     its readable rows are copied to a new one. A file of another format is set aside, too.
 
+    The file is used by one process at a time: a second one is rejected. Each save checks that the
+    file is still the one that was opened. If it was removed, replaced, or its volume unmounted, a
+    new file is opened at the path and the save raises StateFileLost: the caller then saves all.
+
+    Each row carries the meaning of its state: nodes, units and accuracy of the valve's signals.
+    States that no longer fit the configuration are set aside in the same file.
+
     May be used from any thread, by one at a time.
 
     Parameters
@@ -81,6 +64,8 @@ class CheckpointFile(Closing):
     ----------
     set_aside : Path or None
         Where a damaged file, or one of another format, was moved on opening; the caller reports it.
+    renewed : int
+        How often the file was found lost, and opened again.
     damaged : list of str
         ``<Valve>.<Estimator>`` whose newest state was damaged at `load`; LOG if the log had more
         frames than could be read, because of a kill during a save, or of damage.
@@ -89,7 +74,9 @@ class CheckpointFile(Closing):
     ------
     StorageError
         from every method, in one line that names the file: it cannot be written, is locked, full,
-        or belongs to another program or to a newer version.
+        belongs to another program or to a newer version, or is in use by another process.
+    StateFileLost
+        from `save` and `put_aside`: nothing was saved, and a new file is in place.
 
     Examples
     --------
@@ -105,45 +92,87 @@ class CheckpointFile(Closing):
     def __init__(self, path: str | Path, timeout: float = 5.0) -> None:
         self.path = Path(path)
         self.set_aside: Path | None = None
-        self._log_was_torn = False
+        self.renewed = 0
         self.damaged: list[str] = []
-        self._lock = Lock()
-        self._generations: dict[tuple[str, str], int] = {}  # the newest generation
+        self._timeout = timeout
+        self._log_was_torn = False
         self._saved = 0
+        self._generations: dict[tuple[str, str], int] = {}  # the newest generation
+        self._meanings: dict[str, str] = {}  # texts in the file, by digest
+        self._identity = ""
+        self._place: os.stat_result | None = None
+        self._lock = Lock()
         with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            frames = _frames_in_log(self.path)
+            self._in_use = FileLock(self.path)
             try:
-                if self.path.is_file() and self.path.stat().st_size < _SMALLEST_BYTES:
-                    raise damage("it is cut short")
-                self._connection = _open(self.path, timeout)
-                self._log_was_torn = _fold_log(self._connection) < frames
-            except sqlite3.DatabaseError as error:
-                if not is_damage(error):
-                    raise
-                self.set_aside = set_aside(self.path)
-                self._connection = _open(self.path, timeout)
-                with suppress(sqlite3.Error), transaction(self._connection):
-                    self._connection.executemany(_INSERT, _salvaged(self.set_aside))
-            rows = self._rows()
-        self._saved = max((row.saved for row in rows), default=0)
-        for row in sorted(rows, key=lambda row: row.saved):
-            self._generations[row.valve, row.estimator] = row.generation
+                self._open()
+            except BaseException:
+                self._in_use.close()
+                raise
 
     def save(self, checkpoints: Sequence[Checkpoint]) -> None:
         """Store all checkpoints or none; each replaces that of the same valve and estimator."""
         with self._lock, naming(self.path):
+            self._check_place()
             saved = self._saved + 1
-            rows = [_Row.of(c, 1 - self._generations.get(_name(c), 1), saved) for c in checkpoints]
+            rows = [Row.of(c, 1 - self._generations.get(_name(c), 1), saved) for c in checkpoints]
+            meanings = self._new_meanings(checkpoints)
             self._connection.execute("PRAGMA synchronous = OFF")  # _fold_log waits for the disk
             try:
                 with transaction(self._connection):
-                    self._connection.executemany(_INSERT, rows)
+                    self._connection.executemany(rows_of.INSERT_MEANING, meanings.items())
+                    self._connection.executemany(rows_of.INSERT, rows)
             finally:
                 self._connection.execute("PRAGMA synchronous = NORMAL")
             _fold_log(self._connection)
             self._saved = saved
-            self._generations.update(((r.valve, r.estimator), r.generation) for r in rows)
+            self._meanings.update(meanings)
+            self._generations.update((r.name, r.generation) for r in rows)
+
+    def put_aside(
+        self,
+        aside: Sequence[tuple[Checkpoint, str]],
+        moved: Mapping[tuple[str, str], tuple[str, str]],
+    ) -> None:
+        """Keep checkpoints that are not restored, with their reasons; and rename others.
+
+        ``moved`` maps (valve, estimator) to its new name. The newest MOST_ASIDE states of a name
+        are kept aside.
+        """
+        if not aside and not moved:
+            return
+        with self._lock, naming(self.path):
+            self._check_place()
+            meanings = self._new_meanings([one for one, _ in aside])
+            rows = self._rows()
+            gone = {_name(one) for one, _ in aside} | moved.keys()
+            put = [
+                row._replace(valve=moved[row.name][0], estimator=moved[row.name][1]).signed()
+                for row in rows
+                if row.name in moved and row.is_whole()
+            ]
+            with transaction(self._connection):
+                self._connection.executemany(rows_of.INSERT_MEANING, meanings.items())
+                for one, reason in aside:
+                    row = Row.of(one, 0, self._saved)
+                    self._connection.execute(rows_of.INSERT_ASIDE, (*row, reason))
+                self._connection.executemany(rows_of.DELETE, sorted(gone))
+                self._connection.executemany(rows_of.INSERT, put)
+                self._forget_oldest()
+                self._connection.execute(rows_of.FORGET_MEANINGS)
+            _fold_log(self._connection)
+            self._read()
+
+    def aside(self) -> list[SetAside]:
+        """Return the states that are set aside, the oldest first."""
+        with self._lock, naming(self.path):
+            return rows_of.aside_in(self._connection, self._meanings)
+
+    def forget_aside(self, numbers: Sequence[int]) -> None:
+        """Delete states that are set aside, by their numbers."""
+        with self._lock, naming(self.path), transaction(self._connection):
+            self._connection.executemany(rows_of.DELETE_ASIDE, [(n,) for n in numbers])
 
     def load(self) -> list[Checkpoint]:
         """Return the newest valid checkpoint of each (valve, estimator), in order of the names.
@@ -157,26 +186,97 @@ class CheckpointFile(Closing):
             f"{row.valve}.{row.estimator}"
             for row in rows
             if not row.is_whole()
-            and not any(_name(other) == _name(row) and other.saved > row.saved for other in whole)
+            and not any(other.name == row.name and other.saved > row.saved for other in whole)
         )
         if self._log_was_torn:
             self.damaged.append(LOG)
         hurt = {name.partition(".")[0] for name in self.damaged}
         until = {
             valve: min(
-                max((r.saved for r in whole if _name(r) == name), default=self._saved)
-                for name in {_name(r) for r in whole if r.valve == valve}
+                max((r.saved for r in whole if r.name == name), default=self._saved)
+                for name in {r.name for r in whole if r.valve == valve}
             )
             for valve in hurt & {row.valve for row in whole}
         }
-        newest: dict[tuple[str, str], _Row] = {}
+        newest: dict[tuple[str, str], Row] = {}
         for row in sorted(whole, key=lambda row: row.saved):
-            if row.saved <= until.get(row.valve, row.saved) or _name(row) not in newest:
-                newest[_name(row)] = row
-        return [newest[name].checkpoint() for name in sorted(newest)]
+            if row.saved <= until.get(row.valve, row.saved) or row.name not in newest:
+                newest[row.name] = row
+        return [newest[name].checkpoint(self._meanings) for name in sorted(newest)]
 
-    def _rows(self) -> "list[_Row]":
-        return [_Row(*row) for row in self._connection.execute(_SELECT).fetchall()]
+    def _open(self) -> None:
+        """Open the file at the path; set a damaged one aside and copy its readable rows."""
+        frames = _frames_in_log(self.path)
+        try:
+            if self.path.is_file() and self.path.stat().st_size < _SMALLEST_BYTES:
+                raise damage("it is cut short")
+            self._connection = _open(self.path, self._timeout)
+            self._log_was_torn = _fold_log(self._connection) < frames
+        except sqlite3.DatabaseError as error:
+            if not is_damage(error):
+                raise
+            self.set_aside = set_aside(self.path)
+            self._connection = _open(self.path, self._timeout)
+            rows, meanings = rows_of.salvaged(self.set_aside)
+            with suppress(sqlite3.Error), transaction(self._connection):
+                self._connection.executemany(rows_of.INSERT_MEANING, meanings.items())
+                self._connection.executemany(rows_of.INSERT, rows)
+        self._place, self._identity = self.path.stat(), rows_of.identity_in(self._connection)
+        self._read()
+
+    def _read(self) -> None:
+        """Read which rows and meanings there are."""
+        rows = self._rows()
+        self._saved = max((row.saved for row in rows), default=0)
+        self._generations = {
+            row.name: row.generation for row in sorted(rows, key=lambda row: row.saved)
+        }
+        self._meanings = rows_of.meanings_in(self._connection)
+
+    def _check_place(self) -> None:
+        """Open a new file if the one at the path is not the one that was opened.
+
+        Raises
+        ------
+        StateFileLost
+            if so.
+        """
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._in_use.check()
+        if self._place is not None and is_at(self.path, self._place):
+            return
+        self._place = None  # until another file is open
+        with suppress(sqlite3.Error):
+            self._connection.close()  # before another file has the name of its log
+        if self.path.exists() and not self._is_own():
+            self.set_aside = set_aside(self.path)
+        self._open()
+        self.renewed += 1
+        raise StateFileLost(
+            f"{self.path} was removed or replaced while in use: a new file was made, and all "
+            "states are saved again"
+        )
+
+    def _is_own(self) -> bool:
+        """Whether the file at the path once was this one: a copy, or its volume mounted again."""
+        return rows_of.identity_of(self.path) == self._identity
+
+    def _new_meanings(self, checkpoints: Sequence[Checkpoint]) -> dict[str, str]:
+        """Return the meanings that are not in the file yet, by digest."""
+        texts = {one.meaning for one in checkpoints}
+        by_digest = {digest_of(said): said for said in texts}
+        return {key: said for key, said in by_digest.items() if key not in self._meanings}
+
+    def _forget_oldest(self) -> None:
+        """Delete the oldest states aside, beyond MOST_ASIDE of a name."""
+        names: dict[tuple[str, str], list[int]] = {}
+        for number, *row in self._connection.execute(rows_of.SELECT_ASIDE).fetchall():
+            names.setdefault((row[0], row[1]), []).append(number)
+        old = [(number,) for numbers in names.values() for number in numbers[:-MOST_ASIDE]]
+        self._connection.executemany(rows_of.DELETE_ASIDE, old)
+
+    def _rows(self) -> list[Row]:
+        return [Row(*row) for row in self._connection.execute(rows_of.SELECT).fetchall()]
 
     @property
     def size(self) -> int:
@@ -185,75 +285,14 @@ class CheckpointFile(Closing):
         return sum(part.stat().st_size for part in parts if part.exists())
 
     def close(self) -> None:
-        """Checkpoint the log and close the file; safe to call twice."""
+        """Checkpoint the log, close the file and release it; safe to call twice."""
         with self._lock, naming(self.path):
             self._connection.close()
+            self._in_use.close()
 
 
-class _Row(NamedTuple):
-    """One row; a damaged row may hold any values."""
-
-    valve: str
-    estimator: str
-    generation: int
-    saved: int
-    key: str
-    t: int
-    state: bytes
-    lam: float | None
-    frozen: int
-    digest: bytes
-
-    @classmethod
-    def of(cls, c: Checkpoint, generation: int, saved: int) -> Self:
-        row = cls(
-            c.valve,
-            c.estimator,
-            generation,
-            saved,
-            c.key,
-            c.t,
-            c.state,
-            c.lam,
-            int(c.frozen),
-            b"",
-        )
-        return row._replace(digest=row._digest())
-
-    def is_whole(self) -> bool:
-        return isinstance(self.state, bytes) and self.digest == self._digest()
-
-    def checkpoint(self) -> Checkpoint:
-        return Checkpoint(
-            self.valve, self.estimator, self.key, self.t, self.state, self.lam, bool(self.frozen)
-        )
-
-    def _digest(self) -> bytes:
-        said = repr((*self[:6], self.lam, self.frozen)).encode("utf-8", "replace")
-        digest = hashlib.blake2b(said, digest_size=_DIGEST_BYTES)
-        digest.update(self.state)
-        return digest.digest()
-
-
-def _name(thing: Checkpoint | _Row) -> tuple[str, str]:
-    return thing.valve, thing.estimator
-
-
-def _salvaged(path: Path) -> list[_Row]:
-    """Return the rows of a damaged file that are readable and have a valid digest."""
-    rows = []
-    try:
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as damaged:
-            damaged.text_factory = text
-            (last,) = damaged.execute("SELECT max(rowid) FROM checkpoint").fetchone()
-            for number in range(1, min(last or 0, _MOST_ROWS) + 1):
-                with suppress(sqlite3.Error):
-                    found = damaged.execute(_ROW, (number,)).fetchone()
-                    if found is not None and _Row(*found).is_whole():
-                        rows.append(_Row(*found))
-    except (sqlite3.Error, TypeError):
-        pass
-    return rows
+def _name(one: Checkpoint) -> tuple[str, str]:
+    return one.valve, one.estimator
 
 
 def _frames_in_log(path: Path) -> int:
@@ -285,8 +324,10 @@ def _open(path: Path, timeout: float) -> sqlite3.Connection:
         connection.execute("PRAGMA synchronous = NORMAL")
         with transaction(connection):
             if pragma(connection, "application_id") == 0:
-                for statement in _SCHEMA:
+                for statement in rows_of.SCHEMA:
                     connection.execute(statement)
+            elif pragma(connection, "user_version") < SCHEMA_VERSION:
+                rows_of.migrate(connection)
     except BaseException:
         connection.close()
         raise
@@ -295,9 +336,9 @@ def _open(path: Path, timeout: float) -> sqlite3.Connection:
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:
     """Raise if the file belongs to another program, before it is changed."""
-    is_new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION, _TABLES)
+    is_new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION, rows_of.TABLES)
     version = pragma(connection, "user_version")
-    if not is_new and version < SCHEMA_VERSION:
+    if not is_new and version < rows_of.OLDEST_VERSION:
         raise damage(f"it is of format {version}, this one writes {SCHEMA_VERSION}")
     (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if verdict != "ok":

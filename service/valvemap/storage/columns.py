@@ -15,9 +15,10 @@ from valvemap.clock import utc_ns
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage.dates import DateForm, date_nanoseconds, is_ambiguous
 from valvemap.storage.layout import REQUIRED
+from valvemap.vocabulary.signals import OPTIONAL
 from valvemap.vocabulary.statuses import Quality
 
-COLUMNS = (*REQUIRED, "T", "valve", "quality")
+COLUMNS = (*REQUIRED, *OPTIONAL, "valve", "quality")
 
 NANOSECONDS_FROM = 10**15
 ALLOWED_TIME = (
@@ -30,6 +31,8 @@ ALLOWED_VALVE = "a name"
 
 _FRACTION = re.compile(r"[.,](\d+)")
 _EXACT_SECONDS = 1e6  # below, doubles still resolve 1 ns
+_EXACT_INTEGERS = 2.0**53  # below, doubles are exact integers
+_NANO = 9  # decimals of a second in ns
 _SMALLEST, _LARGEST = -(2**63) + 1, 2**63 - 1  # -2**63 is NaT elsewhere
 
 
@@ -95,14 +98,30 @@ def times_of_integers(values: NDArray[np.int64]) -> Times:
 
 
 def times_of_floats(values: Floats) -> Times:
-    """Return UTC ns from doubles: those of at least 1e15 are ns, the others seconds."""
+    """Return UTC ns from doubles: those of at least 1e15 are ns, the others seconds.
+
+    Seconds count as their shortest decimal, so that they are those of :func:`times`.
+
+    >>> times_of_floats(np.array([0.01, 1_700_000_000.123])).tolist()
+    [10000000, 1700000000123000000]
+    """
     is_ns = values >= NANOSECONDS_FROM
     limit = np.where(is_ns, 2.0**63, _LARGEST // 10**9)
     _refuse_times(~(np.abs(values) < limit), values)
+    ns = np.where(is_ns, values, 0.0).astype(np.int64)
     seconds = np.where(is_ns, 0.0, values)
-    whole = np.floor(seconds)
-    ns = whole.astype(np.int64) * 10**9 + np.rint((seconds - whole) * 1e9).astype(np.int64)
-    return np.where(is_ns, np.where(is_ns, values, 0.0).astype(np.int64), ns)
+    ns[~is_ns] = np.rint(np.where(np.abs(seconds) < _EXACT_SECONDS, seconds, 0.0) * 1e9)[~is_ns]
+    left = np.flatnonzero(np.abs(seconds) >= _EXACT_SECONDS)
+    for decimals in range(_NANO + 1):
+        if not len(left):
+            break
+        scaled = np.rint(values[left] * 10.0**decimals)
+        exact = (np.abs(scaled) < _EXACT_INTEGERS) & (scaled / 10.0**decimals == values[left])
+        ns[left[exact]] = scaled[exact].astype(np.int64) * 10 ** (_NANO - decimals)
+        left = left[~exact]
+    for row in left.tolist():
+        ns[row] = int((Decimal(repr(float(values[row]))) * 10**9).to_integral_value())
+    return ns
 
 
 def qualities(cells: Sequence[str]) -> Codes:

@@ -7,20 +7,21 @@ import lzma
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO, BinaryIO, cast
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError, ValvemapError
 from valvemap.model.samples import Codes, Floats, Samples, Times
-from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
+from valvemap.storage.csv_cells import Cells, TextCells, with_points
 from valvemap.storage.dates import DateForm, date_form
 from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
 from valvemap.storage.layout import (
@@ -33,6 +34,10 @@ from valvemap.storage.layout import (
     with_p2,
 )
 from valvemap.storage.long_format import MOST_ROWS, LongColumns, long_columns, pivot
+from valvemap.vocabulary.signals import MEASURED
+
+if TYPE_CHECKING:
+    from valvemap.storage.arrow_csv import ArrowParser
 
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 
@@ -50,6 +55,8 @@ _BLOCK = 2_048  # lines; their cells fit in the CPU cache, nearly twice as fast
 
 Rows = list[list[str]]
 Block = tuple[Samples, NDArray[np.intp]]
+Chunk = tuple[list[Block], RecordingError | None]  # parsed, and the error behind it
+T = TypeVar("T")
 
 
 class CsvReader:
@@ -83,10 +90,10 @@ class CsvReader:
         with _Faults(path, lambda: 0):
             peeked += islice(self._text, max(_PEEKED - len(peeked), 0))
         self._skipped = skipped
-        lines = chain(peeked, self._text)
-        self._lines = csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
+        self._lines = chain(peeked, self._text)
         place = self._columns.parts[0].t if self._long is None else self._long.time
         self._dates = self._date_form(peeked[:_PEEKED], place)
+        self._arrow = self._parser(peeked[:_PEEKED])
 
     @property
     def fraction(self) -> float:
@@ -137,13 +144,14 @@ class CsvReader:
         if time is None or not cells:
             raise refusal
         numbers = {
-            place: columns.numbers(_with_points(cells[place]), self._header[place])
+            place: columns.numbers(with_points(cells[place]), self._header[place])
             for place, is_number in enumerate(numeric)
             if is_number and place != time
         }
         self._dates = date_form(cells[time][:_PEEKED])
         try:
-            times = self._times(cells[time], seconds_per_unit(self._header[time]))
+            texts = TextCells(rows, self._separator, self._dates)
+            times = texts.times(time, seconds_per_unit(self._header[time]))
         except CellError:
             raise refusal from None
         begins = Beginning(self._path, self._header, numbers, time, times)
@@ -186,44 +194,82 @@ class CsvReader:
         if self._long is not None:
             yield from self._pivoted(self._long)
             return
+        for blocks, problem in self._parsed_lines():
+            if blocks:
+                samples, index = zip(*blocks, strict=True)
+                whole = Samples.concatenate(samples)
+                yield from columns.by_valve(whole, list(self._valves), np.concatenate(index))
+            if problem is not None:
+                raise problem
+
+    def _parsed_lines(self) -> Iterator[Chunk]:
+        """Yield chunks of lines, parsed by Arrow as long as no cell is quoted."""
+        while self._arrow is not None:
+            lines: list[str] = []
+            problem = self._taken(self._lines, lines, self._rows, self._at(lines))
+            text = "".join(lines)
+            if '"' in text:  # a quoted cell may go over several lines, and chunks
+                self._lines = chain(lines, self._lines if problem is None else _raising(problem))
+                break
+            before, self._skipped = self._skipped, self._skipped + len(lines)
+            blocks = self._parsed_by_arrow(self._arrow, lines, text)
+            if blocks is None:
+                yield from self._parsed_text(lines, before)
+            yield blocks or [], problem
+            if len(lines) < self._rows:
+                return
+        yield from self._parsed_text(self._lines, self._skipped)
+
+    def _parsed_by_arrow(
+        self, arrow: "ArrowParser", lines: Sequence[str], text: str
+    ) -> list[Block] | None:
+        """Return the blocks of lines; None if they must be parsed as text."""
+        if max(map(len, lines), default=0) > csv.field_size_limit():
+            return None
+        cells = arrow.parsed(text)
+        try:
+            return None if cells is None else list(self._blocks(cells))
+        except CellError:
+            return None
+
+    def _parsed_text(self, lines: Iterable[str], skipped: int) -> Iterator[Chunk]:
+        """Yield chunks of lines as text; ``skipped`` is the number of lines before them."""
+        reader = self._reader(lines)
         more, problem = True, None
         while more:
             blocks: list[Block] = []
             left = self._rows
             while more and left:
-                limit, before = min(left, _BLOCK), self._lines.line_num + self._skipped
-                rows, problem = self._read(limit)
+                limit, before = min(left, _BLOCK), reader.line_num + skipped
+                rows: Rows = []
+                problem = self._taken(reader, rows, limit, lambda: reader.line_num + skipped)
                 blocks += self._parsed(rows, before)
                 left -= len(rows)
                 more = len(rows) == limit and problem is None
-            if blocks:
-                samples, index = zip(*blocks, strict=True)
-                whole = Samples.concatenate(samples)
-                yield from columns.by_valve(whole, list(self._valves), np.concatenate(index))
-        if problem is not None:
-            raise problem
+            yield blocks, problem
 
     def _pivoted(self, place: LongColumns) -> Iterator[tuple[str, Samples]]:
         """Yield the samples of a file in long format, sorted by time."""
         times, tags, values = list[Times](), list[int](), list[Floats]()
         known: dict[str, int] = {}
         unit = seconds_per_unit(self._header[place.time])
+        reader = self._reader(self._lines)
         problem, more = None, True
         while more:
-            before = self._lines.line_num + self._skipped
-            rows, problem = self._read(_BLOCK)
+            before, rows = reader.line_num + self._skipped, list[list[str]]()
+            problem = self._taken(reader, rows, _BLOCK, lambda: reader.line_num + self._skipped)
             more = len(rows) == _BLOCK and problem is None
             lines: Sequence[int] = range(before + 1, before + 1 + len(rows))
             lines, rows = self._without_blank_lines(lines, rows)
-            cells = list(zip(*rows, strict=True))
-            if not cells:
+            if not rows:
                 continue
+            cells = TextCells(rows, self._separator, self._dates)
             try:
-                times.append(self._times(cells[place.time], unit))
-                values.append(self._numbers(cells[place.value], self._header[place.value]))
+                times.append(cells.times(place.time, unit))
+                values.append(cells.numbers(place.value, self._header[place.value]))
             except CellError as error:
                 raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
-            tags += [known.setdefault(tag, len(known)) for tag in cells[place.tag]]
+            tags += [known.setdefault(row[place.tag], len(known)) for row in rows]
             if len(tags) > MOST_ROWS:
                 raise RecordingError(f"{self._path}: more than {MOST_ROWS:,} rows in long format")
         if problem is not None:
@@ -249,15 +295,24 @@ class CsvReader:
                 some = {name: values_[rows_] for name, values_ in own.items()}
                 yield str(part.valve or DEFAULT_VALVE), with_p2(t[rows_], None, some)
 
-    def _read(self, limit: int) -> tuple[Rows, RecordingError | None]:
-        """Return up to ``limit`` lines, and the error that stopped reading, if any."""
-        rows: Rows = []
+    def _reader(self, lines: Iterable[str]) -> Any:  # noqa: ANN401 - the class has no public name
+        return csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
+
+    def _at(self, lines: Sequence[str]) -> Callable[[], int]:
+        """Return the number of the last line that was read."""
+        before = self._skipped
+        return lambda: before + len(lines)
+
+    def _taken(
+        self, items: Iterator[T], taken: list[T], limit: int, line: Callable[[], int]
+    ) -> RecordingError | None:
+        """Append up to ``limit`` items, and return the error that stopped reading, if any."""
         try:
-            with _Faults(self._path, lambda: self._lines.line_num + self._skipped):
-                rows.extend(islice(self._lines, limit))  # keeps the lines before an error
+            with _Faults(self._path, line):
+                taken.extend(islice(items, limit))  # keeps those before an error
         except RecordingError as error:
-            return rows, error
-        return rows, None
+            return error
+        return None
 
     def _parsed(self, rows: Rows, before: int) -> list[Block]:
         """Return samples and their valves' numbers; none if all lines are blank."""
@@ -266,19 +321,18 @@ class CsvReader:
             lines, rows = self._without_blank_lines(lines, rows)
         if not rows:
             return []
-        cells = list(zip(*rows, strict=True))
         try:
-            return list(self._blocks(cells))
+            return list(self._blocks(TextCells(rows, self._separator, self._dates)))
         except CellError as error:
             raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
 
-    def _blocks(self, cells: Sequence[Sequence[str]]) -> Iterator[Block]:
+    def _blocks(self, cells: Cells) -> Iterator[Block]:
         """Yield the samples of every part of the file, and their valves' numbers."""
         found = self._columns
-        quality = None if found.quality is None else columns.qualities(cells[found.quality])
+        quality = None if found.quality is None else cells.qualities(found.quality)
         names, index = None, None
         if found.valve is not None:
-            names, index = columns.names(cells[found.valve])
+            names, index = cells.names(found.valve)
         for part in found.parts:
             samples = self._samples(part, cells, quality)
             if part.valve is None and names is not None and index is not None:
@@ -293,35 +347,31 @@ class CsvReader:
             number = self._valves.setdefault(valve, len(self._valves))
             yield samples, np.full(len(samples), number, np.intp)
 
-    def _samples(
-        self, part: Part, cells: Sequence[Sequence[str]], quality: Codes | None
-    ) -> Samples:
+    def _samples(self, part: Part, cells: Cells, quality: Codes | None) -> Samples:
         numbers = {
-            name: scaling(self._numbers(cells[place], name))
+            name: scaling(cells.numbers(place, name))
             for name, (place, scaling) in part.numbers.items()
         }
-        return with_p2(self._times(cells[part.t], part.seconds), quality, numbers)
+        return with_p2(cells.times(part.t, part.seconds), quality, numbers)
 
-    def _numbers(self, cells: Sequence[str], name: str) -> Floats:
-        if self._separator != ",":
-            return columns.numbers(_with_points(cells), name)
-        try:
-            return columns.numbers(cells, name)
-        except CellError:  # a quoted decimal comma
-            if not any("," in cell for cell in cells):
-                raise
-            return columns.numbers(_with_points(cells), name)
+    def _parser(self, peeked: Sequence[str]) -> "ArrowParser | None":
+        """Return Arrow's parser for the file, if it reads its first lines."""
+        found = self._columns
+        if self._long is not None or find_spec("pyarrow") is None:
+            return None
+        from valvemap.storage.arrow_csv import ArrowParser  # noqa: PLC0415 - an extra, and large
 
-    def _times(self, cells: Sequence[str], seconds: float = 1.0) -> Times:
-        if seconds != 1.0:
-            found = self._numbers(cells, "t")
-            if not np.isfinite(found).all():
-                row = int(np.argmax(~np.isfinite(found)))
-                raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)
-            return np.rint(found * (seconds * 1e9)).astype(np.int64)
-        if self._separator == "," and not any("," in cell for cell in cells):
-            return columns.times(cells, self._dates)
-        return columns.times(_with_points(cells), self._dates)
+        scaled = {part.t for part in found.parts if part.seconds != 1.0}
+        places = {place for part in found.parts for place, _ in part.numbers.values()}
+        return ArrowParser.of(
+            peeked,
+            len(self._header),
+            self._separator,
+            self._dates,
+            numbers=places | scaled,
+            texts={place for place in (found.valve, found.quality) if place is not None},
+            times={part.t for part in found.parts} - scaled,
+        )
 
     def _without_blank_lines(
         self, numbers: Sequence[int], rows: Rows
@@ -424,8 +474,10 @@ def _unpacked(raw: BinaryIO, packing: str) -> IO[bytes]:
             return raw
 
 
-def _with_points(cells: Sequence[str]) -> list[str]:
-    return [cell.replace(",", ".") for cell in cells]
+def _raising(problem: RecordingError) -> Iterator[str]:
+    """Raise when the first line is asked for."""
+    raise problem
+    yield ""
 
 
 def _encoding(beginning: bytes) -> str:

@@ -2,22 +2,21 @@
 
 import sqlite3
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from threading import Lock
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.ports import AlarmChange, Past, Piece
-from valvemap.storage import alarm_changes
+from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
-from valvemap.storage.history_blocks import CODES, Examined, T, examine, insert, pack, unpack
-from valvemap.storage.history_mending import Taken, check_blocks, take_over
+from valvemap.storage.history_blocks import CODES, T, unpack
+from valvemap.storage.history_mending import check_blocks, take_over
+from valvemap.storage.history_order import in_order, joined, nothing
 from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
+from valvemap.storage.history_series import SeriesWriter
 from valvemap.storage.sqlite_files import (
     SALVAGING,
     is_damage,
@@ -29,35 +28,20 @@ from valvemap.storage.sqlite_files import (
     transaction,
 )
 
-BLOCK: Final = 4_096  # rows of a full block: 41 s at 100 Hz, 32 kB per column
 AT_START_S: Final = 1.0  # s; time for checks and copies during the start
 IN_TURN_S: Final = 0.1  # s; time for the remaining ones after each save, once a second
+MEASURED_S: Final = 3_600.0  # s of writing from which the file's rate of growth is known
 AGAIN_S: Final = 60.0  # s; shortest time between two files set aside
 _PAGES_AT_ONCE = 1_000  # freed in one step
-_SMALL = """
-    SELECT id, rows FROM block WHERE series = :series AND first > ifnull(
-        (SELECT max(last) FROM block WHERE series = :series AND rows >= :full), -9223372036854775808
-    ) ORDER BY first
-"""  # blocks after the last full one
-
 Result = TypeVar("Result")
-
-
-@dataclass
-class _Series:
-    """The write state of a series: its number, its last row and its small blocks."""
-
-    number: int
-    last: int
-    small: list[int] = field(default_factory=list)
-    rows: int = 0
 
 
 class HistoryFile(Closing):
     """Stores pieces of series and reads them back.
 
-    A series is a table of successive rows: a time, a status code and value columns. Rows are saved
-    in order of time; a row that is not newer than the last of its series is left out. A save is
+    A series is a table of rows: a time, a status code and value columns. Rows may come late: they
+    are read in order of time. A row that is stored already is left out; one that differs from the
+    stored row of its time is left out and counted as lost. A save is
     one transaction, so a kill loses only unsaved rows. Small blocks are joined, so that a day at
     100 Hz is 211 blocks.
 
@@ -73,7 +57,7 @@ class HistoryFile(Closing):
     path
         The file; it and its folder are created if missing.
     keep_s
-        Age at which rows are dropped, block by block, s.
+        Age at which rows are dropped, block by block, s; rows age while the file is open.
     most_bytes
         Maximum size of the file; the oldest blocks are dropped first.
     mends
@@ -87,7 +71,8 @@ class HistoryFile(Closing):
     size : int
         Bytes in use after the last save; reading it needs no disk access.
     lost : int
-        Rows known to be lost by damage; a row with one lost column is included.
+        Rows known to be lost: by damage (a row with one lost column is included), or left out
+        because others of their time are stored.
 
     Raises
     ------
@@ -116,8 +101,9 @@ class HistoryFile(Closing):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = Path(path)
-        self.lost = 0
-        self._keep_ns, self._most_bytes = round(keep_s * 1e9), most_bytes
+        self._lost = 0
+        self._rows: SeriesWriter
+        self._keep_s, self._most_bytes = keep_s, most_bytes
         self._writing, self._reading = Lock(), Lock()
         self._mends, self._clock = mends, clock
         self._notes: list[str] = []
@@ -136,8 +122,8 @@ class HistoryFile(Closing):
             self.size = self._bytes()
 
     def save(self, pieces: Iterable[Piece]) -> int:
-        """Store all pieces or none; return how many values were left out as not newer."""
-        return self._write(lambda: sum([self._append(piece) for piece in pieces]))
+        """Store all pieces or none; return how many values were left out as stored already."""
+        return self._write(lambda: sum([self._rows.append(piece) for piece in pieces]))
 
     def read(
         self,
@@ -153,18 +139,20 @@ class HistoryFile(Closing):
         """Return rows from ``low`` to ``high`` (UTC ns, both included) after ``skip`` others."""
 
         def find() -> Past:
-            if not self._names.keys() >= {series, column, T, CODES}:
-                return _nothing()
+            if not self._rows.names.keys() >= {series, column, T, CODES}:
+                return nothing()
             found, wanted = [], skip + most
-            for block in self._blocks(self._names[series], low, high, backwards=backwards):
-                past = self._rows_of(block, series, column)
-                inside = slice(*np.searchsorted(past.t, [low, high + 1]).tolist())
-                past = past[inside]
-                found.append(past[::-1] if backwards else past)
-                wanted -= len(found[-1].t)
+            number = self._rows.names[series]
+            blocks = (
+                (first, last, self._rows_between(block, series, column, low, high))
+                for block, first, last in self._blocks(number, low, high, backwards=backwards)
+            )
+            for rows in in_order(blocks, backwards=backwards):
+                found.append(rows)
+                wanted -= len(rows.t)
                 if wanted <= 0:
                     break
-            return _joined(found)[skip : skip + most]
+            return joined(found)[skip : skip + most]
 
         return self._ask(find)
 
@@ -189,14 +177,23 @@ class HistoryFile(Closing):
             )
         )
 
-    def forget(self, now: int) -> int:
-        """Drop blocks that are too old at ``now`` (UTC ns) or exceed the size; return how many."""
+    def forget(self) -> int:
+        """Drop blocks that are too old or exceed the size, in the order in which they were written.
+
+        A block's age is the time that the file was open since it was written: a clock that steps
+        drops nothing. Returns their number.
+        """
 
         def drop() -> int:
-            alarm_changes.forget(self._writer, now - self._keep_ns)
-            dropped = self._drop("last < ?", (now - self._keep_ns,))
+            now_s = self._ran_s + self._clock() - self._opened_at
+            old, dropped = history_age.expired(self._writer, now_s - self._keep_s), 0
+            if old is not None:
+                alarm_changes.forget(self._writer, old.change)
+                dropped = self._rows.drop("id <= ?", (old.block,))
             excess = self._bytes() - self._most_bytes
-            return dropped + (self._drop_oldest(excess) if excess > 0 else 0)
+            dropped += self._rows.drop_oldest(excess) if excess > 0 else 0
+            history_age.mark(self._writer, now_s)
+            return dropped
 
         def give_back() -> None:
             if not self._pages_checked:
@@ -212,6 +209,18 @@ class HistoryFile(Closing):
                 self._mend(error)
             self.size = self._bytes()
         return dropped
+
+    @property
+    def lost(self) -> int:
+        """Rows known to be lost, see the class."""
+        return self._lost + self._rows.lost
+
+    @property
+    def bytes_per_s(self) -> float:
+        """The rate at which the file has grown, per s that it was open; 0 if too short to tell."""
+        with self._writing, naming(self.path):
+            span_s = history_age.ran_s(self._writer) - history_age.since_s(self._writer)
+            return self._bytes() / span_s if span_s >= MEASURED_S else 0.0
 
     def take_notes(self) -> list[str]:
         """Return the messages on damage since the last call."""
@@ -236,7 +245,7 @@ class HistoryFile(Closing):
                 if isinstance(error, sqlite3.DatabaseError) and is_damage(error):
                     self._mend(error)
                 else:
-                    self._remember()
+                    self._rows.reload()
                 raise
             self._work(IN_TURN_S)
             self.size = self._bytes()
@@ -257,19 +266,23 @@ class HistoryFile(Closing):
                 return work()
 
     def _open(self) -> None:
+        if self._opened:
+            self._lost += self._rows.lost
         self._writer = _open(self.path)
+        self._rows = SeriesWriter(self._writer)
         self._reader = sqlite3.connect(self.path, check_same_thread=False)
         self._reader.text_factory = text
         self._opened += 1
         self._is_open = True
+        self._ran_s, self._opened_at = history_age.ran_s(self._writer), self._clock()
         self._pages_checked = self.path.stat().st_size <= CHECKED_AT_ONCE
         self._begin_chores()
 
     def _begin_chores(self) -> None:
         self._chores.close()
-        self.lost, self._recounted = self.lost - self._recounted, 0
+        self._lost, self._recounted = self._lost - self._recounted, 0
         self._finished.clear()
-        self._remember()
+        self._rows.reload()
         self._chores = self._waiting()
 
     def _close(self) -> None:
@@ -277,11 +290,6 @@ class HistoryFile(Closing):
         if self._opened:
             self._writer.close()
             self._reader.close()
-
-    def _remember(self) -> None:
-        """Load names and series from the file."""
-        self._names = dict(self._writer.execute("SELECT name, id FROM name").fetchall())
-        self._series = self._known_series()
 
     def _mend(self, error: sqlite3.Error) -> None:
         """Set a damaged file aside and create a new one.
@@ -330,32 +338,25 @@ class HistoryFile(Closing):
     def _waiting(self) -> Generator[None]:
         """Check each block, then copy the readable blocks of files set aside."""
         dropped = 0
-        for lost in check_blocks(self._writer, self._names):
+        for lost in check_blocks(self._writer, self._rows.names):
             if lost:
-                self.lost, dropped = self.lost + lost, dropped + lost
-                self._series = self._known_series()
+                self._lost, dropped = self._lost + lost, dropped + lost
+                self._rows.reload_series()
             yield
         if dropped:
             self._notes.append(f"{self.path}: columns of {dropped:,} rows are damaged and dropped")
         for marker, damaged in _set_aside_before(self.path):
             kept = lost = 0
-            for taken in take_over(self._writer, damaged, self._number):
+            for taken in take_over(self._writer, damaged, self._rows.number):
                 kept, lost = kept + taken.rows, lost + taken.lost
-                self.lost, self._recounted = self.lost + taken.lost, self._recounted + taken.lost
+                self._lost, self._recounted = self._lost + taken.lost, self._recounted + taken.lost
                 if taken.rows:
-                    self._continue(taken)
+                    self._rows.resume_after(taken)
                 yield
             self._notes.append(
                 f"{damaged.name}: {kept:,} rows are copied; {lost:,} rows lack columns or all"
             )
             self._finished.append(marker)
-
-    def _continue(self, taken: Taken) -> None:
-        """Continue a series after a block copied from a damaged file."""
-        series = self._series.setdefault(
-            taken.series, _Series(self._number(taken.series), taken.last)
-        )
-        series.last = max(series.last, taken.last)
 
     def _bytes(self) -> int:
         pages, free, page = (
@@ -363,140 +364,31 @@ class HistoryFile(Closing):
         )
         return (pages - free) * page
 
-    def _append(self, piece: Piece) -> int:
-        """Write a piece as a block, and join small blocks when they fill a large one."""
-        series = self._series.get(piece.series)
-        if series is None:
-            series = self._series[piece.series] = _Series(self._number(piece.series), -(2**63))
-        ordered = np.maximum.accumulate(np.append(series.last, piece.t))
-        newer = piece.t > ordered[:-1]
-        t = piece.t[newer]
-        if len(t):
-            columns: dict[str, NDArray[Any]] = {T: t, CODES: piece.codes[newer]}
-            columns |= {name: values[newer] for name, values in piece.columns.items()}
-            series.small.append(self._insert(piece.series, columns))
-            series.last, series.rows = int(t[-1]), series.rows + len(t)
-            if series.rows >= BLOCK:
-                self._join(piece.series, series)
-        return int((len(piece.t) - len(t)) * len(piece.columns))
-
-    def _insert(self, series: str, columns: Mapping[str, NDArray[Any]]) -> int:
-        parts = {name: pack(name, column) for name, column in columns.items()}
-        return insert(self._writer, series, columns[T], parts, self._number)
-
-    def _join(self, name: str, series: _Series) -> None:
-        """Join a series' small blocks to one; rows without a column have NaN in it."""
-        examined = [self._examined(self._writer, name, block) for block in series.small]
-        blocks = [found for found in examined if len(found.t)]
-        columns = {
-            column: np.concatenate(
-                [
-                    unpack(column, found.parts[column])
-                    if column in found.parts
-                    else np.full(len(found.t), np.nan)
-                    for found in blocks
-                ]
-            )
-            for column in dict.fromkeys(column for found in blocks for column in found.parts)
-        }
-        self.lost += sum(len(found.t) for found in blocks if found.damaged)
-        self.lost += series.rows - sum(len(found.t) for found in blocks)
-        self._delete(series.small)
-        series.small, series.rows = [], 0
-        if columns:
-            self._insert(name, columns)
-
-    def _drop(self, condition: str, values: tuple[int, ...]) -> int:
-        select = f"SELECT id FROM block WHERE {condition}"  # noqa: S608 - constant
-        old = [id_ for (id_,) in self._writer.execute(select, values)]
-        self._delete(old)
-        return len(old)
-
-    def _drop_oldest(self, excess: int) -> int:
-        """Drop the oldest blocks that together hold the given number of bytes."""
-        held = self._writer.execute(
-            "SELECT block.id, sum(length(data)) FROM block JOIN part ON part.block = block.id "
-            "GROUP BY block.id ORDER BY last"
-        )
-        oldest = []
-        for id_, size in held:
-            if excess <= 0:
-                break
-            oldest.append(id_)
-            excess -= size
-        self._delete(oldest)
-        return len(oldest)
-
-    def _delete(self, blocks: Sequence[int]) -> None:
-        gone = set(blocks)
-        for series in self._series.values():
-            if gone & set(series.small):
-                series.small = [block for block in series.small if block not in gone]
-        rows = [(block,) for block in blocks]
-        self._writer.executemany("DELETE FROM part WHERE block = ?", rows)
-        self._writer.executemany("DELETE FROM block WHERE id = ?", rows)
-
-    def _known_series(self) -> dict[str, _Series]:
-        """Return the write state of every series in the file."""
-        names = {number: name for name, number in self._names.items()}
-        found = {}
-        last = "SELECT series, max(last) FROM block GROUP BY series"
-        for number, newest in self._writer.execute(last).fetchall():
-            series = found[names[number]] = _Series(number, newest)
-            for block, rows in self._writer.execute(_SMALL, {"series": number, "full": BLOCK}):
-                series.small.append(block)
-                series.rows += rows
-        return found
-
-    def _number(self, name: str) -> int:
-        if name not in self._names:
-            insert = self._writer.execute("INSERT INTO name (name) VALUES (?)", (name,))
-            self._names[name] = int(insert.lastrowid or 0)
-        return int(self._names[name])
-
-    def _blocks(self, series: int, low: int, high: int, *, backwards: bool) -> Iterator[int]:
-        order = "DESC" if backwards else "ASC"
+    def _blocks(
+        self, series: int, low: int, high: int, *, backwards: bool
+    ) -> list[tuple[int, int, int]]:
+        """Return number, first and last time of blocks in a span, see `in_order`."""
+        order = "last DESC" if backwards else "first"
         select = (
-            "SELECT id FROM block WHERE series = ? AND first <= ? AND last >= ? "  # noqa: S608
-            f"ORDER BY first {order}"
+            "SELECT id, first, last FROM block WHERE series = ? AND first <= ? AND last >= ? "  # noqa: S608
+            f"ORDER BY {order}"
         )
-        return (block for (block,) in self._reader.execute(select, (series, high, low)))
+        return self._reader.execute(select, (series, high, low)).fetchall()
+
+    def _rows_between(self, block: int, series: str, column: str, low: int, high: int) -> Past:
+        past = self._rows_of(block, series, column)
+        return past[slice(*np.searchsorted(past.t, [low, high + 1]).tolist())]
 
     def _rows_of(self, block: int, series: str, column: str) -> Past:
-        found = self._examined(self._reader, series, block, (T, CODES, column))
+        found = self._rows.examined(self._reader, series, block, (T, CODES, column))
         if column not in found.parts:  # the series had no such column then, or it is damaged
-            return _nothing()
+            return nothing()
         codes, values = (unpack(name, found.parts[name]) for name in (CODES, column))
         return Past(found.t, values, codes)
-
-    def _examined(
-        self, connection: sqlite3.Connection, series: str, block: int, columns: Sequence[str] = ()
-    ) -> Examined:
-        """Return the columns of a block with valid checksums; all, or the given ones."""
-        numbers = {self._names[name]: name for name in columns or self._names}
-        chosen = f"AND name IN ({', '.join('?' * len(columns))})" if columns else ""
-        select = f"SELECT name, digest, data FROM part WHERE block = ? {chosen}"  # noqa: S608
-        rows = connection.execute(select, (block, *(numbers if columns else ()))).fetchall()
-        parts = {numbers[n]: (digest, data) for n, digest, data in rows if n in numbers}
-        return examine(series, parts)
 
 
 def _no_chores() -> Generator[None]:
     yield from ()
-
-
-def _nothing() -> Past:
-    return Past(np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint32))
-
-
-def _joined(parts: Sequence[Past]) -> Past:
-    if not parts:
-        return _nothing()
-    columns: list[tuple[Times, Floats, NDArray[np.uint32]]] = [
-        (past.t, past.values, past.codes) for past in parts
-    ]
-    t, values, codes = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return Past(t, values, codes)
 
 
 def _set_aside_before(path: Path) -> list[tuple[Path, Path]]:

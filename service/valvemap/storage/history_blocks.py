@@ -16,7 +16,7 @@ CODES: Final = "codes"
 BYTES_OF_VALUE: Final = 8  # of all columns except times and codes, which are packed
 MOST_ROWS: Final = 1 << 21  # of a block; a save has at most a million, joined to small blocks
 
-_BLOCK = "INSERT INTO block (series, first, last, rows) VALUES (?, ?, ?, ?)"
+_BLOCK = "INSERT INTO block (id, series, first, last, rows) VALUES (?, ?, ?, ?, ?)"
 _PART = "INSERT INTO part (block, name, digest, data) VALUES (?, ?, ?, ?)"
 
 Parts = Mapping[str, tuple[int, bytes]]
@@ -115,11 +115,13 @@ def _inflated(data: bytes) -> bytes:
     return found
 
 
-def before(t: int, found: Examined) -> Examined:
-    """Return the rows before a time, UTC ns."""
-    n = int(np.searchsorted(found.t, t))
-    parts = {name: pack(name, unpack(name, data)[:n]) for name, data in found.parts.items()}
-    return Examined(found.t[:n], parts, found.damaged)
+def without(t: Times, found: Examined) -> Examined:
+    """Return the rows at other times than these, UTC ns."""
+    other = ~np.isin(found.t, t)
+    if other.all():
+        return found
+    parts = {name: pack(name, unpack(name, data)[other]) for name, data in found.parts.items()}
+    return Examined(found.t[other], parts, found.damaged)
 
 
 def insert(
@@ -128,10 +130,15 @@ def insert(
     t: Times,
     parts: Mapping[str, bytes],
     number: Callable[[str], int],
+    *,
+    id_: int | None = None,
 ) -> int:
-    """Write a block; return its number. ``number`` returns the number of a name."""
+    """Write a block; return its number, by default the next one.
+
+    ``number`` returns the number of a name.
+    """
     first = int(t[0])
-    row = number(series), first, int(t[-1]), len(t)
+    row = id_, number(series), first, int(t[-1]), len(t)
     block = connection.execute(_BLOCK, row).lastrowid
     assert block is not None  # noqa: S101 - a row was inserted
     packed = [

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Final
 
 from valvemap.storage import alarm_changes
-from valvemap.storage.history_blocks import BYTES_OF_VALUE, Parts, before, examine, insert
+from valvemap.storage.history_blocks import (
+    BYTES_OF_VALUE,
+    Parts,
+    T,
+    examine,
+    insert,
+    unpack,
+    without,
+)
 from valvemap.storage.salvage import Block, salvage_blocks, salvage_changes
 
 CHANGES_AT_ONCE: Final = 100  # alarm changes per step, some 10 us each
@@ -19,7 +27,10 @@ _PARTS = "SELECT name, digest, data FROM part WHERE block = ?"
 _BETWEEN = "SELECT block, max(length(data)) FROM part WHERE block > ? AND block < ? GROUP BY block"
 _DROP = "DELETE FROM part WHERE block = ? AND name = ?"
 _UPDATE = "UPDATE block SET first = ?, last = ?, rows = ? WHERE id = ?"
-_OVERLAP = "SELECT min(first) FROM block WHERE series = ? AND first <= ? AND last >= ?"
+_OVERLAP = (
+    "SELECT data FROM block JOIN part ON part.block = block.id "
+    "WHERE series = ? AND first <= ? AND last >= ? AND name = ?"
+)
 _CHANGE = (
     "INSERT OR IGNORE INTO alarm_change (t, owner, digest, report, checksum) VALUES (?, ?, ?, ?, ?)"
 )
@@ -45,7 +56,7 @@ def check_blocks(
     """
     numbers = {number: name for name, number in names.items()}
     (newest,) = connection.execute("SELECT max(id) FROM block").fetchone()
-    block = 0
+    block = -(2**63)
     while row := connection.execute(_NEXT, (block, newest)).fetchone():
         for stray, size in connection.execute(_BETWEEN, (block, row[0])).fetchall():
             connection.execute("DELETE FROM part WHERE block = ?", (stray,))
@@ -95,12 +106,13 @@ def _take_over(connection: sqlite3.Connection, block: Block, number: Callable[[s
         return Taken(lost=block.lost)
     found, series = block.found, number(block.series)
     span = series, int(found.t[-1]), int(found.t[0])
-    (known_from,) = connection.execute(_OVERLAP, span).fetchone()
-    if known_from is not None:
-        found = before(known_from, found)
+    for (data,) in connection.execute(_OVERLAP, (*span, number(T))).fetchall():
+        found = without(unpack(T, data), found)
     if not len(found.t):
         return Taken(lost=block.lost)
-    insert(connection, block.series, found.t, found.parts, number)
+    (lowest,) = connection.execute("SELECT min(id) FROM block").fetchone()
+    before_all = None if lowest is None else lowest - 1  # blocks come newest first
+    insert(connection, block.series, found.t, found.parts, number, id_=before_all)
     return Taken(block.series, int(found.t[-1]), len(found.t), block.lost)
 
 

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from valvemap.storage import alarm_changes
+from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.sqlite_files import check_owner, damage, pragma, transaction
 
 APPLICATION_ID = 0x76_6D_61_68  # "vmah"
@@ -82,6 +82,7 @@ def prepare(connection: sqlite3.Connection, path: Path) -> None:
     elif not has_tables(connection):
         raise damage("its tables are not as they were made")
     alarm_changes.prepare(connection)
+    history_age.prepare(connection)
     if pragma(connection, "user_version") != SCHEMA_VERSION:
         connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     _check_blocks(connection)

@@ -10,7 +10,6 @@ import numpy as np
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.units import (
-    MEASURED,
     QUANTITY_OF,
     SYMBOLS,
     Measure,
@@ -20,8 +19,10 @@ from valvemap.pipeline.units import (
     unit_of,
 )
 from valvemap.plant.readings import Given
+from valvemap.vocabulary import signals
+from valvemap.vocabulary.signals import MEASURED
 
-REQUIRED: Final = ("t", "U", "p1", "p2", "Q")
+REQUIRED: Final = ("t", *signals.REQUIRED)
 DEFAULT_VALVE: Final = "Valvistor"
 
 _TIMES = ("time", "timestamp", "datetime", "date time", "date", "zeit", "zeitstempel", "datum")
@@ -48,22 +49,24 @@ class ValveLayout:
 class Layout:
     """The layout of recordings; without ``valves`` all valves of a file are read.
 
-    ``time``, ``valve`` and ``quality`` are column names; None: the default names. ``header`` are
-    the headings of a file that has none; ``given`` answers questions about foreign headings, by
-    valve.
+    ``time``, ``valve`` and ``quality`` are column names; None: the default names. ``signals`` are
+    those of all valves without ``valves``. ``header`` are the headings of a file that has none;
+    ``given`` answers questions about foreign headings, by valve.
     """
 
     valves: tuple[ValveLayout, ...] = ()
     time: str | None = None
     valve: str | None = None
     quality: str | None = None
+    signals: Mapping[str, Measure] = field(default_factory=dict)
     header: tuple[str, ...] | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
 
     @property
     def recognises(self) -> bool:
         """Whether foreign headings may be recognised: no column is configured."""
-        return self.valve is None and not any(valve.has_columns for valve in self.valves)
+        every = (*self.valves, ValveLayout("", self.signals))
+        return self.valve is None and not any(valve.has_columns for valve in every)
 
 
 class MissingColumnError(RecordingError):
@@ -151,7 +154,8 @@ class _Finder:
     def _parts(self, valve: int | None) -> Iterator[Part]:
         valves = self._layout.valves
         if not valves:
-            yield self._part(ValveLayout(DEFAULT_VALVE), None if valve is not None else "")
+            every = ValveLayout(DEFAULT_VALVE, self._layout.signals)
+            yield self._part(every, None if valve is not None else "")
             return
         alone = len(valves) == 1
         for own in valves:
@@ -186,7 +190,8 @@ class _Finder:
         return (
             f"{self._where}: column {', '.join(missing)} is missing; the header must hold "
             f"t,U,p1,p2,Q (and may hold T, valve, quality), found {','.join(self._header)[:60]!r}; "
-            'for other names: [valves.signals.U] column = "…" in a --config FILE'
+            'for other names: [valves.signals.U] column = "…" in a --config FILE, or '
+            'columns={"U": "…"} in Python'
         )
 
     def _named(self, column: str | None, field: str) -> int | None:

@@ -1,5 +1,6 @@
-"""Lookup tables as files: CSV, and C99 or IEC 61131-3 Structured Text for controllers."""
+"""Lookup tables for controllers: C99 and IEC 61131-3 Structured Text."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Final
@@ -8,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.errors import ConfigurationError
+from valvemap.model.flow_table import FlowTable
 from valvemap.model.lookup_table import LookupTable
 from valvemap.model.samples import Floats
 from valvemap.owned_files import write_whole
 
 INVALID: Final = -1000.0
+CSV: Final = ".csv"  # of a table over flow and pressure drop, see `flow_tables`
+UNIT: Final = ".fmu"  # of an FMI unit, see `fmi_units`
 FINITE: Final = "1.0e300"  # limit of finite numbers in Structured Text, which has no other test
-_AXES: Final = "r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min"
 STATUSES: Final = {
     "OK": 0,
     "ABOVE_REACH": 1,
@@ -27,7 +30,7 @@ STATUSES: Final = {
 
 
 def write_table(file: Path, table: LookupTable, title: str) -> None:
-    """Write a table in the format of the file's suffix: .csv, .c or .st.
+    """Write a table in the format of the file's suffix: .c or .st.
 
     Raises
     ------
@@ -41,68 +44,38 @@ def write_table(file: Path, table: LookupTable, title: str) -> None:
 
 
 def check_form(file: Path) -> None:
-    """Check that a file's suffix is a supported format.
+    """Check that a file's suffix is a supported format: .csv, .c, .st or .fmu.
 
     Raises
     ------
     ConfigurationError
         if it is not.
     """
-    if file.suffix.lower() not in _FORMS:
+    allowed = CSV, *_FORMS, UNIT
+    if file.suffix.lower() not in allowed:
         asked = file.suffix or "no ending"
-        raise ConfigurationError(f"{file}: {asked}; {', '.join(_FORMS)} are allowed")
-
-
-def as_csv(table: LookupTable, title: str) -> str:
-    r"""Return the table as CSV: pressure drops, lowest and highest flows, then U over r.
-
-    Cells without a value are empty. The last rows, over the same axes, are 1 where the map is
-    extrapolated.
-
-    >>> axis, at = np.array([0.0, 1.0]), np.array([[False, True], [False, False]])
-    >>> print(as_csv(LookupTable(axis, axis, 9 * axis, axis, np.eye(2), at, 40.0, 0.1, 0.2), "V"))
-    # V; oil at 40 °C; U in % over r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min
-    # bilinearly within 0.1 % of U, 0.2 l/min of Q
-    dp,0.0,1.0
-    lowest,0.0,1.0
-    highest,0.0,9.0
-    r=0.0,1.0,0.0
-    r=1.0,0.0,1.0
-    extrapolated r=0.0,0,1
-    extrapolated r=1.0,0,0
-    <BLANKLINE>
-    """
-    lines = [
-        f"# {_in_a_comment(title)}; oil at {table.T:g} °C; U in % over {_AXES}",
-        f"# bilinearly within {table.error_U:.3g} % of U, {table.error_Q:.3g} l/min of Q",
-    ]
-    rows = [("dp", table.dp), ("lowest", table.lowest), ("highest", table.highest)]
-    rows += [(f"r={_literal(r)}", row) for r, row in zip(table.r, table.U, strict=True)]
-    for name, row in rows:
-        lines.append(",".join([name, *("" if np.isnan(x) else _literal(x) for x in row)]))
-    for r, marks in zip(table.r, table.guessed, strict=True):
-        lines.append(",".join([f"extrapolated r={_literal(r)}", *(str(int(x)) for x in marks)]))
-    return "\n".join(lines) + "\n"
+        raise ConfigurationError(f"{file}: {asked}; {', '.join(allowed)} are allowed")
 
 
 def as_c(table: LookupTable, title: str) -> str:
     """Return one C99 file without dependencies: ``valvemap_required_U(Q, dp, &U)``."""
     statuses = ", ".join(f"VALVEMAP_{name} = {code}" for name, code in STATUSES.items())
-    return f"""/* {_in_a_comment(title)}
+    return f"""/* {in_a_comment(title)}
  *
  * Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
  * drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
  * a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
  * bilinearly: U is within VALVEMAP_ERROR_U % of the identified map's inverse, and the flow within
- * VALVEMAP_ERROR_Q l/min. Where nothing was measured near, the map is extrapolated: U is a guess,
- * and the status VALVEMAP_EXTRAPOLATING.
+ * VALVEMAP_ERROR_Q l/min, {_grounds(table)}.
+ * Where nothing was measured near, the map is extrapolated: U is a guess, and the status
+ * VALVEMAP_EXTRAPOLATING.
  *
  *     double U;
  *     int status = valvemap_required_U(50.0, 100.0, &U);
  */
 
-#define VALVEMAP_ERROR_U {table.error_U:.6g}
-#define VALVEMAP_ERROR_Q {table.error_Q:.6g}
+#define VALVEMAP_ERROR_U {error_text(table.error_U)}
+#define VALVEMAP_ERROR_Q {error_text(table.error_Q)}
 
 enum valvemap_status {{ {statuses} }};
 
@@ -111,28 +84,28 @@ enum valvemap_status {{ {statuses} }};
 #define VALVEMAP_N_DP {len(table.dp)}
 
 static const double valvemap_dp[VALVEMAP_N_DP] = {{
-{_numbers(table.dp)}
+{c_numbers(table.dp)}
 }};
 
 static const double valvemap_lowest[VALVEMAP_N_DP] = {{
-{_numbers(table.lowest)}
+{c_numbers(table.lowest)}
 }};
 
 static const double valvemap_highest[VALVEMAP_N_DP] = {{
-{_numbers(table.highest)}
+{c_numbers(table.highest)}
 }};
 
 static const double valvemap_r[VALVEMAP_N_R] = {{
-{_numbers(table.r)}
+{c_numbers(table.r)}
 }};
 
 static const double valvemap_U[VALVEMAP_N_R][VALVEMAP_N_DP] = {{
-{_c_rows(table.U)}
+{c_rows(table.U)}
 }};
 
 /* 1: extrapolated */
 static const unsigned char valvemap_guess[VALVEMAP_N_R][VALVEMAP_N_DP] = {{
-{_c_marks(table.guessed)}
+{c_marks(table.guessed)}
 }};
 
 /* By its bits, so that it holds under -ffast-math, too. */
@@ -203,14 +176,15 @@ def as_structured_text(table: LookupTable, title: str) -> str:
     """Return a function block of IEC 61131-3 (3rd edition): inputs Q, dp; outputs U, Status."""
     n_r, n_dp = len(table.r), len(table.dp)
     meanings = ", ".join(f"{code} {name}" for name, code in STATUSES.items())
-    return f"""(* {_in_a_comment(title)}
+    return f"""(* {in_a_comment(title)}
 
    Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
    drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
    a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
-   bilinearly: U is within {table.error_U:.3g} % of the identified map's inverse, and the flow
-   within {table.error_Q:.3g} l/min. Where nothing was measured near, the map is extrapolated: U is
-   a guess, and Status {STATUSES["EXTRAPOLATING"]}.
+   bilinearly: U is within {error_text(table.error_U)} % of the identified map's inverse, and the
+   flow within {error_text(table.error_Q)} l/min, {_grounds(table)}.
+   Where nothing was measured near, the map is extrapolated: U is a guess, and Status
+   {STATUSES["EXTRAPOLATING"]}.
 
    Status: {meanings}.
    With UNIDENTIFIED and NOT_FINITE U keeps its value; outside the axis of dp U is that of its
@@ -227,19 +201,19 @@ VAR_OUTPUT
 END_VAR
 VAR
     AxisDp : ARRAY[0..{n_dp - 1}] OF LREAL := [
-{_numbers(table.dp)}
+{c_numbers(table.dp)}
     ];
     Lowest : ARRAY[0..{n_dp - 1}] OF LREAL := [
-{_numbers(table.lowest)}
+{c_numbers(table.lowest)}
     ];
     Highest : ARRAY[0..{n_dp - 1}] OF LREAL := [
-{_numbers(table.highest)}
+{c_numbers(table.highest)}
     ];
     AxisR : ARRAY[0..{n_r - 1}] OF LREAL := [
-{_numbers(table.r)}
+{c_numbers(table.r)}
     ];
     TableU : ARRAY[0..{n_r * n_dp - 1}] OF LREAL := [
-{_numbers(_valid(table.U).ravel())}
+{c_numbers(_valid(table.U).ravel())}
     ];
     Guess : ARRAY[0..{n_r * n_dp - 1}] OF INT := [
 {_st_marks(table.guessed)}
@@ -316,13 +290,28 @@ END_FUNCTION_BLOCK
 
 
 _FORMS: Final[Mapping[str, Callable[[LookupTable, str], str]]] = {
-    ".csv": as_csv,
     ".c": as_c,
     ".st": as_structured_text,
 }
 
 
-def _in_a_comment(title: str) -> str:
+def stated(table: LookupTable | FlowTable) -> str:
+    """Return the table's errors in words."""
+    errors = error_text(table.error_U), error_text(table.error_Q)
+    return f"{errors[0]} % of U, {errors[1]} l/min of Q, {_grounds(table)}"
+
+
+def _grounds(table: LookupTable | FlowTable) -> str:
+    return "certified over the whole table" if table.certified else "measured at 49 points a cell"
+
+
+def error_text(error: float) -> str:
+    """Return an error rounded up to 4 digits."""
+    step = 10.0 ** (math.floor(math.log10(error)) - 3)
+    return literal(float(f"{math.ceil(error / step) * step:.4g}"))
+
+
+def in_a_comment(title: str) -> str:
     """Return a title without line ends and comment delimiters."""
     return "".join(c if c.isalnum() or c in " .,:;=-_%" else "_" for c in title)
 
@@ -331,13 +320,14 @@ def _valid(U: Floats) -> Floats:
     return np.where(np.isnan(U), INVALID, U)
 
 
-def _numbers(values: Iterable[float], per_line: int = 8) -> str:
-    texts = [_literal(x) for x in values]
+def c_numbers(values: Iterable[float], per_line: int = 8) -> str:
+    """Return literals with commas between."""
+    texts = [literal(x) for x in values]
     lines = [texts[k : k + per_line] for k in range(0, len(texts), per_line)]
     return ",\n".join("        " + ", ".join(line) for line in lines)
 
 
-def _literal(x: float) -> str:
+def literal(x: float) -> str:
     """Return a number as a floating-point literal of both languages."""
     text = f"{x:.12g}"
     if "e" in text:
@@ -346,11 +336,13 @@ def _literal(x: float) -> str:
     return text if "." in text else f"{text}.0"
 
 
-def _c_rows(U: Floats) -> str:
-    return ",\n".join("    {\n" + _numbers(row) + "\n    }" for row in _valid(U))
+def c_rows(U: Floats) -> str:
+    """Return the rows of a table in braces; NaN is ``INVALID``."""
+    return ",\n".join("    {\n" + c_numbers(row) + "\n    }" for row in _valid(U))
 
 
-def _c_marks(guessed: NDArray[np.bool_]) -> str:
+def c_marks(guessed: NDArray[np.bool_]) -> str:
+    """Return the rows of a mask in braces."""
     return ",\n".join("    { " + ", ".join(str(int(x)) for x in row) + " }" for row in guessed)
 
 

@@ -18,7 +18,7 @@ from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
 from valvemap.model.portable_map import PortableMap
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import NetworkMap
-from valvemap.model.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
+from valvemap.model.residual_spread import EDGES_DP, EDGES_U
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
 
@@ -273,10 +273,10 @@ def map_of(section: MapSection) -> PortableMap:
             )
 
 
-def region_section(spread: ResidualSpread) -> RegionSection:
+def region_section(weights: Floats) -> RegionSection:
     """Return the section of the region covered by samples."""
     return RegionSection(
-        U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(spread.weights)
+        U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(weights)
     )
 
 

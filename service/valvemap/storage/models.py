@@ -30,8 +30,8 @@ MOST_SHOWN: Final = 60  # characters of a value in a message
 DEEPEST: Final = 8  # nesting of lists and objects; a model has 4
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, repr=False)
+class StoredModel:
     """One valve's map as one estimator identified it.
 
     Attributes
@@ -81,30 +81,46 @@ def save_model(
     StorageError
         if the file cannot be written, or the map is not determined yet; names file or estimator.
     """
-    try:
-        section = map_section(to_map(estimator, state))
-    except ValueError as error:
-        raise StorageError(f"{file}: {valve}.{name} is not saved: {error}") from None
-    theta, std = estimator.parameters(state)
-    names = estimator.parameter_names
-    document = ModelDocument(
+    found = StoredModel(
         valve=valve,
-        estimator=name,
-        last_sample_ns=t,
+        name=name,
+        estimator=estimator,
+        state=state,
+        noise_std=spread.noise_std,
+        T=T,
+        t=t,
+        samples=spread.weights,
+        support=support,
+    )
+    write_model(file, found)
+
+
+def write_model(file: Path, model: StoredModel) -> None:
+    """Write a model; see :func:`save_model`."""
+    try:
+        section = map_section(to_map(model.estimator, model.state))
+    except ValueError as error:
+        raise StorageError(f"{file}: {model.valve}.{model.name} is not saved: {error}") from None
+    theta, std = model.estimator.parameters(model.state)
+    names = model.estimator.parameter_names
+    document = ModelDocument(
+        valve=model.valve,
+        estimator=model.name,
+        last_sample_ns=model.t,
         units=UNITS,
         map=section,
         parameters=dict(zip(names, map(_or_none, theta.tolist()), strict=True)),
         std=dict(zip(names, map(_or_none, std.tolist()), strict=True)),
-        noise_std=_or_none(spread.noise_std),
-        temperature=_or_none(T),
-        region=region_section(spread),
-        support=support_section(support),
+        noise_std=_or_none(model.noise_std),
+        temperature=_or_none(model.T),
+        region=region_section(model.samples),
+        support=support_section(model.support),
     )
     text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)
     write_whole(file, text + "\n")
 
 
-def load_model(file: Path) -> Model:
+def load_model(file: Path) -> StoredModel:
     """Read a model.
 
     Raises
@@ -124,9 +140,9 @@ def load_model(file: Path) -> Model:
         raise StorageError(f"{file}: map: {error}") from None
 
 
-def _model_of(document: ModelDocument) -> Model:
+def _model_of(document: ModelDocument) -> StoredModel:
     estimator, state = restored(map_of(document.map))
-    return Model(
+    return StoredModel(
         valve=document.valve,
         name=document.estimator,
         estimator=estimator,

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
-from valvemap.pipeline.units import MEASURED
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
@@ -23,6 +22,7 @@ from valvemap.storage.layout import (
     find_columns,
     with_p2,
 )
+from valvemap.vocabulary.signals import MEASURED
 
 try:
     import pyarrow as pa

@@ -43,21 +43,23 @@ from valvemap.model.samples import Samples
 from valvemap.storage.closing import Closing
 from valvemap.storage.csv_recordings import PACKINGS, CsvReader, csv_header, csv_rows, packed
 from valvemap.storage.layout import Layout
+from valvemap.storage.table_recordings import TableReader
 
 _PART = re.compile(r"(\.\d+)?\.part$", re.IGNORECASE)
 _BLOCK = 1 << 18
 
 
 def read_recording(
-    path: str | Path, chunk_rows: int = 65_536, layout: Layout | None = None
+    recording: object, chunk_rows: int = 65_536, layout: Layout | None = None
 ) -> "RecordingReader":
     """Open a recording.
 
     Parameters
     ----------
-    path
-        ``.csv``, ``.csv.gz``, ``.csv.xz``, ``.parquet``, or the ``.part`` of a killed
-        :class:`RecordingWriter`.
+    recording
+        Path of a ``.csv``, ``.csv.gz``, ``.csv.xz``, ``.parquet``, or of the ``.part`` of a killed
+        :class:`RecordingWriter`; a data frame (pandas, polars, pyarrow; extra ``dataframes``); or
+        a mapping of column names to arrays.
     chunk_rows
         Rows held in memory at a time.
     layout
@@ -77,7 +79,7 @@ def read_recording(
     ConfigurationError
         if the file's headings contradict ``layout``.
     """
-    return RecordingReader(Path(path), chunk_rows, layout or Layout())
+    return RecordingReader(recording, chunk_rows, layout or Layout())
 
 
 class RecordingReader(Iterator[tuple[str, Samples]]):
@@ -85,13 +87,19 @@ class RecordingReader(Iterator[tuple[str, Samples]]):
 
     Attributes
     ----------
+    name : str
+        The file, or the type of the data frame.
     ignored : tuple of str
         Unknown columns of the file.
     """
 
-    def __init__(self, path: Path, chunk_rows: int, layout: Layout) -> None:
-        self._path = path
-        self._source = _open(path, chunk_rows, layout)
+    def __init__(self, recording: object, chunk_rows: int, layout: Layout) -> None:
+        if isinstance(recording, str | os.PathLike):
+            self.name = os.fspath(recording)
+            self._source: _Source = _open(Path(recording), chunk_rows, layout)
+        else:
+            table = TableReader(recording, chunk_rows, layout)
+            self.name, self._source = table.name, table
         self._chunks = self._source.chunks()
         self._seen = False
         self.ignored = self._source.ignored
@@ -114,7 +122,7 @@ class RecordingReader(Iterator[tuple[str, Samples]]):
             empty = isinstance(error, StopIteration) and not self._seen
             self.close()
             if empty:
-                raise RecordingError(f"{self._path} holds no samples") from None
+                raise RecordingError(f"{self.name} holds no samples") from None
             raise
         self._seen = True
         return chunk

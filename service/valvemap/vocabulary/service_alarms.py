@@ -19,12 +19,14 @@ class ServiceAlarm(Described):
     CERTIFICATE = 1, "Certificate", "The service's certificate expires soon."
     LOAD = 2, "Load", "The service is close to its limit of processing time."
     MESSAGES_REJECTED = 3, "MessagesRejected", "Messages or states of the fleet are rejected."
+    HISTORY = 4, "History", "Rows of the history cannot be saved, or are lost."
 
 
 OF_SERVE: Final[Sequence[ServiceAlarm]] = (
     ServiceAlarm.CHECKPOINT,
     ServiceAlarm.CERTIFICATE,
     ServiceAlarm.LOAD,
+    ServiceAlarm.HISTORY,
 )
 """Of every results server."""
 

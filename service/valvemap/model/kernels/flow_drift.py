@@ -72,11 +72,12 @@ def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
 def step(
     drift: Drift, dt: float, jumps: float, warmed: float, residual: float, by: Floats,
     variance: float,
-) -> None:  # fmt: skip
+) -> float:  # fmt: skip
     """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
 
     ``warmed`` K since the last stay add variance to the effects of T: the law is not exact.
 
+    Give the square of the stay in variances, a mean over the models as they were before it.
     ``residual`` is measured against `now`; ``by`` (STATES,) are its derivatives by the states.
     """
     known = residual
@@ -89,7 +90,7 @@ def step(
         for m in range(MODELS):
             for k in range(RATES, STATES):
                 drift.P[m, k, k] += (rules.OTHER_LAW * drift.x[m, k]) ** 2 * warmed
-    total = 0.0
+    total = surprise = 0.0
     largest = -math.inf
     for m in range(MODELS):
         x, P, said = drift.x[m], drift.P[m], drift.room[0, m]
@@ -107,6 +108,7 @@ def step(
             x[k] += heavy * said[0, k] * off / S
             for j in range(STATES):
                 P[k, j] -= heavy * said[0, k] * said[0, j] / S
+        surprise += drift.chance[m] * min(square, rules.MOST_STAY**2)
         log = -0.5 * (math.log(S) + min(square, rules.MOST_STAY**2))
         drift.room[1, m, 0, 0] = log
         largest = max(largest, log)
@@ -116,6 +118,7 @@ def step(
     for m in range(MODELS):
         drift.chance[m] /= total
     _combine(drift)
+    return surprise
 
 
 @inner

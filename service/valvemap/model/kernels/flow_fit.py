@@ -39,7 +39,8 @@ LEAST = 20  # flow against Δp that the meter shows: its offset
 FIRST_T = 21  # °C; of the first sample, NaN where it was not measured
 NOW_T = 22  # °C; of the last sample that had one
 STAY_T = 23  # °C; of the last stay on either side: two places
-SCALARS = 25
+SURPRISE, STAYS_SEEN = 25, 26  # mean square of stays, in variances; stays it is the mean of
+SCALARS = 27
 
 
 @inner

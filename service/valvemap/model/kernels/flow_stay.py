@@ -90,6 +90,7 @@ def begin_replay(memory: Memory, rows: int, T: float) -> None:
     counters[ROWS_SEEN] = counters[SKIPPED] = counters[STAYS] = counters[CLOCK] = 0
     counters[CLOCK + 1] = 0
     memory.scalars[fits.FIRST_T] = T
+    memory.scalars[fits.SURPRISE] = memory.scalars[fits.STAYS_SEEN] = 0.0
     memory.scalars[fits.STAY_T : fits.STAY_T + 2] = math.nan
     memory.path[paths.SEEN] = 0.0
     memory.stay[:KNOWN_COUNT] = 0.0
@@ -179,7 +180,9 @@ def end_stay(memory: Memory, room: Room) -> None:
         young = counters[USED] - max(counters[BEGAN], counters[CALM]) < rules.MATURE
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
         variance, warmed = counters[STAYS] * (noise + share * of_cell), _warmed(side, scalars)
-        drifts.step(drift, dt, jumps, warmed, residual, by, variance)
+        surprise = drifts.step(drift, dt, jumps, warmed, residual, by, variance)
+        scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
+        scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
         _note_change(drift, side, now, residual, memory)
     stay[:KNOWN_COUNT] = 0.0
 

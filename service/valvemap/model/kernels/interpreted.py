@@ -13,7 +13,9 @@ may differ in the last bits where Python computes in single precision.
 """
 
 import math
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, wraps
 from types import FunctionType, SimpleNamespace
 from typing import Any, Final
@@ -35,6 +37,16 @@ def end() -> None:
     _state.is_on = False
 
 
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Compile kernels, or load them from the cache, in this thread; others do not wait for it."""
+    _thread.compiles = True
+    try:
+        yield
+    finally:
+        _thread.compiles = False
+
+
 def is_on() -> bool:
     """Whether kernels without compiled code run interpreted."""
     return bool(_state.is_on)
@@ -45,7 +57,9 @@ def interpretable(dispatcher: Any) -> None:  # noqa: ANN401 - numba has no types
     compile_for = dispatcher._compile_for_args  # noqa: SLF001
 
     def code_for(*args: object, **kws: object) -> Any:  # noqa: ANN401
-        return _called(dispatcher.py_func) if _state.is_on else compile_for(*args, **kws)
+        if _state.is_on and not getattr(_thread, "compiles", False):
+            return _called(dispatcher.py_func)
+        return compile_for(*args, **kws)
 
     dispatcher._compile_for_args = code_for  # noqa: SLF001
 
@@ -116,4 +130,5 @@ _NUMPY: Final = {"pow": "power"}
 _RAISES: Final = "sqrt", "log", "log10", "log1p", "exp", "expm1", "pow"
 _MATH: Final = SimpleNamespace(**{**vars(math), **{name: _ieee(name) for name in _RAISES}})
 _scopes: Final[dict[int, dict[str, Any]]] = {}
+_thread: Final = threading.local()
 _state: Final = SimpleNamespace(is_on=False)

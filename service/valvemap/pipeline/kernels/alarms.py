@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from valvemap.model.kernels.compiled import inlined, lean_kernel
 from valvemap.model.kernels.prefetch import fetch
 from valvemap.model.samples import Flags, Floats, Segments, Times
+from valvemap.vocabulary.signals import COUNT, IS_OPTIONAL, Signal
 
 # Alarms of a valve, numbered as `pipeline.alarms.Alarm`; those that are judged here.
 RESIDUAL, SENSOR_LOST, SENSOR_FROZEN, UNEXCITED = 1, 3, 4, 5
 
-SIGNALS = 5  # U, p1, p2, Q, T
 CELLS_U, CELLS_S = 10, 12
 WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar; size of the cells in which residuals are compared
 BLOCK = 16.0  # residuals per average: a persistent error exceeds the averaged noise
@@ -103,15 +103,14 @@ class Senses(NamedTuple):
     times: Times
 
 
+_U, _P1, _P2, _T = int(Signal.U), int(Signal.P1), int(Signal.P2), int(Signal.T)
+
+
 class Watched(NamedTuple):
-    """N gated samples, and the estimator's trace of them, all (N,)."""
+    """N gated samples, and the estimator's trace of them, all (N,) but ``values`` (N, COUNT)."""
 
     t: Times
-    U: Floats
-    p1: Floats
-    p2: Floats
-    Q: Floats
-    T: Floats
+    values: Floats
     quality: NDArray[np.uint8]
     predicted: Floats
     residual: Floats
@@ -149,7 +148,7 @@ def watch(
             fetch(senses, segments.members[s + 1])
         for i in range(segments.starts[s], segments.stops[s]):
             before = senses.times[m, NEWEST]
-            _keep_time(m, seen.t[i], seen.T[i], conditions, senses)
+            _keep_time(m, seen.t[i], seen.values[i, _T], conditions, senses)
             if patient[m] and senses.times[m, USABLE] == before:
                 senses.times[m, USABLE] = seen.t[i]
             _look_for_losses(m, i, seen, rules, conditions, senses)
@@ -253,11 +252,11 @@ def _look_for_standstills(
     flow.
     """
     t = seen.t[i]
-    values = (seen.U[i], seen.p1[i], seen.p2[i], seen.Q[i], seen.T[i])
+    values = seen.values[i]
     last, still = senses.last[m], senses.still[m]
     was_dead = conditions.active[m, SENSOR_FROZEN]
     moved = 0
-    for j in range(SIGNALS):
+    for j in range(COUNT):
         if values[j] == last[j] or np.isnan(values[j]):
             continue
         stood = t - still[j]
@@ -267,9 +266,9 @@ def _look_for_standstills(
         still[j] = t
         senses.moves[m, j] += 1
         senses.others[m, j] = 0
-        moved += 1 if 0 < j < 4 else 0
+        moved += 1 if j != _U and not IS_OPTIONAL[j] else 0
     longest, dead = 0.0, 0
-    for j in range(1, SIGNALS):
+    for j in range(1, COUNT):
         if still[j] == t:
             continue
         senses.others[m, j] += moved > 0
@@ -310,10 +309,10 @@ def _look_at_residual(
     Only in known cells: in a new cell the map is an extrapolation.
     """
     t, e, predicted = seen.t[i], seen.residual[i], seen.predicted[i]
-    U, dp, status = seen.U[i], seen.p1[i] - seen.p2[i], seen.status[i]
+    U, dp, status = seen.values[i, _U], seen.values[i, _P1] - seen.values[i, _P2], seen.status[i]
     if seen.quality[i] == 2 or not (abs(e) < 1e100 and np.isfinite(U) and np.isfinite(dp)):
         return
-    if status > 2 and status != 4:  # Status: OK, WARMING_UP, UNEXCITED, FROZEN
+    if status > 2 and status not in (4, 8):  # OK, WARMING_UP, UNEXCITED; FROZEN, UNRELIABLE
         return
     memory, weight = senses.memory[m], senses.weight[m]
     bias, square = senses.bias[m], senses.square[m]
@@ -379,7 +378,7 @@ def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numb
 def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
     """Add a sample to the sums of products of the regressors and the residual."""
     memory, sums = senses.memory[m], senses.sums[m]
-    e, Q, dp = seen.residual[i], seen.predicted[i], seen.p1[i] - seen.p2[i]
+    e, Q, dp = seen.residual[i], seen.predicted[i], seen.values[i, _P1] - seen.values[i, _P2]
     rate = Q - memory[Q_BEFORE] if np.isfinite(memory[Q_BEFORE]) else 0.0
     row = (1.0, np.sqrt(max(dp, 0.0)), Q, Q / max(dp, LEAST_DP), rate, e)
     for j in range(DIRECTIONS + 1):

@@ -101,7 +101,8 @@ def sort_by_valve(
 ) -> None:
     """Write the samples sorted by valve, each valve's in their order (a counting sort).
 
-    ``columns`` (5, N); ``edges`` (V + 1,), initially 0: valve v has edges[v] … edges[v + 1] - 1.
+    ``columns`` (SIGNALS, N); ``edges`` (V + 1,), initially 0: valve v has edges[v] to
+    edges[v + 1] - 1.
     """
     for v in out.valve:
         edges[v + 1] += 1

@@ -8,16 +8,15 @@ from numpy.typing import NDArray
 from valvemap.model.kernels.prefetch import fetch
 from valvemap.model.samples import Segments
 from valvemap.pipeline.kernels.compiled import inner, kernel
+from valvemap.vocabulary.signals import COUNT, IS_OPTIONAL
 
-SIGNALS = 5
-T = 4
 WINDOW = 5
 
 NOT_FINITE, OUT_OF_RANGE, FROZEN, TOO_FAST, SPIKE, REASONS = range(6)
 
 
 class Limits(NamedTuple):
-    """Limits of the signals, all (5,); a check is off where it is inf (``frozen_ns``: 0)."""
+    """Limits of the signals, one per signal; a check is off where it is inf (``frozen_ns``: 0)."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
@@ -27,9 +26,9 @@ class Limits(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """State of each signal of M valves, (M, 5).
+    """State of each signal of M valves, (M, COUNT).
 
-    ``window`` (M, 5, 5), ``counters`` (M, 5, REASONS).
+    ``window`` (M, COUNT, WINDOW), ``counters`` (M, COUNT, REASONS).
     """
 
     last: NDArray[np.float64]
@@ -50,7 +49,7 @@ def judge_samples(
     use_uncertain: bool,  # noqa: FBT001 - numba takes positions only
     segments: Segments,
 ) -> None:
-    """Judge N samples ``values`` (N, 5); set ``quality`` (N,) to 2 where a check fails.
+    """Judge N samples ``values`` (N, COUNT); set ``quality`` (N,) to 2 where a check fails.
 
     ``bad_status`` (M,) counts the samples that arrived as bad.
     """
@@ -87,9 +86,9 @@ def _judge(
     low, high, frozen_ns, max_rate, spike = limits
     last, last_time, still_since, window, counters = memory
     for i in range(start, stop):
-        for j in range(SIGNALS):
+        for j in range(COUNT):
             x = values[i, j]
-            if j == T and np.isnan(x):  # no reading: only maps that depend on T are affected
+            if IS_OPTIONAL[j] and np.isnan(x):  # only maps that depend on it are affected
                 continue
             if not np.isfinite(x):
                 counters[j, NOT_FINITE] += 1

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.kernels.compiled import inner, kernel
+from valvemap.vocabulary.signals import PER_VALVE
 
-SIGNALS = 6  # the running number is the last
+SIGNALS = PER_VALVE  # the running number is the last
 NEVER = np.iinfo(np.int64).min
 ZERO, ONE = cast("int", np.int64(0)), cast("int", np.int64(1))  # literals compile a callee again
 _STEPS = 4  # periods; an older value is not used for interpolation
@@ -24,10 +25,10 @@ class Scans(NamedTuple):
     """State of the scans of one valve.
 
     ``time``, ``signal``, ``value``, ``status`` (K,) are the buffered changes in the order of time;
-    the first SIZE of ``course`` (FIELDS,) are in use. ``now_value``, ``now_status``, ``now_time``,
-    ``now_rate`` (6,) are the newest emitted value of each signal and its rate, per ns; ``seen``
-    (6,) is the newest time received, ``lacking`` and ``moved`` (6,) count scans that gave no sample
-    because a signal was absent or moved too fast.
+    the first SIZE of ``course`` (FIELDS,) are in use. By signal, (SIGNALS,): ``now_value``,
+    ``now_status``, ``now_time``, ``now_rate`` are the newest emitted value and its rate, per ns;
+    ``seen`` is the newest time received, ``lacking`` and ``moved`` count scans that gave no sample
+    because the signal was absent or moved too fast.
     """
 
     time: NDArray[np.int64]
@@ -45,7 +46,7 @@ class Scans(NamedTuple):
 
 
 class ScanRules(NamedTuple):
-    """Detected timing of a valve's signals, (6,) each; times in ns.
+    """Detected timing of a valve's signals, (SIGNALS,) each; times in ns.
 
     ``there``: the valve has this signal. ``held``: it is written on change, or seldom. ``limit``:
     largest permitted move within its distance from the scan's first instant, or deviation from its

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.pipeline.kernels.compiled import inlined, inner
+from valvemap.vocabulary.signals import COUNT, PER_VALVE, Signal
 
-SIGNALS = 5
-SEQUENCE = 5
-STRIDE = 6
+SIGNALS, STRIDE, SEQUENCE = COUNT, PER_VALVE, int(Signal.SEQUENCE)
 
 (
     LATE,
@@ -73,12 +72,12 @@ class Changes(NamedTuple):
 class Rules(NamedTuple):
     """Alignment settings of V valves; times in ns.
 
-    ``required`` (V,) has a bit for every signal that a sample must have, ``hold`` (V, 5) is the
-    time for which a signal's last value is held, ``numbered`` (V,) masks valves with a running
+    ``required`` (V,) has a bit for every signal that a sample must have, ``hold`` (V, SIGNALS) is
+    the time for which a signal's last value is held, ``numbered`` (V,) masks valves with a running
     number, ``reorder`` (V,) is how long a sample waits for an earlier one.
     """
 
-    required: NDArray[np.uint8]
+    required: NDArray[np.int64]
     hold: NDArray[np.int64]
     numbered: NDArray[np.bool_]
     reorder: NDArray[np.int64]
@@ -89,9 +88,9 @@ class Rules(NamedTuple):
 class Waiting(NamedTuple):
     """State of the alignment; the first axis of every array is the valve (V).
 
-    A row of ``slots`` (V, K, SLOT_FIELDS), ``values`` (V, K, 5) and ``status`` (V, K, 5) holds the
+    A row of ``slots`` (V, K, SLOT_FIELDS), ``values`` and ``status`` (V, K, SIGNALS) holds the
     pending samples of a valve in the order of their time; the first SIZE are in use.
-    ``held_value``, ``held_status`` and ``held_time`` (V, 5) are the last of each held signal,
+    ``held_value``, ``held_status`` and ``held_time`` (V, SIGNALS) are the last of each held signal,
     ``lost`` (V, LOST_KEPT, 2) the times before and after the last dropped stretches, ``left``
     (V, R) the last emitted times of valves without running number, ``order`` (V, ORDER_FIELDS) the
     fields above, ``counters`` (V, COUNTERS) counts since the start.
@@ -110,7 +109,7 @@ class Waiting(NamedTuple):
 
 
 class Aligned(NamedTuple):
-    """Arrays of emitted samples: ``valve``, ``time``, ``quality`` (N,), ``values`` (N, 5)."""
+    """Arrays of emitted samples: ``valve``, ``time``, ``quality`` (N,), ``values`` (N, SIGNALS)."""
 
     valve: NDArray[np.int64]
     time: NDArray[np.int64]

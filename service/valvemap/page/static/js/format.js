@@ -42,15 +42,11 @@ export function clock(ms) {
   return date.toDateString() === new Date().toDateString() ? time : `${date.toLocaleDateString("en-GB")} ${time}`;
 }
 
-export const UNITS = { U: "%", p1: "bar", p2: "bar", dp: "bar", Q: "l/min", T: "°C" };
-export const SIGNAL_NAMES = {
-  U: "U control voltage", p1: "p₁ before", p2: "p₂ behind", dp: "Δp", Q: "Q flow", T: "T oil",
-};
-
 // Filled with the service's own words when the page connects: [label, sentence], for the inverse
-// [severity, sentence], by number.
-export const STATUS = [], INVERSE_STATUS = [], REASONS = [];
+// [severity, sentence], by number; of signals [caption, unit], by name.
+export const STATUS = [], INVERSE_STATUS = [], REASONS = [], SIGNALS = {};
 
-export function learnWords({ status, inverse, reason }) {
+export function learnWords({ status, inverse, reason, signals }) {
+  Object.assign(SIGNALS, signals);
   [[STATUS, status], [INVERSE_STATUS, inverse], [REASONS, reason]].forEach(([kept, words]) => kept.splice(0, Infinity, ...words));
 }

@@ -2,10 +2,9 @@
 
 import { History, SECOND_AXIS, timeChart } from "../charts.js";
 import { css, h, lineVariable, mark, onTheme, paced, pen, say } from "../dom.js";
-import { count, fixed, REASONS, short, SIGNAL_NAMES, span, STATUS, UNITS } from "../format.js";
+import { count, fixed, REASONS, short, SIGNALS, span, STATUS } from "../format.js";
 import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
 
-const SIGNALS = ["U", "p1", "p2", "dp", "Q", "T"];
 const RESIDUALS = 600; // of the newest minute
 const LAGS = 20;
 const MOST_PARAMETERS = 100; // a network has hundreds, of which none says anything alone
@@ -19,7 +18,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
   let selected = estimators.includes(estimator) ? estimator : valve.primary;
   let drawnAt = 0;
 
-  const signals = Object.fromEntries(SIGNALS.map((name) => [name, signalTile(name)]));
+  const signals = Object.fromEntries(Object.keys(SIGNALS).map((name) => [name, signalTile(name)]));
   const badge = h("span.badge"), sentence = h("span.muted.sentence");
   const table = estimatorTable(estimators, live.quantities, (name) => select(name));
   const parameters = h("tbody"), parametersTitle = h("h2");
@@ -94,7 +93,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
   }
 
   const soon = paced(() => {
-    for (const name of SIGNALS) signals[name].show(live);
+    for (const name in signals) signals[name].show(live);
     driveCard.hidden = !live.has("Signals.U"); // an older service does not publish its signals
     flow.chart.setData(flows.data);
     residual.chart.setData(residuals.data);
@@ -225,7 +224,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
 
 function signalTile(name) {
   const value = h("span.digits"), element = h("div.signal", { "data-signal": name },
-    h("span.name", {}, SIGNAL_NAMES[name]), h("span.value", {}, value, h("span.unit", {}, UNITS[name])));
+    h("span.name", {}, SIGNALS[name][0]), h("span.value", {}, value, h("span.unit", {}, SIGNALS[name][1])));
   return {
     element,
     show(live) {

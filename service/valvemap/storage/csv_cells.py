@@ -1,0 +1,79 @@
+"""The cells of some lines of a CSV file, by column: as text, or parsed by Arrow."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Codes, Floats, Times
+from valvemap.storage import columns
+from valvemap.storage.columns import CellError
+from valvemap.storage.dates import DateForm
+
+
+class Cells(Protocol):
+    """Lines of a file; each method converts the column at ``place``, and may raise a CellError."""
+
+    def numbers(self, place: int, name: str) -> Floats: ...  # noqa: D102
+
+    def times(self, place: int, seconds: float = 1.0) -> Times: ...  # noqa: D102
+
+    def qualities(self, place: int) -> Codes: ...  # noqa: D102
+
+    def names(self, place: int) -> tuple[list[str], NDArray[np.intp]]: ...  # noqa: D102
+
+
+class TextCells:
+    """Cells as text; a decimal comma is accepted unless the comma separates columns."""
+
+    def __init__(self, rows: Sequence[Sequence[str]], separator: str, dates: DateForm) -> None:
+        self._columns = list(zip(*rows, strict=True))
+        self._separator = separator
+        self._dates = dates
+
+    def numbers(self, place: int, name: str) -> Floats:
+        """Numbers; an empty cell is NaN."""
+        cells = self._columns[place]
+        if self._separator != ",":
+            return columns.numbers(with_points(cells), name)
+        try:
+            return columns.numbers(cells, name)
+        except CellError:  # a quoted decimal comma
+            if not any("," in cell for cell in cells):
+                raise
+            return columns.numbers(with_points(cells), name)
+
+    def times(self, place: int, seconds: float = 1.0) -> Times:
+        """UTC ns; ``seconds`` is the unit of numbers."""
+        if seconds != 1.0:
+            return scaled_times(self.numbers(place, "t"), self._columns[place], seconds)
+        return times_of_text(self._columns[place], self._separator, self._dates)
+
+    def qualities(self, place: int) -> Codes:
+        """Qualities."""
+        return columns.qualities(self._columns[place])
+
+    def names(self, place: int) -> tuple[list[str], NDArray[np.intp]]:
+        """Distinct names, and the index of each row's name."""
+        return columns.names(self._columns[place])
+
+
+def scaled_times(values: Floats, cells: Any, seconds: float) -> Times:  # noqa: ANN401 - by row
+    """Return ns of numbers in a unit of so many seconds."""
+    if not np.isfinite(values).all():
+        row = int(np.argmax(~np.isfinite(values)))
+        raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)
+    return np.rint(values * (seconds * 1e9)).astype(np.int64)
+
+
+def times_of_text(cells: Sequence[str], separator: str, dates: DateForm) -> Times:
+    """Return UTC ns; a decimal comma is accepted."""
+    if separator == "," and not any("," in cell for cell in cells):
+        return columns.times(cells, dates)
+    return columns.times(with_points(cells), dates)
+
+
+def with_points(cells: Sequence[str]) -> list[str]:
+    """Return the cells with points for commas."""
+    return [cell.replace(",", ".") for cell in cells]

@@ -1,0 +1,62 @@
+"""How long the history has been written, independent of any clock: rows age while it is open.
+
+A file's time is the sum of the monotonic time during which it was open. Marks relate it to the
+order of rows: all blocks and alarm changes up to these numbers were there at that time. A clock
+that steps, at the source or here, therefore drops nothing.
+"""
+
+import sqlite3
+from typing import Final, NamedTuple
+
+_SCHEMA: Final = """
+    CREATE TABLE IF NOT EXISTS written (
+        ran_s REAL PRIMARY KEY,
+        block INTEGER NOT NULL,
+        change INTEGER NOT NULL
+    )
+    """
+_NEWEST: Final = (
+    "SELECT ifnull((SELECT max(id) FROM block), 0), ifnull((SELECT max(id) FROM alarm_change), 0)"
+)
+
+
+class Mark(NamedTuple):
+    """The newest block and alarm change at a time of the file, s."""
+
+    ran_s: float
+    block: int
+    change: int
+
+
+def prepare(connection: sqlite3.Connection) -> None:
+    """Create the table if it does not exist."""
+    connection.execute(_SCHEMA)
+
+
+def ran_s(connection: sqlite3.Connection) -> float:
+    """Return the file's time at the last mark, s; 0 of a new file."""
+    (found,) = connection.execute("SELECT max(ran_s) FROM written").fetchone()
+    return float(found or 0.0)
+
+
+def since_s(connection: sqlite3.Connection) -> float:
+    """Return the file's time at its oldest mark, s: rows have been written since; 0 of none."""
+    (found,) = connection.execute("SELECT min(ran_s) FROM written").fetchone()
+    return float(found or 0.0)
+
+
+def mark(connection: sqlite3.Connection, now_s: float) -> None:
+    """Note that all present rows were there at this time; drop the marks of dropped blocks."""
+    newest = connection.execute(_NEWEST).fetchone()
+    connection.execute("DELETE FROM written WHERE block < (SELECT min(id) FROM block)")
+    connection.execute("INSERT OR REPLACE INTO written VALUES (?, ?, ?)", (now_s, *newest))
+
+
+def expired(connection: sqlite3.Connection, before_s: float) -> Mark | None:
+    """Return the newest mark that is not after a time of the file, and delete those before it."""
+    select = "SELECT ran_s, block, change FROM written WHERE ran_s <= ? ORDER BY ran_s DESC LIMIT 1"
+    found = connection.execute(select, (before_s,)).fetchone()
+    if found is None:
+        return None
+    connection.execute("DELETE FROM written WHERE ran_s < ?", (found[0],))
+    return Mark(*found)

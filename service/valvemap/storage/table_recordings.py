@@ -1,0 +1,307 @@
+"""Recordings in memory: data frames (pandas, polars, pyarrow) and mappings of arrays."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.model.samples import Codes, Floats, Samples, Times
+from valvemap.storage import columns
+from valvemap.storage.columns import CellError
+from valvemap.storage.csv_cells import scaled_times
+from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
+from valvemap.storage.layout import (
+    DEFAULT_VALVE,
+    Columns,
+    Layout,
+    MissingColumnError,
+    Part,
+    find_columns,
+    with_p2,
+)
+
+ALLOWED: Final = (
+    "a path, a data frame (pandas, polars, pyarrow), a dict of arrays by column, or a list of these"
+)
+
+BACKENDS: Final = ("pandas", "polars", "pyarrow")
+
+_RECOGNISED: Final = 3_000  # rows used to recognise foreign headings
+
+Column = NDArray[Any] | list[str]
+
+
+class TableReader:
+    """Reads a table chunk by chunk; its columns are those of a recording.
+
+    Numbers may be of any numeric type, times also datetimes (UTC unless they have a zone). Missing
+    numbers are NaN. An index of datetimes is the time of a pandas frame without a column ``t``.
+
+    Raises
+    ------
+    RecordingError
+        if it is no table, or a column is of no suitable type; names them and the allowed ones.
+    """
+
+    def __init__(self, table: object, chunk_rows: int, layout: Layout) -> None:
+        self.name = type(table).__name__
+        self._table = _columns_of(table, self.name)
+        self._chunk_rows = chunk_rows
+        self._columns = self._find(layout)
+        self._rows = _size(next(iter(self._table.values())), self.name)
+        self._done = 0
+        self.ignored = self._columns.ignored
+
+    @property
+    def fraction(self) -> float:
+        """The fraction read, 0 to 1."""
+        return self._done / self._rows if self._rows else 1.0
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def chunks(self) -> Iterator[tuple[str, Samples]]:
+        """Yield (valve, samples), chunk by chunk."""
+        try:
+            whole = list(self._converted())
+        except CellError as error:
+            raise RecordingError(f"{self.name}, row {error.row + 1}: {error}") from None
+        for start in range(0, self._rows, self._chunk_rows):
+            rows = slice(start, start + self._chunk_rows)
+            self._done = min(rows.stop, self._rows)
+            for samples, valves, index in whole:
+                if start < len(samples):
+                    here = Samples(**{name: x[rows].copy() for name, x in vars(samples).items()})
+                    yield from columns.by_valve(here, valves, index[rows])
+
+    def _find(self, layout: Layout) -> Columns:
+        """Return the columns by our own names, else recognised by headings and first rows."""
+        headings = list(self._table)
+        try:
+            return find_columns(headings, layout, self.name)
+        except MissingColumnError as missing:
+            plain = [self._named(place)[1] for place in range(len(headings))]
+            numeric = [isinstance(x, np.ndarray) and x.dtype.kind in "if" for x in plain]
+            time = time_column(headings, numeric)
+            if not layout.recognises or time is None:
+                raise
+            numbers = {
+                place: np.asarray(column[:_RECOGNISED], np.float64)
+                for place, column in enumerate(plain)
+                if numeric[place] and place != time
+            }
+            begin = plain[time][:_RECOGNISED]
+            try:
+                times = _times(begin, seconds_per_unit(headings[time]))
+            except CellError:
+                raise missing from None
+            begins = Beginning(Path(self.name), headings, numbers, time, times)
+            return recognise(begins, layout, missing)
+
+    def _converted(self) -> Iterator[tuple[Samples, list[str], NDArray[np.intp]]]:
+        """Yield samples, valves and each row's valve of every part of the table."""
+        found = self._columns
+        quality = None if found.quality is None else _qualities(*self._named(found.quality))
+        valves, index = [DEFAULT_VALVE], np.zeros(self._rows, np.intp)
+        if found.valve is not None:
+            valves, index = columns.names(_texts(*self._named(found.valve)))
+        for part in found.parts:
+            samples = self._samples(part, quality)
+            if part.valve is None:
+                yield samples, valves, index
+            elif not part.selects:
+                yield samples, [part.valve], np.zeros(self._rows, np.intp)
+            elif part.valve in valves:
+                own = index == valves.index(part.valve)
+                yield samples[own], [part.valve], np.zeros(int(own.sum()), np.intp)
+
+    def _samples(self, part: Part, quality: Codes | None) -> Samples:
+        numbers = {
+            signal: scaling(_numbers(*self._named(place), signal))
+            for signal, (place, scaling) in part.numbers.items()
+        }
+        return with_p2(_times(self._named(part.t)[1], part.seconds), quality, numbers)
+
+    def _named(self, place: int) -> tuple[str, Column]:
+        name = list(self._table)[place]
+        try:
+            return f"{self.name}: column {name}", _plain(self._table[name])
+        except TypeError as error:
+            raise RecordingError(f"{self.name}: column {name} is of type {error}") from None
+
+
+@lru_cache(maxsize=1)
+def _narwhals() -> ModuleType | None:
+    """Return narwhals, which data frames need, and mappings of arrays do not; loaded when used."""
+    return import_module("narwhals") if find_spec("narwhals") is not None else None
+
+
+def is_table(given: object) -> bool:
+    """Whether it is a data frame or a mapping of arrays."""
+    return isinstance(given, Mapping) or _frame(given) is not None
+
+
+def data_frame(table: Mapping[str, NDArray[Any]], backend: str) -> Any:  # noqa: ANN401 - of any library
+    """Return a data frame of a library: ``pandas``, ``polars`` or ``pyarrow``.
+
+    Raises
+    ------
+    ConfigurationError
+        if the library is unknown or not installed; names it.
+    """
+    if backend not in BACKENDS:
+        raise ConfigurationError(f"backend {backend!r}; {', '.join(BACKENDS)} are allowed")
+    nw = _narwhals()
+    if nw is None or find_spec(backend) is None:
+        missing = "narwhals" if nw is None else backend
+        raise ConfigurationError(f"a data frame of {backend} needs it: pip install {missing}")
+    kind = cast('Literal["pandas", "polars", "pyarrow"]', backend)
+    return nw.from_dict(dict(table), backend=kind).to_native()
+
+
+def _frame(given: object) -> Any:  # noqa: ANN401 - narwhals' frame of any library
+    """Return a data frame by narwhals; None if it is none."""
+    nw = _narwhals()
+    if nw is None:
+        return None
+    frame = nw.from_native(given, pass_through=True)
+    if isinstance(frame, nw.LazyFrame):
+        return frame.collect()
+    return frame if isinstance(frame, nw.DataFrame) else None
+
+
+def _columns_of(table: object, name: str) -> dict[str, object]:
+    nw = _narwhals() if not isinstance(table, Mapping) else None
+    if isinstance(table, Mapping):
+        found = {str(key): values for key, values in table.items()}
+    else:
+        frame = _frame(table)
+        if frame is None or nw is None:
+            hint = "" if nw else "; data frames need narwhals: pip install 'valvemap[dataframes]'"
+            raise RecordingError(f"a {name} is no recording; {ALLOWED} is allowed{hint}")
+        found = {key: frame[key] for key in frame.columns}
+        index = nw.maybe_get_index(frame)
+        if index is not None and "t" not in found and isinstance(index.to_numpy()[:0], np.ndarray):
+            series = nw.from_native(index.to_series(), series_only=True)
+            if series.dtype == nw.Datetime:
+                found["t"] = series
+    if not found:
+        raise RecordingError(f"{name} has no columns: a recording has t,U,p1,p2,Q")
+    sizes = {key: _size(values, f"{name}: column {key}") for key, values in found.items()}
+    if len(set(sizes.values())) > 1:
+        raise RecordingError(f"{name}: columns of equal length are allowed, not {sizes}")
+    return found
+
+
+def _size(values: object, where: str) -> int:
+    try:
+        return len(values)  # type: ignore[arg-type]
+    except TypeError:
+        raise RecordingError(f"{where} is {values!r}; an array of (N,) is allowed") from None
+
+
+def _plain(values: object) -> Column:
+    """Return float64, int64, datetime64[ns], or texts.
+
+    Raises
+    ------
+    TypeError
+        if it is something else; says what.
+    CellError
+        if a time is out of range.
+    """
+    nw = None if isinstance(values, np.ndarray | list | tuple) else _narwhals()
+    if nw is not None:
+        series = nw.from_native(values, series_only=True, pass_through=True)
+        if isinstance(series, nw.Series):
+            return _of_series(series, nw)
+    array = np.asarray(values)
+    if array.ndim != 1:
+        raise TypeError(f"{array.dtype} and shape {array.shape}; (N,) is allowed")
+    if array.dtype.kind == "M":
+        return _in_ns(array)
+    if array.dtype.kind in "iu":
+        return array.astype(np.int64)
+    if array.dtype.kind == "f":
+        return array.astype(np.float64)
+    if array.dtype.kind in "OUT":
+        return [_text(x) for x in array.tolist()]
+    raise TypeError(f"{array.dtype}; numbers, datetimes and text are allowed")
+
+
+def _of_series(series: Any, nw: ModuleType) -> Column:  # noqa: ANN401 - narwhals' series of any library
+    kind = series.dtype
+    if kind == nw.Date:
+        series = series.cast(nw.Datetime("us"))
+        kind = series.dtype
+    if kind == nw.Datetime:
+        if series.null_count():
+            row = int(np.argmax(series.is_null().to_numpy()))
+            raise CellError(row, "t", "", columns.ALLOWED_TIME)
+        unit = kind.time_unit if kind.time_unit in ("ns", "us", "ms") else "us"
+        return _in_ns(np.asarray(series.dt.timestamp(unit).to_numpy()).view(f"M8[{unit}]"))
+    if kind.is_integer() and not series.null_count():
+        return np.asarray(series.cast(nw.Int64).to_numpy())
+    if kind.is_numeric():
+        return np.asarray(series.cast(nw.Float64).to_numpy(), np.float64)
+    if kind in (nw.String, nw.Categorical, nw.Enum, nw.Object):
+        return [_text(x) for x in series.to_list()]
+    if series.null_count() == len(series):
+        return np.full(len(series), np.nan)
+    raise TypeError(f"{kind}; numbers, datetimes and text are allowed")
+
+
+def _in_ns(times: NDArray[np.datetime64]) -> Column:
+    ns = times.astype("M8[ns]")
+    bad = np.isnat(times) | (ns.astype(times.dtype) != times)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise CellError(row, "t", times[row], columns.ALLOWED_TIME)
+    return ns
+
+
+def _text(value: object) -> str:
+    if value is None or value != value:  # noqa: PLR0124 - NaN and NaT are not themselves
+        return ""
+    return value.isoformat() if hasattr(value, "isoformat") else str(value)
+
+
+def _numbers(where: str, column: Column, signal: str) -> Floats:
+    if isinstance(column, list):
+        return columns.numbers(column, signal)
+    if column.dtype.kind == "M":
+        raise RecordingError(f"{where} is of type {column.dtype}, not a number")
+    return column.astype(np.float64)
+
+
+def _times(column: Column, seconds: float) -> Times:
+    if not isinstance(column, list) and column.dtype.kind in "if" and seconds != 1.0:
+        return scaled_times(column.astype(np.float64), column, seconds)
+    if isinstance(column, list):
+        return columns.times(column)
+    if column.dtype.kind == "M":
+        return column.astype(np.int64)
+    if column.dtype.kind == "i":
+        return columns.times_of_integers(column)
+    return columns.times_of_floats(column)
+
+
+def _qualities(where: str, column: Column) -> Codes:
+    if isinstance(column, list):
+        return columns.qualities(column)
+    if column.dtype.kind != "i":
+        raise RecordingError(f"{where} is of type {column.dtype}, not an integer or text")
+    return columns.qualities_of_integers(column)
+
+
+def _texts(where: str, column: Column) -> Sequence[str]:
+    if isinstance(column, list):
+        return column
+    raise RecordingError(f"{where} is of type {column.dtype}, not text")

@@ -1,0 +1,266 @@
+"""`fit`, `open_model` and `replay` take what a person types, and a model does what is asked."""
+
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import valvemap
+from valvemap.config.models import Config
+from valvemap.errors import ConfigurationError, RecordingError, StorageError
+from valvemap.model.samples import Samples
+from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.vocabulary.statuses import InverseStatus
+
+README = Path(__file__).parents[2] / "README.md"
+FIELDS = ("t", "U", "p1", "p2", "Q", "T", "quality")
+N = 3000
+
+
+def rows(seed=1, scale=0.1):
+    rng = np.random.default_rng(seed)
+    U, dp = rng.uniform(0, 100, N), rng.uniform(5, 200, N)
+    Q = scale * U * np.sqrt(dp) + 0.2 * rng.normal(size=N)
+    T = rng.uniform(38, 42, N)
+    T[::7] = np.nan
+    t = 1_700_000_000_000_000_000 + 10_000_000 * np.arange(N)
+    return {"t": t, "U": U, "p1": 200 + 0 * dp, "p2": 200 - dp, "Q": Q, "T": T}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plant")
+    for form in ("csv", "parquet"):
+        with RecordingWriter(folder / f"plant.{form}") as recording:
+            recording.append("Valvistor", Samples.of(**rows()))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model():
+    return valvemap.fit(rows(), estimator="Auto")
+
+
+def forms(folder):
+    """The same samples in every form."""
+    import pandas as pd
+    import polars as pl
+    import pyarrow as pa
+
+    table = rows()
+    frame = pd.DataFrame(table)
+    moments = frame.assign(t=pd.to_datetime(frame.t, utc=True))
+    return {
+        "arrays": table,
+        "lists": {name: column.tolist() for name, column in table.items()},
+        "pandas": frame,
+        "pandas by time": moments.set_index("t"),
+        "pandas in Berlin": moments.assign(t=moments.t.dt.tz_convert("Europe/Berlin")),
+        "pandas nullable": frame.convert_dtypes(),
+        "polars": pl.DataFrame(table),
+        "polars lazy": pl.LazyFrame(table),
+        "polars by time": pl.DataFrame(table).with_columns(pl.from_epoch("t", "ns")),
+        "pyarrow": pa.table(table),
+        "series": {name: frame[name] for name in frame},
+        "CSV of pandas": frame.to_csv(folder / "pandas.csv", index=False) or folder / "pandas.csv",
+        "CSV": folder / "plant.csv",
+        "Parquet": folder / "plant.parquet",
+        "text": str(folder / "plant.csv"),
+    }
+
+
+def bits(recording):
+    parts = [samples for _, samples in read_recording(recording, chunk_rows=1000)]
+    whole = Samples.concatenate(parts)
+    return [getattr(whole, name).tobytes() for name in FIELDS]
+
+
+def test_the_same_samples_are_the_same_bits_in_every_form(folder):
+    expected = bits(folder / "plant.parquet")
+    for name, form in forms(folder).items():
+        assert bits(form) == expected, name
+
+
+@pytest.mark.parametrize("t", [0.01 * np.arange(N), 1.7e9 + 0.001 * np.arange(N), np.arange(N)])
+def test_seconds_are_the_same_times_in_every_form(t, tmp_path):
+    import pandas as pd
+
+    table = rows() | {"t": t}
+    frame = pd.DataFrame(table)
+    frame.to_csv(tmp_path / "r.csv", index=False)
+    frame.to_parquet(tmp_path / "r.parquet")
+    assert bits(tmp_path / "r.csv") == bits(tmp_path / "r.parquet") == bits(frame) == bits(table)
+
+
+def test_a_fit_is_the_map_of_the_replay_from_every_form(folder):
+    report = valvemap.replay(str(folder / "plant.csv"))
+    expected = report["Valvistor"]["Auto"].lane
+    theta = expected.estimator.parameters(expected.state)[0]
+    for form in (rows(), forms(folder)["pandas"], folder / "plant.parquet", [folder / "plant.csv"]):
+        found = valvemap.fit(form, estimator="Auto")
+        assert found.estimator.parameters(found.state)[0].tobytes() == theta.tobytes()
+        assert found.support.boxes.tobytes() == expected.support.boxes.tobytes()
+
+
+def test_units_and_columns_are_said_by_signal(model):
+    table = rows()
+    given = {"Time": table["t"], "valve signal": table["U"] / 100, "T": table["T"]}
+    given |= {"p1": table["p1"] * 0.1, "p2": table["p2"] * 0.1, "Q": table["Q"] / 60}
+    found = valvemap.fit(
+        given,
+        units={"U": "ratio", "p1": "MPa", "p2": "MPa", "Q": "l/s"},
+        columns={"U": "valve signal"},
+        estimator="Auto",
+    )
+    np.testing.assert_allclose(found.predict(50, 100), model.predict(50, 100), rtol=1e-6)
+
+
+def test_foreign_headings_are_recognised_in_every_form(tmp_path):
+    import pandas as pd
+
+    table = rows()
+    named = {"Zeit [ms]": np.arange(N) * 10.0, "Stellsignal [%]": table["U"]}
+    named |= {"Druck vor Ventil [psi]": table["p1"] * 14.503773773, "T [°C]": 40 + 0 * table["U"]}
+    named |= {"Druck nach Ventil [psi]": table["p2"] * 14.503773773, "Durchfluss": table["Q"]}
+    named["Durchfluss [l/min]"] = named.pop("Durchfluss")
+    frame = pd.DataFrame(named)
+    frame.to_csv(tmp_path / "r.csv", index=False)
+    frame.to_parquet(tmp_path / "r.parquet")
+    assert bits(tmp_path / "r.csv") == bits(tmp_path / "r.parquet") == bits(frame) == bits(named)
+
+
+def test_the_lines_of_the_readme_run(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    (code,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 5
+    exec(code, {})  # noqa: S102 - our own text
+    assert "U=array([" in capsys.readouterr().out
+    assert (folder / "valve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_model_predicts_inverts_and_states_intervals(model):
+    Q = model.predict([25, 50], 100.0)
+    np.testing.assert_allclose(Q, [25.0, 50.0], atol=0.3)
+    answer = model.invert(Q, 100.0)
+    np.testing.assert_allclose(answer.U, [25.0, 50.0], atol=1e-6)
+    assert answer.status.tolist() == [InverseStatus.OK] * 2
+    lower, upper = model.interval(50.0, 100.0)
+    assert 0.6 < float((upper - lower)[0]) < 1.2  # ± 1.96 · 0.2 l/min
+    assert model.predict(50.0, 100.0).shape == (1,)
+    assert "Valvistor by Auto" in repr(model)
+    fresh = model.compare(rows(seed=2))
+    assert 0.93 < fresh.covered < 0.97
+    assert (fresh.n, round(fresh.rmse, 1)) == (N, 0.2)
+    assert fresh.r2 > 0.99
+
+
+def test_a_model_is_compared_with_another_where_both_have_samples(model):
+    worn = valvemap.fit(rows(scale=0.11), estimator="Auto")
+    apart = model.compare(worn)
+    assert apart.bias == pytest.approx(0.01 * 50 * np.sqrt(200) * 2 / 3, rel=0.05)
+    assert apart.covered < 0.3
+    assert model.compare(model).max_abs == 0.0
+
+
+def test_a_model_is_saved_and_opened_to_the_same_bits(model, tmp_path):
+    model.save(tmp_path / "valve.json")
+    back = valvemap.open_model(str(tmp_path / "valve.json"))
+    grid = np.linspace(0, 100, 50), np.linspace(1, 200, 50)
+    assert back.predict(*grid).tobytes() == model.predict(*grid).tobytes()
+    assert back.invert(*grid).lower.tobytes() == model.invert(*grid).lower.tobytes()
+    assert back.interval(*grid)[0].tobytes() == model.interval(*grid)[0].tobytes()
+    with pytest.raises(ConfigurationError, match=r"valve\.txt: the name of a saved model ends"):
+        model.save("valve.txt")
+
+
+@pytest.mark.parametrize("backend", ["pandas", "polars", "pyarrow"])
+def test_a_model_is_a_data_frame_over_its_axes(model, backend):
+    frame = model.to_frame(U=[0, 50], dp=[100, 400], backend=backend)
+    assert type(frame).__module__.partition(".")[0] == backend
+    columns = {name: np.asarray(frame[name]) for name in ("U", "dp", "Q", "extrapolated")}
+    assert columns["U"].tolist() == [0, 0, 50, 50]
+    np.testing.assert_allclose(columns["Q"][2:3], 50.0, atol=0.3)
+    assert not columns["extrapolated"][2]
+    assert len(model.to_frame(backend=backend)) == 21 * 11
+
+
+MISTAKES = {
+    "a number": (42, RecordingError, r"42 is no recording; a path, a data frame"),
+    "letters": (["a", 1], RecordingError, r"\['a', 1\] is no recording"),
+    "no file": ("nowhere.csv", RecordingError, r"nowhere\.csv does not exist"),
+    "no kind": ("plant.xlsx", RecordingError, r"plant\.xlsx is not a recording: its name must end"),
+    "a model": ("valve.json", ConfigurationError, r"valve\.json is a saved model: .*open_model"),
+    "a matrix": (np.zeros((3, 5)), RecordingError, r"a ndarray is no recording"),
+    "no Q": ({"t": [1], "U": [1], "p1": [1], "p2": [0]}, RecordingError, r"dict: column Q is miss"),
+    "text": (rows() | {"U": ["x"] * N}, RecordingError, r"dict, row 1: U is 'x', allowed is a num"),
+    "unequal": (rows() | {"U": [1.0]}, RecordingError, r"columns of equal length are allowed"),
+    "shape": (rows() | {"U": np.zeros((N, 2))}, RecordingError, r"column U .* shape \(3000, 2\)"),
+    "bad": (rows() | {"quality": [2] * N}, RecordingError, r"nothing was learnt from 3000 samples"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_named_with_what_is_allowed(name):
+    given, kind, sentence = MISTAKES[name]
+    with pytest.raises(kind, match=sentence):
+        valvemap.fit(given)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"units": {"p1": "l/min"}}, r"units\['p1'\] is 'l/min'; bar, mbar, Pa, .* are allowed"),
+        ({"units": {"p3": "bar"}}, r"units\['p3'\]: U, p1, p2, Q, T are allowed"),
+        ({"columns": {"u": "x"}}, r"columns\['u'\]: U, p1, .* valve, quality are allowed"),
+        ({"columns": {"U": "signal"}}, r"column 'signal' .* is missing; found 't,U,p1"),
+        ({"valve": "V7"}, r"valve V7 is not there; allowed is Valvistor"),
+        ({"estimator": "auto"}, r"estimator 'auto' is not there; allowed is RLS, RML, RBF, Auto"),
+        ({"config": Config(), "units": {"p1": "psi"}}, r"with a config, units and columns"),
+    ],
+)
+def test_a_wrong_argument_is_named_with_what_is_allowed(arguments, sentence):
+    with pytest.raises((ConfigurationError, RecordingError), match=sentence):
+        valvemap.fit(rows(), **arguments)
+
+
+def test_open_model_takes_text_paths_and_tables(folder, model, tmp_path):
+    model.save(tmp_path / "v.json")
+    for given in (tmp_path / "v.json", str(tmp_path / "v.json"), str(folder / "plant.csv"), rows()):
+        assert valvemap.open_model(given).predict(50, 100) == pytest.approx(
+            model.predict(50, 100), rel=1e-2
+        )
+    with pytest.raises(StorageError, match=r"nowhere\.json: no such file"):
+        valvemap.open_model("nowhere.json")
+    with pytest.raises(ConfigurationError, match="valve 'X' is not there; Valvistor is"):
+        valvemap.open_model(str(tmp_path / "v.json"), valve="X")
+
+
+def test_replay_verifies_on_a_table(folder):
+    report = valvemap.replay([rows()], verify=rows(seed=3))
+    assert report["Valvistor"]["Auto"].verify.n == N
+
+
+@pytest.mark.alone
+def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_path):
+    n = 300_000
+    rng = np.random.default_rng(0)
+    U, dp = rng.uniform(0, 100, n), rng.uniform(5, 200, n)
+    Q = 0.1 * U * np.sqrt(dp) + 0.2 * rng.normal(size=n)
+    samples = Samples.of(10_000_000 * np.arange(n), U, 200 + 0 * dp, 200 - dp, Q)
+    for form in ("csv", "parquet"):
+        with RecordingWriter(tmp_path / f"r.{form}") as recording:
+            recording.append("V", samples)
+
+    def seconds(run, form):
+        taken = []
+        for _ in range(3):
+            started = time.process_time()
+            run(tmp_path / f"r.{form}")
+            taken.append(time.process_time() - started)
+        return min(taken)
+
+    replayed = {form: seconds(valvemap.replay, form) for form in ("csv", "parquet")}
+    assert seconds(valvemap.fit, "parquet") <= 1.3 * replayed["parquet"]
+    assert replayed["csv"] <= 1.3 * replayed["parquet"]

@@ -1,0 +1,132 @@
+"""`valvemap state`: what was learnt is listed, adopted, renamed, exported and imported."""
+
+import pytest
+
+from support.plant import as_changes, plant
+from valvemap.app.build import build_identification
+from valvemap.cli import run
+from valvemap.config.loading import load_config
+from valvemap.storage.checkpoints import CheckpointFile
+
+CONFIG = """
+[state]
+file = "{folder}/{state}"
+[[valves]]
+name = "{name}"
+estimators = [{{ kind = "RLS" }}, {{ kind = "RML" }}]
+[valves.nodes]
+U = "ns=2;s=U"
+p1 = "ns=2;s=p1"
+p2 = "ns=2;s=p2"
+Q = "{Q}"
+"""
+
+
+@pytest.fixture
+def config(tmp_path):
+    def write(state="state.sqlite", name="V1", Q="ns=2;s=Q"):
+        file = tmp_path / f"{state}.toml"
+        file.write_text(CONFIG.format(folder=tmp_path, state=state, name=name, Q=Q))
+        return file
+
+    return write
+
+
+def start(file):
+    """What a service restores from its state file at the start, and saves."""
+    from valvemap.runtime.restoring import restore
+
+    loaded = load_config(file)
+    identification = build_identification(loaded)
+    with CheckpointFile(loaded.state.file) as store:
+        restore(identification, store, store.load())
+        store.save(identification.kept())
+    return identification.result(0).estimators["RLS"]
+
+
+@pytest.fixture
+def learnt(config):
+    file = config()
+    loaded = load_config(file)
+    identification = build_identification(loaded)
+    identification.take(as_changes(plant(200)))
+    with CheckpointFile(loaded.state.file) as store:
+        store.save(identification.kept())
+    return file, identification.result(0).estimators["RLS"].theta
+
+
+def valvemap(capsys, *arguments):
+    code = run([*map(str, arguments)])
+    out, err = capsys.readouterr()
+    return code, out.splitlines(), err.splitlines()
+
+
+def test_the_list_says_what_the_next_start_makes_of_each(learnt, config, capsys):
+    file, _ = learnt
+    code, lines, _ = valvemap(capsys, "state", "list", "-c", file)
+    assert code == 0
+    until = "to 2027-01-15T08:00:01Z"
+    assert lines == [f"V1.{name}: {until}; fits the configuration" for name in ("RLS", "RML")]
+    code, lines, _ = valvemap(capsys, "state", "list", "-c", config(Q="ns=2;s=FT-7"))
+    assert lines[0] == f"V1.RLS: {until}; Q came from ns=2;s=Q, now from ns=2;s=FT-7"
+
+
+def test_it_is_listed_while_a_service_runs_and_changed_only_when_none_does(learnt, capsys):
+    file, _ = learnt
+    with CheckpointFile(load_config(file).state.file):
+        assert valvemap(capsys, "state", "list", "-c", file)[0] == 0
+        code, _, err = valvemap(capsys, "state", "rename", "V1", "V2", "-c", file)
+    assert (code, len(err)) == (1, 1)
+    assert "is in use by process" in err[0]
+
+
+def test_a_state_that_was_set_aside_is_adopted(learnt, config, capsys):
+    _, theta = learnt
+    other = config(Q="ns=2;s=FT-7")
+    assert start(other).sample_count == 0
+    code, lines, _ = valvemap(capsys, "state", "list", "-c", other)
+    assert "1 V1.RLS" in " ".join(lines) or "V1.RLS" in " ".join(lines)
+    code, lines, err = valvemap(capsys, "state", "adopt", "V1.RLS", "-c", other)
+    assert (code, lines, err) == (0, ["V1.RLS: adopted"], [])
+    found = start(other)
+    assert found.theta.tolist() == theta.tolist()
+
+
+def test_a_number_or_name_that_is_not_aside_is_refused_in_a_line(learnt, capsys):
+    file, _ = learnt
+    for what in ("7", "V1.RLS", "nobody"):
+        code, _, err = valvemap(capsys, "state", "adopt", what, "-c", file)
+        assert (code, len(err)) == (1, 1)
+        assert f"{what}: no such state is set aside; there are none" in err[0]
+
+
+def test_a_renamed_valve_keeps_what_it_learnt(learnt, config, capsys):
+    file, theta = learnt
+    code, lines, _ = valvemap(capsys, "state", "rename", "V1", "Press", "-c", file)
+    assert (code, lines) == (0, ["Press.RLS: renamed", "Press.RML: renamed"])
+    assert start(config(name="Press")).theta.tolist() == theta.tolist()
+    code, _, err = valvemap(capsys, "state", "rename", "V9", "V1", "-c", file)
+    assert (code, len(err)) == (1, 1)
+    assert "V9: no such state; there are Press" in err[0]
+
+
+def test_states_go_to_another_service_by_a_file(learnt, config, capsys, tmp_path):
+    file, theta = learnt
+    out = tmp_path / "out.sqlite"
+    assert valvemap(capsys, "state", "export", out, "-c", file)[:2] == (0, [f"{out}: 2 states"])
+    other = config("other.sqlite")
+    assert start(other).sample_count == 0
+    code, lines, _ = valvemap(capsys, "state", "import", out, "-c", other)
+    assert (code, lines) == (0, ["V1.RLS: imported", "V1.RML: imported"])
+    assert start(other).theta.tolist() == theta.tolist()
+
+
+@pytest.mark.parametrize("content", [None, b"no database" * 100])
+def test_a_file_that_is_none_is_refused_in_a_line(learnt, capsys, tmp_path, content):
+    file, _ = learnt
+    given = tmp_path / "given"
+    if content is not None:
+        given.write_bytes(content)
+    code, _, err = valvemap(capsys, "state", "import", given, "-c", file)
+    assert (code, len(err)) == (2 if content is None else 1, 1)
+    assert str(given) in err[0]

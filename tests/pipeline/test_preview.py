@@ -1,0 +1,150 @@
+"""A preview runs quick estimators; its successor repeats its calls and has the same state."""
+
+import inspect
+
+import numpy as np
+import pytest
+
+from support.plant import as_changes, plant
+from valvemap.errors import CommandRejected
+from valvemap.model.auto import Auto
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.pipeline import call_journal
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Remark
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.vocabulary.statuses import Status
+
+# Methods without effect on the states: they read, log or compute tables from them.
+READ = {
+    "new_failures",
+    "unknown",
+    "waits",
+    "pending",
+    "waited_for",
+    "timing",
+    "newly_timed",
+    "holds",
+    "implausible",
+    "findings",
+    "one_of_each_kind",
+    "lane",
+    "state",
+    "refresh_maps",
+    "refresh_all_maps",
+    "results",
+    "result",
+    "counters",
+    "descriptions",
+    "predict",
+    "predict_measurement",
+    "invert",
+    "required",
+    "compare",
+    "baseline",
+    "alarmed",
+    "alarms",
+    "is_armed",
+    "feed_forward",
+    "kept",
+    "checkpoints",
+    "memories",
+    "columns",
+    "baselines",
+    "repeat",
+    "take_over",
+}
+
+
+def valves(waits=None):
+    estimators = {"RLS": RecursiveLeastSquares(), "Auto": Auto()}
+    plans = [ValvePlan(name, QualityGate(), estimators, "Auto") for name in ("V", "W")]
+    align = Alignment(AlignmentSettings(), optional=(("T",),) * 2, has_sequence=(True,) * 2)
+    return Identification(plans, align, waits=waits)
+
+
+def live(identification):
+    """Calls of a start: samples, commands, a rejected command, a restart of the source."""
+    changes = as_changes(plant(90))
+    identification.was_away()
+    identification.take(changes[:100])
+    identification.set_forgetting_factor("V", "Auto", 0.99)
+    identification.freeze("V", "RLS")
+    with pytest.raises(CommandRejected):
+        identification.set_forgetting_factor("V", "RLS", 7.0)
+    identification.take(changes[100:400])
+    identification.resume("V", estimator="RLS")
+    identification.demand("V", 30.0, 50.0)
+    identification.say_overdue(np.array([1]), np.array([plant(1).t[0]] * 2)[:1] + 10**10)
+    identification.remark("W", "SensorLost", Remark("cable", "operator", 1))
+    identification.take(changes[400:])
+    identification.begin_source_anew(np.array([0]))
+
+
+def bits(identification):
+    return {
+        (columns.key, name): array.tobytes()
+        for columns in identification.columns()
+        for name, array in columns.arrays.items()
+    }
+
+
+def test_a_method_either_reads_or_is_noted():
+    public = {
+        name: method
+        for name, method in inspect.getmembers(Identification, inspect.isfunction)
+        if not name.startswith("_")
+    }
+    noted = {name for name, method in public.items() if hasattr(method, "__wrapped__")}
+    assert noted | READ == set(public)
+    assert not noted & READ
+
+
+def test_an_estimator_that_waits_has_no_result_while_the_others_run():
+    preview = valves(waits=["Auto"])
+    preview.take(as_changes(plant(90)))
+    result = preview.result(0).estimators
+    assert (result["RLS"].sample_count, result["Auto"].sample_count) == (90, 0)
+    assert result["Auto"].status is Status.WARMING_UP
+    assert np.isnan(result["Auto"].predicted)
+    preview.refresh_all_maps()
+    assert not preview.new_failures()
+
+
+def test_the_successor_has_the_bits_of_one_that_was_there_from_the_start():
+    preview, successor, undisturbed = valves(waits=["Auto"]), valves(), valves()
+    live(preview)
+    live(undisturbed)
+    successor.repeat(preview.journal.take_new())
+    preview.take_over(successor)
+    assert bits(preview) == bits(undisturbed)
+    assert preview.journal is None
+    assert preview.result(0).estimators["Auto"].sample_count == 90
+
+
+def test_alarms_of_the_successor_count_as_new():
+    preview, successor = valves(waits=["Auto"]), valves()
+    live(preview)
+    before = next(preview.results([0, 1])).alarms.version
+    successor.repeat(preview.journal.take_new())
+    preview.take_over(successor)
+    after = next(preview.results([0, 1])).alarms.version
+    assert (after != before).all()
+
+
+def test_without_waiting_estimators_nothing_is_noted():
+    assert valves().journal is None
+
+
+def test_a_journal_is_full_at_its_bound(monkeypatch):
+    monkeypatch.setattr(call_journal, "MOST", 500)
+    preview = valves(waits=["Auto"])
+    changes = as_changes(plant(90))
+    preview.take(changes[:400])
+    assert not preview.journal.is_full
+    preview.take(changes[400:])
+    assert preview.journal.is_full
+    assert len(preview.journal.take_new()) == 2
+    assert not preview.journal.is_full

@@ -1,0 +1,98 @@
+"""The recipes of a quantity and of a status: three files each."""
+
+import json
+
+import pytest
+
+from support.recipes import Tree
+from valvemap.vocabulary.statuses import Status
+
+QUANTITIES = "service/valvemap/vocabulary/quantities.py"
+PORTS, LANES = "service/valvemap/pipeline/ports.py", "service/valvemap/pipeline/lanes.py"
+STATUSES = "service/valvemap/vocabulary/statuses.py"
+VALUES = "service/valvemap/opcua_results/result_values.py"
+
+USED = """
+import json
+import numpy as np
+from valvemap.app.build import build_identification
+from valvemap.config.estimators import RlsConfig
+from valvemap.config.models import Config, ValveConfig
+from valvemap.model.samples import Samples
+from valvemap.opcua_results.information_model import estimator_variables
+from valvemap.opcua_results.result_frames import frame_names
+from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
+
+found = {}
+identification = build_identification(
+    Config(valves=(ValveConfig(name="V1", estimators=(RlsConfig(),)),))
+)
+rng = np.random.default_rng(1)
+U, dp = rng.uniform(5, 95, 200), rng.uniform(5, 190, 200)
+samples = Samples.of(np.arange(200) * 10**7 + 10**18, U, dp, 0 * dp, 0.1 * U * np.sqrt(dp))
+identification.take_samples(0, samples)
+(valve,) = identification.descriptions()
+nodes = {n.id: n for n in estimator_variables(valve, valve.estimators[0])}
+found["nodes"] = [id_ for id_ in nodes if id_.endswith("Doubled")]
+found["frame"] = [name for name in frame_names(valve) if name.endswith("Doubled")]
+result = identification.result(0).estimators["RLS"]
+found["value"] = bool(getattr(result, "doubled", None) == 2.0 * result.residual)
+found["statuses"] = nodes["V1.RLS.Status"].enum_strings[-1]
+print(json.dumps(found))
+"""
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    return Tree(tmp_path_factory.mktemp("quantity"))
+
+
+@pytest.fixture(scope="module")
+def quantity(tree):
+    tree.touched.clear()
+    tree.after(
+        QUANTITIES,
+        "ESTIMATOR_QUANTITIES: Final = (\n",
+        '    Quantity("Doubled", "doubled", "Twice the residual.", unit="l/min", in_frame=True),\n',
+    )
+    tree.after(PORTS, "    residual_rmse: float\n", "    doubled: float\n")
+    tree.after(PORTS, "    residual_rmse: Floats\n", "    doubled: Floats\n")
+    tree.before(
+        LANES,
+        "            residual_rmse=recent_rmse(",
+        "            doubled=2.0 * notes.residual[chosen],\n",
+    )
+    tree.before(LANES, "            residual_rmse=nothing,", "            doubled=nothing,\n")
+    return len(tree.touched)
+
+
+@pytest.fixture(scope="module")
+def status(tree, quantity):
+    assert quantity
+    tree.touched.clear()
+    tree.before(
+        STATUSES,
+        "\n\nclass Adaptation(Described):",
+        f'    STALLED = {len(Status)}, "stalled", "The estimator waits for a part of the plant."\n',
+    )
+    tree.after(
+        VALUES,
+        "    Status.FAILED: _Codes.BadInternalError,\n",
+        "    Status.STALLED: _Codes.BadSensorFailure,\n",
+    )
+    return len(tree.touched)
+
+
+def test_each_takes_three_files_or_fewer(quantity, status):
+    assert (quantity, status) == (3, 2)
+
+
+def test_the_quantity_has_a_node_and_a_place_in_the_frame_and_the_status_a_name(tree, status):
+    assert status
+    found = json.loads(tree.run("-c", USED).splitlines()[-1])
+    assert found == {
+        "nodes": ["V1.RLS.Doubled"],
+        "frame": ["RLS.Doubled"],
+        "value": True,
+        "statuses": "STALLED",
+    }
