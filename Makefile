@@ -16,7 +16,7 @@ marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test waits peers hardened lint format soak bench report reference docs sbom wheel release verify-release lock clean
+.PHONY: install demo test waits peers hardened lint format soak bench report simulate reference docs sbom wheel release verify-release lock clean
 
 install: $(RUNTIME)
 
@@ -58,6 +58,13 @@ format: $(DEV)
 
 soak: $(DEV)
 	$(BIN)/python -m pytest -m soak --timeout 7200
+
+# The live service in a simulated world: make simulate [SEEDS=1000] [FIRST=0], or SEED=n for one.
+SEEDS ?= 1000
+FIRST ?= 0
+simulate: $(DEV)
+	@PYTHONPATH=service:virtual_rig:tests $(BIN)/python -m simulation --seeds $(SEEDS) \
+	    --first $(FIRST) $(if $(SEED),--seed $(SEED))
 
 bench: $(BENCH)
 	$(BIN)/python -m benchmarks.accuracy

@@ -211,12 +211,12 @@ async def test_what_is_under_way_of_other_valves_is_left_aside(tmp_path, message
     with Spool(tmp_path / "north.sqlite", 1_000_000) as spool:
         sources = Sources([Part(None, Source(), tuple(range(VALVES)))])
         Collector(known, "north", CONFIG, sources, spool).resume()
-    assert "left aside" in capsys.readouterr().out
+    assert "not yet aligned are dropped" in capsys.readouterr().out
 
 
 def test_of_several_sites_one_must_be_named():
     known = catalogue_of({"north": site(["V1"]), "south": site(["V2"])})
-    with pytest.raises(ConfigurationError, match="several sites: SITE says which: north, south"):
+    with pytest.raises(ConfigurationError, match="several sites; name one as SITE: north, south"):
         site_of(known, None)
     with pytest.raises(ConfigurationError, match="no site 'east' in the catalogue"):
         site_of(known, "east")

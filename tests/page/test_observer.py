@@ -20,7 +20,7 @@ async def test_valves_that_came_or_went_are_looked_for_anew():
     await observer._look_around(wanted, thoroughly=True)
     service.names = ("V1", "V2")
     service.values["Identification.NodeVersion"] = Read("another one")
-    with pytest.raises(SourceLost, match="came or went"):
+    with pytest.raises(SourceLost, match="added or removed"):
         await observer._look_around(wanted, thoroughly=True)
     await observer._discover()
     assert [valve.name for valve in observer.valves] == ["V1", "V2"]

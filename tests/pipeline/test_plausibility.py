@@ -184,3 +184,8 @@ def test_no_built_in_scenario_is_doubted(name):
 
 def test_no_shipped_recording_is_doubted():
     assert findings(measured_data.cooling_circuit()) == []
+
+
+def test_one_step_of_the_clock_is_a_hint_however_few_the_samples():
+    stepping = plant(n=80, t=lambda c: c["t"] - 10**12 * (np.arange(80) > 30))
+    assert list(said(stepping)) == [Kind.HINT]

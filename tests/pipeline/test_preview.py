@@ -12,7 +12,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline import call_journal
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Remark
+from valvemap.pipeline.ports import Command, Remark
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.statuses import Status
@@ -37,6 +37,8 @@ READ = {
     "results",
     "result",
     "counters",
+    "recommendation",
+    "review",
     "descriptions",
     "predict",
     "predict_measurement",
@@ -70,15 +72,16 @@ def live(identification):
     changes = as_changes(plant(90))
     identification.was_away()
     identification.take(changes[:100])
-    identification.set_forgetting_factor("V", "Auto", 0.99)
-    identification.freeze("V", "RLS")
+    identification.do(Command.of("set_forgetting_factor", "V", "Auto", 0.99))
+    identification.do(Command.of("freeze", "V", "RLS"))
     with pytest.raises(CommandRejected):
-        identification.set_forgetting_factor("V", "RLS", 7.0)
+        identification.do(Command.of("set_forgetting_factor", "V", "RLS", 7.0))
     identification.take(changes[100:400])
-    identification.resume("V", estimator="RLS")
-    identification.demand("V", 30.0, 50.0)
+    identification.do(Command.of("resume", "V", "RLS"))
+    identification.do(Command.of("demand", "V", 30.0, 50.0))
     identification.say_overdue(np.array([1]), np.array([plant(1).t[0]] * 2)[:1] + 10**10)
-    identification.remark("W", "SensorLost", Remark("cable", "operator", 1))
+    remark = Remark("cable", "operator", 1)
+    identification.do(Command.of("remark", "W", "SensorLost", remark))
     identification.take(changes[400:])
     identification.begin_source_anew(np.array([0]))
 

@@ -187,6 +187,12 @@ async def test_what_finds_no_room_is_counted(keeper, monkeypatch):
     assert keeper.lost == 3
 
 
+async def test_signals_that_are_bad_find_no_room_either_and_are_counted(keeper, monkeypatch):
+    monkeypatch.setattr(past, "MOST_ROWS", 0)
+    keeper.note(results_of([0], t=[20], quality=BAD))
+    assert keeper.lost == 3  # of RLS, of the inverse map, of the signals
+
+
 async def a_second(keeper, now):
     keeper.tick(now)
     await keeper._keeping

@@ -71,3 +71,13 @@ def test_who_waits_keeps_its_place():
     assert turns.next(0.1) == list(range(VALVES_AT_ONCE))
     turns.add(range(VALVES_AT_ONCE + 1), 0.2)
     assert turns.next(0.3)[:2] == [VALVES_AT_ONCE, 0]
+
+
+def test_a_stall_in_a_publication_does_not_prolong_the_pause():
+    turns = PublishingTurns(0.25, STALE_S)
+    turns.add([0], 0.0)
+    turns.next(0.0)
+    turns.pause(0.0, 3600.0, samples_wait=False)
+    turns.add([0], 3600.1)
+    assert not turns.are_due(3600.1)
+    assert turns.are_due(3601.0)

@@ -295,6 +295,11 @@ class Auto:
         return np.asarray(states.counters[..., memory.USED] - states.counters[..., memory.BEGAN])
 
     @property
+    def uses_temperature(self) -> bool:
+        """Whether the map may depend on the oil temperature: always."""
+        return True
+
+    @property
     def finds_changes(self) -> bool:
         """Whether changes are detected: always."""
         return True

@@ -119,6 +119,15 @@ class FitsInBursts(Protocol):
 
 
 @runtime_checkable
+class UsesTemperature(Protocol):
+    """An estimator whose map may depend on the oil temperature."""
+
+    @property
+    def uses_temperature(self) -> bool:
+        """Whether its structure reads T."""
+
+
+@runtime_checkable
 class PathDependent(Protocol):
     """An estimator whose flow depends on the direction of U (hysteresis)."""
 

@@ -132,6 +132,11 @@ class FlowMap:
         return 2.0 * float(state.play[flow_play.HALF])
 
     @property
+    def uses_temperature(self) -> bool:
+        """Whether the map may depend on the oil temperature: always."""
+        return True
+
+    @property
     def finds_changes(self) -> bool:
         """Whether changes are detected: always."""
         return True

@@ -29,7 +29,12 @@ from valvemap.model.maximum_likelihood_state import (
     noise_variances,
     parameter_covariance,
 )
-from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
+from valvemap.model.model_structures import (
+    FiveTerms,
+    Structure,
+    StructureWithPrior,
+    reads_temperature,
+)
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Trace
 from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
@@ -91,6 +96,11 @@ class MaximumLikelihood:
         """Validate the hyper-parameters."""
         _check_settings(self.nd, self.lam, self.p0, self.radius)
         check_lam(self.lam, least_lam(Directional(), len(self.parameter_names)))
+
+    @property
+    def uses_temperature(self) -> bool:
+        """Whether the map may depend on the oil temperature: if its structure does."""
+        return reads_temperature(self.structure)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

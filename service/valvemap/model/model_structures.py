@@ -52,6 +52,13 @@ def rows_of(structure: Structure, samples: Samples) -> Floats:
     return structure.regressors(samples.U, samples.dp, samples.T)
 
 
+def reads_temperature(structure: Structure) -> bool:
+    """Whether the rows Xᵀ depend on the oil temperature."""
+    U, dp, T = np.full(2, 50.0), np.full(2, 100.0), np.array([20.0, 60.0])
+    cold, warm = structure.regressors(U, dp, T)
+    return not np.array_equal(cold, warm)
+
+
 @runtime_checkable
 class StructureWithPrior(Structure, Protocol):
     """A structure with prior knowledge of its parameters.

@@ -37,7 +37,13 @@ from valvemap.model.least_squares_state import (
     variances,
 )
 from valvemap.model.linear_map import LinearParameters
-from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior, rows_of
+from valvemap.model.model_structures import (
+    FiveTerms,
+    Structure,
+    StructureWithPrior,
+    reads_temperature,
+    rows_of,
+)
 from valvemap.model.place_grid import grid_of, grid_of_rows
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.vocabulary.statuses import Adaptation, Quality
@@ -186,6 +192,11 @@ class RecursiveLeastSquares:
         """Return the powers of Q of a state's values; None with a prior in units of Q."""
         has_prior = isinstance(self.structure, StructureWithPrior) or np.isfinite(self.p0)
         return None if has_prior else flow_powers(state)
+
+    @property
+    def uses_temperature(self) -> bool:
+        """Whether the map may depend on the oil temperature: if its structure does."""
+        return reads_temperature(self.structure)
 
     @property
     def finds_changes(self) -> bool:

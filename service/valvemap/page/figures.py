@@ -16,6 +16,7 @@ Key = TypeVar("Key")
 
 EVERY_S = 1.0  # s; shortest interval between two reads
 SERVICE = (
+    "Start.Compiled",
     "Checkpoint.Age",
     "Checkpoint.Failures",
     "Checkpoint.Refused",

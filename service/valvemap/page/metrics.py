@@ -180,6 +180,11 @@ _DIAGNOSTICS = {
     "Pending": ("valvemap_pending_samples", "Samples that wait for signals of theirs."),
 }
 _SERVICE: dict[str, tuple[type[CounterMetricFamily | GaugeMetricFamily], str, str]] = {
+    "Start.Compiled": (
+        GaugeMetricFamily,
+        "valvemap_start_compiled_percent",
+        "Share of the kernels compiled since the start.",
+    ),
     "Checkpoint.Age": (
         GaugeMetricFamily,
         "valvemap_checkpoint_age_seconds",

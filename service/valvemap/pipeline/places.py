@@ -67,11 +67,12 @@ class MapErrors:
 
     def widened(self, own: Floats, U: Floats, dp: Floats, T: Floats) -> Floats:
         """Return the standard deviation (N,) of the map; ``own`` is the estimator's."""
-        found = np.empty(len(U), np.int64)
+        found, near = np.empty(len(U), np.int64), np.empty(len(U))
         U, dp, T = (np.require(x, np.float64, ["C", "A", "W"]) for x in (U, dp, T))
-        kernel.places_of(U, dp, T, self.axes, self.seen, found)
+        kernel.places_of(U, dp, T, self.axes, self.seen, found, near)
         overall = self.noise + self.excess
         past = np.where(found >= 0, self.past[found].astype(np.float64) ** 2, overall)
+        past = overall + near * (past - overall)
         shown = _shown(past, self.noise, self.excess, self.tail)
         factor = self.multiple if self.multiple > kernel.TOLERATED else 1.0
         return factor * np.fmax(own, shown) + 0.0 * own

@@ -19,6 +19,7 @@ from valvemap.pipeline.kernels import plausibility as kernel
 from valvemap.vocabulary.statuses import Quality
 
 SOME_BACKWARD: Final = 0.01  # share of samples; fewer backward times are clock steps
+CLOCK_STEPS: Final = 2.0  # backward times; as few are clock steps, however few the samples
 ENOUGH: Final = 2_000  # samples before a slope is judged
 LEAST_SPREAD_S: Final = 0.5  # √bar, of √dp at a given U; less gives no slope
 FALLING: Final = -0.2  # correlation of Q with √dp at a given U
@@ -148,12 +149,17 @@ def _of_slope(sums: Floats) -> Iterator[str]:
 
 def _of_times(own: Floats) -> Iterator[str]:
     steps, back = own[kernel.SEEN] - 1.0, own[kernel.BACKWARD]
-    if steps < kernel.FEW or back <= SOME_BACKWARD * steps:
+    if steps < kernel.FEW or back <= _clock_steps(steps):
         return
     if back > kernel.NEARLY_ALWAYS * steps:
         yield "the times run backwards: sort the rows by t"
     else:
         yield f"the times step back at {back:.0f} of {steps + 1:.0f} samples: sort the rows by t"
+
+
+def _clock_steps(steps: float) -> float:
+    """Return the number of backward times that steps of the clock explain."""
+    return max(CLOCK_STEPS, SOME_BACKWARD * steps)
 
 
 def _of_repeated_times(own: Floats) -> Iterator[str]:
@@ -163,7 +169,7 @@ def _of_repeated_times(own: Floats) -> Iterator[str]:
             f"{same:.0f} of {steps + 1:.0f} samples have the time of the one before: are rows "
             "doubled, or were the times cut off?"
         )
-    if 0.0 < back <= SOME_BACKWARD * steps:
+    if 0.0 < back <= _clock_steps(steps):
         yield f"the times step back {back:.0f} times: are the files in order?"
 
 

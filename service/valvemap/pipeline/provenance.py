@@ -10,12 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.auto import Auto
-from valvemap.model.capabilities import Forgetful
+from valvemap.model.capabilities import Forgetful, UsesTemperature
 from valvemap.model.estimator import StateMismatchError, key_of
-from valvemap.model.flow_map import FlowMap
-from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.conversion import lane_in_flow_unit, memory_in_units
@@ -311,7 +307,7 @@ def _lane_as_now(
     if change.before is None:
         return own, said
     change.check_nodes()
-    if _reads_T(estimator):
+    if isinstance(estimator, UsesTemperature) and estimator.uses_temperature:
         if change.T_is_other:
             change.check_nodes(("T",))
         change.check_scaling(("T",))
@@ -374,12 +370,3 @@ def _memory_as_now(own: Checkpoint, change: _Change, alignment: Alignment) -> Ch
     memory = ValveMemory.from_bytes(own.state, own.key, change.plan.gate, alignment)
     factor = changed[MEASURED.index("Q")].gain
     return replace(own, state=memory_in_units(memory, changed, factor).to_bytes(own.key))
-
-
-def _reads_T(estimator: AnyEstimator) -> bool:
-    """Whether an estimator's map may depend on the temperature."""
-    if isinstance(estimator, RecursiveLeastSquares | MaximumLikelihood):
-        U, dp, T = np.full(2, 50.0), np.full(2, 100.0), np.array([20.0, 60.0])
-        cold, warm = estimator.structure.regressors(U, dp, T)
-        return not np.array_equal(cold, warm)
-    return isinstance(estimator, Auto | FlowMap)

@@ -98,8 +98,9 @@ class PastKeeper:
 
     def note(self, results: Results) -> None:
         """Buffer results."""
-        if self._has_room(len(results.valves) * (len(results.estimators) + 1)):
-            self._results += _noted(results)
+        noted = list(_noted(results))
+        if self._has_room(sum(len(one.valves) for one in noted)):
+            self._results += noted
 
     def note_alarm(self, change: AlarmChange) -> None:
         """Buffer a change of an alarm."""
@@ -154,7 +155,7 @@ class PastKeeper:
     async def _keep(self, *, forget: bool = False) -> None:
         samples, results, rows = self._samples, self._results, self._rows
         changes = self._changes
-        self._samples, self._results, self._changes, self._rows = [], [], [], 0
+        self._samples, self._results, self._changes = [], [], []
 
         failed: dict[str, Exception] = {}
 
@@ -172,13 +173,14 @@ class PastKeeper:
 
         try:
             await asyncio.to_thread(keep)
+            self._rows -= rows  # until then they need their room: they return if refused
             self._failing_since = math.nan
         except StorageError as error:
             self.failures += 1
             if math.isnan(self._failing_since):
                 self._failing_since = self._now
             self._samples, self._results = samples + self._samples, results + self._results
-            self._changes, self._rows = changes + self._changes, rows + self._rows
+            self._changes = changes + self._changes
             log.warning(
                 "history not kept, its rows wait", reason=str(error), rows=self._rows, of=MOST_ROWS
             )

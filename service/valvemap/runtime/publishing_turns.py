@@ -77,9 +77,12 @@ class PublishingTurns:
         return some
 
     def pause(self, began: float, now: float, *, samples_wait: bool) -> None:
-        """Pause after a publication that began at ``began``: incoming samples have priority."""
+        """Pause after a publication that began at ``began``: incoming samples have priority.
+
+        A stall of the process in a publication does not prolong the pause.
+        """
         share = self._share_of_time(now, samples_wait=samples_wait)
-        self._due = now + (now - began) * (1.0 / share - 1.0)
+        self._due = now + min((now - began) * (1.0 / share - 1.0), self._soon_s)
 
     def _share_of_time(self, now: float, *, samples_wait: bool) -> float:
         waited = now - next(iter(self._since.values()), now)

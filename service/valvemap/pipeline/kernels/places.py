@@ -347,12 +347,21 @@ def _add(
 
 
 @kernel
-def places_of(U: Floats, dp: Floats, T: Floats, axes: Floats, seen: Times, out: Times) -> None:
-    """Write the places of N points, -1 where nothing was measured."""
+def places_of(
+    U: Floats, dp: Floats, T: Floats, axes: Floats, seen: Times, out: Times, near: Floats
+) -> None:
+    """Write the nearest places of N points, -1 where nothing was measured, and their nearness.
+
+    A point beyond the ranges has the place of the nearest point within. Errors of a map are alike
+    over about one place: the nearness is 1 within the ranges, 1/e at one place beyond them.
+    """
     for i in range(len(U)):
         s = np.sign(dp[i]) * np.sqrt(abs(dp[i]))
         t = T[i] if np.isfinite(T[i]) else axes[2, HIGH]
-        inside = axes[0, LOW] <= U[i] <= axes[0, HIGH] and axes[1, LOW] <= s <= axes[1, HIGH]
-        inside &= axes[2, LOW] <= t <= axes[2, HIGH]
-        c = _number(U[i], s, t, axes) if inside else -1
+        u = min(max(U[i], axes[0, LOW]), axes[0, HIGH])
+        v = min(max(s, axes[1, LOW]), axes[1, HIGH])
+        w = min(max(t, axes[2, LOW]), axes[2, HIGH])
+        c = _number(u, v, w, axes) if np.isfinite(u + v + w) else -1
         out[i] = c if c >= 0 and seen[c] > 0 else -1
+        far = abs(U[i] - u) / axes[0, WIDTH] + abs(s - v) / axes[1, WIDTH]
+        near[i] = np.exp(-far - abs(t - w) / axes[2, WIDTH])

@@ -1,0 +1,130 @@
+"""What one seed draws: plant, clocks, intervals, and the time and kind of every fault."""
+
+import random
+from dataclasses import dataclass
+from typing import Final
+
+SIMULATED_S: Final = 60.0
+CALM_S: Final = 15.0  # at the end: no faults, so that all that waits arrives
+
+
+@dataclass(frozen=True)
+class SourceCase:
+    """One source and its server; times in s, sizes in samples or messages.
+
+    ``history`` is how many samples of each valve the server remembers; ``cuts`` are (start,
+    duration, noticed after), ``steps`` of its clock (time, by how much).
+    """
+
+    valves: tuple[int, ...]
+    period_s: float
+    publishing_s: float
+    numbered: bool
+    first_number: int
+    queue: int
+    messages: int
+    lifetime_s: float
+    history: int
+    late: float
+    duplicated: float
+    split: float
+    bad: float
+    cuts: tuple[tuple[float, float, float], ...]
+    steps: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One seed.
+
+    ``ends`` are (time, kind, pause before the next start), ``disks`` are (start, stop, kind) of
+    the state file's and the history's trouble, ``stalls`` of the process (time, duration).
+    """
+
+    seed: int
+    sources: tuple[SourceCase, ...]
+    tick_s: float
+    stale_after_s: float
+    at_once: int
+    history_rows: int
+    thread_s: float
+    sink_s: float
+    ends: tuple[tuple[float, str, float], ...]
+    disks: tuple[tuple[float, float, str], ...]
+    stalls: tuple[tuple[float, float], ...]
+    service_steps: tuple[tuple[float, float], ...]
+
+    @property
+    def valves(self):
+        return sum(len(source.valves) for source in self.sources)
+
+
+def draw(seed):
+    """Draw a case. Each kind of trouble is absent from many cases, so that it is seen alone."""
+    rng = random.Random(seed)
+    valves = rng.choice((1, 1, 2, 2, 3))
+    parts = rng.choice((1, valves)) if valves > 1 else 1
+    owned = [tuple(range(k, valves, parts)) for k in range(parts)]
+    quiet_from = SIMULATED_S - CALM_S
+    return Case(
+        seed=seed,
+        sources=tuple(_source(rng, own, quiet_from) for own in owned),
+        tick_s=rng.choice((0.5, 1.0, 2.0)),
+        stale_after_s=rng.choice((6.0, 9.0)),
+        at_once=rng.choice((6, 24, 600)),
+        history_rows=rng.choice((40, 100_000, 100_000)),
+        thread_s=rng.choice((0.0, 0.2, 1.5)),
+        sink_s=rng.choice((0.0, 0.0, 0.6)),
+        ends=_spread(rng, quiet_from, (0, 1, 1, 2), lambda: (rng.choice(_ENDS), _pause(rng))),
+        disks=tuple(
+            (at, at + rng.uniform(0.5, 12.0), rng.choice(("state", "history")))
+            for (at,) in _spread(rng, quiet_from - 12.0, (0, 0, 1, 2), tuple)
+        ),
+        stalls=_spread(rng, quiet_from, (0, 0, 1), lambda: (rng.uniform(0.2, 8.0),)),
+        service_steps=_spread(rng, quiet_from, (0, 0, 0, 1), lambda: (_step(rng),)),
+    )
+
+
+_ENDS: Final = ("kill", "kill", "power", "stop")
+
+
+def _source(rng, valves, quiet_from):
+    numbered = rng.random() < 0.75
+    messy = numbered and rng.random() < 0.5
+    split = rng.choice((0.0, 0.1)) if messy else 0.0
+    may_step = numbered and not split  # half a sample before a step is dropped, and counted
+    return SourceCase(
+        valves=valves,
+        period_s=rng.choice((0.7, 1.3, 2.1)),
+        publishing_s=rng.choice((2.0, 3.0)),
+        numbered=numbered,
+        first_number=0 if messy else rng.choice((0, 7, 2**32 - 20)),
+        queue=rng.choice((4, 60, 60)),
+        messages=rng.choice((2, 20, 20)),
+        lifetime_s=rng.choice((6.0, 120.0, 120.0)),
+        history=rng.choice((0, 0, 15, 1000)),
+        late=rng.choice((0.0, 0.1)) if messy else 0.0,
+        duplicated=rng.choice((0.0, 0.1)),
+        split=split,
+        bad=rng.choice((0.0, 0.05)),
+        cuts=_spread(
+            rng,
+            quiet_from - 5.0,
+            (0, 1, 2),
+            lambda: (rng.uniform(0.1, 20.0), rng.choice((0.0, 4.5))),
+        ),
+        steps=_spread(rng, quiet_from, (0, 0, 1), lambda: (_step(rng),)) if may_step else (),
+    )
+
+
+def _step(rng):
+    return rng.choice((-1.0, 1.0)) * rng.choice((1.0003, 60.0003, 3600.0003, 86_400.0003))
+
+
+def _pause(rng):
+    return rng.choice((0.1, 1.0, 9.0))
+
+
+def _spread(rng, until, counts, more):
+    times = sorted(rng.uniform(1.0, until) for _ in range(rng.choice(counts)))
+    return tuple((at, *more()) for at in times)

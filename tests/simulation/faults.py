@@ -1,0 +1,146 @@
+"""Faults planted in the real service, to prove that the simulation finds each of them."""
+
+import asyncio
+from contextlib import suppress
+from types import SimpleNamespace
+from unittest import mock
+
+from simulation.stores import StateFile
+from valvemap.errors import StorageError
+from valvemap.pipeline.kept_states import MEMORY
+from valvemap.runtime import sources as sources_module
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.past import PastKeeper
+from valvemap.runtime.state_keeper import StateKeeper
+
+
+def an_early_acknowledgement():
+    """Messages are acknowledged before their states are saved."""
+    keep = StateKeeper._keep
+
+    async def early(self, valves, mark):
+        if mark is not None:
+            self._source.commit(mark)
+        await keep(self, valves, mark)
+
+    return mock.patch.object(StateKeeper, "_keep", early)
+
+
+def a_lost_sync():
+    """Commits are in memory alone."""
+    return mock.patch.object(StateFile, "sync", return_value=None)
+
+
+def a_missing_lock():
+    """Two sources call the consumer at the same time."""
+    without = SimpleNamespace(**{**vars(asyncio), "Lock": _NoLock})
+    return mock.patch.object(sources_module, "asyncio", without)
+
+
+class _NoLock:
+    async def __aenter__(self):
+        pass
+
+    async def __aexit__(self, *_):
+        pass
+
+
+def an_acknowledgement_after_a_refused_save():
+    """After a refused save the messages are acknowledged all the same."""
+    save = StateFile.save
+
+    def silent(self, checkpoints):
+        with suppress(StorageError):
+            save(self, checkpoints)
+
+    return mock.patch.object(StateFile, "save", silent)
+
+
+def a_save_without_transaction():
+    """A refused save leaves some of its rows."""
+    save = StateFile.save
+
+    def torn(self, checkpoints):
+        if self.refuses and checkpoints:
+            one = checkpoints[-1]
+            self.committed = self.committed | {(one.valve, one.estimator): one}
+            self.durable = self.committed
+        save(self, checkpoints)
+
+    return mock.patch.object(StateFile, "save", torn)
+
+
+def a_forgotten_counter():
+    """Rows that found no room are not counted."""
+    room = PastKeeper._has_room
+
+    def uncounted(self, rows):
+        before = self.lost
+        found = room(self, rows)
+        self.lost = before
+        return found
+
+    return mock.patch.object(PastKeeper, "_has_room", uncounted)
+
+
+def a_buffer_without_bound():
+    """The history's buffer grows for as long as the disk is full or slow."""
+    return mock.patch.object(PastKeeper, "_has_room", _always)
+
+
+def _always(self, rows):
+    self._rows += rows
+    return True
+
+
+def a_memory_that_is_not_restored():
+    """Waiting samples, and the numbers of those learnt, are forgotten in a restart."""
+    load = StateFile.load
+    return mock.patch.object(
+        StateFile, "load", lambda self: [one for one in load(self) if one.estimator != MEMORY]
+    )
+
+
+def old_results_that_stay_good():
+    """Silence of the sensors is not published."""
+
+    async def never(self, *_):
+        pass
+
+    return mock.patch.multiple(LiveService, _doubt=never, _doubt_old=never, _lose=never)
+
+
+def a_batch_dropped_at_the_end_of_a_connection():
+    """Every tenth batch is dropped, though its mark is kept."""
+    take, count = LiveService.take, iter(range(10**9))
+
+    async def dropping(self, changes, valves=None):
+        await take(self, changes[:0] if next(count) % 10 == 9 else changes, valves)
+
+    return mock.patch.object(LiveService, "take", dropping)
+
+
+def rows_lost_between_buffer_and_disk():
+    """Rows that arrive while the disk is written are dropped with the saved ones."""
+    keep = PastKeeper._keep
+
+    async def dropping(self, **options):
+        await keep(self, **options)
+        self._samples, self._results = [], []
+
+    return mock.patch.object(PastKeeper, "_keep", dropping)
+
+
+FAULTS = (
+    an_early_acknowledgement,
+    a_lost_sync,
+    a_missing_lock,
+    an_acknowledgement_after_a_refused_save,
+    a_save_without_transaction,
+    a_forgotten_counter,
+    a_buffer_without_bound,
+    a_memory_that_is_not_restored,
+    old_results_that_stay_good,
+    a_batch_dropped_at_the_end_of_a_connection,
+    rows_lost_between_buffer_and_disk,
+)

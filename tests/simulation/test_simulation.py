@@ -1,0 +1,36 @@
+"""The real service in a simulated world: no seed breaks a promise, and each planted fault does."""
+
+import pytest
+
+from simulation.faults import FAULTS
+from simulation.world import simulate
+
+SEEDS = 100
+MOST_SEEDS = 1_000  # in which a planted fault is found
+FIRST = dict(zip(FAULTS, (18, 8, 437, 20, 79, 20, 57, 0, 12, 0, 0), strict=True))
+
+
+def test_no_seed_breaks_a_promise():
+    outcomes = [simulate(seed) for seed in range(SEEDS)]
+    assert {o.seed: o.violations for o in outcomes if o.violations} == {}
+    happened = sum((outcome.counts for outcome in outcomes), start=outcomes[0].counts)
+    assert min(happened[kind] for kind in ("kill", "power", "stop", "lost")) > 0
+
+
+def test_a_seed_replays_bit_for_bit():
+    assert [simulate(seed).trace for seed in range(5)] == [simulate(s).trace for s in range(5)]
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_found_within_a_thousand_seeds(fault):
+    with fault():
+        assert any(simulate(seed).violations for seed in range(MOST_SEEDS))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_first_seed_that_finds_a_planted_fault_is_green_without_it(fault):
+    seed = FIRST[fault]
+    assert simulate(seed).violations == []
+    with fault():
+        assert simulate(seed).violations
