@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.plant.law import LEAST_ROWS, Fit
+from valvemap.plant.law import LEAST_ROWS, Fit, quantile
 from valvemap.plant.roles import Role
 
 Floats = NDArray[np.float64]
@@ -76,7 +76,7 @@ def of_magnitudes(values: Mapping[Role, Floats], rating: Rating) -> dict[str, fl
             found[f"{role} is unusual"] = _on_plateau(_top(values[role]), plateau)
     for role in (Role.P1, Role.P2):
         good = values[role][np.isfinite(values[role])] if role in values else np.zeros(0)
-        if len(good) and np.median(good) < _VACUUM:
+        if len(good) and quantile(good, 0.5) < _VACUUM:
             found[f"{role} is negative"] = -6.0
     if Role.T in values:
         found["T is unusual"] = _of_oil(values[Role.T])
@@ -93,7 +93,7 @@ def coefficient(values: Mapping[Role, Floats]) -> float:
     if not clear.any():
         return 0.0
     ratios = np.abs(values[Role.Q][clear]) / np.sqrt(np.abs(dp[clear]))
-    return float(np.quantile(ratios, 0.95))
+    return quantile(ratios, 0.95)
 
 
 def pressure_drop(values: Mapping[Role, Floats]) -> Floats:
@@ -109,7 +109,7 @@ def of_shut_valve(values: Mapping[Role, Floats]) -> float:
     shut = np.isfinite(Q) & (np.abs(U) < _SHUT)
     if shut.sum() < _PER_SAMPLE:
         return 0.0
-    return -5.0 if np.median(np.abs(Q[shut])) > _LEAKY * _top(Q) else 0.0
+    return -5.0 if quantile(np.abs(Q[shut]), 0.5) > _LEAKY * _top(Q) else 0.0
 
 
 def of_response(values: Mapping[Role, Floats], fit: Fit) -> float:
@@ -119,7 +119,7 @@ def of_response(values: Mapping[Role, Floats], fit: Fit) -> float:
     if fit.moves or good.sum() < LEAST_ROWS:
         return 0.0
     drive = U[good] * np.sqrt(np.abs(dp[good]))
-    low, high = np.quantile(drive, [0.1, 0.9])
+    low, high = quantile(drive, 0.1), quantile(drive, 0.9)
     moves = high - low > _MOVING * max(abs(low), abs(high)) and np.ptp(U[good]) > _MOVING_U
     return _UNMOVED if moves else 0.0
 
@@ -161,14 +161,14 @@ def _of_oil(values: Floats) -> float:
     if not len(good):
         return 0.0
     low, high, width = OIL
-    T = float(np.median(good))
+    T = quantile(good, 0.5)
     off = max(low - T, T - high, 0.0) / width
     return -0.5 * off * off
 
 
 def _top(values: Floats) -> float:
     good = values[np.isfinite(values)]
-    return float(np.quantile(np.abs(good), 0.99)) if len(good) else float("nan")
+    return quantile(np.abs(good), 0.99) if len(good) else float("nan")
 
 
 def _on_plateau(value: float, plateau: Plateau) -> float:

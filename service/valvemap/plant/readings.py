@@ -103,14 +103,15 @@ def readings(group: Group, record: Record, given: Given, rating: Rating) -> list
 
     The probabilities do not add up to 1: the rest is the hypothesis that none is right.
     """
-    found = sorted(_by_labels(group, record, given, rating), key=lambda r: -r.score)
+    fits: dict[object, Fit] = {}
+    found = sorted(_by_labels(group, record, given, rating, fits), key=lambda r: -r.score)
     if not found:
         return []
     varied = [
         other
         for reading in found[:_WITH_MISTAKES]
         if not reading.missing
-        for other in _with_mistakes(reading, record, given, rating)
+        for other in _with_mistakes(reading, record, given, rating, fits)
     ]
     best = max(found[0].score, *(r.score for r in varied)) if varied else found[0].score
     kept = [r for r in (*found, *varied) if r is found[0] or r.score > best - _NEGLIGIBLE]
@@ -147,9 +148,10 @@ def _label_score(reading: Reading) -> float:
     )
 
 
-def _by_labels(group: Group, record: Record, given: Given, rating: Rating) -> Iterator[Reading]:
+def _by_labels(
+    group: Group, record: Record, given: Given, rating: Rating, fits: dict[object, Fit]
+) -> Iterator[Reading]:
     assignments = _assignments(group, given)
-    fits: dict[object, Fit] = {}
     is_lacking = _lacks(assignments[0][0])  # whatever the values are
     for nodes, prior in assignments:
         if _lacks(nodes) is not is_lacking:
@@ -165,7 +167,7 @@ def _by_labels(group: Group, record: Record, given: Given, rating: Rating) -> It
             if sum(scale.prior for _, scale in chosen) > best - _UNLIKELY
         )
         for chosen in islice(likely, _MOST_SCALES):
-            yield _judged(dict(nodes), dict(chosen), prior, record, rating, fits=fits)
+            yield _judged(dict(nodes), dict(chosen), prior, record, rating, fits)
 
 
 def _lacks(nodes: Mapping[Role, Candidate]) -> bool:
@@ -223,9 +225,9 @@ def _judged(
     prior: float,
     record: Record,
     rating: Rating,
+    fits: dict[object, Fit],
     mistake: str = "",
     labelled: Mapping[Role, Candidate] | None = None,
-    fits: dict[object, Fit] | None = None,
 ) -> Reading:
     """Score a reading; ``labelled`` are the variables whose ranges belong to the roles.
 
@@ -243,11 +245,10 @@ def _judged(
     }
     against |= evidence.of_magnitudes(values, rating)
     against["Q flows at U = 0"] = evidence.of_shut_valve(values)
-    known, key = {} if fits is None else fits, _fit_key(nodes, chosen)
-    tested = known.get(key) or fit(
-        values[Role.U], evidence.pressure_drop(values), values[Role.Q], record.step_s
-    )
-    known[key] = tested
+    key = _fit_key(nodes, chosen)
+    if (tested := fits.get(key)) is None:
+        drop = evidence.pressure_drop(values)
+        tested = fits[key] = fit(values[Role.U], drop, values[Role.Q], record.step_s)
     against["Q does not move with U"] = evidence.of_response(values, tested)
     score += evidence.of_law(tested) + sum(against.values())
     return Reading(
@@ -293,7 +294,7 @@ def _of_range(node: Candidate, role: Role, scale: Scale, raw: Floats) -> float:
 
 
 def _with_mistakes(
-    reading: Reading, record: Record, given: Given, rating: Rating
+    reading: Reading, record: Record, given: Given, rating: Rating, fits: dict[object, Fit]
 ) -> Iterator[Reading]:
     """Yield the variations of a reading in which labels are mistaken."""
     prior = reading.prior
@@ -303,14 +304,14 @@ def _with_mistakes(
         nodes[one], nodes[other] = nodes[other], nodes[one]
         what = f"{one} and {other} are swapped"
         yield _judged(
-            nodes, reading.scales, prior + SWAPPED, record, rating, what, labelled=reading.nodes
+            nodes, reading.scales, prior + SWAPPED, record, rating, fits, what, reading.nodes
         )
     for roles in _mistakable(reading, given):
         first = roles[0]
         for scale in mistaken(reading.scales[first], first):
             chosen = {**reading.scales, **dict.fromkeys(roles, scale)}
             what = f"{' and '.join(roles)} {'is' if len(roles) == 1 else 'are'} {scale.reason}"
-            yield _judged(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, what)
+            yield _judged(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, fits, what)
 
 
 def _mistakable(reading: Reading, given: Given) -> Iterator[Sequence[Role]]:
