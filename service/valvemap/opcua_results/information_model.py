@@ -477,7 +477,7 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
         VariableNode(
             f"{prefix}.{FEED_FORWARD_STATUS}",
             "Whether RequiredU is written to the valve, and the first reason if not. With reasons "
-            "1 to 3 nothing is written. With the others feed_forward.fallback applies: hold the "
+            "1 to 3 nothing is written. With 4 to 12 feed_forward.fallback applies: hold the "
             "last U, ramp to fallback_percent, or hand the valve back to the source. "
             f"{_sentences(FeedForwardStatus)}",
             ua.VariantType.Int32,

@@ -175,7 +175,8 @@ def _rejected(m: Measured) -> str:
 
 
 ALARM_DESCRIPTIONS = {
-    "Changed": "The flow changed abruptly; the alarm stays active until it is acknowledged.",
+    "Changed": "The flow at the same U and pressure drop changed abruptly; the alarm stays active "
+    "until it is acknowledged.",
     "Residual": "Residuals are larger than usual at the same U and pressure drop.",
     "Misfit": "The form of the map (its structure) does not fit the valve; the valve need "
     "not have changed.",

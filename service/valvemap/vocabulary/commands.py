@@ -106,7 +106,7 @@ ACTIONS: Final = (
         "approve",
         "Approve",
         Subject.BASELINE,
-        "Approve the present map as the reference for later comparison.",
+        "Approve the present maps of all estimators as the reference for later comparison.",
         effect=Effect.BASELINE,
     ),
     Action(

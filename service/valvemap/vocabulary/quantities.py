@@ -147,7 +147,7 @@ ESTIMATOR_QUANTITIES: Final = (
     Quantity(
         "SampleCount",
         "sample_count",
-        "Samples processed since the start or the last Reset.",
+        "Samples learnt since the start or the last Reset; rejected ones are not counted.",
         Kind.COUNT,
         undetermined=Undetermined.NEVER,
         in_frame=True,
