@@ -1,4 +1,4 @@
-"""Figures of what is asked of a map: the inverse, intervals, where it holds, which to use."""
+"""Figures of answers that a map gives: inverse, intervals, validity, next point, table."""
 
 from typing import Any
 
@@ -194,7 +194,7 @@ def survey() -> Figure:
     levels = np.array([0.03, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2])
     asked: list[tuple[float, float]] = []
     for panel, title in zip(
-        axes, ("60 samples of one corner", "and 5 suggested samples"), strict=True
+        axes, ("60 samples of one corner", "after 5 suggested samples"), strict=True
     ):
         _, std = rls.predict(state, *points)
         drawn = panel.contourf(

@@ -1,4 +1,4 @@
-"""Figures of the estimators: how they learn a map, and what each needs for it."""
+"""Figures of the estimators: how they learn a map, and from which samples."""
 
 from typing import Any
 
