@@ -12,9 +12,12 @@ from valvemap.model.forgetting import Exponential
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Segments
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kernels import places as kernel
 from valvemap.pipeline.places import FEWEST_PLACES, FIRST_LOOK, Places
+from valvemap.pipeline.provenance import PLACES
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan, predicted
 from valvemap.vocabulary.statuses import Adaptation, Status
@@ -303,3 +306,18 @@ def test_a_damaged_checkpoint_is_rejected():
     places.columns()["lanes"][0, 0, kernel.LOSS] = np.nan
     with pytest.raises(StateMismatchError, match="lanes"):
         Places(2, 1).from_bytes(0, places.to_bytes(0, KEYS), KEYS)
+
+
+def test_a_map_that_is_restored_without_its_places_does_not_warm_up_again():
+    """As after an update from a version that stored none."""
+    optional = (("T",),)
+    learnt, restored = (
+        Identification([PLAN], Alignment(AlignmentSettings(), optional=optional)) for _ in range(2)
+    )
+    learnt.take_samples(0, sweeps(3_000))
+    kept = learnt.checkpoints()
+    assert PLACES not in {one.estimator for one in kept}
+    assert not restored.restore(kept)[1]
+    standing = sweeps(3_000)[2_999:]  # one place: nothing new is compared
+    restored.take_samples(0, replace(standing, t=standing.t + 10_000_000))
+    assert {one.status for one in restored.result(0).estimators.values()} == {Status.OK}

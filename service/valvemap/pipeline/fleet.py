@@ -405,6 +405,10 @@ class Fleet:
         """Reset the errors of one estimator's map, after its reset."""
         self._places.reset(m, list(self._lanes).index(name))
 
+    def accept(self, m: int, name: str) -> None:
+        """Accept the restored map of one estimator: it is not warmed up again."""
+        self._places.accept(m, list(self._lanes).index(name))
+
     def put(self, m: int, name: str, lane: Lane) -> None:
         """Replace a lane; its estimator must be the plan's, except for ``lam``."""
         self._lanes[name].put(m, lane)

@@ -173,14 +173,17 @@ class KeptStates:
         return replace(_beside(name, BASELINE, kept.to_bytes(), kept.t), frozen=found is None)
 
     def _take_estimator(self, kept: Checkpoint) -> None:
-        plan = self._valves.plans[self._number(kept)]
-        configured = plan.estimators.get(kept.estimator)
+        number = self._number(kept)
+        configured = self._valves.plans[number].estimators.get(kept.estimator)
         if configured is None:
             raise StateMismatchError("no such estimator is configured")
         lane = valve_state.lane_from_bytes(
             kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
         )
         self._valves.put(kept.valve, kept.estimator, lane)
+        if lane.count:
+            fleet, m = self._valves.at(number)
+            fleet.accept(m, kept.estimator)
 
     def _take_memory(self, kept: Checkpoint) -> None:
         number = self._number(kept)

@@ -356,6 +356,10 @@ class Places:
         self._record.places[m, e] = 0.0
         self._record.lanes[m, e] = _no_errors()
 
+    def accept(self, m: int, e: int) -> None:
+        """Accept a restored map as one that predicts; a stored comparison replaces this."""
+        self._record.lanes[m, e, kernel.SKILLED] = 1.0
+
     def to_bytes(self, m: int, estimators: Mapping[str, str]) -> bytes:
         """Pack the places of one valve; ``estimators`` are the names and hashes of its E lanes."""
         arrays = {name: array[m] for name, array in self._record._asdict().items()}
