@@ -40,8 +40,11 @@ def shows_what_the_valve_does(program):
 
 def demands_a_flow(program):
     """A flow is written, and the voltage for it read."""
-    shown = program.once(lambda shown: status(shown, REQUIRED) == "Good", (*DEMANDS, *ASKS))
-    assert shown[DEMAND][1] == "Good"
+
+    def answered(shown):
+        return status(shown, DEMAND) == "Good" and status(shown, REQUIRED) == "Good"
+
+    shown = program.once(answered, (*DEMANDS, *ASKS))
     assert 0.0 < shown[REQUIRED][0] < 100.0
 
 
