@@ -44,7 +44,31 @@ EXPECTED_FAILURES: Final = dict.fromkeys(
 expected_failed_checks=EXPECTED_FAILURES)`` passes."""
 
 
-class FlowMapRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class _SampleBySample(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Fits at once, or in parts as samples come."""
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from N samples and from no earlier ones: X (N, n_features), y (N,) in l/min."""
+        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
+        self._begin()
+        return self._learn(rows, output)
+
+    def partial_fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from further samples, in their order."""
+        first = not hasattr(self, "state_")
+        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=first)
+        if first:
+            self._begin()
+        return self._learn(rows, output)
+
+    def _begin(self) -> None:
+        raise NotImplementedError
+
+    def _learn(self, X: Floats, y: Floats) -> Self:
+        raise NotImplementedError
+
+
+class FlowMapRegressor(_SampleBySample):
     """Recursive least squares on a flow map, `fit` at once or `partial_fit` as samples come.
 
     Parameters
@@ -88,20 +112,6 @@ class FlowMapRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.forgetting = forgetting
         self.p0 = p0
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from N samples and from no earlier ones: X (N, n_features), y (N,) in l/min."""
-        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
-        self._begin()
-        return self._learn(rows, output)
-
-    def partial_fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from further samples, in their order."""
-        first = not hasattr(self, "state_")
-        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=first)
-        if first:
-            self._begin()
-        return self._learn(rows, output)
-
     def predict(self, X: ArrayLike, *, return_std: bool = False) -> Floats | tuple[Floats, Floats]:
         """Flow (N,), l/min, and if wanted its standard deviation (N,), NaN where unknown."""
         check_is_fitted(self)
@@ -140,11 +150,11 @@ class FlowMapRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return np.column_stack([FiveTerms().regressors(U, dp, np.full(len(X), np.nan)), *others])
 
 
-class AutoFlowMap(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class AutoFlowMap(_SampleBySample):
     """The flow map whose structure is chosen from the samples, as the service's `Auto` does.
 
-    The columns of X are fixed: U (%), dp (bar) and optionally T (°C),. Of scikit-learn's
-    checks fail those that need other columns, see `EXPECTED_FAILURES`.
+    The columns of X are fixed: U (%), dp (bar) and optionally T (°C). Those of
+    scikit-learn's checks that need other columns fail, see `EXPECTED_FAILURES`.
 
     Parameters
     ----------
@@ -185,20 +195,6 @@ class AutoFlowMap(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.interval = interval
         self.lag_U = lag_U
         self.lag_Q = lag_Q
-
-    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from N samples and from no earlier ones: X (N, 2 or 3), y (N,) in l/min."""
-        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
-        self._begin()
-        return self._learn(rows, output)
-
-    def partial_fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from further samples, in their order."""
-        first = not hasattr(self, "state_")
-        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=first)
-        if first:
-            self._begin()
-        return self._learn(rows, output)
 
     def predict(self, X: ArrayLike, *, return_std: bool = False) -> Floats | tuple[Floats, Floats]:
         """Flow (N,), l/min, and if wanted its standard deviation (N,), NaN where unknown."""

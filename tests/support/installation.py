@@ -1,10 +1,9 @@
 """A foreign server whose variables have any path, unit, range and type, and values of any law."""
 
-import asyncio
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from asyncua import Server, ua
+from asyncua import ua
 
 from support.foreign import Foreign, information
 
@@ -26,28 +25,13 @@ class Installation(Foreign):
     """Writes all tags with one stamp, 20 times per second."""
 
     def __init__(self, tags):
-        super().__init__({}, ())
-        self.tags = tags
+        super().__init__({}, tags)
 
-    async def serve(self):
-        server = Server()
-        await server.init()
-        server.set_endpoint("opc.tcp://127.0.0.1:0/plc/")
-        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
-        index = await server.register_namespace("urn:plc")
-        nodes = [await self.tag(server, index, tag) for tag in self.tags]
-        async with server:
-            port = server.bserver._server.sockets[0].getsockname()[1]
-            self.url = f"opc.tcp://127.0.0.1:{port}/plc/"
-            self.ready.set()
-            k = 0
-            while not self.over.is_set():
-                k += 1
-                now = datetime.now(UTC)
-                for node, tag in zip(nodes, self.tags, strict=True):
-                    value = ua.DataValue(self.variant(tag, k * 0.05), SourceTimestamp=now)
-                    await server.write_attribute_value(node.nodeid, value)
-                await asyncio.sleep(0.05)
+    async def step(self, server, nodes, k):
+        now = datetime.now(UTC)
+        for node, tag in zip(nodes, self.folders, strict=True):
+            value = ua.DataValue(self.variant(tag, k * 0.05), SourceTimestamp=now)
+            await server.write_attribute_value(node.nodeid, value)
 
     @staticmethod
     def variant(tag, t):
@@ -56,7 +40,7 @@ class Installation(Foreign):
             return ua.Variant(value, tag.kind)
         return ua.Variant(round(value), tag.kind)
 
-    async def tag(self, server, index, tag):
+    async def add(self, server, index, tag):
         parent = server.nodes.objects
         for depth, name in enumerate(tag.path[:-1], 1):
             at = ua.NodeId("/".join(tag.path[:depth]), index)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.inverse_map import invert
-from valvemap.model.lookup_table import MARGIN, SLACK_U, LookupTable
+from valvemap.model.lookup_table import MARGIN, SLACK_U, LookupTable, place
 from valvemap.model.map_pieces import MapPieces
 from valvemap.model.samples import Codes, Floats
 from valvemap.model.table_error import ROUNDING, Cells, certified_errors
@@ -52,8 +52,8 @@ class FlowTable:
 
     def interpolate(self, Q: Floats, dp: Floats) -> Floats:
         """Return U (N,) within 0 … 100 %, for points on the axes."""
-        i, u = _place(self.Q, Q)
-        j, v = _place(self.dp, dp)
+        i, u = place(self.Q, Q)
+        j, v = place(self.dp, dp)
         U = (1.0 - u) * ((1.0 - v) * self.U[i, j] + v * self.U[i, j + 1])
         U = U + u * ((1.0 - v) * self.U[i + 1, j] + v * self.U[i + 1, j + 1])
         return np.asarray(np.clip(U, 0.0, 100.0))
@@ -76,7 +76,7 @@ def flow_table(estimator: Estimator[S], state: S, inverse: LookupTable) -> FlowT
     U = np.where((status == InverseStatus.ABOVE_REACH) & (above > 0), 100.0 + above / slope, U)
     U = np.where((status == InverseStatus.BELOW_REACH) & (below < 0), below / slope, U)
     r = (grid_Q - inverse.lowest) / (inverse.highest - inverse.lowest)
-    i, _ = _place(inverse.r, np.clip(r, 0.0, 1.0))
+    i, _ = place(inverse.r, np.clip(r, 0.0, 1.0))
     columns = np.arange(len(inverse.dp))
     guessed = inverse.guessed[i, columns] | inverse.guessed[i + 1, columns]
     table = FlowTable(Q, inverse.dp, U, guessed, T)
@@ -130,8 +130,3 @@ def _cells(table: FlowTable) -> Cells:
         dspan=0.0 * Q,
     )
     return whole[np.isfinite(whole.U00 + whole.U01 + whole.U10 + whole.U11)]
-
-
-def _place(axis: Floats, x: Floats) -> tuple[NDArray[np.intp], Floats]:
-    i = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, len(axis) - 2)
-    return i, (x - axis[i]) / (axis[i + 1] - axis[i])

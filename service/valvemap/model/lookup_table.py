@@ -228,7 +228,11 @@ def _cells_of(table: LookupTable, U: Floats, r: Floats) -> Cells:
     )
 
 
+def place(axis: Floats, x: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """Return the cells of N points of an axis, and their places from 0 to 1 within these."""
+    i = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, len(axis) - 2)
+    return i, (x - axis[i]) / (axis[i + 1] - axis[i])
+
+
 def _place(axis: Floats, x: Floats) -> tuple[NDArray[np.intp], Floats]:
-    at = np.where(np.isfinite(x), x, axis[0])
-    i = np.clip(np.searchsorted(axis, at, side="right") - 1, 0, len(axis) - 2)
-    return i, (at - axis[i]) / (axis[i + 1] - axis[i])
+    return place(axis, np.where(np.isfinite(x), x, axis[0]))
