@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -121,6 +121,7 @@ class LiveService:
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # implausible, and logged
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
+        self._remarks: Mapping[int, tuple[str, ...]] = {}  # as published
         self._worked_s, self._worked_since = 0.0, now
         self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # estimated pace
         if identification.journal is not None:
@@ -291,6 +292,7 @@ class LiveService:
         """Run the tasks that are due; only ``valves`` are fed forward."""
         now, own = self._clock.monotonic(), self._own(valves)
         self._log_failures()
+        self._note_remarks()
         await self._wait_no_longer(now)
         await self._doubt(now)
         await self._feed_forward.write(own[self._feed_forward.are_due(own, now)])
@@ -442,6 +444,18 @@ class LiveService:
         if valves:
             self._note_new(valves)
             await self._publish_all()
+
+    def _note_remarks(self) -> None:
+        """Publish what the source says of each valve's nodes, where that changed."""
+        remarks = self._source.remarks
+        if remarks is self._remarks or remarks == self._remarks:
+            return
+        both = remarks.keys() | self._remarks.keys()
+        changed = [n for n in sorted(both) if remarks.get(n) != self._remarks.get(n)]
+        self._remarks = remarks
+        for valve in changed:
+            self.identification.note_source(valve, remarks.get(valve, ()))
+        self._note_new(changed)
 
     def _note_new(self, valves: Iterable[int]) -> None:
         self._to_publish.add(valves, self._clock.monotonic())
