@@ -30,6 +30,7 @@ from valvemap.pipeline.ports import (
     Results,
     ResultSink,
 )
+from valvemap.pipeline.sample_clocks import SampleClocks
 from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.past import PastKeeper
@@ -139,6 +140,7 @@ class LiveService:
         self._under_way = False
         self._connected = np.zeros(len(identification.plans), np.bool_)
         self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
+        self._clocks = SampleClocks(len(identification.plans))
         self._newest_U = np.full(len(identification.plans), np.nan)
         self._feed_forward = FeedForwardWriter(
             identification, source, clock, self._situation, self._note_new
@@ -189,6 +191,7 @@ class LiveService:
         self._source_started[own] = source_started
         if source_started and ((before != 0) & (before != source_started)).any():
             log.warning("source restarted")
+            self._clocks.forget(own)
             await self._use(self.identification.begin_source_anew(own), own)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
@@ -249,7 +252,10 @@ class LiveService:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
         self._held_s[members] = 0.0
-        self._newest[members] = samples.samples.t[stops - 1]
+        newest = samples.samples.t[stops - 1]
+        self._newest[members] = newest
+        if len(members):
+            self._clocks.note(members, newest, self._clock.monotonic(), self._offset_s())
         self._newest_U[members] = samples.samples.U[stops - 1]
         ages = self._ages()
         steady = ~self.identification.holds()[members]
@@ -334,8 +340,14 @@ class LiveService:
 
     def _source_now(self) -> Times:
         """Current time of each valve's source, UTC ns."""
-        ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
+        self._clocks.note_offset(self._offset_s())
+        ahead = self._source.clock_offset_s + self._clocks.correction_s
         return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
+
+    def _offset_s(self) -> Floats:
+        """Offset of each valve's source against our monotonic time, s."""
+        ours = self._clock.now() * 1e-9 - self._clock.monotonic()
+        return ours + np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
