@@ -141,9 +141,12 @@ class Identification:
         return self._results.unknown(valve)
 
     @changes_state
-    def take(self, changes: DataChanges) -> ByValve:
-        """Align data changes and estimate; return the samples they completed, by valve."""
-        return self._intake.take(changes)
+    def take(self, changes: DataChanges, now_s: float | None = None) -> ByValve:
+        """Align data changes and estimate; return the samples they completed, by valve.
+
+        ``now_s`` is our monotonic time of their receipt; None: they are recorded ones.
+        """
+        return self._intake.take(changes, now_s)
 
     @changes_state
     def learn(self, arrived: ByValve) -> ByValve:

@@ -198,7 +198,7 @@ class LiveService:
         """Identify, publish and feed forward; a backlog in pieces, with other tasks in between."""
         own = self._own(valves)
         self._connected[own] = True
-        self._heard_at[own] = self._clock.monotonic()
+        self._heard_at[own] = received = self._clock.monotonic()
         rest = changes
         while len(rest):
             await self._wait_if_behind(len(rest))
@@ -207,7 +207,7 @@ class LiveService:
                 return  # not acknowledged, so the source resends it
             some = max(FEWEST_AT_ONCE, int(LEARN_S * self._changes_per_s))
             piece, rest = rest[:some], rest[some:]
-            samples = self.identification.take(piece)
+            samples = self.identification.take(piece, received)
             took_s = self._clock.monotonic() - began
             self._note_pace(len(piece), took_s)
             if took_s > LEARN_S / 2.0:
