@@ -15,6 +15,7 @@ from support.structural import mutant
 
 LONGEST_S = 0.01
 TRIES = 3  # the quickest counts: others work on this machine, too
+IDLE_S = 0.0045  # processor time of `yardstick` on an idle core
 SHORT, LONG = 10_000, 1_000_000
 
 
@@ -63,6 +64,21 @@ def took(decoder, data):
     with suppress(*decoder.announced):
         decoder.decode(data)
     return time.thread_time() - began
+
+
+def yardstick():
+    """Processor time, s, of some work that is always the same."""
+    began = time.thread_time()
+    total = 0
+    for i in range(100_000):
+        total += i
+    return time.thread_time() - began
+
+
+def is_slow(decoder, data):
+    """Whether it takes too long, where a busy core is allowed as much more as it needs for all."""
+    quickest = min(took(decoder, data) for _ in range(TRIES))
+    return quickest > LONGEST_S * max(1.0, min(yardstick() for _ in range(TRIES)) / IDLE_S)
 
 
 def withstands(name, decoder, inputs):

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.plant.law import LEAST_ROWS, Fit, quantile
+from valvemap.plant.law import LEAST_LEFT, LEAST_ROWS, Fit, quantile
 from valvemap.plant.roles import Role
 
 Floats = NDArray[np.float64]
@@ -130,6 +130,11 @@ def of_law(fit: Fit) -> float:
     if not fit.moves:
         return total
     return total - 0.5 * _rows(fit) * log(fit.left / fit.total)
+
+
+def most_of_law(rows: int) -> float:
+    """Return the most that :func:`of_law` can give for so many samples."""
+    return -0.5 * min(rows / _PER_SAMPLE, _EFFECTIVE) * log(LEAST_LEFT)
 
 
 def of_no_law(fit: Fit) -> float:

@@ -22,6 +22,7 @@ _CLEAR_DP: Final = 1.0  # bar
 _CLEAR_FLOW: Final = 0.1  # of the largest flow
 _NOISE_STEPS: Final = 6.0**0.5 * 0.6745  # of the median of second differences
 _LEAST_NOISE: Final = 0.08  # of the spread of Q: what no law of so few parts can explain
+LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit leaves
 
 
 @dataclass(frozen=True)

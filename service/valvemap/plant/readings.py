@@ -10,7 +10,7 @@ another one; and the hypothesis that none of them is right.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, islice, product
-from math import exp, log
+from math import exp, inf, log
 from typing import Final
 
 import numpy as np
@@ -111,7 +111,8 @@ def readings(group: Group, record: Record, given: Given, rating: Rating) -> list
         other
         for reading in found[:_WITH_MISTAKES]
         if not reading.missing
-        for other in _with_mistakes(reading, record, given, rating, fits)
+        for other in _with_mistakes(reading, record, given, rating, fits, found[0].score)
+        if other is not None
     ]
     best = max(found[0].score, *(r.score for r in varied)) if varied else found[0].score
     kept = [r for r in (*found, *varied) if r is found[0] or r.score > best - _NEGLIGIBLE]
@@ -167,7 +168,9 @@ def _by_labels(
             if sum(scale.prior for _, scale in chosen) > best - _UNLIKELY
         )
         for chosen in islice(likely, _MOST_SCALES):
-            yield _judged(dict(nodes), dict(chosen), prior, record, rating, fits)
+            reading = _judged(dict(nodes), dict(chosen), prior, record, rating, fits)
+            if reading is not None:
+                yield reading
 
 
 def _lacks(nodes: Mapping[Role, Candidate]) -> bool:
@@ -228,10 +231,12 @@ def _judged(
     fits: dict[object, Fit],
     mistake: str = "",
     labelled: Mapping[Role, Candidate] | None = None,
-) -> Reading:
+    best: float = -inf,
+) -> Reading | None:
     """Score a reading; ``labelled`` are the variables whose ranges belong to the roles.
 
-    ``fits`` keeps the law's fits: the scales of U and Q do not matter for them.
+    ``fits`` keeps the law's fits: the scales of U and Q do not matter for them. None if no law
+    could make the reading more than negligible beside one with the score ``best``.
     """
     ranges = labelled or nodes
     score = prior + sum(scale.prior for scale in chosen.values()) + _of_pair(chosen)
@@ -245,12 +250,15 @@ def _judged(
     }
     against |= evidence.of_magnitudes(values, rating)
     against["Q flows at U = 0"] = evidence.of_shut_valve(values)
+    score += sum(against.values())
+    if score + evidence.most_of_law(len(values[Role.Q])) < best - _NEGLIGIBLE:
+        return None
     key = _fit_key(nodes, chosen)
     if (tested := fits.get(key)) is None:
         drop = evidence.pressure_drop(values)
         tested = fits[key] = fit(values[Role.U], drop, values[Role.Q], record.step_s)
-    against["Q does not move with U"] = evidence.of_response(values, tested)
-    score += evidence.of_law(tested) + sum(against.values())
+    unmoved = against["Q does not move with U"] = evidence.of_response(values, tested)
+    score += evidence.of_law(tested) + unmoved
     return Reading(
         nodes, chosen, score, tested, mistake, values, contradictions=against, prior=prior
     )
@@ -294,9 +302,14 @@ def _of_range(node: Candidate, role: Role, scale: Scale, raw: Floats) -> float:
 
 
 def _with_mistakes(
-    reading: Reading, record: Record, given: Given, rating: Rating, fits: dict[object, Fit]
-) -> Iterator[Reading]:
-    """Yield the variations of a reading in which labels are mistaken."""
+    reading: Reading,
+    record: Record,
+    given: Given,
+    rating: Rating,
+    fits: dict[object, Fit],
+    best: float,
+) -> Iterator[Reading | None]:
+    """Yield the variations of a reading in which labels are mistaken; None for negligible ones."""
     prior = reading.prior
     learnt = [r for r in reading.nodes if r is not Role.T and r not in given.nodes]
     for one, other in combinations(learnt, 2):
@@ -304,14 +317,17 @@ def _with_mistakes(
         nodes[one], nodes[other] = nodes[other], nodes[one]
         what = f"{one} and {other} are swapped"
         yield _judged(
-            nodes, reading.scales, prior + SWAPPED, record, rating, fits, what, reading.nodes
+            nodes, reading.scales, prior + SWAPPED, record, rating, fits, what, reading.nodes, best
         )
     for roles in _mistakable(reading, given):
         first = roles[0]
         for scale in mistaken(reading.scales[first], first):
             chosen = {**reading.scales, **dict.fromkeys(roles, scale)}
             what = f"{' and '.join(roles)} {'is' if len(roles) == 1 else 'are'} {scale.reason}"
-            yield _judged(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, fits, what)
+            yield _judged(
+                *(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, fits, what),
+                best=best,
+            )
 
 
 def _mistakable(reading: Reading, given: Given) -> Iterator[Sequence[Role]]:
