@@ -98,20 +98,56 @@ class Given:
     assume: bool = False
 
 
+class _Memo:
+    """What the readings of one record have in common: scaled signals, and fits of the law."""
+
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self._fits: dict[object, Fit] = {}
+        self._signals: dict[object, evidence.Signal] = {}
+
+    def signal(self, node: Candidate, scale: Scale, role: Role) -> evidence.Signal:
+        """Return a variable's values in the scale, as the role has them."""
+        key = node.node, scale.text, role
+        if (found := self._signals.get(key)) is None:
+            found = evidence.Signal(scale(self._record.of(node), role))
+            self._signals[key] = found
+        return found
+
+    def fit(
+        self,
+        nodes: Mapping[Role, Candidate],
+        chosen: Mapping[Role, Scale],
+        values: Mapping[Role, Floats],
+    ) -> Fit:
+        """Return the law's fit, for which the scales of U and Q do not matter."""
+        pressures = [
+            (role, nodes[role].node, chosen[role].text)
+            for role in (Role.P1, Role.P2, Role.DP)
+            if role in nodes
+        ]
+        key = nodes[Role.U].node, nodes[Role.Q].node, *pressures
+        if (found := self._fits.get(key)) is None:
+            drop = evidence.pressure_drop(values)
+            found = fit(values[Role.U], drop, values[Role.Q], self._record.step_s)
+            self._fits[key] = found
+        return found
+
+
 def readings(group: Group, record: Record, given: Given, rating: Rating) -> list[Reading]:
     """Return the readings of a valve's variables with their probabilities, the likeliest first.
 
     The probabilities do not add up to 1: the rest is the hypothesis that none is right.
     """
-    fits: dict[object, Fit] = {}
-    found = sorted(_by_labels(group, record, given, rating, fits), key=lambda r: -r.score)
+    memo = _Memo(record)
+    found = sorted(_by_labels(group, record, given, rating, memo), key=lambda r: -r.score)
     if not found:
         return []
     varied = [
         other
         for reading in found[:_WITH_MISTAKES]
         if not reading.missing
-        for other in _with_mistakes(reading, record, given, rating, fits, found[0].score)
+        for other in _with_mistakes(reading, record, given, rating, memo, found[0].score)
         if other is not None
     ]
     best = max(found[0].score, *(r.score for r in varied)) if varied else found[0].score
@@ -150,7 +186,7 @@ def _label_score(reading: Reading) -> float:
 
 
 def _by_labels(
-    group: Group, record: Record, given: Given, rating: Rating, fits: dict[object, Fit]
+    group: Group, record: Record, given: Given, rating: Rating, memo: _Memo
 ) -> Iterator[Reading]:
     assignments = _assignments(group, given)
     is_lacking = _lacks(assignments[0][0])  # whatever the values are
@@ -168,7 +204,7 @@ def _by_labels(
             if sum(scale.prior for _, scale in chosen) > best - _UNLIKELY
         )
         for chosen in islice(likely, _MOST_SCALES):
-            reading = _judged(dict(nodes), dict(chosen), prior, record, rating, fits)
+            reading = _judged(dict(nodes), dict(chosen), prior, record, rating, memo)
             if reading is not None:
                 yield reading
 
@@ -228,49 +264,38 @@ def _judged(
     prior: float,
     record: Record,
     rating: Rating,
-    fits: dict[object, Fit],
+    memo: _Memo,
     mistake: str = "",
     labelled: Mapping[Role, Candidate] | None = None,
     best: float = -inf,
 ) -> Reading | None:
     """Score a reading; ``labelled`` are the variables whose ranges belong to the roles.
 
-    ``fits`` keeps the law's fits: the scales of U and Q do not matter for them. None if no law
+    None if no law
     could make the reading more than negligible beside one with the score ``best``.
     """
     ranges = labelled or nodes
     score = prior + sum(scale.prior for scale in chosen.values()) + _of_pair(chosen)
     raw = {role: record.of(node) for role, node in nodes.items()}
-    values = {role: chosen[role](raw[role], role) for role in nodes}
+    signals = {role: memo.signal(node, chosen[role], role) for role, node in nodes.items()}
+    values = {role: signal.values for role, signal in signals.items()}
     if _lacks(nodes):
         return Reading(nodes, chosen, score, NOT_TESTED, mistake, values)
     against = {
         f"{role} leaves its range": _of_range(node, role, chosen[role], raw[role])
         for role, node in ranges.items()
     }
-    against |= evidence.of_magnitudes(values, rating)
-    against["Q flows at U = 0"] = evidence.of_shut_valve(values)
+    against |= evidence.of_magnitudes(signals, rating)
+    against["Q flows at U = 0"] = evidence.of_shut_valve(signals)
     score += sum(against.values())
     if score + evidence.most_of_law(len(values[Role.Q])) < best - _NEGLIGIBLE:
         return None
-    key = _fit_key(nodes, chosen)
-    if (tested := fits.get(key)) is None:
-        drop = evidence.pressure_drop(values)
-        tested = fits[key] = fit(values[Role.U], drop, values[Role.Q], record.step_s)
+    tested = memo.fit(nodes, chosen, values)
     unmoved = against["Q does not move with U"] = evidence.of_response(values, tested)
     score += evidence.of_law(tested) + unmoved
     return Reading(
         nodes, chosen, score, tested, mistake, values, contradictions=against, prior=prior
     )
-
-
-def _fit_key(nodes: Mapping[Role, Candidate], chosen: Mapping[Role, Scale]) -> object:
-    pressures = [
-        (role, nodes[role].node, chosen[role].text)
-        for role in (Role.P1, Role.P2, Role.DP)
-        if role in nodes
-    ]
-    return nodes[Role.U].node, nodes[Role.Q].node, *pressures
 
 
 def _of_pair(chosen: Mapping[Role, Scale]) -> float:
@@ -306,7 +331,7 @@ def _with_mistakes(
     record: Record,
     given: Given,
     rating: Rating,
-    fits: dict[object, Fit],
+    memo: _Memo,
     best: float,
 ) -> Iterator[Reading | None]:
     """Yield the variations of a reading in which labels are mistaken; None for negligible ones."""
@@ -317,7 +342,7 @@ def _with_mistakes(
         nodes[one], nodes[other] = nodes[other], nodes[one]
         what = f"{one} and {other} are swapped"
         yield _judged(
-            nodes, reading.scales, prior + SWAPPED, record, rating, fits, what, reading.nodes, best
+            nodes, reading.scales, prior + SWAPPED, record, rating, memo, what, reading.nodes, best
         )
     for roles in _mistakable(reading, given):
         first = roles[0]
@@ -325,7 +350,7 @@ def _with_mistakes(
             chosen = {**reading.scales, **dict.fromkeys(roles, scale)}
             what = f"{' and '.join(roles)} {'is' if len(roles) == 1 else 'are'} {scale.reason}"
             yield _judged(
-                *(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, fits, what),
+                *(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, memo, what),
                 best=best,
             )
 
