@@ -27,6 +27,8 @@ _FEW_REVERSED: Final = 0.05
 _NONE_EXPLAINS: Final = 0.5  # explained share of the hypothesis that no reading is right
 _SHUT, _LEAKY = 2.0, 0.3  # % of U; share of the largest flow that no shut valve lets through
 
+_OF_FLOW: Final = (Role.P1, Role.P2, Role.DP, Role.Q)
+
 Plateau = tuple[float, float, float, float]
 """Lowest and highest usual value, and the log widths of the flanks below and above."""
 
@@ -101,7 +103,7 @@ def of_magnitudes(signals: Mapping[Role, Signal], rating: Rating) -> dict[str, f
             found[f"{role} is negative"] = -6.0
     if Role.T in signals:
         found["T is unusual"] = _of_oil(signals[Role.T].median)
-    k = coefficient({role: signal.values for role, signal in signals.items()})
+    k = coefficient({role: signals[role].values for role in _OF_FLOW if role in signals})
     if k > 0.0:
         found["Q is unusual for this Δp"] = _on_plateau(k, COEFFICIENT)
     return found | _of_rating(signals, k, rating)

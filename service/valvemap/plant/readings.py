@@ -26,6 +26,7 @@ from valvemap.plant.scales import Scale, mistaken, scales
 
 Floats = NDArray[np.float64]
 
+_UNWATCHED: Final = np.full(1, np.nan)
 SWAPPED: Final = log(0.005 / 6)  # prior of two given signals swapped
 MISTAKEN: Final = log(0.005 / 16)  # prior of one given unit that is another
 UNKNOWN: Final = log(0.003)  # prior of numbers in no unit of the tables
@@ -50,7 +51,7 @@ class Record:
 
     def of(self, candidate: Candidate) -> Floats:
         """Return the values of a variable; one NaN if it was not watched."""
-        return self.values.get(candidate.node, np.full(1, np.nan))
+        return self.values.get(candidate.node, _UNWATCHED)
 
 
 @dataclass(frozen=True)
