@@ -698,7 +698,15 @@ class PastCells:
 
 
 class PastStore(Protocol):
-    """Stores and returns the history of signals and results; from any thread, one at a time."""
+    """Stores and returns the history of signals and results; from any thread, one at a time.
+
+    Attributes
+    ----------
+    widths
+        Widths of the cells of `cells`, ascending, ns.
+    """
+
+    widths: Sequence[int]
 
     @property
     def lost(self) -> int:

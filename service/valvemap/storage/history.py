@@ -13,7 +13,7 @@ from valvemap.pipeline.ports import AlarmChange, Past, PastCells, Piece
 from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
 from valvemap.storage.history_blocks import CODES, SEALED, T
-from valvemap.storage.history_cells import width_of
+from valvemap.storage.history_cells import WIDTHS, width_of
 from valvemap.storage.history_mending import check_blocks, take_over
 from valvemap.storage.history_order import in_order, joined, nothing
 from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
@@ -109,6 +109,7 @@ class HistoryFile(Closing):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = Path(path)
+        self.widths: Sequence[int] = WIDTHS
         self._lost = 0
         self._rows: SeriesWriter
         self._spans = Spans.of(keep_s, results_s, trend_s)
@@ -426,7 +427,8 @@ class HistoryFile(Closing):
         if column not in found.parts:  # the series had no such column then, or it is damaged
             return nothing()
         past = Past(found.t, found.columns[column], found.columns[CODES])
-        return past[slice(*np.searchsorted(past.t, [low, high + 1]).tolist())]
+        first, behind = np.searchsorted(past.t, low), np.searchsorted(past.t, high, side="right")
+        return past[slice(int(first), int(behind))]  # high + 1 may be beyond int64
 
 
 def _no_chores() -> Generator[None]:
