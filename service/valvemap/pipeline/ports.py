@@ -85,6 +85,10 @@ class Upstream(Protocol):
         With several sources, an array by valve.
         """
 
+    @property
+    def remarks(self) -> Mapping[int, tuple[str, ...]]:
+        """By number of the valve, sentences on its nodes that are not as configured."""
+
 
 class AllSources(Upstream, Protocol):
     """All sources of a service."""

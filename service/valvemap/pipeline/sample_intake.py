@@ -58,10 +58,10 @@ class SampleIntake:
         self.refuted = np.zeros(V, np.bool_)
         self._insists = np.array([plan.insist for plan in valves.plans], np.bool_)
 
-    def take(self, changes: DataChanges) -> ByValve:
+    def take(self, changes: DataChanges, now_s: float | None = None) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
         self._start_again()
-        return self._learn_arrived(self._arrivals.take(changes))
+        return self._learn_arrived(self._arrivals.take(changes, now_s))
 
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""
