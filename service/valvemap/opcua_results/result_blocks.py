@@ -28,6 +28,7 @@ from valvemap.opcua_results.result_frames import frame_names, frame_variables
 from valvemap.opcua_results.result_values import Column
 from valvemap.pipeline.nameplate import BLANK
 from valvemap.pipeline.ports import ValveDescription
+from valvemap.vocabulary.edges import split_id
 
 _Kind = tuple[ua.VariantType, int | None]
 
@@ -211,7 +212,7 @@ def _beside_others(node: VariableNode, column: str) -> Changing:
 
 
 def _within_valve(node: VariableNode) -> str:
-    return node.id.partition(".")[2]
+    return split_id(node.id)[1]
 
 
 def _at_first(changing: Changing, valves: int, now: int) -> Column:

@@ -93,7 +93,7 @@ class Identification:
         self._alarms = alarms = AllAlarms(valves, service_alarms)
         self._armed = armed = ArmedValves(valves)
         self._results = ResultTables(valves, arrivals, intake, maps, approved, armed, commands)
-        self._kept = KeptStates(valves, arrivals, approved, alarms, maps)
+        self._kept = KeptStates(valves, arrivals, approved, alarms, maps, intake.splitter)
         self._columns = KeptColumns(valves, intake, approved)
         self._executors = {
             Subject.ESTIMATOR: commands,

@@ -43,6 +43,7 @@ from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 
+_MISSING = OF_ALIGNMENT.index("missing")
 _GUESSED = InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE
 
 
@@ -272,7 +273,9 @@ class ResultTables:
 
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._valves.places[valves]]
-        return np.column_stack((self._arrivals.counts(valves), rejected))
+        aligned = self._arrivals.counts(valves)
+        aligned[:, _MISSING] += self._intake.splitter.dropped[valves]
+        return np.column_stack((aligned, rejected))
 
 
 def descriptions(plans: Sequence[ValvePlan]) -> tuple[ValveDescription, ...]:
