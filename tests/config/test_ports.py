@@ -91,7 +91,7 @@ def test_units_are_given_by_port(tmp_path):
         ),
         (
             ports.toml(head="nodes = { U = 's=U', dp = 's=d', Q = 's=Q' }"),
-            "leave out nodes, or ports",
+            "leave out nodes",
         ),
         (ports.toml(more="closed_percent = 80"), "valves[0].ports.closed_percent = 80"),
         (

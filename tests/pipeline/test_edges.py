@@ -1,5 +1,7 @@
 """Valves with ports: four edges and two leakages from two lines' flows."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,8 @@ from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
 from valvemap.pipeline.edges import MOST_WAITING
 from valvemap.pipeline.ports import Command
-from valvemap.vocabulary.statuses import Quality, Status
+from valvemap.vocabulary.signals import PUBLISHED
+from valvemap.vocabulary.statuses import LineEdge, Quality, Status
 
 EDGES = ("PA", "AT", "PB", "BT")
 
@@ -28,8 +31,8 @@ def learnt(config, recorded, cuts=()):
 
 def feed(identification, config, recorded, cuts=()):
     changes = ports.changes_of(config, recorded)
-    edges = [0, *cuts, len(changes)]
-    for first, last in zip(edges, edges[1:], strict=False):
+    ends = [0, *cuts, len(changes)]
+    for first, last in pairwise(ends):
         identification.take(changes[first:last])
 
 
@@ -145,3 +148,33 @@ def test_what_waits_is_bounded_and_its_loss_counted(config):
     assert identification.counters(numbers["V.PA"])["missing"] == 6_000 - MOST_WAITING
     assert identification.lane("V.PA", "RLS").count == 0
     assert identification.lane("V.PB", "RLS").count > 500
+
+
+def test_a_line_answers_with_the_edge_that_the_sign_selects(config):
+    identification = learnt(config, ports.recording())
+    numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
+    for line, edges in (("A", ("PA", "AT")), ("B", ("PB", "BT"))):
+        name = f"V.Line{line}"
+        for Q in (-40.0, -5.0, 5.0, 40.0):
+            identification.do(Command.of("demand", name, Q, np.nan))
+            (results,) = identification.results([numbers[name]])
+            edge = edges[0] if Q > 0 else edges[1]
+            assert LineEdge(int(results.lines.edge[0])).name == edge
+            U = results.inverse.required_U[0]
+            opens = 1.0 if edge in ("PA", "BT") else -1.0
+            assert U * opens > 0
+            assert results.lines.lower[0] <= U <= results.lines.upper[0]
+            (signals,) = identification.results([numbers[f"V.{edge}"]])
+            dp = signals.signals.values[0][PUBLISHED.index("dp")]
+            flow, std, _ = identification.predict(f"V.{edge}", "RLS", abs(U), dp, 40.0)
+            sign = 1.0 if Q > 0 else -1.0
+            lost = results.lines.leakage[0] * results.signals.values[0][PUBLISHED.index("dp")]
+            assert flow == pytest.approx(sign * (Q + lost), abs=0.1 + std)
+
+
+def test_a_demand_below_the_leakage_is_not_passed_to_the_other_edge(config):
+    identification = learnt(config, ports.recording())
+    answer = identification.invert("V.LineA", -1e-6, 50.0, 40.0)
+    assert answer.U[0] <= 0.0
+    assert identification.invert("V.LineA", np.nan, 50.0, 40.0).status[0] == 5
+    assert identification.invert("V.LineA", 0.0, 50.0, 40.0).U[0] == 0.0

@@ -37,9 +37,9 @@ def recording(seconds=40.0, sigma=0.1, seed=1, rate_hz=100.0):
     found = {"t": np.arange(n) / rate_hz, "U": U}
     found |= {"pP": wander(170, 190, 7.0), "pT": wander(2, 6, 5.0)}
     found |= {"pA": wander(30, 150, 3.1), "pB": wander(30, 140, 4.3), "T": np.full(n, 40.0)}
+    is_open = {"PA": U > 0.0, "AT": U < 0.0, "PB": U < 0.0, "BT": U > 0.0}
     flows = {
-        edge: flow(edge, U, found[first] - found[second])
-        * (U * (1 if edge in ("PA", "BT") else -1) > 0)
+        edge: flow(edge, U, found[first] - found[second]) * is_open[edge]
         for edge, (first, second) in DROPS.items()
     }
     lost = LEAKAGE * (found["pA"] - found["pB"])

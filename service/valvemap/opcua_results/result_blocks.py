@@ -21,6 +21,7 @@ from valvemap.opcua_results.information_model import (
     estimator_variables,
     health_variables,
     inverse_results,
+    line_variables,
     parameter_variables,
     signal_variables,
 )
@@ -67,7 +68,7 @@ def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
             yield _beside_others(node, f"{estimator.name}.{PARAMETERS}")
     for node in signal_variables(valve):
         yield _beside_others(node, SIGNALS)
-    for node in inverse_results(valve):
+    for node in (*inverse_results(valve), *line_variables(valve)):
         yield _by_itself(node)
     for counter in valve.counters:
         yield replace(_by_itself(counter_variable(valve.name, counter)), first=0, ages=False)
