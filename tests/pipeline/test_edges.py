@@ -8,6 +8,8 @@ import pytest
 from support import ports
 from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
+from valvemap.opcua_source.source_nodes import ValveNodes, copies_of
+from valvemap.opcua_source.source_units import Scales
 from valvemap.pipeline.edges import MOST_WAITING
 from valvemap.pipeline.ports import Command
 from valvemap.vocabulary.signals import PUBLISHED
@@ -178,3 +180,16 @@ def test_a_demand_below_the_leakage_is_not_passed_to_the_other_edge(config):
     assert answer.U[0] <= 0.0
     assert identification.invert("V.LineA", np.nan, 50.0, 40.0).status[0] == 5
     assert identification.invert("V.LineA", 0.0, 50.0, 40.0).U[0] == 0.0
+
+
+def test_a_node_that_several_items_share_is_monitored_once_and_reaches_all(config):
+    valves = [ValveNodes(valve=v.name, **v.nodes.model_dump()) for v in config.valves]
+    copies = copies_of(valves)
+    assert len(copies) == len(ports.NODES)
+    changes = ports.changes_of(config, ports.recording(seconds=0.1), slice(0, 3))
+    primary = np.isin(changes.item, list(copies))
+    spread = Scales(valves)(changes[primary])
+    order = np.lexsort((spread.item, spread.source_time))
+    wanted = np.lexsort((changes.item, changes.source_time))
+    for name in ("item", "value", "source_time"):
+        assert (getattr(spread, name)[order] == getattr(changes, name)[wanted]).all(), name

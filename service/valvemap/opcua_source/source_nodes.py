@@ -188,6 +188,22 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
         return _checked(url, valves, wanted, ids, answers)
 
 
+def copies_of(valves: Sequence[ValveNodes]) -> dict[int, list[int]]:
+    """Return the items whose node another item has, too: they are monitored once, by the first.
+
+    >>> copies_of([ValveNodes("V1", "s=U", "s=p1", "s=p2", "s=Q")] * 2)
+    {0: [6], 1: [7], 2: [8], 3: [9]}
+    """
+    first: dict[str, int] = {}
+    found: dict[int, list[int]] = {}
+    for number, valve in enumerate(valves):
+        for signal, _, text in valve.signals():
+            item = number * PER_VALVE + signal
+            if first.setdefault(text, item) != item:
+                found.setdefault(first[text], []).append(item)
+    return found
+
+
 def _checked(
     url: str,
     valves: Sequence[ValveNodes],
@@ -197,6 +213,7 @@ def _checked(
 ) -> CheckedNodes:
     """Return the usable nodes; raise SourceRejected if any is unusable."""
     monitored, writable, faults = [], {}, []
+    copies = {item for items in copies_of(valves).values() for item in items}
     for node, node_id, answer in zip(wanted, ids, answers, strict=True):
         label = f"node '{node.text}' ({node.role} of valve {valves[node.valve].valve})"
         fault = _fault(answer, write=node.item is None)
@@ -206,7 +223,7 @@ def _checked(
             faults.append(f"{label} {fault.format(url=url)}")
         elif node.item is None:
             writable[node.valve, node.role] = WritableNode(node_id, _type_of(answer), label)
-        else:
+        elif node.item not in copies:
             monitored.append(MonitoredNode(node.item, node_id, label))
     if faults:
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
