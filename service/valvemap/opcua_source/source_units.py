@@ -10,7 +10,7 @@ from asyncua import ua
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, in_one_line
 from valvemap.opcua_client.requests import read_properties
-from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes
+from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes, copies_of
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import (
     QUANTITY_OF,
@@ -30,7 +30,7 @@ _ELECTRICAL_SPANS: Final = ((4.0, 20.0), (0.0, 20.0), (0.0, 10.0), (-10.0, 10.0)
 
 
 class Scales:
-    """Converts data changes to the internal units."""
+    """Hands the changes of a shared node to all its items, in their internal units."""
 
     def __init__(self, valves: Sequence[ValveNodes]) -> None:
         n = len(valves) * PER_VALVE
@@ -43,9 +43,15 @@ class Scales:
         self._has_none = bool((self._gain == 1.0).all() and (self._offset == 0.0).all())
         differences = [number for number, valve in enumerate(valves) if valve.dp is not None]
         self._dp_items = np.array(differences, np.int32) * PER_VALVE + Signal.P1
+        copies = copies_of(valves)
+        self._times = np.ones(n + 1, np.int64)  # items of an item's node; last: of an unknown item
+        self._times[list(copies)] += [len(items) for items in copies.values()]
+        self._of_node = {item: np.array([item, *own], np.int32) for item, own in copies.items()}
 
     def __call__(self, changes: DataChanges) -> DataChanges:
         """Return the changes in internal units; the same object if no signal needs conversion."""
+        if self._of_node:
+            changes = self._to_all(changes)
         if len(self._dp_items):
             changes = self._with_zeros(changes)
         if self._has_none:
@@ -53,6 +59,19 @@ class Scales:
         gain, offset = self._gain[changes.item], self._offset[changes.item]
         own = (gain == 1.0) & (offset == 0.0)
         return replace(changes, value=np.where(own, changes.value, changes.value * gain + offset))
+
+    def _to_all(self, changes: DataChanges) -> DataChanges:
+        """Repeat each change of a shared node for all items of the node."""
+        unknown = (changes.item < 0) | (changes.item >= len(self._gain))
+        times = self._times[np.where(unknown, -1, changes.item)]
+        found = changes[np.repeat(np.arange(len(changes)), times)]
+        begins = np.cumsum(times) - times
+        item = found.item.copy()
+        for first, items in self._of_node.items():
+            rows = begins[changes.item == first]
+            for k, one in enumerate(items):
+                item[rows + k] = one
+        return replace(found, item=item)
 
     def _with_zeros(self, changes: DataChanges) -> DataChanges:
         """Add p2 = 0 behind each change of a Δp transmitter, with its time and status."""

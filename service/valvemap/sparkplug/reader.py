@@ -14,6 +14,7 @@ from valvemap.sparkplug.metrics import OVERFLOW, Meaning, Value
 from valvemap.sparkplug.ports import Service
 from valvemap.sparkplug.schema import DataType
 from valvemap.sparkplug.shown import OVERFLOWS, Shown, Variable
+from valvemap.vocabulary.edges import split_id
 
 log = structlog.get_logger(__name__)
 
@@ -152,7 +153,7 @@ class Reader:
             children = [child for some in await self._service.browse_each(level) for child in some]
             level = []
             for child in children:
-                device, _, name = child.id.partition(".")
+                device, name = split_id(child.id)
                 if child.id.endswith(_VERSIONS):
                     continue
                 if child.is_variable:
