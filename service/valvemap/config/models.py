@@ -14,6 +14,7 @@ from pydantic import (
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
+from valvemap.config.commission import CommissionConfig
 from valvemap.config.estimators import SECTIONS, EstimatorConfig, default_estimators
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
@@ -374,6 +375,7 @@ class ValveConfig(Section):
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
     signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
+    commission: CommissionConfig = CommissionConfig()
     gate: GateConfig = GateConfig()
     alarms: AlarmsConfig = AlarmsConfig()
     identification: IdentificationConfig = IdentificationConfig()
