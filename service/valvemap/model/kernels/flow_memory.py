@@ -37,6 +37,7 @@ class Memory(NamedTuple):
     cells: Cells
     theta: Floats
     std: Singles
+    doubt: Singles
     scalars: Floats
     counters: np.ndarray
     x: Floats
