@@ -38,7 +38,7 @@ def new_room() -> flow_memory.Room:
     """Room for the kernels to work in."""
     shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
     return flow_memory.Room(
-        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(4)
+        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(6)
     )
 
 

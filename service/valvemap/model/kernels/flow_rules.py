@@ -165,7 +165,8 @@ COARSE: Final = 0.02  # of the flow; standard deviation of the coarse map
 OF_COARSE: Final = 0.5  # of the variance that the coarse map leaves: least variance of the noise
 STEADY_FILTER: Final = 0.1  # of the noise's variance; doubt about a filter beyond which a sample
 # tells nothing of what moves in time
-STAY_BEHIND_FILTER: Final = 0.5  # of the noise's variance; least variance of a stay behind a filter
+STAY_BEHIND_FILTER: Final = 4.0  # of the noise's variance; least variance of a stay behind a
+# filter: the map's errors there are common to many stays
 LIKELIER: Final = 1.0  # log likelihood from which on a rival takes an operator's place
 EXPLAINED: Final = 1.5  # of the white noise's variance; rows that are left so little need no rivals
 MOST_TRIED: Final = 1500  # coarse maps fitted in a look before it tries no more rivals: .5 s
