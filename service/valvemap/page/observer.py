@@ -7,7 +7,8 @@ from datetime import datetime
 from enum import StrEnum
 
 from valvemap.clock import Clock, utc_ns
-from valvemap.errors import CommandRejected, SourceLost, ValvemapError
+from valvemap.errors import CommandRejected, SourceLost, SourceRejected, ValvemapError
+from valvemap.page.alarm_list import AlarmList
 from valvemap.page.close_up import TICK_S, CloseUp
 from valvemap.page.figures import Figures
 from valvemap.page.judgement import Reason, Severity, Standing, judge
@@ -22,12 +23,14 @@ from valvemap.page.reading import read_all
 from valvemap.page.store import Store
 from valvemap.page.surface import draw_surface
 from valvemap.page.timeline import TimeLine
+from valvemap.page.trends import Trends
 from valvemap.readings import Reading
 
 _TICKS_PER_ROUND = 10  # all valves are read once a second
 _ROUNDS_PER_DISCOVERY = 5  # changes and actions are rare
 _SURFACE_EVERY_S = 5.0  # s; drawing a map takes the service some 20 ms
 _RETRY_S = (0.5, 1.0, 2.0)  # s; short, so that a restarted service reappears within seconds
+_LISTENS_EVERY_S = 0.5  # s; publishing interval of alarms
 _REFUSED_RETRY_S = 10.0  # s; after a refusal, which rarely ends soon
 
 
@@ -51,6 +54,7 @@ class Row:
     samples: float
     silent_s: float
     predicted: float
+    health: float
 
 
 class Observer:
@@ -87,6 +91,10 @@ class Observer:
         self._wanted = wanted
         self._on_change = on_change
         self._close_up = CloseUp(client, self.store, clock)
+        self.alarms = AlarmList()
+        self.trends = Trends(client, clock)
+        self._listens_since = 0
+        self._health: dict[int, float] = {}
         self._heard: dict[int, tuple[int, float]] = {}
         self._recommended: dict[str, str] = {}
         self._changed: dict[int, int] = {}
@@ -100,6 +108,7 @@ class Observer:
             try:
                 await self.client.connect()
                 await self._discover()
+                await self._listen()
                 failures = 0
                 self._say(Link.UP, "")
                 await self._look_for_ever()
@@ -123,6 +132,17 @@ class Observer:
         """Read the figures of `/metrics`, if connected."""
         if self.link is Link.UP:
             await self.figures.look(self.valves)
+
+    async def _listen(self) -> None:
+        """Subscribe to alarms; without them the page shows everything else."""
+        self.trends.forget()
+        try:
+            await self.client.listen(_LISTENS_EVERY_S)
+        except (SourceRejected, CommandRejected) as error:
+            self.alarms.forget(str(error))
+        else:
+            self.alarms.forget("")
+            self._listens_since = self._clock.now()
 
     async def _look_for_ever(self) -> None:
         tasks = {asyncio.create_task(self._look()), asyncio.create_task(self._draw_maps())}
@@ -192,6 +212,8 @@ class Observer:
 
     async def _look_around(self, wanted: Wanted, *, thoroughly: bool) -> None:
         """Read the state of every valve, and the slow variables of the valves in view."""
+        if not self.alarms.trouble:
+            self.alarms.hear(self.client.conditions(), self.time_line, self._listens_since)
         if thoroughly:
             (version,) = await self._read([VERSION])
             if version.value != self._version:
@@ -220,6 +242,7 @@ class Observer:
         primary = self._primary(number)
         of = {name: columns.get(f"{primary}.{name}", float("nan")) for name in _SHOWN}
         self._hear(number, frame.t)
+        self.trends.see(valve, len(self.valves), frame.t, columns)
         adaptation = self.store.get(number, f"{primary}.Adaptation")
         now = self._clock.now()
         reason = judge(
@@ -229,6 +252,7 @@ class Observer:
                 silent_s=self.silent_s(number),
                 changed_s=(now - self._changed.get(number, 0)) * 1e-9,
                 adaptation=int(adaptation.value or 0) if adaptation else 0,
+                health=int(self._health.get(number, 0)),
             )
         )
         reason, since = self.time_line.stands(valve.name, reason, now)
@@ -240,6 +264,7 @@ class Observer:
             samples=of["SampleCount"],
             silent_s=self.silent_s(number),
             predicted=of["PredictedFlow"],
+            health=self._health.get(number, float("nan")),
         )
 
     def _primary(self, number: int) -> str:
@@ -276,6 +301,12 @@ class Observer:
         for valve, action in zip(self.valves, actions, strict=True):
             if isinstance(action.value, str):
                 self.time_line.acted(valve.name, action.value, action.t)
+        health = await self._read([f"{valve.name}.DeviceHealth" for valve in self.valves])
+        self._health = {
+            number: float(found.value)
+            for number, found in enumerate(health)
+            if isinstance(found.value, int)
+        }
         recommended = await self._read([f"{valve.name}.Recommended" for valve in self.valves])
         self._recommended = {
             valve.name: str(found.value or "")
