@@ -30,7 +30,7 @@ class AlarmList:
 
     present: dict[tuple[str, str], ConditionChange] = field(default_factory=dict)
     revision: int = 0
-    trouble: str = ""
+    trouble: str = "the page has not asked for them yet"
 
     def forget(self, trouble: str) -> None:
         """Drop all, before the service reports them anew."""

@@ -70,6 +70,8 @@ class Observer:
         Returns the valves and maps in view.
     on_change
         Called after each read.
+    past
+        A second client, for the history; None: the first one reads it, too.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Observer:
         clock: Clock,
         wanted: Callable[[], Wanted],
         on_change: Callable[[], None],
+        past: Client | None = None,
     ) -> None:
         self.client = client
         self.store = Store()
@@ -92,12 +95,13 @@ class Observer:
         self._on_change = on_change
         self._close_up = CloseUp(client, self.store, clock)
         self.alarms = AlarmList()
-        self.trends = Trends(client, clock)
+        self.trends = Trends(past or client, clock, is_shared=past is None)
         self._listens_since = 0
         self._health: dict[int, float] = {}
         self._heard: dict[int, tuple[int, float]] = {}
         self._recommended: dict[str, str] = {}
         self._changed: dict[int, int] = {}
+        self._approved: dict[tuple[int, str], str] = {}  # versions of the approved maps drawn
         self.figures = Figures(client, clock)
         self._version: object = None
 
@@ -120,6 +124,7 @@ class Observer:
                 pause = _REFUSED_RETRY_S
             finally:
                 await self.client.close()
+                await self.trends.close()
             failures += 1
             await asyncio.sleep(pause)
 
@@ -177,15 +182,27 @@ class Observer:
     async def _draw_maps(self) -> None:
         while True:
             for valve, estimator in sorted(self._wanted().maps):
-                try:
-                    surface = await draw_surface(self.client, self.valves[valve].name, estimator)
-                except CommandRejected:
-                    continue  # this estimator has no map yet
-                now = self._clock.now()
-                for name, matrix in surface.items():
-                    self.store.put(valve, f"{estimator}.Surface{name}", matrix, 0, now)
-                self._on_change()
+                await self._draw_map(valve, estimator)
+                await self._draw_approved(valve, estimator)
             await asyncio.sleep(_SURFACE_EVERY_S if self._wanted().maps else TICK_S)
+
+    async def _draw_map(self, valve: int, estimator: str, *, approved: bool = False) -> None:
+        name = self.valves[valve].name
+        try:
+            surface = await draw_surface(self.client, name, estimator, approved=approved)
+        except CommandRejected:
+            return  # this estimator has no map yet
+        now, kind = self._clock.now(), "Approved" if approved else "Surface"
+        for part, matrix in surface.items():
+            self.store.put(valve, f"{estimator}.{kind}{part}", matrix, 0, now)
+        self._on_change()
+
+    async def _draw_approved(self, valve: int, estimator: str) -> None:
+        """Draw the approved map, once for each version."""
+        (version,) = await self._read([f"{self.valves[valve].name}.Baseline.Version"])
+        if version.value and self._approved.get((valve, estimator)) != version.value:
+            self._approved[valve, estimator] = version.value
+            await self._draw_map(valve, estimator, approved=True)
 
     async def _discover(self) -> None:
         """Browse all valves; increment the generation if they have changed."""
@@ -204,6 +221,7 @@ class Observer:
             self.generation += 1
             self.valves = tuple(found)
             self.store.clear()
+            self._approved.clear()
             self.rows.clear()
             self._close_up.forget_points()
         self._close_up.forget()

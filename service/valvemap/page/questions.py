@@ -69,7 +69,7 @@ async def _invert(observer: Observer, valve: Valve, Q: float, dp: float) -> dict
 async def _past(observer: Observer, start: int, end: int) -> dict[str, Any]:
     """Return past changes of alarms, the newest first; whether the service keeps them."""
     try:
-        found = await observer.client.past_conditions((start * _MS, end * _MS), MOST_PAST)
+        found = await observer.trends.past_conditions((start * _MS, end * _MS), MOST_PAST)
     except CommandRejected as error:
         return {"past": [], "kept": False, "why": str(error)}
     return {"past": [row_of(change) for change in found], "kept": True}

@@ -7,7 +7,8 @@ Where the service keeps no history, the page answers with what it has seen itsel
 
 import asyncio
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.clock import Clock
-from valvemap.errors import CommandRejected
+from valvemap.errors import CommandRejected, SourceLost
 from valvemap.page.layout import Valve
 from valvemap.page.ports import Client
 from valvemap.page.seen import Seen
+from valvemap.readings import ConditionChange
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
@@ -80,22 +82,32 @@ class Trends:
     Parameters
     ----------
     client
-        Client of the service.
+        A client of the service. One for the past alone is connected when it is needed, and a long
+        read then holds up nothing that is live.
     clock
         Decides which tiles are past.
+    is_shared
+        Whether the client is the observer's own, which connects it.
     """
 
-    def __init__(self, client: Client, clock: Clock) -> None:
+    def __init__(self, client: Client, clock: Clock, *, is_shared: bool = False) -> None:
         self._client, self._clock = client, clock
         self._tiles: OrderedDict[tuple[str, str, int, int], NDArray[np.float32]] = OrderedDict()
         self._seen: dict[str, Seen] = {}
-        self._keeps_none = False
+        self._keeps_none = self._is_connected = False
+        self._is_shared = is_shared
         self._turn = asyncio.Lock()
 
     def forget(self) -> None:
         """Drop what was read, after a reconnect: the history may be another one."""
         self._tiles.clear()
-        self._keeps_none = False
+        self._keeps_none = self._is_connected = False
+
+    async def close(self) -> None:
+        """Disconnect a client of the past alone."""
+        self._is_connected = False
+        if not self._is_shared:
+            await self._client.close()
 
     def see(self, valve: Valve, valves: int, t: int, row: dict[str, float]) -> None:
         """Keep a row of a valve (UTC ns; values by name), for a service without a history."""
@@ -120,7 +132,7 @@ class Trends:
         first, last = span[0] // step, -(-span[1] // step)
         if not self._keeps_none:
             try:
-                async with self._turn:
+                async with self._connection():
                     await self._fetch(valve.name, names, first // _TILE, (last - 1) // _TILE, step)
                 courses = [self._cut(valve.name, name, first, last, step) for name in names]
                 return Trend(
@@ -131,6 +143,31 @@ class Trends:
         seen = self._seen.get(valve.name) or Seen((), 1)
         courses = [seen.bucketed(name, first * step, step, last - first) for name in names]
         return Trend(first * step, step, courses, is_kept=False, since=seen.since)
+
+    async def past_conditions(self, span: tuple[int, int], most: int) -> Sequence[ConditionChange]:
+        """Return the newest changes of all alarms in a span (UTC ns), the newest first.
+
+        Raises
+        ------
+        CommandRejected
+            if the service keeps none.
+        SourceLost, SourceRejected
+        """
+        async with self._connection():
+            return await self._client.past_conditions(span, most)
+
+    @asynccontextmanager
+    async def _connection(self) -> AsyncIterator[None]:
+        """Wait for the turn, and connect if that is needed."""
+        async with self._turn:
+            try:
+                if not self._is_connected and not self._is_shared:
+                    await self._client.connect()
+                self._is_connected = True
+                yield
+            except SourceLost:
+                self._is_connected = False
+                raise
 
     def _since(self, name: str) -> int:
         return self._seen[name].since if name in self._seen else 0

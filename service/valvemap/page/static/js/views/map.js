@@ -28,7 +28,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   const words = h("p.words");
   const sectionChart = h("div.chart"), sectionWords = h("span.muted");
   const best = h("strong"), reason = h("p"), placeWords = h("p.words");
-  const beforeWords = h("p"), beforeDone = h("p.words", { role: "status" }), beforeHint = h("p.words");
+  const beforeWords = h("p"), beforeDone = h("p.words", { role: "status" }), show = h("button.quiet", { type: "button", onclick: () => { kept = null; keepButton(); colouring = "change"; schedule(true); } }, "Show both maps"), beforeHint = h("p.words");
   const approve = h("button", { type: "button", disabled: true, onclick: () => baseline("Approve") }, "Approve this map");
   const rollBack = h("button.quiet", { type: "button", disabled: true, onclick: () => baseline("RollBack") }, "Keep the approved one");
   const sectionSlider = slider("Pressure drop", "bar", 0, 200, 1, section, (value) => { section = value; drawSection(); schedule(); });
@@ -54,7 +54,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
           h("header", {}, h("h2", {}, "Section at one pressure drop"), h("span.fill"), sectionWords),
           sectionChart, sectionSlider.element),
         h("section.card.before", {}, h("header", {}, h("h2", {}, "Against the approved map")), beforeWords,
-          h("div.buttons", {}, beforeHint, rollBack, approve), beforeDone),
+          h("div.buttons", {}, show, beforeHint, rollBack, approve), beforeDone),
       ),
     ),
   );
@@ -101,6 +101,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
       const since = live.number(`${selected}.ChangeCount`) > 0 ? ` The last abrupt change was at ${clock(live.number(`${selected}.ChangeTime`))}.` : "";
       say(beforeWords, `Now minus approved (version ${version}${when > 0 ? `, ${clock(when)}` : ""}): ${spreadInUnit(comparison.mean, "l/min", 1)} ${unit} on average; largest ${spreadInUnit(comparison.largest, "l/min", 1)} ${unit} at U ${fixed(comparison.U, 0)} %, Δp ${inUnit(comparison.dp, "bar", 0)} ${shown("bar")}; ${comparison.points} points.${since}`);
     }
+    show.hidden = !version;
     const why = live.old ? `${live.old.why} Nothing can be written.` : !user.name ? "To approve a map, log in as an operator." : "";
     approve.disabled = Boolean(why) || Boolean(live.oldOf(valve.name));
     rollBack.disabled = Boolean(why) || !version;
@@ -133,11 +134,14 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   function keepButton() { say(keep, kept ? "Keep again" : "Keep to compare"); }
 
   /** The newest surface, all in one. */
-  function surface() {
-    const of = (name) => live.get(`${selected}.Surface${name}`)?.value;
+  function surface(kind = "Surface") {
+    const of = (name) => live.get(`${selected}.${kind}${name}`)?.value;
     const [U, Dp, flow, std, status] = ["U", "Dp", "Q", "Std", "Status"].map(of);
     return U && Dp && flow && std && status ? { U: [...U], dp: [...Dp], Q: flow.map((row) => [...row]), std: std.map((row) => [...row]), status: status.map((row) => [...row]) } : null;
   }
+
+  /** With which map the present one is compared: kept here, else the approved one. */
+  function before() { return kept ?? (live.get("Baseline.Version")?.value ? surface("Approved") : null); }
 
   function schedule(now = false) {
     for (const button of colourings.children) {
@@ -175,6 +179,10 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
         marker: { size: 7, color: css("--alarm"), line: { color: css("--card"), width: 2 }, symbol: "diamond" },
       }] : []),
     ];
+    const then = colouring === "change" ? before() : null;
+    if (then) { // both maps: the earlier one as a faint sheet
+      traces.push({ type: "surface", x: then.dp.map(bar), y: then.U, z: then.Q.map((row) => row.map(lpm)), opacity: 0.32, showscale: false, hoverinfo: "skip", colorscale: [[0, css("--line-6")], [1, css("--line-6")]] });
+    }
     const axis = (title, range) => ({ title: { text: title }, color: css("--soft"), gridcolor: css("--line"), zerolinecolor: css("--line"), backgroundcolor: css("--card"), showbackground: true, ...(range ? { range } : {}) });
     const layout = {
       margin: { l: 30, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
@@ -184,7 +192,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     plotted = Plotly;
     const all = found.status.flat(), far = all.filter((s) => s === EXTRAPOLATING).length;
     const reach = found.std.flat().filter(Number.isFinite).sort((a, b) => a - b);
-    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${spreadInUnit(2 * (reach[reach.length >> 1] ?? NaN), "l/min", 2)} ${shown("l/min")}.${kept ? ` Compared with the map kept at ${kept.at ?? "this page's request"}.` : ""}`);
+    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${spreadInUnit(2 * (reach[reach.length >> 1] ?? NaN), "l/min", 2)} ${shown("l/min")}.${colouring === "change" ? (kept ? " Compared with the map kept at this page's request." : before() ? " Compared with the approved map, drawn as a grey sheet." : " Nothing to compare: approve a map, or keep one here.") : ""}`);
   }
 
   function colours(found) {
@@ -197,9 +205,9 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
       return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, "#c7cdd3"], [1, "#c7cdd3"]], low: 0, high: 1, title: "", ticks: { tickvals: [0.25, 0.75], ticktext: ["measured<br>near", "extra-<br>polated"] } };
     }
     if (colouring === "change") {
-      const values = kept ? found.Q.map((row, i) => row.map((q, j) => lpm(q - kept.Q[i][j]))) : found.Q.map((row) => row.map(() => 0));
+      const then = before(), values = then ? found.Q.map((row, i) => row.map((q, j) => lpm(q - then.Q[i][j]))) : found.Q.map((row) => row.map(() => 0));
       const most = Math.max(...values.flat().map(Math.abs).filter(Number.isFinite), 0.5);
-      return { values, scale: [[0, "#b3261e"], [0.5, "#e9ecef"], [1, "#1d5fa8"]], low: -most, high: most, title: `now − kept, ${unit}` };
+      return { values, scale: [[0, "#b3261e"], [0.5, "#e9ecef"], [1, "#1d5fa8"]], low: -most, high: most, title: kept ? `now − kept, ${unit}` : then ? `now − approved, ${unit}` : `nothing to compare, ${unit}` };
     }
     const values = found.Q.map((row) => row.map(lpm));
     return { values, scale: quiet, low: 0, high: Math.max(...values.flat().filter(Number.isFinite), 0.1), title: unit };
@@ -210,9 +218,9 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     if (!found) return;
     const at = (grid) => found.U.map((_, i) => interpolate(found.dp, grid[i], section));
     const flow = at(found.Q), std = at(found.std), points = live.get("Points")?.value ?? [];
-    const near = (Array.isArray(points) ? points : [points]).filter(([, p]) => Math.abs(p - section) <= NEAR_BAR);
+    const then = before(), near = (Array.isArray(points) ? points : [points]).filter(([, p]) => Math.abs(p - section) <= NEAR_BAR);
     // measured points lie between the grid's: one axis for both
-    const x = [...found.U.map((u, i) => [u, flow[i] + 1.96 * std[i], flow[i] - 1.96 * std[i], flow[i], kept ? interpolate(kept.dp, kept.Q[i], section) : null, null]),
+    const x = [...found.U.map((u, i) => [u, flow[i] + 1.96 * std[i], flow[i] - 1.96 * std[i], flow[i], then ? interpolate(then.dp, then.Q[i], section) : null, null]),
       ...near.map(([u, p, q]) => [u, null, null, null, null, q - slope(found, u, p, section)])].sort((a, b) => a[0] - b[0]);
     const columns = [0, 1, 2, 3, 4, 5].map((k) => x.map((row) => (Number.isFinite(row[k]) ? (k ? lpm(row[k]) : row[k]) : k ? undefined : row[0])));
     chart.chart.setData(columns);
@@ -276,7 +284,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     followRecommended();
   }
 
-  const onMatrix = ({ detail }) => { if (detail === `${selected}.SurfaceStatus` || detail === "Points") schedule(); };
+  const onMatrix = ({ detail }) => { if (detail === `${selected}.SurfaceStatus` || detail === `${selected}.ApprovedStatus` || detail === "Points") schedule(); };
   live.addEventListener("matrix", onMatrix);
   live.addEventListener("values", showStanding);
   user.addEventListener("change", showUser);

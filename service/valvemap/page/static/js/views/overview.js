@@ -16,7 +16,7 @@ const MOST_ALARMS = 12;
 
 export function overviewView(root, { live }) {
   const columns = () => [
-    ["severity", "State", "128px", ""], ["name", "Valve", "16%", ""], ["health", "Health (NE 107)", "196px", ""], ["why", "Why", "", ""],
+    ["severity", "State", "168px", ""], ["name", "Valve", "15%", ""], ["health", "Health (NE 107)", "196px", ""], ["why", "Why", "", ""],
     ["since", "Since", "104px", ""], ["rmse", `RMSE, ${shown("l/min")}`, "108px", ".number"],
     ["predicted", `Q̂, ${shown("l/min")}`, "92px", ".number"], ["course", "Last 2 min", "120px", ""], ["samples", "Samples", "104px", ".number"],
   ];

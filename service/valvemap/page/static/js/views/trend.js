@@ -178,7 +178,8 @@ export function trendView(root, { live, valve, query, keep }) {
       [...wide(6), ...wide(7), ...wide(8)],
     ];
     const compared = [0, 2, 4, 8].map((c) => others?.of[c][0]);
-    drawn.forEach(({ chart }, k) => chart.setData(joined(rows.t, data[k], others?.t, compared[k])));
+    const bare = rows.t.length ? null : [from() / 1000, to() / 1000]; // the axes of time, and the bands
+    drawn.forEach(({ chart }, k) => chart.setData(bare ? [bare, ...chart.series.slice(1).map(() => [null, null])] : joined(rows.t, data[k], others?.t, compared[k])));
     showReadout();
     showStanding();
     showMarks();

@@ -23,6 +23,12 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
   const signals = Object.fromEntries(Object.keys(SIGNALS).map((name) => [name, signalTile(name)]));
   const badge = h("span.badge"), sentence = h("span.muted.sentence");
   const best = h("strong"), bestReason = h("p"), bestLinks = h("p.links", {}, h("a.button", { href: `#/map/${encodeURIComponent(valve.name)}` }, "Map"), h("a.button", { href: `#/trend/${encodeURIComponent(valve.name)}` }, "Trend"), h("a.button", { href: "#/alarms" }, "Alarms"));
+  let areAllShown = localStorage.getItem("diagnostics") === "open";
+  const more = h("button.quiet.more", { type: "button", onclick: () => {
+    areAllShown = !areAllShown;
+    localStorage.setItem("diagnostics", areAllShown ? "open" : "");
+    showOthers();
+  } });
   const table = estimatorTable(estimators, live.quantities, (name) => select(name));
   const parameters = h("tbody"), parametersTitle = h("h2");
   const spread = h("canvas.bars", { role: "img", "aria-label": "Histogram of the residuals" }), follow = h("canvas.bars", { role: "img", "aria-label": "Autocorrelation of the residuals" });
@@ -43,8 +49,7 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
       ),
       h("div.grid", {},
         h("section.card.best", {}, h("header", {}, h("h2", {}, "Recommended map"), best), bestReason, bestLinks,
-          h("details.diagnostics", { open: localStorage.getItem("diagnostics") === "open", ontoggle: (event) => localStorage.setItem("diagnostics", event.target.open ? "open" : "") },
-            h("summary", {}, `Diagnostics: all ${estimators.length} estimators, in ${shownUnit("l/min")}`), table.element)),
+          table.element, more),
         h("div.grid.two", {},
           h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, how large")), spread, spreadWords),
           h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, do they repeat")), follow, followWords),
@@ -148,7 +153,17 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
     }
   }
 
+  /** The recommended estimator stands alone until the others are asked for. */
+  function showOthers() {
+    const best = live.get("Recommended")?.value, isAlone = estimators.includes(best) && estimators.length > 1;
+    more.hidden = !isAlone;
+    more.setAttribute("aria-expanded", String(areAllShown));
+    say(more, areAllShown ? "Hide the other estimators" : `Diagnostics: ${estimators.length - 1} other estimators`);
+    estimators.forEach((name, k) => { table.rows[k].hidden = isAlone && !areAllShown && name !== best && name !== selected; });
+  }
+
   function standing() {
+    showOthers();
     const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name)), old = live.oldOf(valve.name);
     const recommended = live.get("Recommended")?.value, reason = live.get("RecommendedReason")?.value;
     say(best, old ? "not known now" : recommended || "none yet");
@@ -298,10 +313,11 @@ function estimatorTable(estimators, quantities, onSelect) {
       h("i.swatch", { style: { "--c": lineVariable(k) } }), name)),
     h("td"), quantities.map(() => h("td.number"))));
   const element = h("table.estimators", {},
-    h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th", {}, "Status"), quantities.map(({ heading, about }) => h("th.number", { title: about }, heading)))),
+    h("thead", {}, h("tr", {}, h("th", {}, `in ${shownUnit("l/min")}`), h("th", {}, "Status"), quantities.map(({ heading, about }) => h("th.number", { title: about }, heading)))),
     h("tbody", {}, rows));
   return {
     element,
+    rows,
     show(live, selected, old) {
       const best = live.get("Recommended")?.value;
       estimators.forEach((name, k) => {
