@@ -100,7 +100,7 @@ async def test_an_alarm_is_acknowledged_by_who_may():
     async with visit(shown) as (visitor, _):
         visitor.password = "any"
         await visitor.open("alarms")
-        button = visitor.page.locator("button", has_text="Acknowledge")
+        button = visitor.page.get_by_role("button", name="Acknowledge", exact=True)
         await button.wait_for()
         assert await button.is_disabled()
         await visitor.log_in()
@@ -129,7 +129,7 @@ async def test_without_the_service_nothing_says_ok_and_nothing_can_be_written(vi
         badges = await page.locator("main .badge[data-severity='0']:visible").all_inner_texts()
         assert [b for b in badges if b != "service"] == []
         for writes in ("Write as FlowDemand", "Acknowledge", "Confirm", "Approve this map"):
-            for button in await page.locator("main button:visible", has_text=writes).all():
+            for button in await page.get_by_role("button", name=writes, exact=True).all():
                 assert await button.is_disabled(), writes
         shown.up = True
         await page.locator(".link[data-link=up]").wait_for()

@@ -46,6 +46,11 @@ class Reason(Described):
         """Severity of the reason."""
         return _SEVERITIES[self]
 
+    @property
+    def is_old(self) -> bool:
+        """Whether the valve's values are not of now, or none."""
+        return self >= Reason.STALE
+
 
 _SEVERITIES = {
     Reason.OK: Severity.GOOD,

@@ -322,7 +322,7 @@ def _greeting(observer: Observer) -> dict[str, Any]:
         "words": {
             "status": [(status.label, status.sentence) for status in Status],
             "inverse": [(INVERSE_SEVERITIES[s], s.sentence) for s in InverseStatus],
-            "reason": [(reason.label, reason.sentence) for reason in Reason],
+            "reason": [(reason.label, reason.sentence, reason.is_old) for reason in Reason],
             "health": [(health.label, health.sentence) for health in DeviceHealth],
             "guides": {name: (guide.quantity, guide.action) for name, guide in GUIDES.items()},
             "signals": dict(_signals()),

@@ -45,7 +45,7 @@ export function clock(ms) {
 }
 
 // Filled with the service's own words when the page connects: [label, sentence], for the inverse
-// [severity, sentence], by number; of signals [caption, unit], by name.
+// [severity, sentence], by number, of reasons also whether the values are old; of signals [caption, unit], by name.
 export const STATUS = [], INVERSE_STATUS = [], REASONS = [], SIGNALS = {};
 export const HEALTH = []; // by NAMUR NE 107: [label, sentence]
 export const GUIDES = {}; // of alarms, by name: [quantity, what to do]

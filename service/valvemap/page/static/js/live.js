@@ -84,7 +84,7 @@ export class Live extends EventTarget {
     if (this.old) return this.old;
     const row = this.rows.get(this.valves.findIndex(({ name }) => name === valve));
     if (!row) return null;
-    if (row.severity === 3) return { state: "valve", why: REASONS[row.reason][1], since: row.since, advice: "See Alarms for what to do." };
+    if (REASONS[row.reason][2]) return { state: "valve", why: REASONS[row.reason][1], since: row.since, advice: "See Alarms for what to do." };
     if (row.silent > STALE_S) return { state: "valve", why: "No new sample arrives.", since: Date.now() - 1000 * row.silent, advice: "Check the source of its signals." };
     return null;
   }
@@ -151,6 +151,7 @@ export class Live extends EventTarget {
     if (message.link) {
       this.url = message.url;
       this.since = message.since;
+      Object.assign(this, { link: message.link, text: message.text }); // views are drawn on what is so now
       this.valves = message.valves;
       this.quantities = message.quantities;
       learnWords(message.words);

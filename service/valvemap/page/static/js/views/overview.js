@@ -44,7 +44,7 @@ export function overviewView(root, { live }) {
   function sort() {
     const old = live.old, words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
     const rows = live.valves.map(({ name }, number) => ({ name, number, ...live.rows.get(number) })).filter((row) => row.severity !== undefined)
-      .filter((row) => !words.length || words.every((word) => `${row.name} ${REASONS[row.reason].join(" ")} ${HEALTH[row.health]?.[0] ?? ""}`.toLowerCase().includes(word)));
+      .filter((row) => !words.length || words.every((word) => `${row.name} ${REASONS[row.reason].slice(0, 2).join(" ")} ${HEALTH[row.health]?.[0] ?? ""}`.toLowerCase().includes(word)));
     const worst = (row) => 1000 * row.severity + 10 * (5 - WORST_HEALTH.indexOf(row.health)) + row.reason / 10;
     const key = { severity: worst, why: (r) => r.reason, name: (r) => r.name, health: (r) => 5 - WORST_HEALTH.indexOf(r.health) }[order.by] ?? ((r) => r[order.by]);
     const sign = order.down ? -1 : 1;
