@@ -20,6 +20,22 @@ class Reading(Protocol):
         """Source time, UTC ns."""
 
 
+class Engineering(Protocol):
+    """Engineering unit and range of a variable."""
+
+    @property
+    def unit(self) -> str:
+        """Symbol; empty for numbers without a unit."""
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Lowest and highest value in normal operation, in the unit."""
+
+    @property
+    def description(self) -> str:
+        """What the variable is, in one or a few sentences."""
+
+
 class Child(Protocol):
     """A node below another."""
 

@@ -113,6 +113,7 @@ class FlowMapConfig(EstimatorSection):
 
     kind: Literal["FlowMap"] = "FlowMap"
     name: Name = "FlowMap"
+    any_U_range: ClassVar[bool] = True
 
 
 AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig | FlowMapConfig

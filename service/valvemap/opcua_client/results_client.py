@@ -5,6 +5,7 @@ It uses standard services only and does not need the compiled decoding loops of 
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from asyncua import ua
@@ -30,10 +31,11 @@ from valvemap.opcua_client.requests import (
     in_chunks,
     namespaces_of,
     read_attributes,
+    read_properties,
     read_values,
 )
 
-__all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
+__all__ = ["Child", "Engineering", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
 UNKNOWN_NODE = int(ua.StatusCodes.BadNodeIdUnknown)  # code of a reading: no such variable
 
@@ -57,6 +59,15 @@ class Reading:
     value: Any
     code: int
     t: int
+
+
+@dataclass(frozen=True)
+class Engineering:
+    """Unit, range in it, and description of a variable; empty or None where not given."""
+
+    unit: str = ""
+    range: tuple[float, float] | None = None
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,6 +180,23 @@ class ResultsClient:
         with connection.errors("reading types"):
             answers = await read_attributes(connection, nodes, wanted)
         return [_type_name(*answer) for answer in answers]
+
+    async def engineering(self, ids: Sequence[str]) -> list[Engineering]:
+        """Return units, ranges and descriptions of variables.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        nodes = [self._node(id_) for id_ in ids]
+        with connection.errors("reading units"):
+            pairs = await read_properties(connection, nodes, ("EngineeringUnits", "EURange"))
+            texts = await read_attributes(connection, nodes, (ua.AttributeIds.Description,))
+        return [
+            _engineering(information, span, text)
+            for (information, span), (text,) in zip(pairs, texts, strict=True)
+        ]
 
     async def read(self, ids: Sequence[str | int]) -> list[Reading]:
         """Read variables, one reading each; a variable that cannot be read has a Bad ``code``.
@@ -402,6 +430,17 @@ def _reading(answer: ua.DataValue) -> Reading:
     code = answer.StatusCode.value if answer.StatusCode is not None else 0
     time = answer.SourceTimestamp
     return Reading(value, int(code), 0 if time is None else utc_ns(time))
+
+
+def _engineering(information: object, span: object, text: ua.DataValue) -> Engineering:
+    symbol = information.DisplayName.Text if isinstance(information, ua.EUInformation) else None
+    bounds = (span.Low, span.High) if isinstance(span, ua.Range) else None
+    given = None if text.Value is None else text.Value.Value
+    return Engineering(
+        symbol or "",
+        bounds if bounds is not None and all(map(isfinite, bounds)) else None,
+        (given.Text or "") if isinstance(given, ua.LocalizedText) else "",
+    )
 
 
 def _type_name(type_: ua.DataValue, rank: ua.DataValue) -> str | None:
