@@ -290,6 +290,12 @@ class Identification:
         """Return the difference of an estimator's map from the baseline's."""
         return self._approved.compare(valve, estimator)
 
+    def predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, Status]:
+        """Q (l/min), its standard deviation and status at one point of the approved map."""
+        return self._approved.predict(valve, estimator, U, dp, T)
+
     def baseline(self, valve: int) -> Baseline | None:
         """Return the approved map, or None."""
         return self._approved.of(valve)

@@ -597,6 +597,11 @@ class Operator(Protocol):
     def compare(self, valve: str, estimator: str) -> Answer[Compared]:
         """Return the difference of an estimator's map from the baseline."""
 
+    def predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, Status]]:
+        """Q (l/min), its standard deviation and status, by the approved map."""
+
     def baseline(self, valve: int) -> Version | None:
         """Return the baseline of a valve, by its number."""
 
