@@ -173,7 +173,7 @@ def _learn(
         shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300))
     deposit(
-        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, rules.MEMORY
+        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
     )
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
