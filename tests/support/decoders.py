@@ -43,8 +43,8 @@ from valvemap.kafka.blocks import SamplesBlock, read_samples, write_samples
 from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
 from valvemap.kafka.memory import Columns, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import State, StateMismatchError
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
@@ -83,7 +83,7 @@ ESTIMATORS = {
     "RLS": RecursiveLeastSquares(),
     "RML": MaximumLikelihood(),
     "RBF": RbfNetwork(),
-    "Auto": Auto(),
+    "Auto": FlowMap(),
 }
 
 
