@@ -225,19 +225,36 @@ async def check_nodes(
     namespaces = await namespaces_of(connection)
     looked = await look(connection, wanted, namespaces, before)
     monitored, writable, faults = [], {}, {}
+    copies = {item for items in copies_of(valves).values() for item in items}
     for number, (node, found) in enumerate(zip(wanted, looked, strict=True)):
         if found.fault is not None or found.node is None:
             faults[number] = f"{node.label} {found.fault}"
         elif node.item is None:
             kind = _variant_type(found.type)
             writable[node.valve, node.role] = WritableNode(found.node, kind, node.label)
-        else:
+        elif node.item not in copies:
             monitored.append(MonitoredNode(node.item, found.node, node.label, found.type))
     if faults and not (lenient and monitored):
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
         raise SourceRejected(next(iter(faults.values())) + more)
     of_items = {item: said for n, said in faults.items() if (item := wanted[n].item) is not None}
     return CheckedNodes(tuple(monitored), writable, of_items, tuple(before or namespaces))
+
+
+def copies_of(valves: Sequence[ValveNodes]) -> dict[int, list[int]]:
+    """Return the items whose node another item has, too: they are monitored once, by the first.
+
+    >>> copies_of([ValveNodes("V1", "s=U", "s=p1", "s=p2", "s=Q")] * 2)
+    {0: [6], 1: [7], 2: [8], 3: [9]}
+    """
+    first: dict[str, int] = {}
+    found: dict[int, list[int]] = {}
+    for number, valve in enumerate(valves):
+        for signal, _, text in valve.signals():
+            item = number * PER_VALVE + signal
+            if first.setdefault(text, item) != item:
+                found.setdefault(first[text], []).append(item)
+    return found
 
 
 def wanted_nodes(valves: Sequence[ValveNodes]) -> Iterator[Wanted]:
