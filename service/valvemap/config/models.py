@@ -14,10 +14,11 @@ from pydantic import (
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
+from valvemap.config.commission import CommissionConfig
 from valvemap.config.estimators import (
     SECTIONS,
+    AutoConfig,
     EstimatorConfig,
-    FlowMapConfig,
     default_estimators,
 )
 from valvemap.config.logs import LogConfig
@@ -387,6 +388,7 @@ class ValveConfig(Section):
     )
     signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
+    commission: CommissionConfig = CommissionConfig()
     gate: GateConfig = GateConfig()
     alarms: AlarmsConfig = AlarmsConfig()
     identification: IdentificationConfig = IdentificationConfig()
@@ -509,7 +511,7 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
         valve.U_range_percent if "U_range_percent" in valve.model_fields_set else (-100.0, 100.0)
     )
     if ports.is_two_port:
-        own = {} if "estimators" in valve.model_fields_set else {"estimators": (FlowMapConfig(),)}
+        own = {} if "estimators" in valve.model_fields_set else {"estimators": (AutoConfig(),)}
         signals = {**ports.drop(Edge.PA), "Q": "QA"}
         kept = {n: getattr(valve, n) for n in valve.model_fields_set - {"ports"}}
         given = {**kept, **own, "U_range_percent": (low, high)}

@@ -772,6 +772,6 @@ COUNTERS = {
     "too_fast": "Samples rejected because a signal changed faster than its limit.",
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples not learnt by an estimator: U is outside the range of its structure.",
-    "too_fast_for_lag": "Samples not learnt by Auto: too fast for the signals' lags.",
+    "censored": "Samples not learnt by Auto: the meter does not show a flow as large or as small.",
     "lane_failures": "Stops of an estimator at an unexpected error (alarm LaneFailed).",
 }

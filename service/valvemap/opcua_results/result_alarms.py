@@ -36,7 +36,6 @@ from valvemap.opcua_results.information_model import (
 )
 from valvemap.opcua_results.result_types import ALARM, Place, type_of
 from valvemap.opcua_results.result_values import Shown, alarm_values
-from valvemap.pipeline.alarm_guide import GUIDES
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
 from valvemap.pipeline.ports import (
     AlarmChange,
@@ -48,6 +47,7 @@ from valvemap.pipeline.ports import (
     Results,
     ValveDescription,
 )
+from valvemap.vocabulary.alarm_guide import GUIDES
 from valvemap.vocabulary.commands import NAMED, Action
 from valvemap.vocabulary.edges import split_id
 

@@ -9,7 +9,7 @@ from asyncua import ua
 
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, in_one_line
-from valvemap.opcua_client.requests import in_chunks, operation_limits, read_values
+from valvemap.opcua_client.requests import read_properties
 from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes, copies_of
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import (
@@ -24,7 +24,6 @@ from valvemap.pipeline.units import (
 )
 from valvemap.vocabulary.signals import MEASURED, PER_VALVE, Signal
 
-_HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _PROPERTIES: Final = ("EngineeringUnits", "EURange")
 _SLACK: Final = 0.01  # of a range: rounding in its configuration
 _ELECTRICAL_SPANS: Final = ((4.0, 20.0), (0.0, 20.0), (0.0, 10.0), (-10.0, 10.0), (0.0, 5.0))
@@ -175,19 +174,9 @@ async def read_units(connection: Connection, nodes: Sequence[ua.NodeId]) -> list
     """
     with connection.errors("reading units"):
         try:
-            limit = (await operation_limits(connection)).nodes_per_read
-            paths = [_path(node, name) for node in nodes for name in _PROPERTIES]
-            session = connection.session
-            found = await in_chunks(
-                paths, limit, lambda some: session.translate_browsepaths_to_nodeids(list(some))
-            )
-            targets = [_target(result) for result in found]
-            there = [target for target in targets if target is not None]
-            answers = iter(await read_values(connection, there))
+            pairs = await read_properties(connection, nodes, _PROPERTIES)
         except ua.UaStatusCodeError:
             return [SaidOfNode() for _ in nodes]
-        values = [None if target is None else _value(next(answers)) for target in targets]
-    pairs = zip(values[::2], values[1::2], strict=True)
     return [_said(information, bounds) for information, bounds in pairs]
 
 
@@ -202,28 +191,6 @@ def _wanted(
         command = nodes.writable.get((number, REQUIRED_U))
         if command is not None:
             yield number, REQUIRED_U, command.node, command.label
-
-
-def _path(node: ua.NodeId, name: str) -> ua.BrowsePath:
-    element = ua.RelativePathElement(
-        ReferenceTypeId=_HAS_PROPERTY,
-        IsInverse=False,
-        IncludeSubtypes=True,
-        TargetName=ua.QualifiedName(name, 0),
-    )
-    return ua.BrowsePath(StartingNode=node, RelativePath=ua.RelativePath(Elements=[element]))
-
-
-def _target(result: ua.BrowsePathResult) -> ua.NodeId | None:
-    if not result.StatusCode.is_good() or not result.Targets:
-        return None
-    target = result.Targets[0].TargetId
-    return ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
-
-
-def _value(answer: ua.DataValue) -> object:
-    good = answer.StatusCode is None or answer.StatusCode.is_good()
-    return answer.Value.Value if good and answer.Value is not None else None
 
 
 def _said(information: object, bounds: object) -> SaidOfNode:

@@ -85,6 +85,10 @@ class Upstream(Protocol):
         With several sources, an array by valve.
         """
 
+    @property
+    def remarks(self) -> Mapping[int, tuple[str, ...]]:
+        """By number of the valve, sentences on its nodes that are not as configured."""
+
 
 class AllSources(Upstream, Protocol):
     """All sources of a service."""
@@ -593,6 +597,11 @@ class Operator(Protocol):
     def compare(self, valve: str, estimator: str) -> Answer[Compared]:
         """Return the difference of an estimator's map from the baseline."""
 
+    def predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, Status]]:
+        """Q (l/min), its standard deviation and status, by the approved map."""
+
     def baseline(self, valve: int) -> Version | None:
         """Return the baseline of a valve, by its number."""
 
@@ -685,8 +694,46 @@ class Past:
         return Past(self.t[rows], self.values[rows], self.codes[rows])
 
 
+@dataclass(frozen=True)
+class PastCells:
+    """One column of a series, summarised in cells of equal width; all arrays of shape (n,).
+
+    Attributes
+    ----------
+    t
+        Start of each cell, UTC ns, a multiple of the width; cells without rows are left out.
+    rows, good, uncertain
+        Number of rows, and of those with a Good and an Uncertain value; the others are Bad.
+    low, high, total
+        Minimum, maximum and sum of the Good values; ∞, −∞, 0 without one.
+    marks
+        Bits: 1, 2: minimum, maximum occur more than once; 4, 8: they are the first Good value, at
+        the cell's start.
+    extent
+        First and last time of all rows of the series, UTC ns.
+    """
+
+    t: Times
+    rows: Times
+    good: Times
+    uncertain: Times
+    low: Floats
+    high: Floats
+    total: Floats
+    marks: NDArray[np.uint8]
+    extent: tuple[int, int]
+
+
 class PastStore(Protocol):
-    """Stores and returns the history of signals and results; from any thread, one at a time."""
+    """Stores and returns the history of signals and results; from any thread, one at a time.
+
+    Attributes
+    ----------
+    widths
+        Widths of the cells of `cells`, ascending, ns.
+    """
+
+    widths: Sequence[int]
 
     @property
     def lost(self) -> int:
@@ -716,6 +763,12 @@ class PastStore(Protocol):
         most: int,
     ) -> Past:
         """Return rows from ``low`` to ``high`` (UTC ns, inclusive), without the first ``skip``."""
+
+    def cells(self, series: str, column: str, low: int, high: int, width: int) -> PastCells | None:
+        """Return the cells of a width (ns) that begin from ``low`` to before ``high``.
+
+        None if there are none of that width, or while a file is repaired.
+        """
 
     def note(self, changes: Sequence[AlarmChange]) -> None:
         """Save changes of alarms; a change that is stored already is skipped.

@@ -86,6 +86,7 @@ class ResultTables:
         self._approved = approved
         self._armed = armed
         self._commands = commands
+        self._of_source: dict[int, tuple[str, ...]] = {}
         self._lines = lines
         self._alarms_base = 0  # added to the versions of alarms
 
@@ -245,14 +246,24 @@ class ResultTables:
         return [
             self._reasons(valve)
             if is_idle
-            else self._arrivals.stand_still(valve, plans[valve].nodes)
+            else self._of_source.get(valve, ())
+            + self._arrivals.stand_still(valve, plans[valve].nodes)
             for valve, is_idle in zip(valves.tolist(), idle.tolist(), strict=True)
         ]
 
     def _reasons(self, valve: int) -> tuple[str, ...]:
         if self._intake.implausible[valve]:
             return tuple(finding.sentence for finding in self._intake.findings(valve))
-        return self._arrivals.waited_for(valve, self._valves.plans[valve].nodes)
+        return self.waited_for(valve)
+
+    def waited_for(self, valve: int) -> tuple[str, ...]:
+        """Return what the source says of a valve's nodes, else its missing signals."""
+        said = self._of_source.get(valve)
+        return said or self._arrivals.waited_for(valve, self._valves.plans[valve].nodes)
+
+    def note_source(self, valve: int, words: tuple[str, ...]) -> None:
+        """Note what the source says of a valve's nodes."""
+        self._of_source[valve] = words
 
     def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
         """Flow's standard deviation due to sensor errors at each valve's newest sample, l/min."""
