@@ -54,7 +54,7 @@ def test_chosen_edges_alone_are_learnt(tmp_path):
 
 
 def test_two_ports_are_one_valve_that_keeps_its_name(tmp_path):
-    text = without("pT", "pB", "QB").replace('kind = "RLS"', 'kind = "FlowMap"')
+    text = without("pT", "pB", "QB").replace('kind = "RLS"', 'kind = "Auto"')
     (valve,) = load(tmp_path, text).valves
     assert (valve.name, valve.U_range_percent) == ("V", (-100.0, 100.0))
 

@@ -53,6 +53,7 @@ RESERVED_ESTIMATORS = (
 )
 RECOMMENDED = "recommended"  # value of ``inverse``
 _NOT_WITH_PORTS = {
+    "commission": "a sweep of one edge is not offered yet",
     "nodes": "leave out nodes, or ports",
     "signals": "its units and columns are in ports.signals",
     "feed_forward": "nothing is written to it",
