@@ -53,6 +53,7 @@ RESERVED_ESTIMATORS = (
 )
 RECOMMENDED = "recommended"  # value of ``inverse``
 _NOT_WITH_PORTS = {
+    "commission": "a sweep of one edge is not offered yet",
     "nodes": "leave out nodes, or ports",
     "signals": "its units and columns are in ports.signals",
     "feed_forward": "nothing is written to it",
@@ -499,6 +500,7 @@ class LineConfig(ValveConfig):
     valve: str = ""
     line: str = "A"
     closed_percent: float = 3.0
+    not_learnt: tuple[str, ...] = ()  # which edges of the valve are not, and why
 
 
 def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
@@ -517,6 +519,7 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
         return (ValveConfig(**given, **_of_part(ports, signals)),)
     found: list[ValveConfig] = []
     edges = ports.learnt
+    left_out = tuple(f"{edge} is not learnt: {why}" for edge, why in ports.not_learnt())
     for line in ports.lines:
         if not any(edge.line == line for edge in edges):
             continue
@@ -535,6 +538,7 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
                 inverse=None,
                 insist=True,
                 closed_percent=ports.closed_percent,
+                not_learnt=left_out if not found else (),
             )
         )
     for edge in edges:
