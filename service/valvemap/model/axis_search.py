@@ -12,10 +12,11 @@ from valvemap.model.axis import (
     AxisRegression,
     AxisSamples,
     AxisState,
+    compared,
     fit,
-    misfit,
     with_theta,
 )
+from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
 
 _SLOWEST_S: Final = 0.0205  # s; 50 Hz: slower, the intervals no longer follow valve and pressures
@@ -70,6 +71,8 @@ def identify(samples: AxisSamples, geometry: AxisGeometry, *, searched: bool = T
     if searched:
         regression = _searched(regression, samples[:_SEARCHED])
     state, found = fitted(regression, samples)
+    if searched:
+        found = _widened(found, state, samples)
     left_out = state.reasons()
     use_s = state.rows * period_s
     status, detail = AxisStatus.OK, ""
@@ -131,7 +134,7 @@ def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegressio
         if at not in losses:
             tried = _with(regression, at)
             state, _ = tried.update(tried.initial_state(), samples)
-            losses[at] = misfit(state)
+            losses[at] = compared(state)[1]
         return losses[at]
 
     best = min(((play, lag) for play in _PLAYS for lag in _LAGS_S), key=loss)
@@ -151,6 +154,33 @@ def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegressio
             best = better
         steps = steps / 2.0
     return _with(regression, best)
+
+
+def _widened(found: AxisFit, state: AxisState, samples: AxisSamples) -> AxisFit:
+    """Return the fit with the uncertainty of play and spool in its covariance.
+
+    The coefficients' slopes over play and lag come from fits beside the best; how well both are
+    known, from the loss there and from the smallest step of the search.
+    """
+    regression, least = found.regression, np.array(_STEPS) / 2.0 ** (_HALVINGS - 1)
+    play, lag_s = regression.play_percent, 1.0 / regression.spool_hz
+    steps = 2.0 * least
+    rows = 2.0 * state.squares[2] / found.together
+
+    def tried(i: int, j: int) -> tuple[Floats, float]:
+        at = play + i * steps[0], lag_s + j * steps[1]
+        other = _with(regression, at)
+        return compared(other.update(other.initial_state(), samples)[0])
+
+    here, ahead = compared(state), (tried(1, 0), tried(0, 1))
+    slopes = np.stack(
+        [(theta - here[0]) / step for (theta, _), step in zip(ahead, steps, strict=True)], axis=1
+    )
+    scale = rows / max(here[1] ** 2, 1e-12)
+    rises = np.array([scale * (rms**2 - here[1] ** 2) for _, rms in ahead])
+    known = steps**2 / np.maximum(rises, 1e-3)  # where the loss, in its units, has risen by 1
+    spread = np.minimum(known, (4.0 * steps) ** 2) + least**2 / 3.0
+    return replace(found, covariance=found.covariance + (slopes * spread) @ slopes.T)
 
 
 def _with(regression: AxisRegression, at: tuple[float, float]) -> AxisRegression:
