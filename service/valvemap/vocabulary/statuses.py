@@ -253,6 +253,16 @@ class AxisStatus(Described):
     )
 
 
+class LineEdge(Described):
+    """Which edge of a line passes a demanded flow."""
+
+    NONE = 0, "none", "No flow is demanded, or the edge that would pass it is not learnt."
+    PA = 1, "P to A", "U > 0 opens it: oil flows from P into line A."
+    AT = 2, "A to T", "U < 0 opens it: oil flows from line A to the tank."
+    PB = 3, "P to B", "U < 0 opens it: oil flows from P into line B."
+    BT = 4, "B to T", "U > 0 opens it: oil flows from line B to the tank."
+
+
 class FeedForwardStatus(Described):
     """Whether the answer is written to the valve, and if not, why."""
 
