@@ -215,7 +215,7 @@ def _metered(axis_U: Axis, axis_s: Axis, u: float, r: float, memory: Memory, roo
 
 @inner
 def _own(axis_U: Axis, axis_s: Axis, means: Floats) -> float:
-    """How much of a cell's detail passes a meter's filter: 1 / √(1 + (ω·τ)²), ω = π·speed / size."""
+    """Share of a cell's detail behind a filter: 1 / √(1 + (ω·τ)²), ω = π·speed / size."""
     i, j = interval(axis_U, means[0]), interval(axis_s, means[1])
     du, ds = axis_U.breaks[i + 1] - axis_U.breaks[i], axis_s.breaks[j + 1] - axis_s.breaks[j]
     lost = max(means[4], 0.0) / (du * du) + max(means[5], 0.0) / (ds * ds)
