@@ -7,6 +7,7 @@ from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
 from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import (
     Adaptation,
+    AxisStatus,
     Described,
     FeedForwardStatus,
     InverseStatus,
@@ -29,6 +30,11 @@ _ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
         FeedForwardStatus,
         "FeedForwardStatus",
         "`s=<Valve>.Inverse.FeedForwardStatus`: whether RequiredU is written to the valve.",
+    ),
+    (
+        AxisStatus,
+        "AxisStatus",
+        "Of `valvemap.model.axis_search.identify`: whether a cylinder's edges are identified.",
     ),
     (
         FindingCode,

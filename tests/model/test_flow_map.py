@@ -144,7 +144,7 @@ def test_play_between_u_and_the_spool_is_found_and_the_map_is_the_middle_of_the_
         p = min(max(p, u - width / 2), u + width / 2)
         spool[i] = p
     state, _ = learnt(U, dp, bent(spool, dp))
-    assert FlowMap().play(state) == pytest.approx(width, abs=0.2)
+    assert 2.0 * FlowMap().half_play(state) == pytest.approx(width, abs=0.2)
     assert judged(FlowMap(), state, bent, low=8.0)[0] < 0.5
 
 
@@ -186,7 +186,7 @@ def test_a_machine_at_rest_tells_of_no_play():
     U, dp = cycle(14, 4000, 100.0)
     U[2000:], dp[2000:] = 50.0, 100.0
     state, _ = learnt(U, dp, bent(U, dp) + np.where(np.arange(4000) < 2000, 0.0, 0.3))
-    assert FlowMap().play(state) == 0.0
+    assert FlowMap().half_play(state) == 0.0
 
 
 def test_a_healthy_valve_neither_drifts_nor_changes():

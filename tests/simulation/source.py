@@ -9,6 +9,7 @@ a restart, and fills gaps from the server's history.
 import asyncio
 import json
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -226,6 +227,7 @@ class Client:
 
     started = 1
     is_held = True
+    remarks: ClassVar = {}
 
     @property
     def counters(self):

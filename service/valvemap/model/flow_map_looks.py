@@ -51,14 +51,14 @@ def learn(state: FlowMapState, both: Both, batch: flow_memory.Batch, start: int,
         T = float(batch.T[row - 1])
         T = T if abs(T) < rules.HUGE else math.nan
         if counters[flow_memory.BEGAN] != began:
-            _replay(state, both, T)
+            _replay(state, both, T, batch.longest)
         if counters[flow_memory.USED] >= counters[flow_memory.NEXT_FIT]:
             _refit(state, *both)
             if counters[flow_memory.DOUBTED]:
                 _doubt_change(state, both)
             _watch(state, both)
             if counters[flow_memory.USED] >= counters[flow_memory.NEXT_LOOK]:
-                _look(state, both, T)
+                _look(state, both, T, batch.longest)
 
 
 def predict(
@@ -75,7 +75,7 @@ def bare_memory(state: FlowMapState) -> flow_memory.Memory:
     return memory_of(state)._replace(cells=NO_CELLS, recent=NO_ROWS)
 
 
-def _look(state: FlowMapState, both: Both, T: float) -> None:
+def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
     """Search for operators; where others are found, the map begins again."""
     counters, path, play = state.counters, state.path, state.play
     used = int(counters[flow_memory.USED])
@@ -101,7 +101,7 @@ def _look(state: FlowMapState, both: Both, T: float) -> None:
         if (found == given)[: flow_path.TOP].all():
             _empty_bounds(state, both)
         else:
-            _replay(state, both, T)
+            _replay(state, both, T, longest)
         _refine(state, both, evidence, np.zeros_like(found))
     else:
         state.precision[:] += of_found
@@ -224,7 +224,7 @@ def _rows(state: FlowMapState) -> Floats:
     return np.array(rows, np.float64)
 
 
-def _replay(state: FlowMapState, both: Both, T: float) -> None:
+def _replay(state: FlowMapState, both: Both, T: float, longest: float) -> None:
     """Begin the map again, with the last samples."""
     rows = _rows(state)
     N = len(rows)
@@ -243,10 +243,12 @@ def _replay(state: FlowMapState, both: Both, T: float) -> None:
         predicted=predicted,
         residual=residual,
         status=np.empty(N, np.uint8),
+        longest=longest,
     )
     counters[flow_memory.WATCHED] = N
     _begin_coarse(state, both, rows)
     flow_run.run(0, N, batch, *both, memory, room)
+    counters[flow_memory.RESTARTED] = counters[flow_memory.USED]
     counters[flow_memory.FITTED] = 0  # the next fit starts from the first guess
     _refit(state, *both)
 
@@ -276,11 +278,11 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
     fitted = bool(counters[flow_memory.FITTED])
     rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
-    counters[flow_memory.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
+    counters[flow_memory.FITTED] = fit(state, axis_U, axis_s, rounds, fresh=not fitted)
     if used >= counters[flow_memory.NEXT_START]:
         counters[flow_memory.NEXT_START] = 2 * used
         other = copied(state)
-        better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
+        better = fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
         gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
         if better and not gained <= 0.0:
             counters[flow_memory.FITTED] = 1
@@ -295,6 +297,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
 
 
-def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
+def fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
+    """Fit the map, written in place; 0 where it could not be done."""
     arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
     return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

@@ -4,7 +4,7 @@ import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -17,14 +17,16 @@ from valvemap.pipeline.alignment import (
     Alignment,
     AlignmentSettings,
     ByValve,
+    in_turn,
     optional_in_keys,
     presence,
     together,
 )
+from valvemap.pipeline.clock_steps import ClockSteps, Step
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
-from valvemap.pipeline.kernels.waiting import NEVER, Waiting
+from valvemap.pipeline.kernels.waiting import NEVER, SET_BACK, SET_FORWARD, Waiting
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, isolate, saved
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
@@ -100,14 +102,46 @@ class Arrivals:
         self.timing = timing or Timing(TimingSettings(), alignment.optional, fixed=True)
         self._waiting = alignment.initial_state()
         self._buffer = CopyBuffer()
+        rules = alignment.rules
+        bits = np.int64(1) << np.arange(slots.SIGNALS)
+        required = (rules.required[:, np.newaxis] & bits) > 0
+        self._steps = ClockSteps(required, ~rules.numbered, rules.reorder)
+        self._may_step = not rules.numbered.all()
         self.failed = np.zeros(len(self.names), np.bool_)
         self._errors: list[tuple[int, Exception]] = []
 
-    def take(self, changes: DataChanges) -> ByValve:
-        """Process data changes; return the samples that they completed."""
+    def take(self, changes: DataChanges, now_s: float | None = None) -> ByValve:
+        """Process data changes; return the samples that they completed.
+
+        ``now_s`` is our monotonic time of their receipt, by which steps of the source's clock are
+        recognised; None: the changes are recorded ones.
+        """
         if self.failed.any():
             changes = changes[~self.failed[changes.item // PER_VALVE]]
-        return self._align(self.timing.take(changes, self._fail))
+        changes = self.timing.take(changes, self._fail)
+        if now_s is None or not self._may_step:
+            return self._align(changes)
+        steps = self._steps.find(changes, now_s)
+        parts = self._over_steps(changes, steps) if steps else [self._align(changes)]
+        for part in parts:
+            self._steps.remember(part)
+        return parts[0] if len(parts) == 1 else in_turn(parts)
+
+    def _over_steps(self, changes: DataChanges, steps: Sequence[Step]) -> list[ByValve]:
+        """Align the changes of each valve before the step of its clock, then those after it."""
+        row_of = np.full(len(self.names), len(changes))
+        for step in steps:
+            row_of[step.valve] = step.row
+        after = np.arange(len(changes)) >= row_of[changes.item // PER_VALVE]
+        parts = [self._align(changes[~after])]
+        for command in (SET_BACK, SET_FORWARD):
+            own = np.array([step.valve for step in steps if step.command == command], np.int64)
+            if len(own):
+                parts.append(self._isolated(own, partial(self._set, command)))
+        return [*parts, self._align(changes[after])]
+
+    def _set(self, command: int, valves: Times) -> tuple[Waiting, ByValve]:
+        return self.alignment.set_clock(self._waiting, valves, command)
 
     def new_failures(self) -> list[tuple[int, Exception]]:
         """Return the valves at which an error was raised since the last call, with the error."""

@@ -34,10 +34,14 @@ _BEHIND_A_LOW_LINE = re.compile(r"(?P<name>.*)_(?P<unit>[^\s_\d]{2,}[^\s_]*|[CFc
 
 @dataclass(frozen=True)
 class ValveLayout:
-    """The columns of one valve's signals; others are found by the signals' names."""
+    """The columns of one valve's signals; others are found by the signals' names.
+
+    If ``drop``, the column of p1 holds p1 - p2, where one is configured, and p2 is 0.
+    """
 
     valve: str
     signals: Mapping[str, Measure] = field(default_factory=dict)
+    drop: bool = False
 
     @property
     def has_columns(self) -> bool:
@@ -174,7 +178,10 @@ class _Finder:
             field = f"signals.{signal}.column of valve {own.valve}"
             named = self._named(column, field)
             found[signal] = named if named is not None else self._standard(signal, found["t"])
-        missing = [name for name in REQUIRED if found[name] is None]
+        if own.drop:
+            found["p2"] = None
+        needed = [name for name in REQUIRED if not (own.drop and name == "p2")]
+        missing = [name for name in needed if found[name] is None]
         if missing:
             raise MissingColumnError(self._missing(missing))
         numbers = {

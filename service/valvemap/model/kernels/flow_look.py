@@ -123,7 +123,7 @@ def evaluate(
     spread: Floats,
     room: Room,
 ) -> None:  # fmt: skip
-    """Flow and its standard deviation at N points; NaN where a point or the map is not known."""
+    """Flow and its standard deviation at N points; NaN before the first fit."""
     at = room.at
     for i in range(len(U)):
         Q[i] = spread[i] = math.nan
@@ -138,9 +138,7 @@ def evaluate(
         width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
         law = _law(axis_s, memory, side, T[i], at)
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
-        at[TOTAL] += law
-        if at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]:
-            Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + both * both)
+        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + both * both)
 
 
 @lean_kernel

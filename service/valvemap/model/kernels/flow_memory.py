@@ -19,7 +19,8 @@ WATCHED = 21  # rows of `recent` that were searched for a least flow
 CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus MODELS where U < 0
 DOUBTED = 23  # 1 where a change was called and may be the meter's end
 CALM = 24  # samples when it was last forgotten what moves
-COUNTERS = 25
+RESTARTED = 25  # samples when the map began again, those that it then learnt once more included
+COUNTERS = 26
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
@@ -63,6 +64,7 @@ class Batch(NamedTuple):
     predicted: Floats
     residual: Floats
     status: np.ndarray
+    longest: float  # samples that a cell remembers
 
 
 class Room(NamedTuple):

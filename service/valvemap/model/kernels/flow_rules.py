@@ -9,7 +9,6 @@ from typing import Final
 STEP_U: Final = 1.25  # %; distance of knots along U; a dead band's edge is a bend between two
 SHARES_S: Final = (0.0, 0.05, 0.1, 0.18, 0.28, 0.4, 0.55, 0.7, 0.85, 1.0)  # of the largest √|Δp|;
 # knots along s: laminar flow bends near 0
-MEMORY: Final = 500.0  # samples; what a cell remembers: .05 σ, less than a map needs
 
 # Fits.
 FIRST_FIT: Final = 24  # samples; before the first fit: a few more than eq. (7) has parameters

@@ -174,7 +174,7 @@ def _learn(
         shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own
     deposit(
-        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, rules.MEMORY
+        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
     )
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
@@ -215,7 +215,7 @@ def _metered(axis_U: Axis, axis_s: Axis, u: float, r: float, memory: Memory, roo
 
 @inner
 def _own(axis_U: Axis, axis_s: Axis, means: Floats) -> float:
-    """Share of a cell's detail behind a filter: 1 / √(1 + (ω·τ)²), ω = π·speed / size."""
+    """Share of a cell's detail that a meter passes: 1 / √(1 + (ω·τ)²), ω = π·speed / size."""
     i, j = interval(axis_U, means[0]), interval(axis_s, means[1])
     du, ds = axis_U.breaks[i + 1] - axis_U.breaks[i], axis_s.breaks[j + 1] - axis_s.breaks[j]
     lost = max(means[4], 0.0) / (du * du) + max(means[5], 0.0) / (ds * ds)
