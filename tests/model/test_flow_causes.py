@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from valvemap.model import flow_causes
+from valvemap.model import flow_causes, flow_evidence
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
 from valvemap.model.kernels import flow_path as paths
@@ -73,7 +73,7 @@ def found(U, dp, Q, p1=None):
     rows[:, paths.STEP] = 1 / FS
     rows[:, paths.LEFT_U], rows[:, paths.LEFT_DP], rows[:, paths.LEFT_Q] = U, dp, Q
     rows[:, paths.LEFT_P1] = dp + 5 if p1 is None else p1
-    evidence = flow_causes.Evidence(*BOTH, rows)
+    evidence = flow_evidence.Evidence(*BOTH, rows)
     at, _ = flow_causes.search(evidence, np.zeros(paths.PARAMETERS))
     return {int(k): float(at[k]) for k in np.flatnonzero(at)}
 

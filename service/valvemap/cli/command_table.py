@@ -46,6 +46,9 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     "connect": Entry(
         "connect", "Find the valves of a server, check their signals, write a configuration."
     ),
+    "commission": Entry(
+        "commission", "Drive a valve through its range until its map is known, within limits."
+    ),
     "init": Entry("security", "Create certificates, users and a configuration."),
     "trust": Entry(
         "security", "Trust a certificate of an application or user, or list the rejected ones."

@@ -14,6 +14,7 @@ from pydantic import (
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
+from valvemap.config.commission import CommissionConfig
 from valvemap.config.estimators import (
     SECTIONS,
     EstimatorConfig,
@@ -387,6 +388,7 @@ class ValveConfig(Section):
     )
     signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
+    commission: CommissionConfig = CommissionConfig()
     gate: GateConfig = GateConfig()
     alarms: AlarmsConfig = AlarmsConfig()
     identification: IdentificationConfig = IdentificationConfig()

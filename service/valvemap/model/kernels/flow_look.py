@@ -137,7 +137,8 @@ def evaluate(
         width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
         law = _law(axis_s, memory, side, T[i], at)
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
-        at[TOTAL] += law
+        of_path = between_sites(axis_U, axis_s, memory.doubt, at[PLACE_U], at[PLACE_S])
+        at[TOTAL] += law + of_path * of_path
         if at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]:
             Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + both * both)
 
