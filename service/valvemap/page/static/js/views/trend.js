@@ -242,7 +242,7 @@ export function trendView(root, { live, valve, query, keep }) {
     context.fillStyle = css("--ink");
     kinds.forEach((kind, k) => {
       const text = spaced(kind), wide_ = context.measureText(text).width;
-      context.fillStyle = css("--card"); context.fillRect(left + 2, k * LANE + 3, wide_ + 8, LANE - 6);
+      context.fillStyle = css("--card"); context.fillRect(left - 1, k * LANE + 2, wide_ + 12, LANE - 4);
       context.fillStyle = css("--ink"); context.fillText(text, left + 6, (k + 0.5) * LANE);
     });
   }
