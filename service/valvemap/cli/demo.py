@@ -41,6 +41,7 @@ from valvemap_rig.scenario import Scenario, VerificationPoints, load_scenario, v
 
 _REFRESH_S = 1.0
 _LINE_S = 5.0
+_MOST_HISTORY_MB = 500  # in the demo's own folder, which is deleted at its end
 
 
 def demo(
@@ -276,7 +277,7 @@ def _best_fit(points: VerificationPoints) -> float:
 
 
 def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Config:
-    """Return the default configuration with the scenario's valves, without security."""
+    """Return the default configuration with the scenario's valves and a history, no security."""
     config = load_config()
     update = {"security": "None", "startup_timeout_s": 30.0}
     if fed_forward:
@@ -289,4 +290,10 @@ def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Conf
     if fed_forward:
         valves = feedforward.valves()
     state = StateConfig(file=folder / "state.sqlite")
-    return config.model_copy(update={"source": source, "valves": valves, "state": state})
+    history = config.history
+    if history.file is None:
+        history = history.model_copy(
+            update={"file": folder / "history.sqlite", "most_mb": _MOST_HISTORY_MB}
+        )
+    parts = {"source": source, "valves": valves, "state": state, "history": history}
+    return config.model_copy(update=parts)
