@@ -31,7 +31,13 @@ from valvemap.cli.under_demo import page_process, rig_process
 from valvemap.clock import SystemClock
 from valvemap.config.loading import load_config
 from valvemap.config.logs import LogConfig
-from valvemap.config.models import Config, NodesConfig, StateConfig, ValveConfig
+from valvemap.config.models import (
+    Config,
+    HistoryConfig,
+    NodesConfig,
+    StateConfig,
+    ValveConfig,
+)
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.samples import Samples
@@ -41,6 +47,7 @@ from valvemap_rig.scenario import Scenario, VerificationPoints, load_scenario, v
 
 _REFRESH_S = 1.0
 _LINE_S = 5.0
+_MOST_MB = 100  # of the history, which is deleted with the demo's folder
 
 
 def demo(
@@ -283,5 +290,8 @@ def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Conf
     )
     if fed_forward:
         valves = feedforward.valves()
-    state = StateConfig(file=folder / "state.sqlite")
-    return config.model_copy(update={"source": source, "valves": valves, "state": state})
+    kept = {
+        "state": StateConfig(file=folder / "state.sqlite"),
+        "history": HistoryConfig(file=folder / "history.sqlite", most_mb=_MOST_MB),
+    }
+    return config.model_copy(update={"source": source, "valves": valves, **kept})
