@@ -9,11 +9,11 @@ from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
 DAY_S: Final = 86_400.0
-_SIGNAL: Final = 1.5  # bytes per value; packed, of transmitters with 2 decimals
-_RESULT: Final = 5.5  # bytes per value; packed
+_SIGNAL: Final = 1.3  # bytes per value; packed, of transmitters with 2 decimals
+_RESULT: Final = 5.2  # bytes per value; packed
 _CELL_OF_SIGNAL: Final = 6.0  # bytes per cell and signal, packed
-_CELL_OF_RESULT: Final = 22.0  # bytes per cell and result, packed
-_PAGES: Final = 1.15  # of the file per byte of a column
+_CELL_OF_RESULT: Final = 20.0  # bytes per cell and result, packed
+_PAGES: Final = 1.1  # of the file per byte of a column
 
 
 class _Rates(NamedTuple):
