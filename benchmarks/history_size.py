@@ -85,9 +85,8 @@ def hour() -> Figures:
     """Bytes and CPU seconds of an hour, saved once a second."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        plant = {
-            f"V{k}": series(recorded(folder), 1_000 * k, HOUR * HZ) for k in range(HOUR_VALVES)
-        }
+        rig = recorded(folder)
+        plant = {f"V{k}": series(rig, 1_000 * k, HOUR * HZ) for k in range(HOUR_VALVES)}
         spent = 0.0
         with HistoryFile(folder / "h") as store:
             for second in range(HOUR):

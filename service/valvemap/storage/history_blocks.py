@@ -215,20 +215,14 @@ def insert(
     t: Times,
     parts: Mapping[str, bytes],
     number: Callable[[str], int],
-    *,
-    id_: int | None = None,
+    id_: int,
 ) -> int:
-    """Write a block; return its number, by default the next one.
-
-    ``number`` returns the number of a name.
-    """
+    """Write a block under a number; return it. ``number`` returns the number of a name."""
     first, base = int(t[0]), base_of(series)
     row = id_, number(series), first, int(t[-1]), len(t)
-    block = connection.execute(_BLOCK, row).lastrowid
-    assert block is not None  # noqa: S101 - a row was inserted
+    connection.execute(_BLOCK, row)
     packed = [
-        (block, number(name), checksum(data, base, name, first), data)
-        for name, data in parts.items()
+        (id_, number(name), checksum(data, base, name, first), data) for name, data in parts.items()
     ]
     connection.executemany(_PART, packed)
-    return block
+    return id_
