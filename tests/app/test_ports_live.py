@@ -80,6 +80,8 @@ async def test_edges_and_lines_are_served(config, open_server, tmp_path):
                 ):
                     await asyncio.sleep(0.1)
                 await asked(config)
+                for number in range(len(identification.plans)):
+                    assert identification.counters(number)["duplicates"] == 0
         finally:
             playing.cancel()
             stop.set()
