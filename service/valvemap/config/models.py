@@ -165,13 +165,28 @@ class HistoryConfig(Section):
         None, description="SQLite file of the history; none: there is no history"
     )
     keep_days: float = Field(
-        7.0, gt=0.0, le=3_650.0, description="age at which rows are deleted, in days"
+        7.0,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which values, and their summaries of 10 s, are deleted, in days",
+    )
+    results_days: float | None = Field(
+        None,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which values of results are deleted, in days; none: keep_days",
+    )
+    trend_days: float = Field(
+        30.0,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which summaries of 5 min are deleted, in days; at least keep_days",
     )
     most_mb: int = Field(
         2_000,
         ge=10,
         le=1_000_000,
-        description="size above which the oldest rows are deleted, in MB",
+        description="size above which the oldest values are deleted, in MB; results first",
     )
 
 
