@@ -65,6 +65,11 @@ def demo(
     """Run rig and service, until Ctrl-C."""
     keep_rig_kernels()
     loaded = load_scenario(scenario)
+    if not loaded.valves:
+        raise typer.BadParameter(
+            f"scenario {scenario!r} has machines alone, which the demo does not show; "
+            f"valvemap rig --scenario {scenario} runs it"
+        )
     set_up_logs(LogConfig(level="error"))
     with TemporaryDirectory(prefix="valvemap-demo-") as folder:
         fed_forward = scenario == feedforward.NAME

@@ -12,6 +12,7 @@ from guarded_opcua import Cells, Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import ROOT
 from valvemap.pipeline.ports import AlarmReport, PastStore
 from valvemap.runtime.past import REQUIRED_U
+from valvemap.vocabulary.edges import split_id
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
@@ -30,7 +31,7 @@ def has_past(id_: str) -> bool:
     >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Residual", "V1.RLS.Status")]
     [True, True, False]
     """
-    _, _, rest = id_.partition(".")
+    _, rest = split_id(id_)
     part, _, name = rest.partition(".")
     return name in _PARTS.get(part, _ESTIMATED)
 

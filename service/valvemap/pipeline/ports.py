@@ -85,6 +85,10 @@ class Upstream(Protocol):
         With several sources, an array by valve.
         """
 
+    @property
+    def remarks(self) -> Mapping[int, tuple[str, ...]]:
+        """By number of the valve, sentences on its nodes that are not as configured."""
+
 
 class AllSources(Upstream, Protocol):
     """All sources of a service."""
@@ -163,6 +167,8 @@ class ValveDescription:
     map_dp: tuple[float, ...] = ()
     counters: tuple[str, ...] = ()
     nameplate: Nameplate = BLANK
+    U_range: tuple[float, float] = (0.0, 100.0)
+    is_line: bool = False
 
 
 @dataclass(frozen=True)
@@ -261,6 +267,21 @@ class InverseResults:
     map_U: Sequence[Floats]
     armed: NDArray[np.bool_]
     feed_forward: Codes
+
+
+@dataclass(frozen=True)
+class LineResults:
+    """What M lines of valves with ports have beside other valves; all arrays (M,).
+
+    ``leakage`` and ``leakage_std`` are in l/min/bar, NaN while unknown. ``edge`` (`LineEdge`)
+    passes the demanded flow, at a U between ``lower`` and ``upper`` with 95 % probability.
+    """
+
+    leakage: Floats
+    leakage_std: Floats
+    edge: Codes
+    lower: Floats
+    upper: Floats
 
 
 @dataclass(frozen=True)
@@ -440,6 +461,7 @@ class Results:
     recommended: Sequence[Recommendation] = ()
     findings: Sequence[tuple[Finding, ...]] = ()
     alarms: AlarmResults | None = None
+    lines: LineResults | None = None
 
     def one(self, m: int) -> ValveResult:
         """Return the results of the m-th valve."""
@@ -574,6 +596,11 @@ class Operator(Protocol):
 
     def compare(self, valve: str, estimator: str) -> Answer[Compared]:
         """Return the difference of an estimator's map from the baseline."""
+
+    def predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, Status]]:
+        """Q (l/min), its standard deviation and status, by the approved map."""
 
     def baseline(self, valve: int) -> Version | None:
         """Return the baseline of a valve, by its number."""
