@@ -33,7 +33,6 @@ from valvemap.config.loading import load_config
 from valvemap.config.logs import LogConfig
 from valvemap.config.models import (
     Config,
-    HistoryConfig,
     NodesConfig,
     StateConfig,
     ValveConfig,
@@ -283,7 +282,7 @@ def _best_fit(points: VerificationPoints) -> float:
 
 
 def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Config:
-    """Return the default configuration with the scenario's valves, without security."""
+    """Return the default configuration with the scenario's valves and a history, no security."""
     config = load_config()
     update = {"security": "None", "startup_timeout_s": 30.0}
     if fed_forward:
@@ -295,8 +294,11 @@ def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Conf
     )
     if fed_forward:
         valves = feedforward.valves()
-    kept = {
-        "state": StateConfig(file=folder / "state.sqlite"),
-        "history": HistoryConfig(file=folder / "history.sqlite", most_mb=_MOST_MB),
-    }
-    return config.model_copy(update={"source": source, "valves": valves, **kept})
+    state = StateConfig(file=folder / "state.sqlite")
+    history = config.history
+    if history.file is None:
+        history = history.model_copy(
+            update={"file": folder / "history.sqlite", "most_mb": _MOST_MB}
+        )
+    parts = {"source": source, "valves": valves, "state": state, "history": history}
+    return config.model_copy(update=parts)
