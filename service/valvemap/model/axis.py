@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike
 from valvemap.model.kernels import axis_rows as kernel
 from valvemap.model.kernels.flow_basis import axis as spline_axis
 from valvemap.model.samples import Codes, Floats, Times
+from valvemap.vocabulary.edges import EDGES
 
-EDGES: Final = ("PA", "AT", "PB", "BT")
 BREAKS: Final = np.array([0.0, *range(2, 14, 2), *range(15, 31, 3), *range(35, 101, 5)])
 """Breaks of the spool's position, %: fine where the edges open."""
 KNOTS: Final = len(BREAKS) + 2  # spline functions, and the departure from √Δp
