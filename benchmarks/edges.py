@@ -27,7 +27,7 @@ from valvemap.vocabulary.statuses import InverseStatus
 
 REPORT: Final = 97_000
 RATE_HZ: Final = 100.0
-ESTIMATOR: Final = "FlowMap"
+ESTIMATOR: Final = "Auto"
 NODES: Final = ("U", "pP", "pT", "pA", "pB", "QA", "QB", "T")
 TOML: Final = "[[valves]]\nname = 'V'\n[valves.ports]\n{}\n[[valves.estimators]]\nkind = '{}'\n"
 

@@ -38,6 +38,7 @@ _BLOCK_S: Final = 1.0  # s; of the block sums that tell how far residuals hang t
 _ROW_S: Final = 0.04  # s; from row to row: a fraction of the filter's time
 _LONGEST: Final = 2.5  # sampling periods; a longer interval is a gap
 _CORNER: Final = 0.03  # share of the third difference; tuned on simulated axes
+_ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 0.7 to 0.9 tried
 _LEAST_VARIANCE: Final = 1e-10  # (l/min)²
 _COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE = 10.0, 20.0, 1.0  # prior, in the coefficients' units
 _COEFFICIENT_SIZE: Final = 100.0  # l/min/√bar; prior of K itself, wide
@@ -301,13 +302,13 @@ class AxisFit:
     def bulk_modulus(self) -> tuple[float, float]:
         """β and its standard deviation, GPa."""
         inverse, std = self._common(0)
-        return 1.0 / inverse, std / inverse**2
+        return 1.0 / inverse, math.hypot(std / inverse**2, _ASSUMED / inverse)
 
     @property
     def leakage(self) -> tuple[float, float]:
         """Leakage c and its standard deviation, l/min/bar."""
         value, std = self._common(1)
-        return kernel.PER_LEAKAGE * value, kernel.PER_LEAKAGE * std
+        return kernel.PER_LEAKAGE * value, kernel.PER_LEAKAGE * math.hypot(std, _ASSUMED * value)
 
     @property
     def air(self) -> tuple[float, float]:
@@ -332,12 +333,13 @@ def fit(regression: AxisRegression, state: AxisState) -> AxisFit:
     return max(fits, key=lambda found: found.evidence)
 
 
-def misfit(state: AxisState) -> float:
-    """Return the residuals' root mean square (l/min) under one prior: it compares spools."""
+def compared(state: AxisState) -> tuple[Floats, float]:
+    """Return coefficients and residuals' root mean square (l/min), one prior for all spools."""
     M = state.M + np.tril(state.M, -1).T
-    theta = np.linalg.solve(M + _COMPARED_VARIANCE * _COMPARED_PRIOR, state.b)
+    A = M + _COMPARED_VARIANCE * _COMPARED_PRIOR
+    theta = np.asarray(np.linalg.solve(A, state.b), np.float64)
     loss = float(state.squares[:2].sum() - 2.0 * state.b @ theta + theta @ M @ theta)
-    return math.sqrt(max(loss, 0.0) / max(2.0 * state.squares[2], 1.0))
+    return theta, math.sqrt(max(loss, 0.0) / max(2.0 * state.squares[2], 1.0))
 
 
 def _hanging_together(state: AxisState) -> float:

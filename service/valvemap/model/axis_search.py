@@ -12,10 +12,11 @@ from valvemap.model.axis import (
     AxisRegression,
     AxisSamples,
     AxisState,
+    compared,
     fit,
-    misfit,
     with_theta,
 )
+from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
 
 _SLOWEST_S: Final = 0.0205  # s; 50 Hz: slower, the intervals no longer follow valve and pressures
@@ -24,10 +25,10 @@ _LEAST_SHARE: Final = 0.3  # of the intervals must be of use
 _MISSING_SHARE: Final = 0.5
 _MODULUS_GPa: Final = (0.1, 2.0)
 _LEAST_SWING: Final = 10.0  # %; U must reach it in both directions
-_PLAYS: Final = (0.0, 1.0, 3.0)  # %
-_LAGS_S: Final = (0.0, 0.025, 0.06)  # s; 1/f of the spool
-_STEPS: Final = (1.0, 0.012)  # %, s; first steps of the pattern search
-_HALVINGS: Final = 5
+_PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0)  # %
+_LAGS_S: Final = (0.0, 0.012, 0.025, 0.04, 0.06)  # s; 1/f of the spool
+_PLAY_STEPS: Final = (0.5, 0.125, 0.03)  # %
+_LAG_STEPS_S: Final = (0.006, 0.003, 0.0015, 0.0008)  # s
 _MOST_PLAY, _MOST_LAG_S = 10.0, 0.2
 _SEARCHED: Final = 20_000  # samples; more do not move the minimum
 
@@ -70,6 +71,8 @@ def identify(samples: AxisSamples, geometry: AxisGeometry, *, searched: bool = T
     if searched:
         regression = _searched(regression, samples[:_SEARCHED])
     state, found = fitted(regression, samples)
+    if searched:
+        found = _widened(found, state, samples)
     left_out = state.reasons()
     use_s = state.rows * period_s
     status, detail = AxisStatus.OK, ""
@@ -124,33 +127,66 @@ def _period(samples: AxisSamples) -> tuple[float, AxisResult | None]:
 
 
 def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegression:
-    """Return the regression with the play and spool of the least residual (pattern search)."""
+    """Return the regression with the play and spool of the least residual.
+
+    Both delay the spool, so that the valley of the loss is oblique: each lag is judged with its own
+    best play.
+    """
     losses: dict[tuple[float, float], float] = {}
 
     def loss(at: tuple[float, float]) -> float:
         if at not in losses:
             tried = _with(regression, at)
             state, _ = tried.update(tried.initial_state(), samples)
-            losses[at] = misfit(state)
+            losses[at] = compared(state)[1]
         return losses[at]
 
-    best = min(((play, lag) for play in _PLAYS for lag in _LAGS_S), key=loss)
-    steps = np.array(_STEPS)
-    for _ in range(_HALVINGS):
-        while True:
-            around = [
-                (
-                    min(max(best[0] + i * steps[0], 0.0), _MOST_PLAY),
-                    min(max(best[1] + j * steps[1], 0.0), _MOST_LAG_S),
-                )
-                for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))
-            ]
-            better = min(around, key=loss)
-            if loss(better) >= loss(best):
-                break
-            best = better
-        steps = steps / 2.0
+    def with_best_play(lag_s: float, play: float) -> tuple[float, float]:
+        best = play, lag_s
+        for step in _PLAY_STEPS:
+            while True:
+                beside = [(min(max(best[0] + d, 0.0), _MOST_PLAY), lag_s) for d in (step, -step)]
+                better = min(beside, key=loss)
+                if loss(better) >= loss(best):
+                    break
+                best = better
+        return best
+
+    first = min(((play, _LAGS_S[1]) for play in _PLAYS), key=loss)
+    best = min((with_best_play(lag_s, first[0]) for lag_s in _LAGS_S), key=loss)
+    for step in _LAG_STEPS_S:
+        beside = [
+            with_best_play(min(max(best[1] + d, 0.0), _MOST_LAG_S), best[0]) for d in (step, -step)
+        ]
+        best = min((best, *beside), key=loss)
     return _with(regression, best)
+
+
+def _widened(found: AxisFit, state: AxisState, samples: AxisSamples) -> AxisFit:
+    """Return the fit with the uncertainty of play and spool in its covariance.
+
+    The coefficients' slopes over play and lag come from fits beside the best; how well both are
+    known, from the loss there and from the smallest step of the search.
+    """
+    regression, least = found.regression, np.array([_PLAY_STEPS[-1], _LAG_STEPS_S[-1]])
+    play, lag_s = regression.play_percent, 1.0 / regression.spool_hz
+    steps = 2.0 * least  # a step within the search's own would find nothing but its grain
+    rows = 2.0 * state.squares[2] / found.together
+
+    def tried(i: int, j: int) -> tuple[Floats, float]:
+        at = play + i * steps[0], lag_s + j * steps[1]
+        other = _with(regression, at)
+        return compared(other.update(other.initial_state(), samples)[0])
+
+    here, ahead = compared(state), (tried(1, 0), tried(0, 1))
+    slopes = np.stack(
+        [(theta - here[0]) / step for (theta, _), step in zip(ahead, steps, strict=True)], axis=1
+    )
+    scale = rows / max(here[1] ** 2, 1e-12)
+    rises = np.array([scale * (rms**2 - here[1] ** 2) for _, rms in ahead])
+    known = steps**2 / np.maximum(rises, 1e-3)  # where the loss, in its units, has risen by 1
+    spread = np.minimum(known, (4.0 * steps) ** 2) + least**2 / 3.0
+    return replace(found, covariance=found.covariance + (slopes * spread) @ slopes.T)
 
 
 def _with(regression: AxisRegression, at: tuple[float, float]) -> AxisRegression:

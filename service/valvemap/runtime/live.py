@@ -199,6 +199,7 @@ class LiveService:
         own = self._own(valves)
         self._connected[own] = True
         self._heard_at[own] = received = self._clock.monotonic()
+        self.identification.announce(changes, received)
         rest = changes
         while len(rest):
             await self._wait_if_behind(len(rest))
@@ -207,7 +208,7 @@ class LiveService:
                 return  # not acknowledged, so the source resends it
             some = max(FEWEST_AT_ONCE, int(LEARN_S * self._changes_per_s))
             piece, rest = rest[:some], rest[some:]
-            samples = self.identification.take(piece, received)
+            samples = self.identification.take(piece)
             took_s = self._clock.monotonic() - began
             self._note_pace(len(piece), took_s)
             if took_s > LEARN_S / 2.0:
