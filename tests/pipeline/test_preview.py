@@ -42,6 +42,7 @@ READ = {
     "descriptions",
     "predict",
     "predict_measurement",
+    "predict_approved",
     "invert",
     "required",
     "compare",

@@ -30,6 +30,10 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "mqtt", "Send results to the MQTT broker of [mqtt] as Sparkplug B, until Ctrl-C."
     ),
     "replay": Entry("replay", "Identify valves from recordings, as the live service does."),
+    "axis": Entry(
+        "axis",
+        "Identify four edges, bulk modulus and leakage from a cylinder's position and pressures.",
+    ),
     "invert": Entry(
         "invert",
         "Compute the control voltage for a flow at a pressure drop, with its 95 % interval.",
@@ -45,6 +49,9 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     "check-config": Entry("serve", "Check a configuration file and print its effect."),
     "connect": Entry(
         "connect", "Find the valves of a server, check their signals, write a configuration."
+    ),
+    "commission": Entry(
+        "commission", "Drive a valve through its range until its map is known, within limits."
     ),
     "init": Entry("security", "Create certificates, users and a configuration."),
     "trust": Entry(

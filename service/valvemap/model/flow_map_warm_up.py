@@ -3,7 +3,7 @@
 import numpy as np
 
 from valvemap.model import flow_map_looks
-from valvemap.model.flow_causes import Evidence
+from valvemap.model.flow_evidence import Evidence
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_looks import memory_of
 from valvemap.model.flow_map_state import FlowMapState, axes

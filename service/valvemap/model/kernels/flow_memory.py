@@ -38,6 +38,7 @@ class Memory(NamedTuple):
     cells: Cells
     theta: Floats
     std: Singles
+    doubt: Singles
     scalars: Floats
     counters: np.ndarray
     x: Floats
@@ -67,7 +68,7 @@ class Batch(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_path.metered`, (4,)."""
+    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_path.metered`, (6,)."""
 
     work: Floats
     drift: Floats

@@ -1,0 +1,251 @@
+"""Test plants of commissioning: a valve with play, a supply with a limit, a load, a watchdog.
+
+One loop runs the pure state machine of `valvemap.pipeline.commission` against them in simulated
+time: samples every 10 ms, published every 40 ms, commands in force 15 ms after they were written.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks import circumstances as c
+from benchmarks.one_model_rows import both_ways, compensated
+from valvemap.model.samples import Samples
+from valvemap.pipeline.commission import (
+    Command,
+    CommissionState,
+    Phase,
+    Seen,
+    Settings,
+    start,
+    step,
+    written,
+)
+from valvemap.pipeline.commission_learner import Learnt, learn
+from valvemap.pipeline.commission_limits import Limits
+from valvemap.pipeline.commission_plan import Plan
+
+SAMPLE_S: Final = 0.01
+PUBLISHED_S: Final = 0.04
+WRITE_S: Final = 0.015
+WATCHDOG_S: Final = 0.5  # of the source's heartbeat, as the rig's
+LEARN_S: Final = 1.0
+SUPPLY, LEAST_LOAD, MOST_LOAD = 200.0, 5.0, 197.0  # bar
+LOAD_LAG_S: Final = 0.08
+WEAK_PUMP: Final = 25.0  # l/min
+
+
+@dataclass(frozen=True)
+class Valve:
+    """A valve: flow (U, dp), play (%), range of U (%), largest flow that the supply gives."""
+
+    flow: Callable[..., Any]
+    play: float = 0.0
+    U_range: tuple[float, float] = (0.0, 100.0)
+    pump: float = 1e9  # l/min
+
+
+VALVES: Final = {
+    "ordinary, no play": Valve(c.ordinary),
+    "ordinary, play 4 %": Valve(c.ordinary, 4.0),
+    "dead band 8 %, play 2 %": Valve(c.dead_band, 2.0),
+    "laminar, play 1 %": Valve(c.laminar, 1.0),
+    "compensator's knee": Valve(compensated, 0.0),
+    "S-shape, play 4 %": Valve(c.s_shape, 4.0),
+    "U of both signs, play 3 %": Valve(both_ways, 3.0, (-100.0, 100.0)),
+    "two slopes, play 2 %": Valve(c.two_slopes, 2.0),
+    "saturating, play 3 %": Valve(c.saturating, 3.0),
+    "progressive, no play": Valve(c.progressive, 0.0),
+}
+
+
+@dataclass
+class Plant:
+    """The plant in simulated time; faults are set from outside."""
+
+    valve: Valve
+    seed: int
+    own_U: float = 0.0
+    spool: float = 0.0
+    U: float = 0.0
+    load: float = 150.0
+    load_set: float = 150.0
+    commanded: bool = False
+    heartbeat: int = 0
+    beaten: float = -np.inf
+    stuck: bool = False
+    weak: bool = False
+    p_extra: float = 0.0
+    pending: deque[tuple[float, float | None, float | None, int | None]] = field(
+        default_factory=deque
+    )
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng([self.seed, 11])
+
+    def write(self, now: float, U: float | None, load: float | None, beat: int | None) -> None:
+        """Queue commands that come into force soon."""
+        self.pending.append((now + WRITE_S, U, load, beat))
+
+    def sample(self, now: float) -> tuple[float, float, float, float]:
+        """Return U, p1, p2, Q as measured at ``now``."""
+        while self.pending and self.pending[0][0] <= now:
+            _, U, load, beat = self.pending.popleft()
+            if beat is not None:
+                self.heartbeat, self.beaten = beat, now
+                if beat == 0:
+                    self.commanded, self.U = False, self.own_U
+            if U is not None:
+                self.commanded, self.U = True, U
+            if load is not None:
+                self.load_set = load
+        if self.heartbeat and self.commanded and now - self.beaten > WATCHDOG_S:
+            self.commanded, self.U = False, self.own_U
+        half = self.valve.play / 2.0
+        if not self.stuck:
+            self.spool = min(max(self.spool, self.U - half), self.U + half)
+        self.load += (self.load_set - self.load) * SAMPLE_S / LOAD_LAG_S
+        dp = max(SUPPLY - self.load, 0.0)
+        Q = float(self.valve.flow(np.array([self.spool]), np.array([dp]))[0])
+        p1 = SUPPLY + self.p_extra
+        pump = WEAK_PUMP if self.weak else self.valve.pump
+        if abs(Q) > pump:  # the supply's pressure falls until the flow fits
+            share = (pump / abs(Q)) ** 2
+            p1, Q = self.load + dp * share, float(np.sign(Q)) * pump
+        noise = self.rng.normal(0.0, [0.05, 0.05, c.SIGMA])
+        return self.U, p1 + noise[0], self.load + noise[1], Q + noise[2]
+
+
+def settings_for(valve: Valve, *, with_load: bool = True, **plan: float) -> Settings:
+    """Settings of a run on one of the plants."""
+    limits = Limits(
+        U_range=valve.U_range,
+        slew_percent_per_s=400.0 * (valve.U_range[1] - valve.U_range[0]) / 100.0,
+        safe_U=0.0,
+        load_range=(LEAST_LOAD, MOST_LOAD) if with_load else None,
+        load_slew_bar_per_s=800.0,
+        safe_load=150.0,
+        p1_range=(0.8 * SUPPLY, 1.1 * SUPPLY),
+        p_most=1.2 * SUPPLY,
+    )
+    return Settings(limits=limits, plan=Plan(**plan), opening=14.0, has_heartbeat=True)
+
+
+@dataclass(frozen=True)
+class Happening:
+    """A fault from ``at`` s on, for ``lasts`` s."""
+
+    kind: str
+    at: float
+    lasts: float = np.inf
+
+
+@dataclass
+class Log:
+    """What was written and seen: (t, U) accepted, phases by time, samples."""
+
+    writes: list[tuple[float, float]] = field(default_factory=list)
+    phases: list[tuple[float, Phase, str]] = field(default_factory=list)
+    U: list[tuple[float, float]] = field(default_factory=list)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+class Loop:
+    """The state machine against a plant, from ``begin_s`` on; ``log`` may be that of a run before.
+
+    ``learnt`` is advanced every `LEARN_S` if there is an ``estimator``.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        settings: Settings,
+        happening: Happening | None = None,
+        estimator: Any = None,
+        before: "Loop | None" = None,
+        begin_s: float = 0.0,
+    ) -> None:
+        self.plant, self.settings, self.happening = plant, settings, happening
+        self.estimator, self.begin_s = estimator, begin_s
+        self.log = Log() if before is None else before.log
+        state = CommissionState() if before is None else before.state
+        self.state = start(state, begin_s)
+        self.learnt = None if before is None else before.learnt
+        self.seen, self.arrived, self.taken = Seen(), -np.inf, len(self.log.rows)
+        self.waiting: list[tuple[float, ...]] = []
+
+    def run(self, until_s: float) -> "Loop":
+        """Run until a second after the end, or ``until_s``."""
+        every = round(PUBLISHED_S / SAMPLE_S)
+        for k in range(round(self.begin_s / SAMPLE_S) + 1, round(until_s / SAMPLE_S)):
+            now = k * SAMPLE_S
+            kind = self._sample(now)
+            if kind == "process killed":
+                break
+            if k % every == 0:
+                self._publish(now, kind)
+                self._step(now, kind)
+            if self.state.phase.is_over and now > self.log.phases[-1][0] + 1.0:
+                break
+        return self
+
+    def _sample(self, now: float) -> str:
+        on = self.happening
+        kind = on.kind if on is not None and on.at <= now < on.at + on.lasts else ""
+        self.plant.stuck = kind == "stuck spool"
+        self.plant.p_extra = 60.0 if kind == "pressure" else 0.0
+        self.plant.weak = kind == "pump limit"
+        values = self.plant.sample(now)
+        self.log.U.append((now, values[0]))
+        if kind not in {"source lost", "stale"}:
+            self.waiting.append((now, *values))
+        return kind
+
+    def _publish(self, now: float, kind: str) -> None:
+        if not self.waiting:
+            return
+        self.log.rows += self.waiting
+        _, U, p1, p2, Q = self.waiting[-1]
+        self.arrived, self.waiting = now, []
+        Q = np.nan if kind == "bad samples" else Q
+        self.seen = replace(self.seen, U=U, p1=p1, p2=p2, Q=Q)
+        if self.estimator is not None and len(self.log.rows) - self.taken >= LEARN_S / SAMPLE_S:
+            self.catch_up()
+
+    def catch_up(self) -> Learnt:
+        """Learn all samples received."""
+        samples, self.taken = samples_of(self.log.rows[self.taken :]), len(self.log.rows)
+        before = self.learnt or Learnt(self.estimator.initial_state())
+        new = learn(self.estimator, self.settings, before, samples, self.state.at)
+        self.seen = replace(self.seen, error=new.error, route=new.route, route_number=new.number)
+        self.learnt = new
+        return new
+
+    def _step(self, now: float, kind: str) -> None:
+        gone = kind == "operator gone" and self.happening is not None
+        self.seen = replace(
+            self.seen,
+            connected=kind != "source lost",
+            age_s=now - self.arrived,
+            abort=kind == "abort",
+            operator_age_s=now - self.happening.at if gone and self.happening else 0.0,
+        )
+        before = self.state.phase
+        self.state, command = step(self.settings, self.state, self.seen, now)
+        if self.state.phase is not before:
+            self.log.phases.append((now, self.state.phase, self.state.reason.name))
+        refused = kind == "refused"
+        if kind != "source lost" and not refused:
+            self.plant.write(now, command.U, command.load, command.heartbeat)
+            if command.U is not None:
+                self.log.writes.append((now, command.U))
+        self.state = written(self.state, command, now, refused=refused and command != Command())
+
+
+def samples_of(rows: list[tuple[float, ...]]) -> Samples:
+    """Samples of rows (t, U, p1, p2, Q)."""
+    t, U, p1, p2, Q = np.array(rows).T
+    return Samples.of((t * 1e9).astype(np.int64), U, p1, p2, Q, np.full(len(t), 40.0))

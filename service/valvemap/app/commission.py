@@ -1,0 +1,387 @@
+"""Runs a commissioning: subscribes to the source, writes U, learns the map, keeps the files."""
+
+import asyncio
+import getpass
+import math
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import structlog
+
+from guarded_opcua import CertificateError
+from valvemap.app.build import build_alignment, build_timing
+from valvemap.app.connections import build_source, build_supervisor_settings
+from valvemap.app.page_access import Watched
+from valvemap.app.page_access import settings_of as settings_for_client
+from valvemap.clock import Clock, SystemClock
+from valvemap.config.estimators import SECTIONS, build_estimator
+from valvemap.config.models import Config, ValveConfig
+from valvemap.errors import (
+    ConfigurationError,
+    SourceError,
+    SourceLost,
+    SourceRejected,
+    ValvemapError,
+)
+from valvemap.model.estimator import Estimator
+from valvemap.model.samples import Samples, Times
+from valvemap.opcua_client.results_client import ResultsClient, Security
+from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.commission import (
+    Command,
+    CommissionState,
+    Seen,
+    Settings,
+    in_words,
+    lost,
+    start,
+    step,
+    written,
+)
+from valvemap.pipeline.commission_learner import Learnt, learn
+from valvemap.pipeline.commission_limits import Limits
+from valvemap.pipeline.commission_plan import Plan
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.supervisor import supervise
+from valvemap.storage.commission_files import RunFiles
+from valvemap.vocabulary.statuses import Quality
+
+TICK_S: Final = 0.02  # s; interval of steps without new samples
+PUBLISHED_MS: Final = 40.0  # longest publishing interval: samples must be younger than max_age_s
+LEARN_S: Final = 1.0  # s between two fits of the map
+NOTE_S: Final = 1.0  # s between two lines of the audit record
+ASK_S: Final = 2.0  # s; timeout of the question to the service
+WRITE_S: Final = 0.3  # s; a write that takes longer counts as lost
+_FIELDS: Final = ("most_s", "sweep_s", "period_s")
+
+log = structlog.get_logger(__name__)
+
+
+def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
+    """Return the run's settings from a valve's configuration; ``accuracy`` in l/min, 0: none.
+
+    Raises
+    ------
+    ConfigurationError
+        if the valve has no node to write to, or no heartbeat.
+    """
+    for node in ("required_U", "heartbeat"):
+        if valve.nodes.of(node) is None:
+            raise ConfigurationError(
+                f"valve {valve.name}: nodes.{node} is needed: commission writes U there, and the "
+                "source takes the valve back when the heartbeat stops"
+            )
+    given, anything = valve.commission, (-math.inf, math.inf)
+    limits = Limits(
+        U_range=given.range_percent or valve.U_range_percent,
+        slew_percent_per_s=given.slew_percent_per_s,
+        safe_U=given.safe_percent,
+        p1_range=given.p1_range_bar or anything,
+        p2_range=given.p2_range_bar or anything,
+        Q_range=given.Q_range_l_min or anything,
+        p_most=given.p_most_bar or math.inf,
+    )
+    low, high = limits.U_range
+    if not low <= limits.safe_U <= high:
+        raise ConfigurationError(
+            f"valve {valve.name}: commission.safe_percent = {limits.safe_U:g}: must be within "
+            f"{[low, high]}"
+        )
+    nominal = max(map(abs, valve.Q_range_l_min)) / math.sqrt(max(map(abs, valve.dp_range_bar)))
+    return Settings(
+        limits=limits,
+        plan=Plan(**{name: getattr(given, name) for name in _FIELDS}),
+        accuracy=accuracy,
+        opening=0.25 * nominal,
+        max_age_s=given.max_age_s,
+        operator_s=given.operator_s,
+        outage_s=given.outage_s,
+        follow_s=given.follow_s,
+        follow_percent=given.follow_percent,
+    )
+
+
+def plan_in_words(valve: ValveConfig, settings: Settings) -> list[str]:
+    """Return what a run would do, line by line."""
+    limits, plan = settings.limits, settings.plan
+    pace = plan.pace(limits)
+    within = settings.max_age_s + limits.safe_within_s
+    low, high = limits.U_range
+    ends = f" or ± {1.96 * settings.accuracy:.2g} l/min" if settings.accuracy else ""
+    return [
+        f"valve      {valve.name}: U is written to {valve.nodes.required_U}",
+        f"heartbeat  {valve.nodes.heartbeat}: the source takes the valve back when it stops",
+        f"checks     {settings.check_s:g} s of good samples; U still; feed-forward disarmed",
+        f"sweep      {plan.sweep_s:g} s: U {low:g} … {high:g} % and back every {plan.period_s:g} s",
+        "load       is not written: the map covers the Δp that the plant shows meanwhile",
+        f"refinement until {plan.most_s:g} s{ends}: moves of {pace.U:.3g} %/s to uncertain points",
+        f"limits     U {low:g} … {high:g} %, {limits.slew_percent_per_s:g} %/s",
+        f"retreat    p1 {_range(limits.p1_range)}, p2 {_range(limits.p2_range)} bar",
+        f"retreat    Q {_range(limits.Q_range)} l/min",
+        f"end        above {limits.p_most:g} bar, on Ctrl-C or Enter, without the terminal",
+        f"safe U     {limits.safe_U:g} % within {within:.2g} s, then handed back to the source",
+    ]
+
+
+def _range(bounds: tuple[float, float]) -> str:
+    return (
+        "any"
+        if math.isinf(bounds[0]) and math.isinf(bounds[1])
+        else f"{bounds[0]:g} … {bounds[1]:g}"
+    )
+
+
+async def is_armed(config: Config, data: Path) -> bool:
+    """Return whether the running service has armed feed-forward for the valve.
+
+    A service that is not there, or does not answer us, has not: a second writer is also seen by
+    the run's own checks.
+    """
+    security = Security(config.source.security)
+    service = Watched(config.server.url, security, data / "pki" / "dashboard")
+    client = ResultsClient(settings_for_client(service, ASK_S), SERVICE_NAMESPACE)
+    try:
+        await client.connect()
+        (armed,) = await client.read([f"{config.valves[0].name}.Inverse.Armed"])
+    except (ValvemapError, CertificateError) as error:
+        log.info("the service was not asked whether feed-forward is armed", reason=str(error))
+        return False
+    finally:
+        await client.close()
+    return armed.value is True
+
+
+def estimator_for(valve: ValveConfig) -> Estimator[Any]:
+    """Return the Gaussian map, under the name by which the configuration offers it."""
+    section = SECTIONS.get("FlowMap", SECTIONS["Auto"])
+    ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
+    return build_estimator(section(), *ranges)
+
+
+class CommissionRun:
+    """One run on one valve; fulfils :class:`valvemap.runtime.supervisor.Consumer`.
+
+    Parameters
+    ----------
+    config
+        With this valve alone.
+    files
+        Recording and audit record, open.
+    operator_age
+        Returns the age of the operator's last sign, s.
+    progress
+        Called with a line of words about every 0.2 s.
+    armed
+        Whether the service has armed feed-forward.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        settings: Settings,
+        files: RunFiles,
+        *,
+        operator_age: Callable[[], float] = lambda: 0.0,
+        progress: Callable[[str], None] = lambda _line: None,
+        armed: bool = False,
+        clock: Clock | None = None,
+        source: OpcUaSource | None = None,
+    ) -> None:
+        (valve,) = config.valves
+        self._config = _quick(config)
+        self._settings = settings
+        self._files = files
+        self._operator_age = operator_age
+        self._progress = progress
+        self._clock = clock or SystemClock()
+        self._source = source or build_source(self._config)
+        self._arrivals = Arrivals(
+            [valve.name], build_alignment(self._config), build_timing(self._config)
+        )
+        self._estimator = estimator_for(valve)
+        self._valve = valve.name
+        self._stop = asyncio.Event()
+        self._seen = Seen(connected=False, feed_forward=armed)
+        self._arrived = -math.inf
+        self._waiting: list[Samples] = []
+        self._learning: asyncio.Task[Learnt] | None = None
+        self._due = {"learn": 0.0, "note": 0.0, "progress": 0.0}
+        self._source_started = 0
+        self.state = CommissionState()
+        self.learnt = Learnt(self._estimator.initial_state())
+
+    def abort(self) -> None:
+        """Return to the safe U, then end."""
+        self._seen = replace(self._seen, abort=True)
+
+    async def run(self) -> CommissionState:
+        """Run until the end; a source that is lost meanwhile pauses the run.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+            if the first connection fails.
+        StorageError, RecordingError
+        """
+        elapsed = self._files.elapsed()
+        for samples in self._files.before():
+            self.learnt = self._learnt(samples)
+        self.state = start(CommissionState(elapsed=elapsed), self._clock.monotonic())
+        self._note(event="started", user=getpass.getuser(), settings=_plain(self._settings))
+        settings = replace(build_supervisor_settings(self._config), tick_s=TICK_S)
+        try:
+            await supervise(self._source, self, self._clock, self._stop, settings)
+        finally:
+            if self._learning is not None:
+                self.learnt = await self._learning
+            if self._waiting:
+                self.learnt = self._learnt(Samples.concatenate(self._waiting))
+            self._note(event="ended", map_std_l_min=_known(self.learnt.error))
+        return self.state
+
+    async def connected(self, source_started: int, _valves: Times | None = None) -> None:
+        """Note the connection; after a restart of the source, restart the sample sequence."""
+        before, self._source_started = self._source_started, source_started
+        if before and source_started and source_started != before:
+            self._append(self._arrivals.begin_source_anew(np.arange(1)).get(0))
+        self._seen = replace(self._seen, connected=True)
+
+    async def lost(self, reason: SourceError, _valves: Times | None = None) -> None:
+        """Note the outage; the source's watchdog has taken the valve back, or will."""
+        self._seen = replace(self._seen, connected=False)
+        self._note(event="source lost", reason=str(reason))
+
+    async def take(self, changes: DataChanges, _valves: Times | None = None) -> None:
+        """Keep samples; the step follows in `tick`."""
+        self._append(self._arrivals.take(changes).get(0))
+
+    async def tick(self, _valves: Times | None = None) -> None:
+        """Advance the run by one step."""
+        now = self._clock.monotonic()
+        self._learn(now)
+        before = self.state
+        self._seen = replace(
+            self._seen, age_s=now - self._arrived, operator_age_s=self._operator_age()
+        )
+        self.state, command = step(self._settings, before, self._seen, now)
+        await self._write(command)
+        changed = (before.phase, before.reason) != (self.state.phase, self.state.reason)
+        if changed or now >= self._due["note"]:
+            self._due["note"] = now + NOTE_S
+            self._note(event="phase" if changed else "at")
+        if changed or now >= self._due["progress"]:
+            self._due["progress"] = now + 0.2
+            self._progress(in_words(self._settings, self.state, self._seen))
+        if self.state.phase.is_over:
+            self._stop.set()
+
+    async def _write(self, command: Command) -> None:
+        if command == Command():
+            return
+        refused = False
+        try:
+            async with asyncio.timeout(WRITE_S):
+                if command.U is not None:
+                    await self._source.write_required_U(0, command.U)
+                if command.heartbeat is not None:
+                    await self._source.write_heartbeat(0, command.heartbeat)
+        except SourceRejected as error:
+            refused = True
+            self._note(event="refused", reason=str(error))
+        except (SourceLost, TimeoutError) as error:  # it may have been taken, or not
+            self._note(event="write lost", reason=str(error) or "no response")
+            self.state = lost(self.state, self._clock.monotonic())
+            return
+        self.state = written(self.state, command, self._clock.monotonic(), refused=refused)
+
+    def _append(self, samples: Samples | None) -> None:
+        if samples is None or not len(samples):
+            return
+        self._files.append(samples)
+        self._waiting.append(samples)
+        self._arrived = self._clock.monotonic()
+        last = samples[-1:]
+        U, p1, p2, Q = (float(x[0]) for x in (last.U, last.p1, last.p2, last.Q))
+        good = bool(last.quality[0] == Quality.GOOD)
+        self._seen = replace(self._seen, U=U, p1=p1, p2=p2, Q=Q, good=good)
+
+    def _learn(self, now: float) -> None:
+        """Start a fit in a thread when one is due; the kernels release the interpreter's lock."""
+        if self._learning is not None and self._learning.done():
+            self.learnt, self._learning = self._learning.result(), None
+            self._seen = replace(
+                self._seen,
+                error=self.learnt.error,
+                route=self.learnt.route,
+                route_number=self.learnt.number,
+            )
+        if self._learning is None and self._waiting and now >= self._due["learn"]:
+            self._due["learn"] = now + LEARN_S
+            samples, self._waiting = Samples.concatenate(self._waiting), []
+            self._learning = asyncio.create_task(asyncio.to_thread(self._learnt, samples))
+
+    def _learnt(self, samples: Samples) -> Learnt:
+        return learn(self._estimator, self._settings, self.learnt, samples, self.state.at)
+
+    def _note(self, **what: Any) -> None:  # noqa: ANN401 - JSON
+        state = self.state
+        self._files.note(
+            {
+                "t": datetime.fromtimestamp(self._clock.now() / 1e9, UTC).isoformat(),
+                "valve": self._valve,
+                **what,
+                "phase": state.phase.name,
+                "reason": state.reason.value,
+                "U_percent": _known(state.at.U),
+                "elapsed_s": round(state.elapsed, 2),
+            }
+        )
+
+
+def _quick(config: Config) -> Config:
+    """Return the configuration with publishing intervals that suit the age of samples."""
+    interval = min(config.source.publishing_interval_ms, PUBLISHED_MS)
+    source = config.source.model_copy(
+        update={"publishing_interval_ms": interval, "history_s": 0.0, "warm_start_s": 0.0}
+    )
+    return config.model_copy(update={"source": source})
+
+
+def _plain(settings: Settings) -> dict[str, Any]:
+    limits, plan = settings.limits, settings.plan
+    return {
+        "U_range_percent": list(limits.U_range),
+        "slew_percent_per_s": limits.slew_percent_per_s,
+        "safe_percent": limits.safe_U,
+        "sweep_s": plan.sweep_s,
+        "most_s": plan.most_s,
+        "accuracy_l_min": settings.accuracy,
+        "process": os.getpid(),
+    }
+
+
+def _known(x: float) -> float | None:
+    return x if math.isfinite(x) else None
+
+
+def result_in_words(run: CommissionRun, files: RunFiles, valve: str) -> list[str]:
+    """Return the run's result, line by line."""
+    learnt, state = run.learnt, run.state
+    lines = [f"{valve}: {state.phase.value}: {state.reason.value} ({state.elapsed:.0f} s)"]
+    if math.isfinite(learnt.error):
+        lines.append(
+            f"map        ± {1.96 * learnt.error:.2g} l/min (95 %, mean over U), at Δp of "
+            f"{learnt.drops[0]:.0f} … {learnt.drops[1]:.0f} bar, which were seen"
+        )
+    lines.append(
+        f"recording  {files.recording}: `valvemap sheet {files.recording}` prints its sheet"
+    )
+    lines.append(f"audit      {files.audit}")
+    return lines

@@ -1,0 +1,145 @@
+"""The files of a commissioning run: samples as a recording, and the audit record (JSON lines).
+
+Both are appended and flushed with every batch, so a killed run loses nothing that was received.
+"""
+
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from valvemap.errors import StorageError
+from valvemap.model.samples import Samples
+from valvemap.storage.csv_recordings import csv_header, csv_rows
+from valvemap.storage.recordings import read_recording
+
+
+def new_run(folder: Path, valve: str, now: int) -> Path:
+    """Return the recording of a run that starts ``now`` (UTC ns)."""
+    return folder / f"{valve}.{datetime.fromtimestamp(now / 1e9, UTC):%Y%m%dT%H%M%SZ}.csv"
+
+
+def last_run(folder: Path, valve: str) -> Path | None:
+    """Return the recording of the newest run of a valve, None without one."""
+    form = re.compile(re.escape(valve) + r"\.\d{8}T\d{6}Z\.csv")
+    if not folder.is_dir():
+        return None
+    return max((file for file in folder.iterdir() if form.fullmatch(file.name)), default=None)
+
+
+class RunFiles:
+    """The recording ``<Valve>.<time>.csv`` and the audit record ``<Valve>.<time>.audit.jsonl``.
+
+    Parameters
+    ----------
+    recording
+        Path of the recording, see `new_run` and `last_run`; if it is there, the run is resumed.
+
+    Raises
+    ------
+    StorageError
+        naming the file.
+    """
+
+    def __init__(self, recording: Path, valve: str) -> None:
+        self.recording = recording
+        self.audit = recording.with_suffix(".audit.jsonl")
+        self._valve = valve
+        self._resumes = recording.is_file()
+
+    def __enter__(self) -> Self:
+        with _naming(self.recording):
+            self.recording.parent.mkdir(parents=True, exist_ok=True)
+            if self._resumes:
+                _drop_half_line(self.recording)
+            self._rows = self.recording.open("ab")
+            if not self._rows.tell():
+                self._rows.write(csv_header())
+        with _naming(self.audit):
+            self._audit = self.audit.open("a", encoding="utf-8")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._rows.close()
+        self._audit.close()
+
+    def append(self, samples: Samples) -> None:
+        """Append samples to the recording.
+
+        Raises
+        ------
+        StorageError
+        """
+        with _naming(self.recording):
+            self._rows.write(csv_rows(self._valve, samples))
+            self._rows.flush()
+
+    def note(self, what: Mapping[str, Any]) -> None:
+        """Append a line to the audit record.
+
+        Raises
+        ------
+        StorageError
+        """
+        with _naming(self.audit):
+            self._audit.write(json.dumps(what, ensure_ascii=False) + "\n")
+            self._audit.flush()
+
+    def before(self) -> Iterator[Samples]:
+        """Yield the samples of the interrupted run; none without one.
+
+        Raises
+        ------
+        RecordingError
+        """
+        if self._resumes:
+            with read_recording(self.recording) as batches:
+                for valve, samples in batches:
+                    if valve == self._valve:
+                        yield samples
+
+    def elapsed(self) -> float:
+        """Return the schedule's time that the interrupted run reached, s; 0 without one."""
+        if not self._resumes or not self.audit.is_file():
+            return 0.0
+        found = 0.0
+        with _naming(self.audit):
+            for line in self.audit.read_text(encoding="utf-8", errors="replace").splitlines():
+                try:
+                    elapsed = json.loads(line).get("elapsed_s")
+                except ValueError:  # half a line, at a kill
+                    continue
+                found = float(elapsed) if isinstance(elapsed, int | float) else found
+        return found
+
+
+def _drop_half_line(file: Path) -> None:
+    """Cut what a killed run left behind the last complete line."""
+    with file.open("rb+") as rows:
+        content = rows.read()
+        rows.truncate(content.rfind(b"\n") + 1)
+        rows.flush()
+        os.fsync(rows.fileno())
+
+
+class _naming:  # noqa: N801 - reads like the function that it is
+    """Raise an OSError as a StorageError that names the file."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def __enter__(self) -> None:
+        return
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError):
+            raise StorageError(f"{self._file}: {error.strerror or error}") from error

@@ -1,0 +1,199 @@
+"""The commissioning's state machine: limits by construction, reactions, checks, resuming."""
+
+import math
+
+import numpy as np
+import pytest
+
+from valvemap.pipeline.commission import (
+    Command,
+    CommissionState,
+    Phase,
+    Reason,
+    Seen,
+    Settings,
+    lost,
+    start,
+    step,
+    written,
+)
+from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
+from valvemap.pipeline.commission_plan import Plan, Uncertainty, route, sweep
+
+LIMITS = Limits((10.0, 90.0), 200.0, safe_U=20.0, p1_range=(100.0, 210.0), p_most=220.0)
+SETTINGS = Settings(LIMITS, Plan(4.0, 8.0, 12.0), check_s=0.2, opening=5.0)
+GOOD = Seen(age_s=0.0, U=20.0, p1=200.0, p2=100.0, Q=10.0)
+STEP_S = 0.04
+
+
+class Course:
+    """Steps in simulated time; the valve follows its command at once."""
+
+    def __init__(self, settings=SETTINGS, seen=GOOD):
+        self.settings, self.seen, self.now = settings, seen, 0.0
+        self.state, self.writes = start(CommissionState(), 0.0), []
+
+    def steps(self, seconds, **seen):
+        for _ in range(round(seconds / STEP_S)):
+            self.now += STEP_S
+            U = self.state.at.U if self.state.is_led else self.seen.U
+            flow = {"Q": 0.1 * U * math.sqrt(100.0)} | seen
+            self.seen = Seen(**{**vars(self.seen), "U": U, **flow})
+            self.state, command = step(self.settings, self.state, self.seen, self.now)
+            if command.U is not None:
+                self.writes.append((self.now, command.U))
+            self.state = written(self.state, command, self.now)
+        return self.state
+
+
+def test_every_command_is_within_range_and_slew_whatever_is_wanted():
+    rng = np.random.default_rng(0)
+    at = Point(50.0)
+    for wanted in [math.nan, math.inf, -math.inf, *rng.uniform(-1e3, 1e3, 500).tolist()]:
+        passed = float(rng.uniform(-1.0, 1.0))
+        new = bounded(LIMITS, at, Point(wanted), passed)
+        assert 10.0 <= new.U <= 90.0
+        assert abs(new.U - at.U) <= 200.0 * min(max(passed, 0.0), MOST_STEP_S) + 1e-12
+        at = new
+
+
+def test_it_begins_where_the_valve_is_and_sweeps_both_ways_to_both_ends():
+    course = Course()
+    assert course.steps(10.0).phase is Phase.REFINING
+    U = np.array(course.writes)[:, 1]
+    assert U[0] == 20.0
+    assert (U.min(), U.max()) == (10.0, pytest.approx(90.0, abs=2.0))
+    assert (np.diff(U) > 0).any() and (np.diff(U) < 0).any()  # noqa: PT018 - both ways
+
+
+def test_it_ends_in_time_at_the_safe_u_and_hands_the_valve_back():
+    course = Course()
+    state = course.steps(14.0)
+    assert (state.phase, state.reason) == (Phase.DONE, Reason.TIME_UP)
+    assert course.writes[-1][1] == 20.0
+    assert not state.is_led
+
+
+def test_it_ends_as_soon_as_the_map_is_accurate_enough():
+    course = Course(Settings(LIMITS, Plan(4.0, 2.0, 60.0), accuracy=0.2, check_s=0.2))
+    course.steps(4.0, error=0.3)
+    state = course.steps(2.0, error=0.1)
+    assert (state.phase, state.reason) == (Phase.DONE, Reason.ACCURATE)
+
+
+@pytest.mark.parametrize(
+    ("seen", "reason"),
+    [
+        ({"abort": True}, Reason.OPERATOR),
+        ({"operator_age_s": 5.0}, Reason.OPERATOR_GONE),
+        ({"p1": 250.0}, Reason.PRESSURE),
+        ({"p2": 250.0}, Reason.PRESSURE),
+    ],
+)
+def test_it_aborts_to_the_safe_u(seen, reason):
+    course = Course()
+    course.steps(2.5)
+    at, before = course.now, len(course.writes)
+    state = course.steps(2.0, **seen)
+    assert (state.phase, state.reason) == (Phase.ABORTED, reason)
+    after = course.writes[before:]
+    assert after[0][0] - at <= 0.2
+    assert next(t for t, U in after if U == 20.0) - at <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("seen", "reason"),
+    [
+        ({"feed_forward": True}, Reason.FEED_FORWARD),
+        ({"U": 5.0}, Reason.U_OUTSIDE),
+        ({"p1": 50.0, "p2": 100.0}, Reason.P_ORDER),
+        ({"p1": 90.0, "p2": 50.0}, Reason.LIMIT_BEFORE),
+    ],
+)
+def test_it_refuses_before_the_first_command(seen, reason):
+    course = Course(seen=Seen(**{**vars(GOOD), **seen}))
+    state = course.steps(1.0, **seen)
+    assert (state.phase, state.reason) == (Phase.REFUSED, reason)
+    assert course.writes == []
+
+
+def test_a_second_writer_is_seen_before_and_after_the_first_command():
+    course = Course()
+    course.steps(0.08)
+    assert course.steps(0.08, U=40.0).reason is Reason.OTHER_WRITER
+    course = Course()
+    course.steps(2.0)
+    assert course.steps(1.0, U=0.0).reason is Reason.NOT_FOLLOWED
+
+
+def test_a_stuck_spool_ends_the_run():
+    course = Course()
+    state = course.steps(8.0, Q=30.0)
+    assert (state.phase, state.reason) == (Phase.ABORTED, Reason.STUCK)
+
+
+def test_u_retreats_from_a_limit_and_the_run_goes_on():
+    course = Course()
+    course.steps(1.6)
+    before = course.state.at.U
+    state = course.steps(0.3, p1=90.0)
+    assert state.reason is Reason.LIMIT
+    assert before > state.at.U
+    assert course.steps(14.0).phase is Phase.DONE
+
+
+@pytest.mark.parametrize("seen", [{"age_s": 1.0}, {"Q": math.nan}, {"good": False}])
+def test_it_pauses_at_the_safe_u_while_samples_fail_then_continues_where_it_was(seen):
+    course = Course()
+    elapsed = course.steps(3.0).elapsed
+    state = course.steps(1.0, **seen)
+    assert (state.phase, state.at.U) == (Phase.PAUSED, 20.0)
+    good = {"age_s": 0.0, "good": True}
+    state = course.steps(0.8, **good)
+    assert state.phase is Phase.SWEEPING
+    assert 0.0 < state.elapsed - elapsed < 0.5
+
+
+def test_after_a_lost_source_it_leads_again_from_the_measured_u():
+    course = Course()
+    course.steps(3.0)
+    course.steps(1.0, connected=False)
+    assert not course.state.is_led
+    course.seen = Seen(**{**vars(course.seen), "U": 33.0})
+    n = len(course.writes)
+    course.steps(0.8, connected=True)
+    assert course.writes[n][1] == 33.0
+
+
+def test_a_write_without_a_response_is_followed_by_the_measured_u():
+    course = Course()
+    course.steps(3.0)
+    course.state = lost(course.state, course.now)
+    assert (course.state.phase, course.state.is_led) == (Phase.PAUSED, False)
+
+
+def test_refused_commands_end_the_run():
+    course = Course()
+    course.steps(2.0)
+    for _ in range(40):
+        course.now += STEP_S
+        course.state, command = step(SETTINGS, course.state, course.seen, course.now)
+        refused = command != Command()
+        course.state = written(course.state, command, course.now, refused=refused)
+    assert course.state.reason in {Reason.NOT_TAKEN, Reason.NOT_FOLLOWED}
+
+
+def test_the_triangles_of_u_and_load_have_periods_without_a_common_multiple():
+    plan, limits = Plan(4.0), Limits(load_range=(10.0, 190.0))
+    points = np.array([vars(sweep(plan, limits, t))["load"] for t in np.arange(0.0, 40.0, 4.0)])
+    assert len(np.unique(points.round(3))) == len(points)
+
+
+def test_refinement_goes_where_the_variance_is_and_comes_back_from_the_other_side():
+    U, dp = (x.ravel() for x in np.meshgrid(np.linspace(0, 100, 21), np.linspace(5, 190, 9)))
+    variance = np.where(U > 80.0, 1.0, 1e-4)
+    limits = Limits()
+    at = Uncertainty(U, dp, variance, U)
+    moves = route(limits, Plan().pace(limits), Point(10.0), Point(10.0, 100.0), at)
+    assert max(move.U for move in moves) > 80.0
+    assert moves == moves[::-1]
