@@ -24,7 +24,6 @@ from benchmarks import one_model_rows as rows
 from benchmarks import results_file
 from benchmarks.measured_data import cooling_circuit
 from benchmarks.recordings import COOLING_CIRCUIT, SETTLED, r2
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential
@@ -48,7 +47,7 @@ PAPER: Final[dict[str, Estimator[Any]]] = {
     "RML": MaximumLikelihood(nd=1, lam=0.999),
     "RBF": RbfNetwork(),
 }
-ALL: Final = {**PAPER, "Auto": Auto(), "FlowMap": FlowMap()}
+ALL: Final = {**PAPER, "Auto": FlowMap()}
 FOLLOWING: Final = {
     "RLS .95": RecursiveLeastSquares(forgetting=Exponential(0.95)),
     "RLS 1": RecursiveLeastSquares(forgetting=Exponential(1.0)),

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 
 from documentation.tables import table
-from valvemap.pipeline.alarm_guide import GUIDES
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS, possible_causes
 from valvemap.pipeline.alarms import FLEET_RULES, RULES, SERVICE_RULES
+from valvemap.vocabulary.alarm_guide import GUIDES
 
 BEGIN = "<!-- Made by `make reference`: tables of alarms -->"
 END = "<!-- End of the tables of alarms -->"

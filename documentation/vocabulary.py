@@ -7,9 +7,11 @@ from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
 from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import (
     Adaptation,
+    AxisStatus,
     Described,
     FeedForwardStatus,
     InverseStatus,
+    LineEdge,
     Status,
 )
 
@@ -26,9 +28,19 @@ _ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
         "`s=<Valve>.Inverse.RequiredUStatus`, and the status that `Invert` returns.",
     ),
     (
+        LineEdge,
+        "Edge",
+        "`s=<Valve>.LineA.Inverse.Edge`: the edge of a line that passes a demanded flow.",
+    ),
+    (
         FeedForwardStatus,
         "FeedForwardStatus",
         "`s=<Valve>.Inverse.FeedForwardStatus`: whether RequiredU is written to the valve.",
+    ),
+    (
+        AxisStatus,
+        "AxisStatus",
+        "Of `valvemap.model.axis_search.identify`: whether a cylinder's edges are identified.",
     ),
     (
         FindingCode,

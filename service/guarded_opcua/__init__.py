@@ -37,7 +37,7 @@ from guarded_opcua.errors import (
     StorageError,
 )
 from guarded_opcua.history.events import EventHistorian, PastEvent
-from guarded_opcua.history.historian import Historian, Records, Span
+from guarded_opcua.history.historian import Cells, Historian, Records, Span, Summarising
 from guarded_opcua.lifecycle import Startable
 from guarded_opcua.monitoring.event_filter import Event
 from guarded_opcua.security.certificates import (
@@ -58,6 +58,7 @@ __all__ = [
     "Account",
     "Argument",
     "Block",
+    "Cells",
     "CertificateError",
     "Clock",
     "CommandRejected",
@@ -90,6 +91,7 @@ __all__ = [
     "Span",
     "Startable",
     "StorageError",
+    "Summarising",
     "SystemClock",
     "Unit",
     "UserStore",

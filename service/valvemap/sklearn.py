@@ -5,7 +5,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Exponential, Forgetting
 from valvemap.model.least_squares_state import (
     initial_state,
@@ -151,7 +151,7 @@ class FlowMapRegressor(_SampleBySample):
 
 
 class AutoFlowMap(_SampleBySample):
-    """The flow map whose structure is chosen from the samples, as the service's `Auto` does.
+    """The flow map as one Gaussian model, learnt sample by sample as the service's `Auto` does.
 
     The columns of X are fixed: U (%), dp (bar) and optionally T (°C). Those of
     scikit-learn's checks that need other columns fail, see `EXPECTED_FAILURES`.
@@ -161,17 +161,16 @@ class AutoFlowMap(_SampleBySample):
     lam : float
         Forgetting factor of a cell of the map, per sample that falls into it.
     interval : float
-        Time between two samples, s.
-    lag_U, lag_Q : float or None
-        First-order lag of U's effect and of the flow meter, s; None: estimated, which needs the
-        samples in the order of time.
+        Time between two samples, s: rows are taken to be in the order of time.
+    U_range, dp_range : (float, float)
+        Of the valve, % and bar.
 
     Attributes
     ----------
-    state_ : AutoState
+    state_ : FlowMapState
         State for the next `partial_fit`.
     structure_ : str
-        The chosen structure in words.
+        The effects in force in words.
     n_features_in_ : int
         Columns of X.
 
@@ -188,13 +187,13 @@ class AutoFlowMap(_SampleBySample):
         self,
         lam: float = 0.998,
         interval: float = 0.01,
-        lag_U: float | None = 0.0,
-        lag_Q: float | None = 0.0,
+        U_range: tuple[float, float] = (0.0, 100.0),
+        dp_range: tuple[float, float] = (0.0, 200.0),
     ) -> None:
         self.lam = lam
         self.interval = interval
-        self.lag_U = lag_U
-        self.lag_Q = lag_Q
+        self.U_range = U_range
+        self.dp_range = dp_range
 
     def predict(self, X: ArrayLike, *, return_std: bool = False) -> Floats | tuple[Floats, Floats]:
         """Flow (N,), l/min, and if wanted its standard deviation (N,), NaN where unknown."""
@@ -221,8 +220,8 @@ class AutoFlowMap(_SampleBySample):
         self.structure_ = self._auto().describe(self.state_)
         return self
 
-    def _auto(self) -> Auto:
-        return Auto(lam=self.lam, lag_U=self.lag_U, lag_Q=self.lag_Q)
+    def _auto(self) -> FlowMap:
+        return FlowMap(self.U_range, self.dp_range, self.lam)
 
     def _signals(self, X: Floats) -> tuple[Floats, Floats, Floats]:
         U, dp, *others = (np.ascontiguousarray(column) for column in X.T)

@@ -95,9 +95,9 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         ("[[valves]]\n" + NODES + "T = 's=p1'\n", "p1 and T are the same node, 's=p1'"),
         (
             "[[valves]]\nU_range_percent = [-100, 100]\n",
-            "valves[0].U_range_percent: [-100, 100] is more than RLS, RML, Auto can describe; with",
+            "valves[0].U_range_percent: [-100, 100] is more than RLS, RML can describe; with",
         ),
-        ("[[valves]]\nU_range_percent = [0, 120]\n", "[0, 120] is more than RLS, RML, Auto can"),
+        ("[[valves]]\nU_range_percent = [0, 120]\n", "[0, 120] is more than RLS, RML can"),
         *(
             (
                 f"[[valves]]\n[[valves.estimators]]\nkind = '{kind}'\nlam = 1e-300\n",

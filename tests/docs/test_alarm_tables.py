@@ -7,9 +7,9 @@ import pytest
 from documentation.alarms import alarm_tables
 from documentation.pages import ALARMS, alarms_page
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
-from valvemap.pipeline.alarm_guide import GUIDES
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
 from valvemap.pipeline.alarms import FLEET_RULES, RULES, SERVICE_RULES
+from valvemap.vocabulary.alarm_guide import GUIDES
 
 
 def test_the_page_is_what_would_be_made_now():

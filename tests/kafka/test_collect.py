@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ class Source:
     """Messages by number; what was not committed is there for who comes again."""
 
     clock_offset_s = 0.0
+    remarks: ClassVar[dict] = {}
 
     def __init__(self):
         self.at, self.mark, self.safe = 0, None, 0

@@ -2,7 +2,6 @@
 
 import pytest
 
-from valvemap.model.auto import Auto
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
     Adaptive,
@@ -33,8 +32,7 @@ ESTIMATORS = {
     "radial basis": RecursiveLeastSquares(RadialBasis.uniform(), Adaptive()),
     "maximum likelihood": MaximumLikelihood(),
     "network": RbfNetwork(),
-    "auto": Auto(),
-    "flow map": FlowMap(),
+    "auto": FlowMap(),
 }
 
 

@@ -144,7 +144,7 @@ def test_play_between_u_and_the_spool_is_found_and_the_map_is_the_middle_of_the_
         p = min(max(p, u - width / 2), u + width / 2)
         spool[i] = p
     state, _ = learnt(U, dp, bent(spool, dp))
-    assert FlowMap().play(state) == pytest.approx(width, abs=0.2)
+    assert 2.0 * FlowMap().half_play(state) == pytest.approx(width, abs=0.2)
     assert judged(FlowMap(), state, bent, low=8.0)[0] < 0.5
 
 
@@ -165,6 +165,16 @@ def test_the_map_is_that_of_the_temperature_that_is_asked():
     assert FlowMap().last_change(state) is None
 
 
+def test_a_flow_that_is_not_none_at_no_pressure_is_learnt_all_the_same():
+    rng, N = np.random.default_rng(5), 3000
+    dp = rng.uniform(0.03, 0.13, N)
+    Q = 8.5 + 4.0 * np.sqrt(dp)
+    state, _ = learnt(np.full(N, 100.0), dp, Q)
+    predicted, std = FlowMap().predict(state, np.array([100.0]), np.array([0.08]), np.array([40.0]))
+    assert abs(predicted[0] - 8.5 - 4.0 * np.sqrt(0.08)) < 3.0 * SIGMA
+    assert std[0] < 1.0
+
+
 def test_where_no_temperature_is_measured_none_is_missed():
     U, dp = scattered(16, 1000)
     state, _ = learnt(U, dp, bent(U, dp), T=np.full(1000, np.nan))
@@ -176,7 +186,7 @@ def test_a_machine_at_rest_tells_of_no_play():
     U, dp = cycle(14, 4000, 100.0)
     U[2000:], dp[2000:] = 50.0, 100.0
     state, _ = learnt(U, dp, bent(U, dp) + np.where(np.arange(4000) < 2000, 0.0, 0.3))
-    assert FlowMap().play(state) == 0.0
+    assert FlowMap().half_play(state) == 0.0
 
 
 def test_a_healthy_valve_neither_drifts_nor_changes():

@@ -5,7 +5,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from valvemap.model.auto import Auto
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_units import FlowHomogeneous, in_flow_unit
 from valvemap.model.forgetting import (
@@ -59,7 +58,7 @@ def test_a_prior_in_units_of_the_flow_has_no_exact_conversion(other):
     assert other.flow_powers(other.initial_state()) is None
 
 
-@pytest.mark.parametrize("other", [RbfNetwork(), FlowMap(), Auto()], ids=["RBF", "map", "Auto"])
+@pytest.mark.parametrize("other", [RbfNetwork(), FlowMap()], ids=["RBF", "Auto"])
 def test_what_learns_by_steps_or_chooses_has_no_exact_conversion(other):
     assert not isinstance(other, FlowHomogeneous)
 

@@ -3,7 +3,7 @@ import pytest
 
 from support.plant import plant
 from valvemap.model import recursive_least_squares
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
     Adaptive,
     Directional,
@@ -228,7 +228,7 @@ def test_the_smallest_forgetting_factor_of_each_rule_leaves_all_numbers_finite(r
     assert 0.0 <= found.suggested_U <= 100.0
 
 
-@pytest.mark.parametrize("estimator", [MaximumLikelihood(lam=0.5), Auto(lam=0.5)], ids=repr)
+@pytest.mark.parametrize("estimator", [MaximumLikelihood(lam=0.5), FlowMap(lam=0.5)], ids=repr)
 @pytest.mark.parametrize("rich", [5_000, 500], ids=["rich", "then still"])
 def test_the_smallest_forgetting_factor_of_other_estimators_leaves_all_numbers_finite(
     estimator, rich

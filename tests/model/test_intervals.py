@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Directional, Exponential, Subspace
 from valvemap.model.inverse_map import invert
 from valvemap.model.kernels import residual_spread as kernel
@@ -65,7 +65,7 @@ ANY = {
     "network": RbfNetwork(),
     "spline": rls(SPLINE, Adaptive()),
     "radial basis": rls(RadialBasis.uniform(), Adaptive()),
-    "auto": Auto(),
+    "auto": FlowMap(),
 }
 
 
@@ -128,14 +128,14 @@ def test_in_coloured_noise_the_intervals_of_maximum_likelihood_still_cover(lam):
 
 
 def test_auto_finds_eq_7_and_covers_it():
-    in_Q, in_U = covered(Auto(), eq_7, 40)
+    in_Q, in_U = covered(FlowMap(), eq_7, 40)
     assert 0.91 <= in_Q <= 0.98  # 40 seeds alone, 800 points; 400 seeds: the soak
     assert 0.91 <= in_U <= 0.98
 
 
 @pytest.mark.soak
 def test_auto_covers_eq_7_over_400_seeds():
-    in_Q, in_U = covered(Auto(), eq_7, SEEDS)
+    in_Q, in_U = covered(FlowMap(), eq_7, SEEDS)
     assert 0.93 <= in_Q <= 0.97
     assert 0.93 <= in_U <= 0.97
 

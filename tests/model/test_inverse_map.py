@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import State
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import inverse_table, invert
 from valvemap.model.maximum_likelihood import MaximumLikelihood
@@ -345,7 +345,7 @@ LEARNERS = {
     "radial basis": RecursiveLeastSquares(RadialBasis.uniform(), Adaptive()),
     "network": RbfNetwork(),
     "polynomial of third order": RecursiveLeastSquares(Polynomial.of_order(3)),
-    "auto": Auto(),
+    "auto": FlowMap(),
 }
 
 
@@ -393,7 +393,7 @@ def hysteretic():
         last = held[i] = min(max(last, u - 1.0), u + 1.0)
     dp = 100.0 + 90.0 * np.sin(np.arange(n) / 37.3)
     Q = 0.12 * held * np.sqrt(dp) + 0.2 * rng.normal(size=n)
-    auto = Auto()
+    auto = FlowMap()
     samples = Samples.of(np.arange(n), U, dp, 0 * dp, Q, np.full(n, 40.0))
     return auto, auto.update(auto.initial_state(), samples)[0]
 

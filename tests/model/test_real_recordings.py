@@ -18,7 +18,7 @@ from benchmarks.recordings import (
     settled_r2,
 )
 from valvemap.model import recursive_least_squares
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential, SlidingWindow, Variable
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms, TensorSpline
@@ -139,7 +139,7 @@ def test_the_air_valve_bends_where_eq_7_is_straight(air_valve):
 
 @elsewhere
 def test_auto_finds_the_air_valves_bends_by_itself(air_valve):
-    assert air_valve_error(air_valve, Auto()).rmse < 1.0
+    assert air_valve_error(air_valve, FlowMap()).rmse < 1.0
 
 
 def test_what_the_rig_never_did_is_not_invented(circuit):

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import plants
 from benchmarks.circumstances import eq7, ordinary
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Exponential
 from valvemap.model.inverse_map import invert
 from valvemap.model.model_structures import FiveTerms
@@ -24,7 +24,7 @@ def judged(estimator, valve, seeds):
 
 
 @pytest.mark.parametrize(
-    ("estimator", "valve"), [(RLS, eq7), (Auto(), ordinary)], ids=["RLS", "Auto"]
+    ("estimator", "valve"), [(RLS, eq7), (FlowMap(), ordinary)], ids=["RLS", "Auto"]
 )
 def test_the_true_flow_is_covered_whatever_the_sensors_are_off_by(estimator, valve):
     share, width = judged(estimator, valve, range(40 if estimator is RLS else 10))
@@ -35,7 +35,7 @@ def test_the_true_flow_is_covered_whatever_the_sensors_are_off_by(estimator, val
 @pytest.mark.soak
 @pytest.mark.parametrize(
     ("estimator", "valve"),
-    [(RLS, eq7), (Auto(), eq7), (Auto(), ordinary)],
+    [(RLS, eq7), (FlowMap(), eq7), (FlowMap(), ordinary)],
     ids=["RLS", "Auto on eq. (7)", "Auto"],
 )
 def test_of_200_plants_the_true_flow_is_covered_by_intervals_near_the_ideal(estimator, valve):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.plant import plant
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms, TensorSpline
@@ -70,7 +70,7 @@ def test_the_variance_falls_three_times_faster_by_suggested_points_than_by_rando
 
 @pytest.mark.parametrize(
     "estimator",
-    [RecursiveLeastSquares(forgetting=Adaptive()), MaximumLikelihood(), Auto(), RbfNetwork()],
+    [RecursiveLeastSquares(forgetting=Adaptive()), MaximumLikelihood(), FlowMap(), RbfNetwork()],
     ids=["RLS", "RML", "Auto", "RBF"],
 )
 def test_whoever_saw_a_low_U_alone_is_sent_to_a_high_one(estimator):
@@ -79,7 +79,7 @@ def test_whoever_saw_a_low_U_alone_is_sent_to_a_high_one(estimator):
 
 
 def test_before_any_sample_there_is_a_suggestion_and_nothing_is_known():
-    for estimator in (RecursiveLeastSquares(), MaximumLikelihood(), Auto(), RbfNetwork()):
+    for estimator in (RecursiveLeastSquares(), MaximumLikelihood(), FlowMap(), RbfNetwork()):
         found = survey(estimator, estimator.initial_state(), ResidualSpread.none(), 0)
         assert 0 <= found.suggested_U <= 100
         assert 0 < found.suggested_dp <= 200

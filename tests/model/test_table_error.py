@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap, LinearMapState
 from valvemap.model.lookup_table import lookup_table
@@ -25,7 +25,7 @@ ESTIMATORS = {
         TensorSpline((0, 30, 100), (0, 7, 15), (), 8.0, 91.0, at_rest="zero")
     ),
     "rising": Monotone(RecursiveLeastSquares(TensorSpline.uniform(6, 4))),
-    "auto": Auto(),
+    "auto": FlowMap(),
 }
 POINTS = 1_000_000
 N = 5000

@@ -12,7 +12,7 @@ from guarded_opcua import Limits, Role, UserStore
 from support.results import ESTIMATOR, INVERSE, results_of, results_settings
 from valvemap.errors import CommandRejected, SourceLost, SourceRejected
 from valvemap.model.inversion import Inversion
-from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
+from valvemap.opcua_client.results_client import Engineering, ResultsClient, SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.ports import (
     EstimatorDescription,
@@ -213,6 +213,17 @@ async def test_a_server_that_is_not_there_is_worth_another_try(client, unused_tc
 async def test_types_are_those_of_scalars_alone(client):
     ids = ["V1.RLS.Residual", "V1.RLS.Status", "V1.Diagnostics.Late", "V1.FrameNames", "V1.Nowhere"]
     assert await client.scalar_types(ids) == ["Double", "Int32", "UInt64", None, None]
+
+
+async def test_units_ranges_and_descriptions_are_those_of_the_nodes(client):
+    ids = ["V1.RLS.Residual", "V1.RLS.Status", "V1.Nowhere"]
+    residual, status, nowhere = await client.engineering(ids)
+    assert residual.unit == "l/min"
+    assert residual.range is not None
+    assert residual.range[0] == -residual.range[1]
+    assert all(one.description for one in (residual, status))
+    assert (status.unit, status.range) == ("", None)
+    assert nowhere == Engineering()
 
 
 async def test_several_nodes_are_browsed_together(client):

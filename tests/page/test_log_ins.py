@@ -219,3 +219,43 @@ async def test_commands_that_make_no_sense_do_nothing():
         assert (await visit.post("/command", **body)).status_code == 409
     ((_, service, rig),) = visit.plant.made
     assert (service.writes, service.calls, rig.calls) == ([], [], [])
+
+
+async def test_an_alarm_is_acknowledged_confirmed_and_commented_on_as_the_user():
+    visit = Visit()
+    await visit.log_in()
+    alarm = {"alarm": "Changed", "of": "V1", "comment": "seen"}
+    for step in ("Acknowledge", "Confirm"):
+        assert (await visit.post("/command", **alarm, do=step)).status_code == 200
+    assert (await visit.post("/command", **alarm, do="Comment", event="0aff")).status_code == 200
+    ((_, service, _),) = visit.plant.made
+    assert service.calls == [
+        ("V1.Alarms.Changed", "Acknowledge", (("seen",),)),
+        ("V1.Alarms.Changed", "Confirm", (("seen",),)),
+    ]
+    assert service.comments == [("V1.Alarms.Changed.Condition", b"\x0a\xff", "seen")]
+
+
+async def test_a_map_is_approved_or_rolled_back_as_the_user():
+    visit = Visit()
+    await visit.log_in()
+    for step in ("Approve", "RollBack"):
+        assert (await visit.post("/command", baseline="V1", do=step)).status_code == 200
+    ((_, service, _),) = visit.plant.made
+    assert service.calls == [("V1.Baseline", "Approve", ((),)), ("V1.Baseline", "RollBack", ((),))]
+
+
+async def test_no_other_method_is_called_by_an_alarm_or_a_map():
+    visit = Visit()
+    await visit.log_in()
+    alarm = {"alarm": "Changed", "of": "V1", "comment": ""}
+    for body in (
+        alarm | {"do": "Reset"},
+        alarm | {"do": "Acknowledge", "comment": "x" * 201},
+        alarm | {"do": "Acknowledge", "comment": "two\nlines"},
+        alarm | {"do": "Comment", "event": "not hexadecimal"},
+        {"baseline": "V1", "do": "ValveReplaced"},
+    ):
+        assert (await visit.post("/command", **body)).status_code == 409
+    ((_, service, _),) = visit.plant.made
+    assert (service.calls, service.comments) == ([], [])

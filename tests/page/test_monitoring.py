@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from support.shown_service import ShownService
+from support.shown_service import Alarm, ShownService
 from valvemap.clock import SystemClock
 from valvemap.page.settings import PageSettings
 from valvemap.page.web import Page
@@ -27,9 +27,11 @@ QUERIES = [
 async def figures():
     """Names of all that the page shows of a service with one valve."""
     shown = ShownService()
+    shown.alarms.append(Alarm())
     page = Page(shown, lambda *_: (shown, None), PageSettings(), SystemClock())
     await page.observer.client.connect()
     await page.observer._discover()
+    await page.observer._listen()
     await page.observer._look_around(page.viewers.wanted(page.observer.valves), thoroughly=True)
     page.observer.link = type(page.observer.link).UP
     await page.observer.look_at_figures()

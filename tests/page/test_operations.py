@@ -2,12 +2,13 @@
 
 import asyncio
 import math
+from importlib.metadata import version
 
 import httpx
 from asyncua import ua
 
 from support.readings import Read
-from support.shown_service import ShownService
+from support.shown_service import Alarm, ShownService
 from valvemap.clock import ManualClock, SystemClock
 from valvemap.opcua_results.information_model import service_variables
 from valvemap.page.figures import SERVICE, SUMMARY, Figures
@@ -52,6 +53,7 @@ async def test_however_often_figures_are_asked_for_the_service_is_asked_once_a_s
 
 async def test_alive_is_the_page_ready_is_the_service():
     shown = ShownService(up=False)
+    shown.alarms.append(Alarm())
     page = Page(shown, lambda *_: (shown, None), PageSettings(), SystemClock())
     looking = asyncio.create_task(page.observer.run())
     transport = httpx.ASGITransport(app=page.guard)
@@ -70,6 +72,9 @@ async def test_alive_is_the_page_ready_is_the_service():
     for line in (
         "valvemap_service_up 1.0",
         'valvemap_valve_severity{valve="V1"} 0.0',
+        'valvemap_alarm_severity{alarm="Changed",source="V1"} 600.0',
+        'valvemap_alarm_unacknowledged{alarm="Changed",source="V1"} 1.0',
+        f'valvemap_build_info{{version="{version("valvemap")}"}} 1.0',
         'valvemap_residual_rmse_litres_per_minute{valve="V1"} 0.2',
         'valvemap_diagnostics_total{valve="V1",what="Late"} 0.0',
         'valvemap_pending_samples{valve="V1"} 3.0',

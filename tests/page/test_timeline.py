@@ -52,3 +52,10 @@ def test_the_worst_that_there_is_to_say_is_said():
     assert judge(Standing(code=0x808C0000, status=3, silent_s=0.0)) is Reason.SENSOR_FAILURE
     assert judge(Standing(code=0x40000000, status=2, silent_s=0.0, adaptation=2)) is Reason.MISFIT
     assert judge(Standing(code=0x80310000, status=0, silent_s=9.0)) is Reason.NO_SAMPLES
+
+
+def test_an_alarm_makes_a_valve_worse_than_its_estimator_says():
+    failed = judge(Standing(code=0, status=0, silent_s=0.1, health=1))
+    assert (failed, failed.severity) == (Reason.FAULTY, Severity.ALARM)
+    assert judge(Standing(code=0, status=0, silent_s=0.1, health=4)).severity == Severity.WARNING
+    assert judge(Standing(code=0, status=0, silent_s=60.0, health=4)) is Reason.STALE

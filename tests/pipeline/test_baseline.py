@@ -62,6 +62,21 @@ def test_a_map_is_compared_with_the_approved_one(learnt):
         learnt.compare(VALVE, "Auto")
 
 
+def test_the_approved_map_answers_as_it_did_when_it_was_approved(learnt):
+    point = (50.0, 100.0, 40.0)
+    with pytest.raises(CommandRejected, match="no baseline"):
+        learnt.predict_approved(VALVE, "RLS", *point)
+    learnt.do(Command.of("approve", VALVE))
+    then = learnt.predict(VALVE, "RLS", *point)
+    assert learnt.predict_approved(VALVE, "RLS", *point) == then
+    learnt.do(Command.of("reset", VALVE, "RLS"))
+    learnt.take_samples(0, worn(plant(3000, seed=4, first=600)))
+    assert learnt.predict_approved(VALVE, "RLS", *point) == then
+    assert learnt.predict(VALVE, "RLS", *point) != then
+    learnt.do(Command.of("approve", VALVE))
+    assert learnt.predict_approved(VALVE, "RLS", *point) != then
+
+
 def test_going_back_is_to_the_last_bit(learnt):
     theta = {name: lane.state.to_bytes("k") for name, lane in learnt.state(0).lanes.items()}
     learnt.do(Command.of("approve", VALVE))

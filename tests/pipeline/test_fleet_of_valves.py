@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.plant import START, as_changes, plant
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import SlidingWindow
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Segments, Trace
@@ -26,7 +26,7 @@ STRICT = QualityGate({**QualityGate().limits, Signal.Q: SignalLimits(0.0, 60.0)}
 @pytest.fixture
 def plans(plan):
     """Two valves alike, between them one with another gate, then one with other estimators."""
-    window = {"RLS": RecursiveLeastSquares(forgetting=SlidingWindow(30)), "Auto": Auto()}
+    window = {"RLS": RecursiveLeastSquares(forgetting=SlidingWindow(30)), "Auto": FlowMap()}
     return [
         replace(plan, name="a"),
         replace(plan, name="b", gate=STRICT),
@@ -117,16 +117,16 @@ def behind_a_slow_meter(n=3_000):
 
 @pytest.mark.parametrize("piece", [3_000, 700, 13])
 def test_a_map_that_begins_anew_behind_a_lag_rests_on_nothing_before(plan, piece):
-    fleet = Fleet(replace(plan, estimators={"Auto": Auto()}, inverse="Auto"), 1)
+    fleet = Fleet(replace(plan, estimators={"Auto": FlowMap()}, inverse="Auto"), 1)
     samples = behind_a_slow_meter()
     for start in range(0, len(samples), piece):
         some = samples[start : start + piece]
         fleet.take(some, Segments.one(len(some)))
     lane = fleet.lane(0, "Auto")
     assert lane.estimator.lags(lane.state)[1] == pytest.approx(0.2, abs=0.02)
-    began = int(lane.estimator.began(lane.state))
-    assert began > 700
-    learnt, nothing = samples[began:], np.zeros(len(samples) - began)
+    since = int(lane.estimator.samples_since(lane.state))
+    assert 0 < since < 2_300
+    learnt, nothing = samples[len(samples) - since :], np.zeros(since)
     said = Trace(nothing, nothing, nothing, nothing.astype(np.uint8))
     rested_on = Support.none().add(learnt, said)
     assert np.array_equal(lane.support.cells, rested_on.cells)

@@ -5,7 +5,7 @@ import pytest
 
 from support.plant import as_changes, plant
 from valvemap.errors import CommandRejected
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
@@ -224,11 +224,13 @@ def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alon
     assert 0.2886 < published[1] < 2.0  # that of Q at least
 
 
-def test_samples_too_fast_for_a_meter_are_counted_where_everybody_sees(plan):
-    slow = replace(plan, estimators={"Auto": Auto(lag_U=0.0, lag_Q=0.3)}, inverse="Auto")
-    identification = Identification([slow], Alignment(AlignmentSettings(), optional=(("T",),)))
-    identification.take_samples(0, plant(500))  # U jumps from sample to sample
-    assert identification.counters(0)["too_fast_for_lag"] > 400
+def test_samples_beyond_a_meters_end_are_counted_where_everybody_sees(plan):
+    ending = replace(plan, estimators={"Auto": FlowMap()}, inverse="Auto")
+    identification = Identification([ending], Alignment(AlignmentSettings(), optional=(("T",),)))
+    samples = plant(4000)
+    samples.Q[:] = np.minimum(samples.Q, 50.0)
+    identification.take_samples(0, samples)
+    assert identification.counters(0)["censored"] > 100
 
 
 def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):

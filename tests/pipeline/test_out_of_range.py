@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from support.plant import as_changes, plant
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import SlidingWindow
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
@@ -35,7 +35,7 @@ def fresh():
         "window": RecursiveLeastSquares(forgetting=SlidingWindow(30)),
         "RML": MaximumLikelihood(),
         "RBF": RbfNetwork(),
-        "Auto": Auto(),
+        "Auto": FlowMap(),
     }
     plans = [ValvePlan(name, QualityGate(), estimators, "RLS") for name in ("a", "b")]
     align = Alignment(AlignmentSettings(), (("T",),) * TWO, (False,) * TWO)

@@ -7,7 +7,7 @@ import pytest
 
 from support.plant import as_changes, plant
 from valvemap.errors import CommandRejected
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline import call_journal
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
@@ -42,6 +42,7 @@ READ = {
     "descriptions",
     "predict",
     "predict_measurement",
+    "predict_approved",
     "invert",
     "required",
     "compare",
@@ -61,7 +62,7 @@ READ = {
 
 
 def valves(waits=None):
-    estimators = {"RLS": RecursiveLeastSquares(), "Auto": Auto()}
+    estimators = {"RLS": RecursiveLeastSquares(), "Auto": FlowMap()}
     plans = [ValvePlan(name, QualityGate(), estimators, "Auto") for name in ("V", "W")]
     align = Alignment(AlignmentSettings(), optional=(("T",),) * 2, has_sequence=(True,) * 2)
     return Identification(plans, align, waits=waits)

@@ -103,7 +103,7 @@ def test_its_configuration_is_checked_and_errors_name_field_and_kinds(tree):
     ).splitlines()
     assert of_step.startswith("wrong.toml: valves[0].estimators[0].mu = 3.0: ")
     assert of_field.endswith("estimators[0].muu: there is no such field; is mu meant?")
-    assert of_kind.endswith("kind is missing: allowed is one of LMS, RLS, RML, RBF, Auto, FlowMap")
+    assert of_kind.endswith("kind is missing: allowed is one of LMS, RLS, RML, RBF, Auto")
 
 
 def test_a_recording_is_replayed_and_its_model_saved_and_loaded(tree):

@@ -35,6 +35,7 @@ class Scripted:
     is_held: bool = False
     started: int = 0
     clock_offset_s: float = 0.0
+    remarks: dict = field(default_factory=dict)
     counters: SourceCounters = field(default_factory=SourceCounters)
     closed: bool = False
     checked: list = field(default_factory=list)

@@ -12,6 +12,7 @@ from valvemap.errors import ConfigurationError
 from valvemap.sparkplug.broker import PahoBroker
 from valvemap.sparkplug.edge_node import EdgeNode
 from valvemap.sparkplug.host import PrimaryHost
+from valvemap.sparkplug.metrics import Meaning
 from valvemap.sparkplug.outbox import Outbox
 from valvemap.sparkplug.reader import Reader
 from valvemap.sparkplug.schema import Payload
@@ -34,9 +35,9 @@ EVERY_S = 0.02
 class Whole:
     """Reader and sender, as `valvemap mqtt` has them."""
 
-    def __init__(self, variables, wanted, most, host=None):
+    def __init__(self, variables, wanted, most, host=None, meanings=None):
         clock = SystemClock()
-        self.broker, self.service = FakeBroker(), FakeService(variables)
+        self.broker, self.service = FakeBroker(), FakeService(variables, meanings)
         self.outbox = Outbox(most)
         self.shown = Shown(self.outbox, clock.now())
         pauses = lambda: repeat(0.01)  # noqa: E731
@@ -81,8 +82,8 @@ class Whole:
 
 
 @asynccontextmanager
-async def running(variables=VARIABLES, wanted=("*",), most=1_000, host=None):
-    whole = Whole(variables, wanted, most, host)
+async def running(variables=VARIABLES, wanted=("*",), most=1_000, host=None, meanings=None):
+    whole = Whole(variables, wanted, most, host, meanings)
     tasks = [asyncio.create_task(whole.reader.run()), asyncio.create_task(whole.sender.run())]
     try:
         yield whole
@@ -104,6 +105,24 @@ async def test_births_hold_every_scalar_and_no_table_and_no_condition():
         names = {m.name for m in whole.broker.metrics("NBIRTH")}
         assert {"bdSeq", "Node Control/Rebirth", "Service/Checkpoint/Age", "MQTT/Lost"} <= names
         assert not any("Condition" in id_ for id_ in whole.service.browsed)
+
+
+async def test_births_say_unit_range_and_description_and_data_do_not():
+    meanings = {RESIDUAL: Meaning("l/min", (-90.0, 90.0), "Q less its prediction.")}
+    async with running(meanings=meanings) as whole:
+        await whole.births(1)
+        whole.send(0.9)
+        await whole.knows(0.9)
+        await whole.until(whole.values)
+    born = [m for m in whole.broker.metrics("DBIRTH") if m.name == "RLS/Residual"][-1]
+    said = {
+        key: value.string_value or value.double_value
+        for key, value in zip(born.properties.keys, born.properties.values, strict=True)
+        if key not in {"Quality", "StatusCode"}
+    }
+    described = {"documentation": "Q less its prediction."}
+    assert said == {"engUnit": "l/min", "engLow": -90.0, "engHigh": 90.0} | described
+    assert all(list(m.properties.keys) == ["Quality"] for m in whole.broker.metrics("DDATA"))
 
 
 async def test_valves_that_come_while_the_service_runs_are_born(monkeypatch):

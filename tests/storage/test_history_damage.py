@@ -120,7 +120,7 @@ def test_with_any_byte_of_the_header_spoilt_it_starts_and_nothing_is_lost(kept, 
             assert missing(readable(store, held)) == store.lost == 0, place
         for other in path.parent.glob("*"):
             other.unlink()
-    path.write_bytes(changed(content, HIGH_OF_VERSION + 1, 1))
+    path.write_bytes(changed(content, HIGH_OF_VERSION + 1, 4))
     with pytest.raises(StorageError, match="newer valvemap"):
         HistoryFile(path)
 

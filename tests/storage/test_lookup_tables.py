@@ -12,7 +12,7 @@ import pytest
 
 from support.structured_text import FunctionBlock
 from valvemap.errors import ConfigurationError, StorageError
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap, LinearMapState
 from valvemap.model.lookup_table import LookupTable, lookup_table
@@ -28,7 +28,7 @@ ESTIMATORS = {
     "eq. (7)": RecursiveLeastSquares(),
     "spline": RecursiveLeastSquares(TensorSpline.uniform(6, 4)),
     "network": RbfNetwork(),
-    "auto": Auto(),
+    "auto": FlowMap(),
 }
 
 

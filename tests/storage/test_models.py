@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from valvemap.errors import StorageError
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap
@@ -32,7 +32,7 @@ ESTIMATORS = {
     "rising": Monotone(RecursiveLeastSquares(TensorSpline.uniform(4, 3))),
     "maximum likelihood": MaximumLikelihood(),
     "network": RbfNetwork(),
-    "auto": Auto(),
+    "auto": FlowMap(),
 }
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from support.readings import Node, Read
-from valvemap.errors import SourceLost, SourceRejected
+from valvemap.errors import CommandRejected, SourceLost, SourceRejected
 
 FRAME = (
     "Sequence",
@@ -24,6 +24,34 @@ FRAME = (
 SIGNALS = (40.0, 100.0, 60.0)
 
 
+@dataclass(frozen=True)
+class Alarm:
+    """Fulfils `valvemap.readings.ConditionChange`."""
+
+    source: str = "V1"
+    name: str = "Changed"
+    t: int = 1_800_000_000_000_000_000
+    text: str = "The flow changed by -4.1 l/min, since 2027-01-15 08:00:00 UTC."
+    severity: int = 600
+    active: bool = True
+    acked: bool = False
+    confirmed: bool = True
+    retain: bool = True
+    comment: str = ""
+    user: str = ""
+    event: bytes = b"1"
+
+
+@dataclass(frozen=True)
+class Course:
+    """Fulfils `valvemap.readings.Course`."""
+
+    code: int
+    times: list[int]
+    values: list[float]
+    codes: list[int]
+
+
 @dataclass
 class ShownService:
     """Fulfils `valvemap.page.ports.Client`."""
@@ -41,6 +69,12 @@ class ShownService:
     users: dict[str, str] = field(default_factory=dict)
     followed: tuple[str, ...] = ()
     may_follow: bool = True
+    may_listen: bool = True
+    alarms: list[Alarm] = field(default_factory=list)  # reported when asked for, and as they come
+    past: list[Alarm] | None = None
+    keeps_history: bool = True
+    history: list[tuple] = field(default_factory=list)  # what was asked for
+    comments: list[tuple] = field(default_factory=list)
 
     async def connect(self):
         self._check()
@@ -95,6 +129,10 @@ class ShownService:
         self.calls.append((owner, method, tuple(map(tuple, inputs))))
         if method == "Invert":
             return [(Q / 2, Q / 2 - 1, Q / 2 + 1, 0) for Q, _, _ in inputs]
+        if (owner.rpartition(".")[2], method) == ("Baseline", "Predict"):
+            return [(U * math.sqrt(dp) + 1.0, 0.5, 0) for _, U, dp, _ in inputs]
+        if method == "Compare":
+            return [(-1.0, -2.0, 50.0, 100.0, 30) for _ in inputs]
         if method != "Predict":
             return [() for _ in inputs]
         return [(U * math.sqrt(dp), 0.5, 6 if U > 90 else 0) for U, dp, _ in inputs]
@@ -102,6 +140,38 @@ class ShownService:
     async def write(self, id, value):  # noqa: A002
         self._check()
         self.writes.append((id, value))
+
+    async def listen(self, every_s):
+        self._check()
+        if not self.may_listen:
+            raise SourceRejected("no room")
+        self._reported = 0
+
+    def conditions(self):
+        self._check()
+        new, self._reported = self.alarms[self._reported :], len(self.alarms)
+        return new
+
+    async def comment(self, condition, event, text):
+        self._check()
+        self.comments.append((condition, event, text))
+
+    async def past_conditions(self, span, most):
+        self._check()
+        if self.past is None:
+            raise CommandRejected("keeps no past alarms")
+        found = [alarm for alarm in self.past if span[0] <= alarm.t < span[1]]
+        return sorted(found, key=lambda alarm: -alarm.t)[:most]
+
+    async def courses(self, asked, span, every_ns):
+        """A value of each interval: its number since 1970, modulo 100."""
+        self._check()
+        self.history.append((tuple(asked), span, every_ns))
+        if not self.keeps_history:
+            return [Course(0x8072_0000, [], [], []) for _ in asked]
+        times = list(range(span[0], span[1], every_ns))
+        values = [float(t // every_ns % 100) for t in times]
+        return [Course(0, times, values, [0] * len(times)) for _ in asked]
 
     def _check(self):
         if not self.up:

@@ -59,6 +59,7 @@ class FakeSource:
     started: int = 0
     clock_offset_s: float = 0.0
     states: tuple = ()
+    remarks: dict = field(default_factory=dict)
 
     async def connect(self):
         if self.connects:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from support import readings
 from valvemap.errors import SinkLost, SourceLost, SourceRejected
 from valvemap.sparkplug.edge_node import Message
+from valvemap.sparkplug.metrics import Meaning
 from valvemap.sparkplug.schema import Payload
 
 
@@ -99,8 +100,8 @@ class FakeService:
 
     url = "opc.tcp://fake:1/service/"
 
-    def __init__(self, variables):
-        self.variables = dict(variables)
+    def __init__(self, variables, meanings=None):
+        self.variables, self.meanings = dict(variables), meanings or {}
         self.up, self.has_room, self.lost = True, True, 0
         self.sent, self.watched, self.browsed = [], (), []
         self.version = "1"
@@ -128,6 +129,9 @@ class FakeService:
 
     async def scalar_types(self, ids):
         return [self.variables[id_][0] for id_ in ids]
+
+    async def engineering(self, ids):
+        return [self.meanings.get(id_, Meaning()) for id_ in ids]
 
     async def read(self, ids):
         self._check()

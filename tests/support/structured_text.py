@@ -86,7 +86,7 @@ class FunctionBlock:
             raise WrongProgram(f"{value!r} is no BOOL")
         return value
 
-    def _value(self, e):  # noqa: PLR0911 - a kind of expression each
+    def _value(self, e):  # noqa: C901, PLR0911 - a kind of expression each
         match e:
             case st.Integer():
                 return int(e.value)
@@ -108,6 +108,9 @@ class FunctionBlock:
             case st.FunctionCall() if str(e.name.name) == "LIMIT":
                 low, x, high = (self._value(p.value) for p in e.parameters)
                 return min(max(x, low), high)
+            case st.FunctionCall() if str(e.name.name) in _FUNCTIONS:
+                (x,) = (self._value(p.value) for p in e.parameters)
+                return _FUNCTIONS[str(e.name.name)](x)
             case _:
                 raise WrongProgram(f"{type(e).__name__} is not in the subset")
 
@@ -120,6 +123,7 @@ class FunctionBlock:
         return values[index]
 
 
+_FUNCTIONS = {"SQRT": math.sqrt, "ABS": abs}
 _LOGIC = {"AND": operator.and_, "OR": operator.or_}
 _SUMS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 _ORDERS = {"=": operator.eq, "<>": operator.ne, "<": operator.lt, "<=": operator.le}

@@ -6,7 +6,15 @@ import pytest
 from valvemap_rig.circuit import true_flow
 from valvemap_rig.condition import AS_NEW, Condition, condition
 from valvemap_rig.fault_words import fault_effect
-from valvemap_rig.faults import UNITS, ActiveFault, Fault, FaultError, FaultKind, commanded_fault
+from valvemap_rig.faults import (
+    UNITS,
+    VALVE_FAULTS,
+    ActiveFault,
+    Fault,
+    FaultError,
+    FaultKind,
+    commanded_fault,
+)
 from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench, verification_points
 from valvemap_rig.sensors import Sensors
 from valvemap_rig.simulation import Commands, advance, initial
@@ -43,10 +51,10 @@ def now(state):
 
 
 def test_every_kind_is_tried():
-    assert set(SIZES) == set(FaultKind)
+    assert set(SIZES) == set(VALVE_FAULTS)
 
 
-@pytest.mark.parametrize("kind", FaultKind)
+@pytest.mark.parametrize("kind", VALVE_FAULTS)
 def test_the_truth_is_what_the_meter_counts_without_noise(kind):
     state, block = injured(kind)
     valve, worn = block.valves["Valvistor"], now(state)
@@ -84,7 +92,7 @@ def test_damage_and_wear_multiply_and_gaps_add_up():
     assert condition(faults, 5, RATE) == pytest.approx(Condition(0.99, 0.5, 0.0))
 
 
-@pytest.mark.parametrize("kind", FaultKind)
+@pytest.mark.parametrize("kind", VALVE_FAULTS)
 def test_every_fault_says_what_it_does_and_for_how_long(kind):
     said = fault_effect(commanded_fault(kind, SIZES[kind], 7.0), BENCH, Sensors())
     assert "7 s" in said
@@ -104,7 +112,7 @@ def test_a_size_that_noise_hides_is_said_to_be_so():
     )
 
 
-@pytest.mark.parametrize("kind", FaultKind)
+@pytest.mark.parametrize("kind", VALVE_FAULTS)
 def test_a_size_that_does_nothing_is_refused_with_its_unit(kind):
     if not UNITS[kind]:
         assert commanded_fault(kind, 0.0, 0.0).size == 0.0

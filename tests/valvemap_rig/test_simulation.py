@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valvemap_rig.faults import Fault, FaultKind
+from valvemap_rig.faults import VALVE_FAULTS, Fault, FaultKind
 from valvemap_rig.scenario import BUILTIN, Scenario, ScenarioError, ValveBench
 from valvemap_rig.sensors import Sensor, Sensors
 from valvemap_rig.simulation import Commands, advance, initial, is_over
@@ -18,7 +18,7 @@ EVERYTHING = Scenario(
     sensors=Sensors(Q=Sensor(noise=0.4, quantum=0.01, lag_s=0.05, offset=0.1)),
     faults=tuple(
         Fault(kind=kind, start_s=0.05 * (k + 1), duration_s=0.3, size=0.7)
-        for k, kind in enumerate(FaultKind)
+        for k, kind in enumerate(VALVE_FAULTS)
     ),
     excitation=BUILTIN["scattered"].excitation,
 )
@@ -44,6 +44,12 @@ def same(whole, parts):
             present = np.concatenate([other.present[signal] for other in others])
             assert np.array_equal(valve.status[signal], status)
             assert np.array_equal(valve.present[signal], present)
+    for name, machine in whole.machines.items():
+        others = [part.machines[name] for part in parts]
+        for column in ("shown", "truth", "status", "present"):
+            for signal, values in getattr(machine, column).items():
+                cut = np.concatenate([getattr(other, column)[signal] for other in others])
+                assert values.tobytes() == cut.tobytes(), (name, column, signal)
 
 
 @settings(max_examples=15, deadline=None)

@@ -6,12 +6,13 @@ from valvemap.page.judgement import INVERSE_SEVERITIES, Reason, Standing, judge
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import (
     Adaptation,
+    AxisStatus,
     FeedForwardStatus,
     InverseStatus,
     Status,
 )
 
-PUBLISHED = [Status, Adaptation, InverseStatus, FeedForwardStatus, FindingCode, Reason]
+PUBLISHED = [AxisStatus, Status, Adaptation, InverseStatus, FeedForwardStatus, FindingCode, Reason]
 
 
 @pytest.mark.parametrize("statuses", PUBLISHED)

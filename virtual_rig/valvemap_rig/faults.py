@@ -15,16 +15,22 @@ bad_quality         share of samples, 0 … 1               status BadSensorFail
 uncertain_quality   share of samples, 0 … 1               status UncertainSensorNotAccurate
 drop_out            share of samples, 0 … 1               the sample is not sent
 clock_step          s                                     source timestamps are off by size
+leakage             times the machine's leakage           at once, as all that follow
+air                 % of the volume                       free air at atmospheric pressure
+supply              % of the supply pressure              the pump's set pressure
+friction            % of the friction                     of the cylinder
+load                % of the load                         on the cylinder
 ==================  ====================================  ========================================
 
-A sensor fault affects one signal, by default ``Q``; bad_quality, uncertain_quality and drop_out
-affect all signals by default.
+The last five are of machines alone; their ``wear`` and ``damage`` may name an ``edge``. A sensor
+fault affects one signal, by default ``Q`` (of a machine: flows or position); bad_quality,
+uncertain_quality and drop_out affect all signals by default.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Final, Literal, NamedTuple, Self
+from typing import Final, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +42,10 @@ from valvemap_rig.randomness import uniform
 
 Signal = Literal["U", "p1", "p2", "Q", "T"]
 SIGNALS: tuple[Signal, ...] = ("U", "p1", "p2", "Q", "T")
+MachineSignal = Literal["U", "pP", "pS", "pT", "pA", "pB", "QA", "QB", "x", "T"]
+MACHINE_SIGNALS: tuple[MachineSignal, ...] = get_args(MachineSignal)
+EdgeName = Literal["PA", "AT", "PB", "BT"]
+EDGES: tuple[EdgeName, ...] = ("PA", "AT", "PB", "BT")
 
 GOOD = 0x00000000
 BAD_SENSOR_FAILURE = 0x808C0000  # OPC UA Part 8, table of status codes
@@ -59,6 +69,11 @@ class FaultKind(StrEnum):
     UNCERTAIN_QUALITY = "uncertain_quality"
     DROP_OUT = "drop_out"
     CLOCK_STEP = "clock_step"
+    LEAKAGE = "leakage"
+    AIR = "air"
+    SUPPLY = "supply"
+    FRICTION = "friction"
+    LOAD = "load"
 
 
 _SHARE = (0.0, 1.0)
@@ -75,6 +90,11 @@ _SIZES: dict[FaultKind, tuple[float, float]] = {
     FaultKind.UNCERTAIN_QUALITY: _SHARE,
     FaultKind.DROP_OUT: _SHARE,
     FaultKind.CLOCK_STEP: (-86_400.0, 86_400.0),
+    FaultKind.LEAKAGE: (-1.0, 50.0),
+    FaultKind.AIR: (0.0, 20.0),
+    FaultKind.SUPPLY: (-90.0, 50.0),
+    FaultKind.FRICTION: (-90.0, 900.0),
+    FaultKind.LOAD: (-90.0, 900.0),
 }
 UNITS: Final[Mapping[FaultKind, str]] = MappingProxyType(
     {
@@ -90,6 +110,11 @@ UNITS: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.UNCERTAIN_QUALITY: "as a share of the samples",
         FaultKind.DROP_OUT: "as a share of the samples",
         FaultKind.CLOCK_STEP: "s",
+        FaultKind.LEAKAGE: "times the leakage, more",
+        FaultKind.AIR: "% of free air, more",
+        FaultKind.SUPPLY: "% of the supply pressure",
+        FaultKind.FRICTION: "% of the friction",
+        FaultKind.LOAD: "% of the load",
     }
 )
 """Units of the sizes; "" if not used."""
@@ -109,6 +134,19 @@ _OF_ALL_SIGNALS = frozenset(
     {FaultKind.BAD_QUALITY, FaultKind.UNCERTAIN_QUALITY, FaultKind.DROP_OUT}
 )
 _LASTING = frozenset({FaultKind.WEAR, FaultKind.TEMPERATURE_RAMP})
+_OF_EDGES = frozenset({FaultKind.WEAR, FaultKind.DAMAGE})
+_OF_MACHINES = frozenset(
+    {
+        FaultKind.LEAKAGE,
+        FaultKind.AIR,
+        FaultKind.SUPPLY,
+        FaultKind.FRICTION,
+        FaultKind.LOAD,
+    }
+)
+VALVE_FAULTS: Final = tuple(kind for kind in FaultKind if kind not in _OF_MACHINES)
+MACHINE_FAULTS: Final = tuple(kind for kind in FaultKind if kind is not FaultKind.EDGE)
+_METERS: Final = frozenset({"Q", "QA", "QB", "x"})  # what a sensor fault concerns by default
 
 
 class Fault(Parameters):
@@ -118,7 +156,10 @@ class Fault(Parameters):
     start_s: float = Field(default=0.0, ge=0, le=1e9, description="simulated time of its start")
     size: float = 1.0
     duration_s: float = Field(default=0.0, ge=0, le=1e9, description="0 = for good")
-    signal: Signal | None = Field(default=None, description="of which sensor; see the module")
+    signal: Signal | MachineSignal | None = Field(
+        default=None, description="of which sensor; see the module"
+    )
+    edge: EdgeName | None = Field(default=None, description="of which edge; all if not given")
     valve: str | None = Field(default=None, description="of which valve; all if not given")
 
     @model_validator(mode="after")
@@ -133,11 +174,19 @@ class Fault(Parameters):
             raise ValueError(f"size of {self.kind} is 0 {unit}: nothing would happen")
         if self.signal is not None and self.kind not in _OF_SENSORS:
             raise ValueError(f"{self.kind} is not of a sensor; leave out signal")
+        if self.edge is not None and self.kind not in _OF_EDGES:
+            raise ValueError(f"{self.kind} is not of an edge; leave out edge")
         return self
 
+    def affects(self, signal: str) -> bool:
+        """Return whether this fault concerns a signal's sensor."""
+        if self.signal is not None:
+            return signal == self.signal
+        return self.kind in _OF_ALL_SIGNALS or (self.kind in _OF_SENSORS and signal in _METERS)
+
     @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The affected signals."""
+    def signals(self) -> tuple[Signal | MachineSignal, ...]:
+        """The affected signals of a valve with one edge."""
         if self.signal is not None:
             return (self.signal,)
         if self.kind in _OF_ALL_SIGNALS:
@@ -145,7 +194,7 @@ class Fault(Parameters):
         return ("Q",) if self.kind in _OF_SENSORS else ()
 
 
-def described_sizes() -> str:
+def described_sizes(kinds: Sequence[FaultKind] = VALVE_FAULTS) -> str:
     """Return the meaning and limits of the size of each kind, in one text.
 
     >>> described_sizes()[:46]
@@ -153,7 +202,7 @@ def described_sizes() -> str:
     """
     return "; ".join(
         f"{kind}: {UNITS[kind]}, {low:g} … {high:g}" if UNITS[kind] else f"{kind}: not used"
-        for kind, (low, high) in _SIZES.items()
+        for kind, (low, high) in ((kind, _SIZES[kind]) for kind in kinds)
     )
 
 
@@ -161,8 +210,32 @@ class FaultError(ValueError):
     """A commanded fault is invalid; the message names the allowed values."""
 
 
-def commanded_fault(kind: str, size: float, duration_s: float) -> Fault:
-    """Return the fault of an operator's command; ``kind`` may name the signal: ``"offset.p1"``.
+class Faultable(NamedTuple):
+    """The faults of a kind of plant: kinds, signals of its sensors, edges."""
+
+    kinds: tuple[FaultKind, ...] = VALVE_FAULTS
+    signals: tuple[str, ...] = SIGNALS
+    edges: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The allowed values of a command's ``kind``."""
+        dotted = [f".{signal}" for signal in self.signals]
+        which = f"{', '.join(dotted[:-1])} or {dotted[-1]}"
+        text = f"{', '.join(self.kinds)}, with {which} behind that of a sensor"
+        if self.edges:
+            text += f", and {', '.join(f'.{edge}' for edge in self.edges)} behind damage or wear"
+        return text
+
+
+OF_A_VALVE: Final = Faultable()
+"""The faults of a valve with one edge."""
+
+
+def commanded_fault(kind: str, size: float, duration_s: float, of: Faultable = OF_A_VALVE) -> Fault:
+    """Return the fault of an operator's command.
+
+    ``kind`` may name the signal, ``"offset.p1"``, or the edge, ``"damage.PA"``.
 
     Raises
     ------
@@ -179,13 +252,12 @@ def commanded_fault(kind: str, size: float, duration_s: float) -> Fault:
 temperature_ramp, frozen, spikes, offset, bad_quality, uncertain_quality, drop_out, clock_step, \
 with .U, .p1, .p2, .Q or .T behind that of a sensor
     """
-    name, dot, signal = kind.partition(".")
-    if name not in set(FaultKind) or (dot and signal not in SIGNALS):
-        raise FaultError(
-            f"kind {kind!r}: allowed are {', '.join(FaultKind)}, "
-            "with .U, .p1, .p2, .Q or .T behind that of a sensor"
-        )
-    values = {"kind": name, "size": size, "duration_s": duration_s, "signal": signal or None}
+    name, dot, part = kind.partition(".")
+    if name not in of.kinds or (dot and part not in {*of.signals, *of.edges}):
+        raise FaultError(f"kind {kind!r}: allowed are {of.sentence}")
+    values = {"kind": name, "size": size, "duration_s": duration_s}
+    if part:
+        values["edge" if part in of.edges else "signal"] = part
     try:
         return Fault.model_validate(values)
     except ValidationError as error:
@@ -209,18 +281,31 @@ def still_felt(faults: Faults, index: int, rate: float) -> Faults:
     return tuple(active for active in faults if not _is_over(active, index, rate))
 
 
-def edge_factor(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
-    """Return the main edge's flow relative to the new valve, (N,): wear and damage multiply.
+def edge_factor(
+    faults: Faults, index: NDArray[np.int64], rate: float, edge: EdgeName | None = None
+) -> Floats:
+    """Return an edge's flow relative to the new valve, (N,): wear and damage multiply.
 
     The product is limited, so that a part of the edge and of the poppet always remains.
     """
     factor = np.ones(index.shape)
     for active in faults:
+        if active.fault.edge not in (None, edge):
+            continue
         if active.fault.kind is FaultKind.WEAR:
             factor = factor * (1 + 0.01 * active.fault.size * _progress(active, index, rate))
         elif active.fault.kind is FaultKind.DAMAGE:
             factor = factor * (1 + 0.01 * active.fault.size * _is_on(active, index, rate))
     return np.clip(factor, 0.01, 10.0)
+
+
+def total_size(faults: Faults, kind: FaultKind, index: NDArray[np.int64], rate: float) -> Floats:
+    """Return the sum of the sizes of all faults of one kind that are on, (N,)."""
+    total = np.zeros(index.shape)
+    for active in faults:
+        if active.fault.kind is kind:
+            total = total + active.fault.size * _is_on(active, index, rate)
+    return total
 
 
 def worn_gap(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
@@ -261,7 +346,7 @@ class SensorFaults(NamedTuple):
 
 
 def sensor_faults(
-    faults: Faults, signal: Signal, index: NDArray[np.int64], rate: float, seed: int, valve: str
+    faults: Faults, signal: str, index: NDArray[np.int64], rate: float, seed: int, valve: str
 ) -> SensorFaults:
     """Return the effects of the faults on one signal."""
     added, lag_s = np.zeros((2, *index.shape))
@@ -271,7 +356,7 @@ def sensor_faults(
     present = np.ones(index.shape, dtype=np.bool_)
     for active in faults:
         fault = active.fault
-        if signal not in fault.signals or index.size == 0:
+        if not fault.affects(signal) or index.size == 0:
             continue
         on = _is_on(active, index, rate)
         if not on.any():

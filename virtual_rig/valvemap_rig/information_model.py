@@ -1,8 +1,8 @@
 """The nodes of the rig, and the publication of a block of samples."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from asyncua import ua
@@ -23,9 +23,11 @@ from guarded_opcua import (
 )
 from valvemap_rig.circuit import largest_drop
 from valvemap_rig.command import STANDSTILL_S
-from valvemap_rig.faults import SIGNALS, FaultKind, described_sizes
+from valvemap_rig.faults import described_sizes
 from valvemap_rig.kernels import Floats
-from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench
+from valvemap_rig.machine import Machine
+from valvemap_rig.machine_simulation import MachineBlock
+from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench, faultable
 from valvemap_rig.simulation import RigBlock, ValveBlock
 
 GOOD = 0
@@ -39,6 +41,7 @@ InjectFault = Callable[[str, str, float, float], str | None]
 CommandU = Callable[[str, float], None]
 Heartbeat = Callable[[str, int], None]
 _Place = HardenedServer | Declarations
+_Unit = TypeVar("_Unit", ValveBlock, MachineBlock)
 Signals = tuple[list[Variable], Variable]  # U, p1, p2, Q, T; sequence
 Updates = list[tuple[Variable, object, int, int]]
 
@@ -97,16 +100,35 @@ class RigNodes(FleetNodes):
     of_valves: Sequence[Signals]
 
 
+_UNITS: Final = {
+    "%": Unit.PERCENT,
+    "bar": Unit.BAR,
+    "l/min": Unit.LITRE_PER_MINUTE,
+    "°C": Unit.DEGREE_CELSIUS,
+    "mm": Unit.MILLIMETRE,
+    "mm/s": Unit.MILLIMETRE_PER_SECOND,
+}
+
 NOTHING = RigBlock(np.empty(0, np.uint32), np.empty(0, np.int64), {})
+
+
+def playable(scenario: Scenario) -> Mapping[str, Scenario]:
+    """Return the scenarios of a rig: its own, and the built-in ones for what stands on it."""
+    fitting = {
+        name: built_in
+        for name, built_in in BUILTIN.items()
+        if bool(built_in.valves) == bool(scenario.valves)
+    }
+    return {**fitting, scenario.name: scenario} if scenario.valves else {scenario.name: scenario}
 
 
 async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) -> RigNodes:
     """Add all nodes of the rig below Objects/TestRig."""
-    kind = _add_valve_type(server, scenario)
+    kind = _add_valve_type(server, scenario) if scenario.valves else None
     rig = await add_object(server, None, "TestRig", description="Test rig with proportional valves")
     await _add_methods(server, rig, scenario, actions)
     text = ua.VariantType.String
-    names = [*dict.fromkeys((scenario.name, *BUILTIN))]
+    names = [*playable(scenario)]
     await add_variable(
         server,
         rig,
@@ -125,6 +147,10 @@ async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) 
         words = "Proportional valve on its bench"
         valve = await add_object(server, rig, bench.name, description=words, type_definition=kind)
         valves.append(await _add_valves_own(server, valve, bench, actions))
+    for machine in scenario.machines:
+        words = "4/3 valve with its cylinder"
+        place = await add_object(server, rig, machine.name, description=words)
+        valves.append(await _add_machines_own(server, place, machine, actions))
     return RigNodes(status, *_blocks(server, valves), scenario=running, of_valves=valves)
 
 
@@ -145,8 +171,8 @@ async def add_fleet(server: HardenedServer, scenario: Scenario, names: Sequence[
 class Columns:
     """A block of n samples, in the layout of the server's blocks.
 
-    ``values``, ``times``, ``codes`` and ``present`` have a column for each signal of each valve,
-    ``sequences`` and ``t`` one for each valve. The signals of a sample share their timestamp.
+    ``values``, ``times``, ``codes`` and ``present`` have a column for each signal of each valve and
+    machine, ``sequences`` and ``t`` one for each. The signals of a sample share their timestamp.
     """
 
     values: Floats
@@ -159,15 +185,16 @@ class Columns:
 
 def columns_of(block: RigBlock, sequence_offset: int) -> Columns:
     """Convert a whole block to columns, of which single rows can be published."""
-    valves = list(block.valves.values())
-    t = np.stack([valve.t for valve in valves], axis=1)
+    units: list[ValveBlock | MachineBlock] = [*block.valves.values(), *block.machines.values()]
+    t = np.stack([unit.t for unit in units], axis=1)
     sequence = (block.sequence.astype(np.int64) + sequence_offset) % 2**32
+    every = [(unit, signal) for unit in units for signal in unit.status]
     return Columns(
-        values=_columns([getattr(valve, signal) for valve in valves for signal in SIGNALS]),
-        times=np.repeat(t, len(SIGNALS), axis=1),
-        codes=_columns([valve.status[signal] for valve in valves for signal in SIGNALS]),
-        present=_columns([valve.present[signal] for valve in valves for signal in SIGNALS]),
-        sequences=np.repeat(sequence[:, None], len(valves), axis=1),
+        values=_columns([unit.column(signal) for unit, signal in every]),
+        times=_columns([unit.t for unit, _ in every]),
+        codes=_columns([unit.quality(signal)[0] for unit, signal in every]),
+        present=_columns([unit.quality(signal)[1] for unit, signal in every]),
+        sequences=np.repeat(sequence[:, None], len(units), axis=1),
         t=t,
     )
 
@@ -202,16 +229,12 @@ def part(block: RigBlock, start: int, stop: int) -> RigBlock:
     if start == 0 and stop == len(block):
         return block
     chosen = slice(start, stop)
-    valves = {
-        name: ValveBlock(
-            **{
-                field.name: _cut(getattr(samples, field.name), chosen)
-                for field in fields(ValveBlock)
-            }
-        )
-        for name, samples in block.valves.items()
-    }
-    return RigBlock(block.sequence[chosen], block.t[chosen], valves)
+    return RigBlock(
+        block.sequence[chosen],
+        block.t[chosen],
+        {name: _cut_unit(valve, chosen) for name, valve in block.valves.items()},
+        {name: _cut_unit(machine, chosen) for name, machine in block.machines.items()},
+    )
 
 
 def _blocks(server: HardenedServer, valves: Sequence[Signals]) -> tuple[Block, Block]:
@@ -223,6 +246,11 @@ def _blocks(server: HardenedServer, valves: Sequence[Signals]) -> tuple[Block, B
 
 def _columns(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return np.stack(arrays, axis=1)
+
+
+def _cut_unit(unit: _Unit, chosen: slice) -> _Unit:
+    columns = {field.name: _cut(getattr(unit, field.name), chosen) for field in fields(unit)}
+    return replace(unit, **columns)
 
 
 def _cut(column: Any, chosen: slice) -> Any:  # noqa: ANN401 - an array, or arrays by signal
@@ -281,7 +309,7 @@ async def _add_status(server: HardenedServer, rig: ua.NodeId, scenario: Scenario
 async def _add_methods(
     server: HardenedServer, rig: ua.NodeId, scenario: Scenario, actions: Actions
 ) -> None:
-    names = ", ".join(dict.fromkeys((scenario.name, *BUILTIN)))
+    names = ", ".join(playable(scenario))
     await add_method(
         server,
         rig,
@@ -325,7 +353,7 @@ async def _add_valves_own(
     server: _Place, valve: ua.NodeId, bench: ValveBench, actions: Actions
 ) -> Signals:
     """Add the components of a valve, or the declarations of its type."""
-    prefix, name, circuit = valve.Identifier, bench.name, bench.circuit
+    prefix, circuit = valve.Identifier, bench.circuit
     reach = largest_drop(bench, _REACHABLE_U)
     for last, values, unit, high, description in (
         ("ReachableU", _REACHABLE_U, Unit.PERCENT, 100.0, "Control signals of ReachableDp"),
@@ -347,21 +375,53 @@ async def _add_valves_own(
             dimensions=(len(values),),
             description=description,
         )
+    await _add_commands(server, valve, bench, actions)
+    return await _add_signals(server, valve, bench)
+
+
+async def _add_machines_own(
+    server: HardenedServer, place: ua.NodeId, machine: Machine, actions: Actions
+) -> Signals:
+    """Add the components of a machine."""
+    await _add_commands(server, place, machine, actions)
+    signals = [
+        await add_variable(
+            server,
+            place,
+            f"{machine.name}.{row.name}",
+            None,
+            unit=_UNITS[row.unit],
+            value_range=_with_margin(row.low, row.high),
+            instrument_range=_with_margin(row.low, row.high),
+            description=row.meaning,
+        )
+        for row in machine.rows
+    ]
+    return signals, await _add_sequence(server, place)
+
+
+async def _add_commands(
+    server: _Place, place: ua.NodeId, unit: ValveBench | Machine, actions: Actions
+) -> None:
+    """Add what operators write and call."""
+    prefix, name, of = place.Identifier, unit.name, faultable(unit)
+    low, words = -100.0, "Control signal from outside; taken by a controller with lead 'external'"
+    if isinstance(unit, ValveBench):
+        low, words = 0.0, "Control signal from outside; taken by the scenario 'external'"
     await add_method(
         server,
-        valve,
+        place,
         f"{prefix}.InjectFault",
         lambda kind, size, duration: actions.inject_fault(name, kind, size, duration),
         inputs=[
             Argument(
                 "kind",
-                f"One of: {', '.join(FaultKind)}; with .U, .p1, .p2, .Q or .T behind that of a "
-                "sensor",
+                f"One of: {of.sentence}",
                 type=ua.VariantType.String,
             ),
             Argument(
                 "size",
-                described_sizes(),
+                described_sizes(of.kinds),
             ),
             Argument(
                 "duration",
@@ -382,18 +442,18 @@ async def _add_valves_own(
     )
     await add_variable(
         server,
-        valve,
+        place,
         f"{prefix}.UCommand",
         0.0,
         unit=Unit.PERCENT,
-        value_range=(0.0, 100.0),
+        value_range=(low, 100.0),
         writable_by=Role.OPERATOR,
         on_write=lambda U: actions.command_U(name, U),
-        description="Control signal from outside; taken by the scenario 'external'",
+        description=words,
     )
     await add_variable(
         server,
-        valve,
+        place,
         f"{prefix}.Heartbeat",
         0,
         type=ua.VariantType.UInt32,
@@ -402,7 +462,12 @@ async def _add_valves_own(
         description="Counts while somebody stands behind UCommand; when it stands still for "
         f"{STANDSTILL_S:g} s or goes back to 0, U is the rig's own again; 0 = UCommand by hand",
     )
-    return await _add_signals(server, valve, bench)
+
+
+def _with_margin(low: float, high: float) -> tuple[float, float]:
+    """Return a range that noise around its ends does not leave."""
+    margin = 0.05 * (high - low)
+    return low - margin, high + margin
 
 
 async def _add_signals(server: _Place, valve: ua.NodeId, bench: ValveBench) -> Signals:
@@ -426,12 +491,15 @@ async def _add_signals(server: _Place, valve: ua.NodeId, bench: ValveBench) -> S
             ("Temperature", Unit.DEGREE_CELSIUS, 100.0, "Oil temperature"),
         )
     ]
-    sequence = await add_variable(
+    return signals, await _add_sequence(server, valve)
+
+
+async def _add_sequence(server: _Place, place: ua.NodeId) -> Variable:
+    return await add_variable(
         server,
-        valve,
-        f"{valve.Identifier}.Sequence",
+        place,
+        f"{place.Identifier}.Sequence",
         None,
         type=ua.VariantType.UInt32,
         description="Number of the sample, modulo 2^32; a jump is a loss",
     )
-    return signals, sequence

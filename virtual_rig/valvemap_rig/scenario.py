@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from valvemap_rig.circuit import Bench, reachable, tank_temperature, true_flow
 from valvemap_rig.condition import AS_NEW, Condition
+from valvemap_rig.directional import DirectionalValve
 from valvemap_rig.excitation import (
     Cycle,
     Excitation,
@@ -20,8 +21,9 @@ from valvemap_rig.excitation import (
     Verification,
     low_discrepancy_points,
 )
-from valvemap_rig.faults import Fault, FaultKind
+from valvemap_rig.faults import EDGES, MACHINE_FAULTS, OF_A_VALVE, Fault, Faultable, FaultKind
 from valvemap_rig.kernels import Floats
+from valvemap_rig.machine import Machine
 from valvemap_rig.parameters import Parameters
 from valvemap_rig.sensors import Sensors
 
@@ -62,14 +64,21 @@ class Scenario(Parameters):
         "0 = none can be asked for",
     )
     excitation: Excitation = Structured()
-    valves: tuple[ValveBench, ...] = Field(default=(ValveBench(),), min_length=1, max_length=100)
+    valves: tuple[ValveBench, ...] = Field(
+        default=(ValveBench(),), max_length=100, description="none: only machines"
+    )
+    machines: tuple[Machine, ...] = Field(default=(), max_length=20)
     fleet: Fleet | None = None
     sensors: Sensors = Sensors()
     faults: tuple[Fault, ...] = Field(default=(), max_length=100)
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
-        names = [valve.name for valve in self.valves]
+        names = [unit.name for unit in self.units]
+        if not names:
+            raise ValueError("valves: there is neither a valve nor a machine")
+        if self.fleet is not None and not self.valves:
+            raise ValueError("fleet: it plays the first valve's recording, and there is no valve")
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise ValueError(f"valves: name {min(twice)!r} is given twice")
@@ -78,12 +87,39 @@ class Scenario(Parameters):
                 raise ValueError(
                     f"faults: valve {fault.valve!r} is not there; allowed are {', '.join(names)}"
                 )
+            for unit in self.units:
+                if fault.valve in (None, unit.name):
+                    self._must_fit(fault, unit)
         return self
+
+    def _must_fit(self, fault: Fault, unit: "ValveBench | Machine") -> None:
+        of = faultable(unit)
+        if fault.kind not in of.kinds:
+            allowed = ", ".join(of.kinds)
+            raise ValueError(f"faults: {unit.name} knows no {fault.kind}; allowed are {allowed}")
+        if fault.edge is not None and fault.edge not in of.edges:
+            raise ValueError(f"faults: {unit.name} has no edge {fault.edge}; leave out edge")
+        if fault.signal is not None and fault.signal not in of.signals:
+            allowed = ", ".join(of.signals)
+            raise ValueError(f"faults: {unit.name} has no {fault.signal}; allowed are {allowed}")
+
+    @property
+    def units(self) -> tuple[ValveBench | Machine, ...]:
+        """Valves, then machines."""
+        return (*self.valves, *self.machines)
 
     @property
     def samples(self) -> int | None:
         """Number of samples, None if endless."""
         return round(self.duration_s * self.sample_rate_hz) or None
+
+
+def faultable(unit: ValveBench | Machine) -> Faultable:
+    """Return the faults that a valve or a machine can have."""
+    if isinstance(unit, ValveBench):
+        return OF_A_VALVE
+    sensed = tuple(row.name for row in unit.rows if row.sensor is not None)
+    return Faultable(MACHINE_FAULTS, sensed, EDGES)
 
 
 BUILTIN: Mapping[str, Scenario] = MappingProxyType(
@@ -130,6 +166,24 @@ BUILTIN: Mapping[str, Scenario] = MappingProxyType(
                     Fault(kind=FaultKind.TEMPERATURE_RAMP, start_s=75, size=20, duration_s=2),
                 ),
             ),
+            Scenario(
+                name="directional",
+                description="A 4/3 valve on a cylinder, a meter in each line; machine work.",
+                valves=(),
+                machines=(Machine(),),
+            ),
+            Scenario(
+                name="axis",
+                description="A 4/3 valve on a cylinder, position and pressures; machine work.",
+                valves=(),
+                machines=(
+                    Machine(
+                        name="Axis",
+                        measures="position",
+                        valve=DirectionalValve(leakage_l_min_bar=0.0),
+                    ),
+                ),
+            ),
         )
     }
 )
@@ -150,7 +204,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     >>> load_scenario("circus")
     Traceback (most recent call last):
     valvemap_rig.scenario.ScenarioError: circus: no such file, nor built in: demo, structured, \
-scattered, verification, cycle, external, feedforward
+scattered, verification, cycle, external, feedforward, directional, axis
     """
     if str(name_or_path) in BUILTIN:
         return BUILTIN[str(name_or_path)]
@@ -200,8 +254,9 @@ def verification_points(
     True
     """
     benches = {bench.name: bench for bench in scenario.valves}
-    if valve is not None and valve not in benches:
-        raise ScenarioError(f"{valve}: no such valve; allowed are {', '.join(benches)}")
+    if not benches or (valve is not None and valve not in benches):
+        allowed = f"allowed are {', '.join(benches)}" if benches else "there are only machines"
+        raise ScenarioError(f"{valve or scenario.name}: no such valve; {allowed}")
     bench = scenario.valves[0] if valve is None else benches[valve]
     U, dp = low_discrepancy_points(np.arange(n), bench.circuit.p0_bar)
     T = tank_temperature(bench.circuit, np.zeros(n))

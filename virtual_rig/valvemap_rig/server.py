@@ -29,9 +29,10 @@ from valvemap_rig.information_model import (
     add_rig,
     columns_of,
     part,
+    playable,
     publish,
 )
-from valvemap_rig.scenario import BUILTIN, Scenario
+from valvemap_rig.scenario import Scenario, faultable
 from valvemap_rig.simulation import (
     MOST_FAULTS,
     Commands,
@@ -83,7 +84,8 @@ class RigServer(Startable):
         self._samples = 0
         self._late_ticks = 0
         self._report_due = 0.0
-        self._commands = {bench.name: Command() for bench in scenario.valves}
+        self._commands = {unit.name: Command() for unit in scenario.units}
+        self._units = {unit.name: unit for unit in scenario.units}
         self._faults: list[tuple[str, Fault]] = []
         self._changed = asyncio.Event()
 
@@ -182,10 +184,10 @@ class RigServer(Startable):
         InvalidArgument
             if there is no scenario with that name.
         """
-        known = {**BUILTIN, self._base.name: self._base}
+        known = playable(self._base)
         if name not in known:
             raise InvalidArgument(0, f"scenario {name!r}: allowed are {', '.join(known)}")
-        kept = ("valves", "sensors", "sample_rate_hz", "time_factor", "seed")
+        kept = ("valves", "machines", "sensors", "sample_rate_hz", "time_factor", "seed")
         scenario = known[name].model_copy(update={key: getattr(self._base, key) for key in kept})
         self._leave()
         self._state = initial(scenario, self._clock.now())
@@ -225,15 +227,14 @@ class RigServer(Startable):
         if self._scenario is None:
             raise CommandRejected("no scenario is running")
         try:
-            fault = commanded_fault(kind, size, duration_s)
+            fault = commanded_fault(kind, size, duration_s, faultable(self._units[valve]))
         except FaultError as error:
             raise InvalidArgument(0 if str(error).startswith("kind") else 1, str(error)) from error
         waiting = sum(name == valve for name, _ in self._faults)
-        if len(self._state.valves[valve].faults) + waiting >= MOST_FAULTS:
+        if len(self._state.faults_of(valve)) + waiting >= MOST_FAULTS:
             raise CommandRejected(f"{valve}: {MOST_FAULTS} faults at once are enough")
         self._faults.append((valve, fault))
-        bench = next(bench for bench in self._base.valves if bench.name == valve)
-        effect = fault_effect(fault, bench, self._base.sensors)
+        effect = fault_effect(fault, self._units[valve], self._base.sensors)
         _log.info("%s: fault %s: %s", valve, kind, effect)
         return effect
 
@@ -281,7 +282,9 @@ class RigServer(Startable):
     def _compute(self, scenario: Scenario, rate: float) -> None:
         commands = Commands(U=self._U_in_force(scenario), faults=tuple(self._faults))
         self._faults.clear()
-        commanded = isinstance(scenario.excitation, External)
+        commanded = isinstance(scenario.excitation, External) or any(
+            machine.takes_commands for machine in scenario.machines
+        )
         ahead_s = _COMMANDED_AHEAD_S if commanded else _AHEAD_S
         n = min(max(round(rate * ahead_s), 1), _SAMPLES_PER_TURN)
         self._state, self._block = advance(scenario, self._state, n, commands)
@@ -296,7 +299,8 @@ class RigServer(Startable):
                 _log.warning("%s: heartbeat stands still, U is the rig's own again", valve)
             self._commands[valve] = command
         given = {valve: command.in_force for valve, command in self._commands.items()}
-        return {valve: own if U is None else U for valve, U in given.items()}
+        idle = {**dict.fromkeys(given, own), **{m.name: 0.0 for m in scenario.machines}}
+        return {name: idle[name] if U is None else U for name, U in given.items()}
 
     def _publish(self, n: int, lag_s: float) -> None:
         first, self._taken = self._taken, self._taken + n

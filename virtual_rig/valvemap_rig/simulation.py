@@ -26,6 +26,7 @@ from valvemap_rig.faults import (
     worn_gap,
 )
 from valvemap_rig.kernels import Floats
+from valvemap_rig.machine_simulation import MachineBlock, MachineState, advance_machine
 from valvemap_rig.scenario import Scenario, ScenarioError, ValveBench
 from valvemap_rig.sensors import SensorMemory, measure
 from valvemap_rig.valvistor import pilot_opening
@@ -59,11 +60,16 @@ class ValveState:
 
 @dataclass(frozen=True)
 class RigState:
-    """Number of the next sample, time of sample 0 (UTC ns), and the states of the valves."""
+    """Number of the next sample, time of sample 0 (UTC ns), states of valves and machines."""
 
     index: int
     start_ns: int
     valves: Mapping[str, ValveState]
+    machines: Mapping[str, MachineState] = field(default_factory=dict)
+
+    def faults_of(self, name: str) -> Faults:
+        """Return the active faults of a valve or machine."""
+        return (self.machines[name] if name in self.machines else self.valves[name]).faults
 
 
 @dataclass(frozen=True)
@@ -89,18 +95,29 @@ class ValveBlock:
     T_true: Floats
     Q_true: Floats
 
+    def column(self, signal: str) -> Floats:
+        """Return a signal as its sensor shows it."""
+        column: Floats = getattr(self, signal)
+        return column
+
+    def quality(self, signal: str) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
+        """Return a signal's status, and whether it is sent."""
+        own = next(name for name in SIGNALS if name == signal)
+        return self.status[own], self.present[own]
+
 
 @dataclass(frozen=True)
 class RigBlock:
-    """N samples of every valve.
+    """N samples of every valve and machine.
 
     ``sequence`` (uint32) is the sample's number modulo 2³², ``t`` (int64, UTC ns in multiples of
-    100) its time by a clock that is right; all valves share both.
+    100) its time by a clock that is right; all share both.
     """
 
     sequence: NDArray[np.uint32]
     t: NDArray[np.int64]
     valves: Mapping[str, ValveBlock]
+    machines: Mapping[str, MachineBlock] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -108,18 +125,21 @@ class RigBlock:
 
 def initial(scenario: Scenario, start_ns: int) -> RigState:
     """Return the state before the first sample, at ``start_ns`` (UTC; rounded to 100 ns)."""
-    valves = {
-        bench.name: ValveState(
-            U=own_command(scenario),
-            faults=tuple(
-                ActiveFault(fault, round(fault.start_s * scenario.sample_rate_hz))
-                for fault in scenario.faults
-                if fault.valve in (None, bench.name)
-            ),
+
+    def faults_of(name: str) -> Faults:
+        return tuple(
+            ActiveFault(fault, round(fault.start_s * scenario.sample_rate_hz))
+            for fault in scenario.faults
+            if fault.valve in (None, name)
         )
-        for bench in scenario.valves
-    }
-    return RigState(index=0, start_ns=start_ns // 100 * 100, valves=valves)
+
+    U = own_command(scenario)
+    return RigState(
+        index=0,
+        start_ns=start_ns // 100 * 100,
+        valves={b.name: ValveState(U=U, faults=faults_of(b.name)) for b in scenario.valves},
+        machines={m.name: MachineState(U=0.0, faults=faults_of(m.name)) for m in scenario.machines},
+    )
 
 
 def own_command(scenario: Scenario) -> float:
@@ -136,7 +156,8 @@ def advance(
     Raises
     ------
     ScenarioError
-        if a command names an unknown valve, a U outside 0 … 100 %, or too many faults.
+        if a command names an unknown valve, a U outside 0 … 100 % (a machine: ± 100 %), or too
+        many faults.
 
     Examples
     --------
@@ -156,13 +177,24 @@ def advance(
         bench.name: _advance_valve(scenario, bench, state.valves[bench.name], index, t)
         for bench in scenario.valves
     }
-    valves = {name: valve for name, (valve, _) in results.items()}
+    rate, seed = scenario.sample_rate_hz, scenario.seed
+    moved = {
+        machine.name: advance_machine(machine, state.machines[machine.name], index, t, rate, seed)
+        for machine in scenario.machines
+    }
     block = RigBlock(
         sequence=(index % 2**32).astype(np.uint32),
         t=t,
         valves={name: valve_block for name, (_, valve_block) in results.items()},
+        machines={name: machine_block for name, (_, machine_block) in moved.items()},
     )
-    return replace(state, index=state.index + n, valves=valves), block
+    after = replace(
+        state,
+        index=state.index + n,
+        valves={name: valve for name, (valve, _) in results.items()},
+        machines={name: machine for name, (machine, _) in moved.items()},
+    )
+    return after, block
 
 
 def is_over(scenario: Scenario, state: RigState) -> bool:
@@ -238,21 +270,27 @@ def _source_time(scenario: Scenario, start_ns: int, index: NDArray[np.int64]) ->
 
 
 def _obeyed(state: RigState, commands: Commands) -> RigState:
-    valves = dict(state.valves)
+    units: dict[str, ValveState | MachineState] = {**state.valves, **state.machines}
     for name, U in commands.U.items():
-        _must_be_there(valves, name)
-        if not 0 <= U <= 100:
-            raise ScenarioError(f"{name}: U command must be within 0 … 100 %, not {U!r}")
-        valves[name] = replace(valves[name], U=float(U))
+        unit = _unit(units, name)
+        low = -100 if isinstance(unit, MachineState) else 0
+        if not low <= U <= 100:
+            raise ScenarioError(f"{name}: U command must be within {low} … 100 %, not {U!r}")
+        units[name] = replace(unit, U=float(U))
     for name, fault in commands.faults:
-        _must_be_there(valves, name)
-        faults = (*valves[name].faults, ActiveFault(fault, state.index))
+        unit = _unit(units, name)
+        faults = (*unit.faults, ActiveFault(fault, state.index))
         if len(faults) > MOST_FAULTS:
             raise ScenarioError(f"{name}: more than {MOST_FAULTS} faults at once")
-        valves[name] = replace(valves[name], faults=faults)
-    return replace(state, valves=valves)
+        units[name] = replace(unit, faults=faults)
+    return replace(
+        state,
+        valves={name: unit for name, unit in units.items() if isinstance(unit, ValveState)},
+        machines={name: unit for name, unit in units.items() if isinstance(unit, MachineState)},
+    )
 
 
-def _must_be_there(valves: Mapping[str, ValveState], name: str) -> None:
-    if name not in valves:
-        raise ScenarioError(f"{name}: no such valve; allowed are {', '.join(valves)}")
+def _unit(units: Mapping[str, ValveState | MachineState], name: str) -> ValveState | MachineState:
+    if name not in units:
+        raise ScenarioError(f"{name}: no such valve; allowed are {', '.join(units)}")
+    return units[name]

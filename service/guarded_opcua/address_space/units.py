@@ -20,6 +20,8 @@ class Unit(Enum):
     PERCENT = (20529, "%", "percent")
     SECOND = (5457219, "s", "second")
     HERTZ = (4740186, "Hz", "hertz")
+    MILLIMETRE = (5066068, "mm", "millimetre")
+    MILLIMETRE_PER_SECOND = (4403510, "mm/s", "millimetre per second")
     ONE = (4404786, "1", "one")
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from guarded_opcua.history.historian import Records
+from guarded_opcua.history.historian import Cells, Records
 from guarded_opcua.history.intervals import Intervals, Rules
 from guarded_opcua.history.line import BAD, INTERPOLATED, NO_DATA, SUB_NORMAL, UNCERTAIN, Line
 
@@ -100,6 +100,27 @@ class Aggregation:
         elif self._aggregate in (Aggregate.MINIMUM, Aggregate.MAXIMUM):
             self._extreme.take(touched, values, starts, begins)
 
+    def take_cells(self, cells: Cells) -> None:
+        """Process cells of a forward request, each inside an interval; of Good values alone."""
+        if not len(cells):
+            return
+        edges = self._intervals.edges
+        number = np.searchsorted(edges, cells.t, side="right") - 1
+        n = len(self._intervals)
+        self._bad += _added(number, cells.values - cells.good - cells.uncertain, n)
+        self._uncertain += _added(number, cells.uncertain, n)
+        self._good += _added(number, cells.good, n)
+        if self._aggregate is Aggregate.AVERAGE:
+            self._sum += np.bincount(number, weights=cells.total, minlength=n)
+        elif self._aggregate in (Aggregate.MINIMUM, Aggregate.MAXIMUM):
+            starts = cells.t == edges[number]
+            self._extreme.take_cells(number, cells, starts)
+
+    def take_extent(self, first: int, last: int) -> None:
+        """Note the first and last time of all values of the variable, in a forward request."""
+        self._first = first if self._first is None else min(first, self._first)
+        self._last = last if self._last is None else max(last, self._last)
+
     def records(self) -> Records:
         """Return the aggregate of each interval, with the interval's start as timestamp."""
         values, codes = {
@@ -172,6 +193,11 @@ class Aggregation:
         return np.where(partial, PARTIAL, 0)
 
 
+def _added(number: _Times, counts: _Times, n: int) -> _Times:
+    """Return the sum of counts (m,) for each of n intervals; ``number`` (m,) is each one's."""
+    return np.bincount(number, weights=counts, minlength=n).astype(np.int64)
+
+
 class _Extreme:
     """Maximum of each interval; minimum with ``sign`` -1."""
 
@@ -192,7 +218,27 @@ class _Extreme:
         best = np.maximum.reduceat(values, starts)
         own = np.repeat(best, np.diff(np.append(starts, len(values))))
         count = np.add.reduceat((values == own).astype(np.int64), starts)
-        at_start = begins & (values[starts] == best)
+        self._merge(touched, best, count, begins & (values[starts] == best))
+
+    def take_cells(self, number: _Times, cells: Cells, starts: NDArray[np.bool_]) -> None:
+        """Process cells; cell ``k`` is in interval ``number[k]``, at its start if ``starts[k]``."""
+        is_low = self._sign < 0
+        has = cells.good > 0
+        values = self._sign * (cells.low if is_low else cells.high)[has]
+        again = (cells.low_again if is_low else cells.high_again)[has]
+        first = (cells.low_first if is_low else cells.high_first)[has] & starts[has]
+        number = number[has]
+        if not len(number):
+            return
+        places = np.flatnonzero(np.diff(number, prepend=-1))
+        best = np.maximum.reduceat(values, places)
+        is_best = values == np.repeat(best, np.diff(np.append(places, len(values))))
+        count = np.add.reduceat(np.where(is_best, 1 + again, 0), places)
+        self._merge(number[places], best, count, np.logical_or.reduceat(is_best & first, places))
+
+    def _merge(
+        self, touched: _Times, best: _Floats, count: _Times, at_start: NDArray[np.bool_]
+    ) -> None:
         larger, as_large = best > self._best[touched], best == self._best[touched]
         anew, too = touched[larger], touched[as_large]
         self._best[anew], self.count[anew] = best[larger], count[larger]

@@ -1,8 +1,8 @@
 """The port of historians, which store the values of variables."""
 
 from collections.abc import Awaitable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from asyncua import ua
@@ -96,4 +96,75 @@ class Historian(Protocol):
             Number of leading records to skip.
         most
             Maximum number of records to return.
+        """
+
+
+@dataclass(frozen=True)
+class Cells:
+    """One variable, summarised in cells of equal width; all arrays of shape (n,).
+
+    Attributes
+    ----------
+    width
+        ns; a cell begins at a multiple of it since 1970.
+    t
+        Start of each cell, UTC ns, ascending; cells without values are left out.
+    values, good, uncertain
+        Number of values, of the Good and of the Uncertain ones; the others are Bad.
+    low, high, total
+        Minimum, maximum and sum of the Good values; ∞, −∞, 0 without one.
+    low_again, high_again
+        Whether the minimum, the maximum occurs more than once.
+    low_first, high_first
+        Whether it is the first Good value, at the cell's start.
+    extent
+        First and last time of all values of the variable.
+    """
+
+    width: int
+    t: NDArray[np.int64]
+    values: NDArray[np.int64]
+    good: NDArray[np.int64]
+    uncertain: NDArray[np.int64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    total: NDArray[np.float64]
+    low_again: NDArray[np.bool_]
+    high_again: NDArray[np.bool_]
+    low_first: NDArray[np.bool_]
+    high_first: NDArray[np.bool_]
+    extent: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def between(self, low: int, high: int) -> "Cells":
+        """Return the cells that begin from ``low`` to before ``high``."""
+        rows = slice(*np.searchsorted(self.t, [low, high]).tolist())
+        arrays = {
+            field.name: getattr(self, field.name)[rows]
+            for field in fields(self)
+            if field.name not in {"width", "extent"}
+        }
+        return replace(self, **arrays)
+
+
+@runtime_checkable
+class Summarising(Protocol):
+    """A historian that has its values summarised, too: aggregates need not read them all.
+
+    Attributes
+    ----------
+    widths
+        Widths of its cells, ascending, ns.
+    """
+
+    widths: Sequence[int]
+
+    def cells(
+        self, variable: ua.NodeId, low: int, high: int, width: int
+    ) -> Awaitable["Cells | None"]:
+        """Return the cells that begin from ``low`` to before ``high``, UTC ns; None: no cells.
+
+        They may count values that `Historian.raw` does not return any more, but never fewer.
         """

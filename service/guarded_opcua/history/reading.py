@@ -27,11 +27,20 @@ from guarded_opcua.history.events import (
     page_of_events,
     past_events,
 )
-from guarded_opcua.history.historian import EVER, Historian, Records, Span, joined
+from guarded_opcua.history.historian import (
+    EVER,
+    Cells,
+    Historian,
+    Records,
+    Span,
+    Summarising,
+    joined,
+)
 from guarded_opcua.history.processing import (
     AtTimes,
     Processed,
     Raw,
+    Summarised,
     aggregated,
     at_times,
     processed,
@@ -117,7 +126,10 @@ class Histories:
         more: Rest | Processed | None
         if isinstance(rest, Processed):
             kind = type_of(rest.aggregate, variable)
-            found, start = await aggregated(rest, variable, raw, most)
+            summarised = None
+            if isinstance(historian, Summarising):
+                summarised = _summarised(historian, variable.id, turn)
+            found, start = await aggregated(rest, variable, raw, most, summarised)
             more = None if start is None else replace(rest, start=start)
         elif isinstance(rest, AtTimes):
             found, more = await at_times(rest.times, variable, raw), None
@@ -193,6 +205,14 @@ class Histories:
         except EventFilterRefused:
             return _Codes.BadEventFilterInvalid
         return past_events(node, details, filter_) or _Codes.BadHistoryOperationInvalid
+
+
+def _summarised(historian: Summarising, variable: ua.NodeId, turn: Turn) -> Summarised:
+    async def cells(low: int, high: int, width: int) -> Cells | None:
+        await turn.breathe()
+        return await turn.outside(historian.cells(variable, low, high, width))
+
+    return Summarised(historian.widths, cells)
 
 
 async def _page(

@@ -6,12 +6,22 @@ from typing import Any, Final, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
-from valvemap.config.models import RECOMMENDED, Config, GateConfig, NodesConfig, ValveConfig
+from valvemap.config.models import (
+    RECOMMENDED,
+    Config,
+    EdgeConfig,
+    GateConfig,
+    LineConfig,
+    NodesConfig,
+    ValveConfig,
+)
 from valvemap.config.signals import SignalConfig, SignalsConfig
 from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import Estimator
+from valvemap.model.leakage import Leakage
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.edges import LEAK, Part
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
@@ -120,11 +130,29 @@ def meaning_of(
 def build_layout(config: Config) -> Layout:
     """Return the columns of the valves' signals in recordings."""
     return Layout(
-        valves=tuple(ValveLayout(valve.name, measures(valve, MEASURED)) for valve in config.valves),
+        valves=tuple(
+            ValveLayout(
+                valve.name,
+                _columns(valve),
+                drop=_has_drop_column(valve),
+                recorded=_part(valve) is not None,
+            )
+            for valve in config.valves
+        ),
         time=config.recording.time,
         valve=config.recording.valve,
         quality=config.recording.quality,
     )
+
+
+def _columns(valve: ValveConfig) -> dict[str, Measure]:
+    """Return unit and column of a valve's signals in recordings; p1 may be a pressure drop."""
+    found = measures(valve, MEASURED)
+    return found | {"p1": valve.signals.dp.measure("dp")} if _has_drop_column(valve) else found
+
+
+def _has_drop_column(valve: ValveConfig) -> bool:
+    return valve.nodes.dp is not None and valve.signals.dp.column is not None
 
 
 def measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
@@ -150,6 +178,8 @@ def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
     estimators: dict[str, Estimator[Any]] = {
         e.name: shared(build_estimator, e, *ranges) for e in valve.estimators
     }
+    if isinstance(valve, LineConfig):
+        estimators = {LEAK: shared(Leakage, valve.closed_percent, valve.U_range_percent)}
     follows = valve.inverse in (None, RECOMMENDED) and RECOMMENDED not in estimators
     return ValvePlan(
         name=valve.name,
@@ -167,7 +197,18 @@ def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
         nodes=_labels(valve.nodes),
         accuracy=shared(_accuracy, valve.signals, valve.nodes.dp is not None),
         meaning=meaning_of(config, valve, estimators),
+        part=_part(valve),
     )
+
+
+def _part(valve: ValveConfig) -> Part | None:
+    match valve:
+        case EdgeConfig():
+            return Part(valve.valve, valve.edge.line, valve.edge)
+        case LineConfig():
+            return Part(valve.valve, valve.line)
+        case _:
+            return None
 
 
 def _at_first(estimators: Mapping[str, Estimator[Any]]) -> str:

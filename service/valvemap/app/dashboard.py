@@ -14,6 +14,7 @@ from valvemap.page.settings import PageSettings
 from valvemap.page.web import Page
 
 _TIMEOUT_S = 3.0  # s; of every request: an outage of the service is shown after this time
+_PAST_TIMEOUT_S = 15.0  # s; of a read of the history, which may be long
 _FAREWELL_S = 2.0  # s; to close the sessions at the service
 
 
@@ -44,7 +45,12 @@ async def run_dashboard(
         )
 
     page = Page(
-        ResultsClient(source, SERVICE_NAMESPACE), clients, page_settings, SystemClock(), rig_url
+        ResultsClient(source, SERVICE_NAMESPACE),
+        clients,
+        page_settings,
+        SystemClock(),
+        rig_url,
+        ResultsClient(settings_of(watched, _PAST_TIMEOUT_S), SERVICE_NAMESPACE),
     )
     await serve_page(page, stop, say, any_port=any_port)
 

@@ -21,6 +21,7 @@ from valvemap.model.recursive_least_squares import Change, RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples, Segments, Trace
 from valvemap.model.survey import Survey
 from valvemap.pipeline import valve_state
+from valvemap.pipeline.edges import LEAK, Splitter, gathered
 from valvemap.pipeline.fleet import COUNTER_NAMES, Fleet
 from valvemap.pipeline.lane_failures import LaneFailures
 from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
@@ -32,10 +33,12 @@ from valvemap.plant.readings import Given
 from valvemap.runtime.failure_log import log_failure
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
+from valvemap.vocabulary.edges import edges_of
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 BEST_FIT = "eq. (7), batch LSM"
+MOST_SPLIT: Final = 1 << 20  # samples of an edge that wait for the same rows of its line
 MOST_TRIED: Final = 1_000  # samples of a batch; inverting a network costs 100 times an update
 
 T = TypeVar("T")
@@ -154,24 +157,32 @@ def replay(
     turn = _one_ahead if read_ahead else iter
     valves: dict[str, _Learnt] = {}
     found = dict[str, None]()
+    splitter = _Splitting(plans or {})
     for recording in recordings_in(recordings):
         for name, samples in _read(recording, layout, progress, turn):
             found[name] = None
-            if (only is not None and name not in only) or (plans and name not in plans):
+            if plans and name not in plans:
+                continue
+            plan = _default_plan(name) if plans is None else plans[name]
+            if not _is_chosen(plan, only):
                 continue
             if name not in valves:
-                plan = _default_plan(name) if plans is None else plans[name]
                 plan = replace(plan, insist=plan.insist or insist)
                 valves[name] = _Learnt(_chosen(plan, estimators))
-            judged, traces = valves[name].learn(valves[name].look_at(samples, recording))
-            tap(name, judged, traces)
+
+            def learn(name: str, some: Samples, recording: object = recording) -> Floats:
+                judged, traces = valves[name].learn(valves[name].look_at(some, recording))
+                tap(name, judged, traces)
+                return traces[LEAK].predicted if LEAK in traces else np.empty(0)
+
+            splitter.take(name, samples, learn)
     if not valves:
         raise _none_of(only, plans, found)
     if verify is None:
         checks = {name: [_check(v, v.last, scored=False)] for name, v in valves.items()}
     else:
         coming = (_read(one, layout, progress, turn) for one in recordings_in(verify))
-        checks = _verified(valves, chain.from_iterable(coming))
+        checks = _verified(valves, chain.from_iterable(coming), _Splitting(plans or {}))
     return {
         name: _report(valve, _summed(checks[name]), verified=verify is not None)
         for name, valve in valves.items()
@@ -213,13 +224,58 @@ def as_json(report: Report) -> dict[str, Any]:
     }
 
 
+class _Splitting:
+    """Splits the samples of valves with ports on their way to edges, batch by batch."""
+
+    def __init__(self, plans: Mapping[str, ValvePlan]) -> None:
+        self._names = list(plans)
+        self._splitter = Splitter(
+            [plan.part for plan in plans.values()], self._names, most=MOST_SPLIT
+        )
+        self._lines = {plan.name for plan in plans.values() if plan.part and plan.part.edge is None}
+
+    def take(self, name: str, samples: Samples, use: Callable[[str, Samples], Floats]) -> None:
+        """Call ``use`` with samples; of a line it returns the leakage, for those of its edges."""
+        if not self._splitter:
+            use(name, samples)
+            return
+        number, coming = self._names.index(name), {}
+        if name in self._lines:
+            self._splitter.note_leakage(number, samples.t, use(name, samples))
+        else:
+            coming[number] = samples
+        arrived, used = self._splitter.split(gathered(coming), _raise)
+        for m, start, stop in zip(*arrived.segments, strict=True):
+            rows = np.arange(start, stop)[used[start:stop]]
+            if len(rows):
+                use(self._names[m], arrived.samples[rows])
+
+
+def _raise(_: int, error: Exception) -> None:
+    raise error
+
+
+def _is_chosen(plan: ValvePlan, only: Collection[str] | None) -> bool:
+    """Whether a valve is chosen, a valve of which it is a part, or an edge of it as a line."""
+    if only is None or plan.name in only:
+        return True
+    if plan.part is None:
+        return False
+    edges = edges_of(plan.part.line) if plan.part.edge is None else ()
+    return any(
+        name in only for name in (plan.part.valve, *(f"{plan.part.valve}.{e}" for e in edges))
+    )
+
+
 class _Learnt:
     """One valve's pipeline and the last batch it processed."""
 
     def __init__(self, plan: ValvePlan) -> None:
-        best = RecursiveLeastSquares(forgetting=Exponential(1.0))
-        every, references = {**plan.estimators, BEST_FIT: best}, frozenset({BEST_FIT})
-        self.plan = replace(plan, estimators=every, references=references)
+        if LEAK not in plan.estimators:
+            best = RecursiveLeastSquares(forgetting=Exponential(1.0))
+            every, references = {**plan.estimators, BEST_FIT: best}, frozenset({BEST_FIT})
+            plan = replace(plan, estimators=every, references=references)
+        self.plan = plan
         self.last = Samples.empty()
         self._failures = LaneFailures()
         self._fleet = Fleet(self.plan, 1, failures=self._failures)
@@ -293,12 +349,20 @@ def _none_of(
 
 
 def _verified(
-    valves: Mapping[str, "_Learnt"], batches: Iterable[tuple[str, Samples]]
+    valves: Mapping[str, "_Learnt"],
+    batches: Iterable[tuple[str, Samples]],
+    splitting: "_Splitting",
 ) -> dict[str, list[Mapping[str, "_Check"]]]:
     checks: dict[str, list[Mapping[str, _Check]]] = {name: [] for name in valves}
+
+    def check(name: str, samples: Samples) -> Floats:
+        checks[name].append(_check(valves[name], samples, scored=True))
+        lane = valves[name].state().lanes.get(LEAK)
+        return np.empty(0) if lane is None else valve_state.predicted_along(lane, samples)
+
     for name, samples in batches:
         if name in valves:
-            checks[name].append(_check(valves[name], samples, scored=True))
+            splitting.take(name, samples, check)
     return checks
 
 
@@ -413,7 +477,7 @@ def refuse_if_nothing_was_learnt(report: Report) -> None:
 
 def _chosen(plan: ValvePlan, names: Collection[str] | None) -> ValvePlan:
     """Return the plan with the chosen estimators only."""
-    if names is None:
+    if names is None or LEAK in plan.estimators:
         return plan
     for name in names:
         if name not in plan.estimators:

@@ -14,6 +14,7 @@ from valvemap.pipeline.provenance import BESIDE
 from valvemap.storage.checkpoint_rows import SetAside
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.state_files import read_states, write_states
+from valvemap.vocabulary.edges import split_id
 
 _OF_SERVICE = "Service"  # its position and alarms are no states of a valve
 _FITS = "fits the configuration"
@@ -148,7 +149,7 @@ def _chosen(aside: Sequence[SetAside], what: str, config: Config) -> list[SetAsi
         found = [one for one in aside if one.number == int(what)]
     else:
         newest = {_name(one.checkpoint): one for one in aside}
-        found = [one for name, one in newest.items() if what in (name, name.partition(".")[0])]
+        found = [one for name, one in newest.items() if what in (name, split_id(name)[0])]
     if not found:
         there = ", ".join(f"{one.number} {_name(one.checkpoint)}" for one in aside)
         raise StorageError(

@@ -18,14 +18,10 @@ import numpy as np
 
 from valvemap.app.build import build_alignment, build_identification, build_plans
 from valvemap.config.models import Config, ValveConfig
-from valvemap.model import fit_budget, lag_search, map_search
-from valvemap.model.auto import Auto
-from valvemap.model.auto_state import CHAMPION, surface_of
+from valvemap.model import flow_map_warm_up
 from valvemap.model.capabilities import ChoosesStructure, FindsChanges
 from valvemap.model.estimator import Estimator, key_of
-from valvemap.model.kernels import cells, grid, held, lag, reaction
 from valvemap.model.kernels.compiled import note_warm_up, take_shortcuts, was_warmed_up
-from valvemap.model.map_shapes import Shape, Variety
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.model.support import Support
@@ -205,33 +201,16 @@ def _parts(config: Config) -> list[Callable[[], None]]:
     finds_structure = any(isinstance(one, ChoosesStructure) for one in estimators.values())
     others = [one for one in estimators.values() if not isinstance(one, ChoosesStructure)]
     return [
-        *([_fit] if finds_structure else []),
+        *((flow_map_warm_up.learn, flow_map_warm_up.fit) if finds_structure else ()),
         *(partial(_learn, one) for one in others if isinstance(one, FindsChanges)),
         *(partial(_learn, one) for one in others if not isinstance(one, FindsChanges)),
-        *([_fill_cells] if finds_structure else []),
         partial(compile_alignment, config),
         _look_around,
         _watch,
         _compare,
         partial(_first_maps, config),
-        *([_what_auto_seldom_needs] if finds_structure else []),
+        *((flow_map_warm_up.look, flow_map_warm_up.begin_again) if finds_structure else ()),
     ]
-
-
-def _fit() -> None:
-    """Compile the fits of `Auto` and its search for a shape."""
-    points, shape = np.ones((32, len(grid.COLUMNS))), Shape(cells=2)
-    points[:, grid.MEAN_U], points[:, grid.MEAN_S] = _samples().U, np.sqrt(_samples().dp)
-    map_search.climb(points, shape, 200.0, Variety(0.0, temperatures=True), 1, np.zeros(2, int))
-    map_search.fit(points, shape, 200.0)
-    map_search.is_better(points, shape, shape, 200.0)
-
-
-def _fill_cells() -> None:
-    """Compile the update of `Auto` per sample; these are too few samples for a fit."""
-    auto = Auto()
-    state, _ = auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
-    auto.parameters(state)
 
 
 def _learn(estimator: Estimator[Any]) -> None:
@@ -310,23 +289,8 @@ def compile_here(config: Config) -> None:
     identification.refresh_maps()
     plans = identification.plans
     if any(isinstance(one, ChoosesStructure) for plan in plans for one in plan.estimators.values()):
-        _what_auto_seldom_needs()
-
-
-def _what_auto_seldom_needs() -> None:
-    """Compile the rare paths of `Auto`: lag search, rival map, drift, stored state."""
-    state = Auto().initial_state()
-    scalars, shape = state.scalars, Shape.from_array(state.shapes[0])
-    rows = state.recent[:1].astype(np.float64)
-    lag_search.look(rows, scalars[cells.LAGS + lag.KNOWN_LAGS :], (None, None))
-    lag.smoothing(0.01, 0.1)
-    map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
-    cells.colour(scalars)
-    grid.is_coherent(state.slots, 0)
-    held.shared(state.slots, state.cells)
-    champion = surface_of(state, CHAMPION)
-    held.credit(state.slots, state.cells, champion, 0.0, 1.0, held.points(state.cells))
-    reaction.weighed(rows[:, lag.LEFT_U], rows[:, lag.LEFT_Q])
+        flow_map_warm_up.look()
+        flow_map_warm_up.begin_again()
 
 
 def _samples() -> Samples:

@@ -30,6 +30,10 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "mqtt", "Send results to the MQTT broker of [mqtt] as Sparkplug B, until Ctrl-C."
     ),
     "replay": Entry("replay", "Identify valves from recordings, as the live service does."),
+    "axis": Entry(
+        "axis",
+        "Identify four edges, bulk modulus and leakage from a cylinder's position and pressures.",
+    ),
     "invert": Entry(
         "invert",
         "Compute the control voltage for a flow at a pressure drop, with its 95 % interval.",

@@ -109,18 +109,36 @@ def rig(
 def record_offline(scenario: Scenario, file: Path | None) -> None:
     """Write a recording without a server; the scenario must end."""
     from valvemap.clock import SystemClock
-    from valvemap.storage.recordings import RecordingWriter
 
     if file is None or scenario.samples is None:
         raise typer.BadParameter("--offline needs --record FILE and --duration S")
     state = initial(scenario, SystemClock().now())
-    with RecordingWriter(file) as writer, bars() as progress:
+    with ExitStack() as stack:
+        append = _recording(scenario, file, stack)
+        progress = stack.enter_context(bars())
         task = progress.add_task(file.name, total=scenario.samples)
         while state.index < scenario.samples:
             state, block = advance(scenario, state, _BLOCK)
-            _append(writer.append, block)
+            append(block)
             progress.update(task, completed=state.index)
     write_line(f"{file}: {state.index:,} samples of each valve")
+
+
+def _recording(scenario: Scenario, file: Path, stack: ExitStack) -> Callable[[RigBlock], None]:
+    """Open a recording until the stack closes; return what appends a block to it."""
+    if scenario.machines:
+        if scenario.valves:
+            raise typer.BadParameter(
+                "a scenario with valves and machines is not recorded in one file; take one of them "
+                "out of it"
+            )
+        from valvemap.cli.machine_recording import MachineWriter
+
+        return stack.enter_context(MachineWriter(file, scenario.machines)).append
+    from valvemap.storage.recordings import RecordingWriter
+
+    writer = stack.enter_context(RecordingWriter(file))
+    return lambda block: _append(writer.append, block)
 
 
 def _append(append: "Callable[[str, Samples], None]", block: RigBlock) -> None:
@@ -180,10 +198,7 @@ async def _serve(
             return
         on_block = None
         if record is not None:
-            from valvemap.storage.recordings import RecordingWriter
-
-            writer = stack.enter_context(RecordingWriter(record))
-            on_block = lambda block: _append(writer.append, block)  # noqa: E731 - a tap
+            on_block = _recording(scenario, record, stack)
         server = await RigServer.create(settings, scenario, on_block=on_block)
         async with server:
             write_line(server.url)  # the parent process waits for it

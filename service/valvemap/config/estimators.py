@@ -6,7 +6,6 @@ from typing import Annotated, Any, ClassVar, Final, Literal, assert_never, get_a
 from pydantic import BaseModel, Field, ValidationInfo, field_validator
 
 from valvemap.config.sections import Section
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
@@ -28,7 +27,6 @@ Name = Annotated[
     Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$", description="its name in each node id"),
 ]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
-Lag = Annotated[float | None, Field(ge=0.0, le=10.0)]
 Range = tuple[float, float]
 DEFAULT_LAM = 0.998
 
@@ -94,28 +92,21 @@ class RbfConfig(EstimatorSection):
 
 
 class AutoConfig(EstimatorSection):
-    """The structure of the map chosen online."""
+    """The map as one Gaussian model, all of whose scales the samples decide."""
+
+    any_U_range: ClassVar[bool] = True
 
     kind: Literal["Auto"] = "Auto"
     name: Name = "Auto"
-    lam: Lam = 0.998
-    lag_U_s: Lag = Field(None, description="lag of the effect of U; none: estimated")
-    lag_Q_s: Lag = Field(None, description="lag of the flow meter; none: estimated")
+    lam: Lam = Field(0.998, description="forgetting factor of a cell of the map")
 
     @field_validator("lam")
     @classmethod
     def _determines(cls, lam: float) -> float:
-        return Auto(lam=lam).lam
+        return FlowMap(lam=lam).lam
 
 
-class FlowMapConfig(EstimatorSection):
-    """The map as one Gaussian model, all of whose scales the samples decide."""
-
-    kind: Literal["FlowMap"] = "FlowMap"
-    name: Name = "FlowMap"
-
-
-AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig | FlowMapConfig
+AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig
 EstimatorConfig = Annotated[AnyEstimatorConfig, Field(discriminator="kind")]
 
 
@@ -127,6 +118,11 @@ def kind_of(section: type[BaseModel]) -> str | None:
 
 SECTIONS: Final = {str(kind_of(section)): section for section in get_args(AnyEstimatorConfig)}
 KINDS: Final = tuple(SECTIONS)
+FORMER_KINDS: Final = {"FlowMap": "Auto"}  # by the name that replaced it
+FORMER_FIELDS: Final = {  # by the remedy
+    "lag_U_s": "Auto finds it: remove this line",
+    "lag_Q_s": "Auto finds it: remove this line",
+}
 
 
 def default_estimators() -> tuple[AnyEstimatorConfig, ...]:
@@ -153,9 +149,7 @@ def build_estimator(
                 Q_scale=max(abs(Q_range[0]), abs(Q_range[1])),
             )
         case AutoConfig():
-            return Auto(lam=config.lam, lag_U=config.lag_U_s, lag_Q=config.lag_Q_s)
-        case FlowMapConfig():
-            return FlowMap(U_range=U_range, dp_range=dp_range)
+            return FlowMap(U_range=U_range, dp_range=dp_range, lam=config.lam)
         case _:
             assert_never(config)
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_settings import BaseSettings, SettingsError
 
-from valvemap.config.estimators import KINDS, kind_of
+from valvemap.config.estimators import FORMER_FIELDS, FORMER_KINDS, KINDS, kind_of
 from valvemap.config.models import Config
 from valvemap.errors import ConfigurationError
 
@@ -83,6 +83,8 @@ def _sentence(details: ErrorDetails) -> str:
     last = next((str(key) for key in reversed(details["loc"]) if isinstance(key, str)), "")
     if kind == "string_pattern_mismatch":
         return _FORMS.get(last, _FORMS["name"])
+    if kind == "union_tag_invalid" and context["tag"] in FORMER_KINDS:
+        return f"kind {context['tag']!r} has another name: write {FORMER_KINDS[context['tag']]!r}"
     if kind == "union_tag_invalid":
         return f"kind {context['tag']!r}: allowed is one of {context['expected_tags']}"
     if kind == "union_tag_not_found":
@@ -133,6 +135,8 @@ def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) ->
     variable = prefix + "__".join(str(key).upper() for key in path)
     where = f"environment variable {variable}" if variable in os.environ else (file or "defaults")
     message = _sentence(details)
+    if details["type"] == "extra_forbidden" and path[-1] in FORMER_FIELDS:
+        return f"{where}: {field}: {FORMER_FIELDS[path[-1]]}"
     if details["type"] == "extra_forbidden":
         return f"{where}: {field}: there is no such field{_nearest(kind, details['loc'])}"
     if details["type"] == "missing":

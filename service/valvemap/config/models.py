@@ -15,14 +15,21 @@ from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from valvemap.config.commission import CommissionConfig
-from valvemap.config.estimators import SECTIONS, EstimatorConfig, default_estimators
+from valvemap.config.estimators import (
+    SECTIONS,
+    AutoConfig,
+    EstimatorConfig,
+    default_estimators,
+)
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
+from valvemap.config.ports import PortsConfig, node_id
 from valvemap.config.sections import Section, SettingsFile, per_signal
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.extrapolation import ONE_EDGE
 from valvemap.pipeline.quality_gate import SignalLimits
+from valvemap.vocabulary.edges import PARTS, Edge
 from valvemap.vocabulary.signals import IN_DIFFERENCE, Measured, Need, Signal
 
 RIG_NAMESPACE = "urn:valvemap:rig"
@@ -41,8 +48,16 @@ RESERVED_ESTIMATORS = (
     "NodeVersion",
     "Recommended",
     "RecommendedReason",
+    "Edge",
+    *PARTS,
 )
 RECOMMENDED = "recommended"  # value of ``inverse``
+_NOT_WITH_PORTS = {
+    "commission": "a sweep of one edge is not offered yet",
+    "nodes": "leave out nodes, or ports",
+    "signals": "its units and columns are in ports.signals",
+    "feed_forward": "nothing is written to it",
+}
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
@@ -150,13 +165,28 @@ class HistoryConfig(Section):
         None, description="SQLite file of the history; none: there is no history"
     )
     keep_days: float = Field(
-        7.0, gt=0.0, le=3_650.0, description="age at which rows are deleted, in days"
+        7.0,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which values, and their summaries of 10 s, are deleted, in days",
+    )
+    results_days: float | None = Field(
+        None,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which values of results are deleted, in days; none: keep_days",
+    )
+    trend_days: float = Field(
+        30.0,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which summaries of 5 min are deleted, in days; at least keep_days",
     )
     most_mb: int = Field(
         2_000,
         ge=10,
         le=1_000_000,
-        description="size above which the oldest rows are deleted, in MB",
+        description="size above which the oldest values are deleted, in MB; results first",
     )
 
 
@@ -294,11 +324,7 @@ class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: i
     @field_validator("*")
     @classmethod
     def _is_node_id(cls, text: str | None) -> str | None:
-        if text is not None and not any(
-            kind in f";{text}" for kind in (";s=", ";i=", ";g=", ";b=")
-        ):
-            raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
-        return text
+        return None if text is None else node_id(text)
 
     def source_of(self, name: str) -> str:
         """Return the field that holds a signal's node: dp for p1, where there is dp."""
@@ -373,6 +399,9 @@ class ValveConfig(Section):
         None, description="which of [[sources]] publishes its signals; none with [source]"
     )
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
+    ports: PortsConfig | None = Field(
+        None, description="nodes by port, in place of nodes: four edges, or two ports"
+    )
     signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
     commission: CommissionConfig = CommissionConfig()
@@ -395,7 +424,9 @@ class ValveConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _nodes_of_the_rig_by_default(cls, given: Any) -> Any:  # noqa: ANN401 - pydantic's raw input
-        if isinstance(given, dict) and "nodes" not in given and isinstance(given.get("name"), str):
+        if not isinstance(given, dict) or {"nodes", "ports"} & given.keys():
+            return given
+        if isinstance(given.get("name"), str):
             return {**given, "nodes": NodesConfig.of_rig(given["name"])}
         return given
 
@@ -411,6 +442,8 @@ class ValveConfig(Section):
     def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
         estimators: tuple[EstimatorConfig, ...] = info.data.get("estimators", ())
         unable = [e.name for e in estimators if not e.any_U_range]
+        if info.data.get("ports") is not None:
+            return bounds  # each of its edges has one sign of U
         if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
             raise ValueError(
                 f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
@@ -418,6 +451,21 @@ class ValveConfig(Section):
                 f"estimators of the kind {' or '.join(_OF_ANY_RANGE)} alone"
             )
         return bounds
+
+    @model_validator(mode="after")
+    def _ports_stand_alone(self) -> Self:
+        if self.ports is None:
+            return self
+        for name, remedy in _NOT_WITH_PORTS.items():
+            if name in self.model_fields_set:
+                raise ValueError(f"{name} is not for a valve with ports: {remedy}")
+        low, high = self.U_range_percent
+        if "U_range_percent" in self.model_fields_set and not low < 0.0 < high:
+            raise ValueError(
+                f"a valve with ports works both ways: U_range_percent = [{low:g}, {high:g}], "
+                "[-100, 100] is meant"
+            )
+        return self
 
     @model_validator(mode="after")
     def _feed_forward_fits(self) -> Self:
@@ -452,6 +500,84 @@ class ValveConfig(Section):
             allowed = ", ".join((RECOMMENDED, *names))
             raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {allowed}")
         return self
+
+
+class EdgeConfig(ValveConfig):
+    """One edge of a valve with ports; made from that valve, never read from a file."""
+
+    valve: str = ""
+    edge: Edge = Edge.PA
+
+
+class LineConfig(ValveConfig):
+    """One line of a valve with ports; made from that valve, never read from a file."""
+
+    valve: str = ""
+    line: str = "A"
+    closed_percent: float = 3.0
+    not_learnt: tuple[str, ...] = ()  # which edges of the valve are not, and why
+
+
+def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
+    """Return the valves that stand for a valve: itself, or its lines and edges."""
+    ports = valve.ports
+    if ports is None:
+        return (valve,)
+    low, high = (
+        valve.U_range_percent if "U_range_percent" in valve.model_fields_set else (-100.0, 100.0)
+    )
+    if ports.is_two_port:
+        own = {} if "estimators" in valve.model_fields_set else {"estimators": (AutoConfig(),)}
+        signals = {**ports.drop(Edge.PA), "Q": "QA"}
+        kept = {n: getattr(valve, n) for n in valve.model_fields_set - {"ports"}}
+        given = {**kept, **own, "U_range_percent": (low, high)}
+        return (ValveConfig(**given, **_of_part(ports, signals)),)
+    found: list[ValveConfig] = []
+    edges = ports.learnt
+    left_out = tuple(f"{edge} is not learnt: {why}" for edge, why in ports.not_learnt())
+    for line in ports.lines:
+        if not any(edge.line == line for edge in edges):
+            continue
+        head = {"name": f"{valve.name}.Line{line}", "valve": valve.name, "line": line}
+        most = valve.dp_range_bar[1]
+        bounds = {"U_range_percent": (low, high), "dp_range_bar": (-most, most)}
+        signals = {**ports.leak(line), "Q": f"Q{line}"}
+        found.append(
+            _made(
+                LineConfig,
+                valve,
+                **head,
+                **bounds,
+                **_of_part(ports, signals),
+                estimators=(),
+                inverse=None,
+                insist=True,
+                closed_percent=ports.closed_percent,
+                not_learnt=left_out if not found else (),
+            )
+        )
+    for edge in edges:
+        head = {"name": f"{valve.name}.{edge}", "valve": valve.name, "edge": edge}
+        bounds = {"U_range_percent": (0.0, high if edge.opens > 0 else -low)}
+        signals = {**ports.drop(edge), "Q": f"Q{edge.line}"}
+        found.append(_made(EdgeConfig, valve, **head, **bounds, **_of_part(ports, signals)))
+    return tuple(found)
+
+
+def _made(kind: type[ValveConfig], whole: ValveConfig, /, **own: Any) -> ValveConfig:  # noqa: ANN401
+    """Return a part of a valve: its name is not one that a file may have."""
+    given = {name: getattr(whole, name) for name in ValveConfig.model_fields if name != "ports"}
+    return kind.model_construct(**(given | own))
+
+
+def _of_part(ports: PortsConfig, signals: dict[str, str]) -> dict[str, Any]:
+    """Return nodes and signals of an edge or line, from the names that they have among ports."""
+    named = {"U": "U", **signals} | ({} if ports.T is None else {"T": "T"})
+    nodes = {signal: ports.node(name) for signal, name in named.items()}
+    return {
+        "nodes": NodesConfig(**nodes, sequence=ports.sequence),
+        "signals": ports.signals.of(**named),
+    }
 
 
 class RecordingConfig(Section):
@@ -489,7 +615,7 @@ class Config(SettingsFile):
             raise ValueError("at least one valve is needed")
         _unique("valve", [valve.name for valve in valves])
         _not_reserved("valve", [valve.name for valve in valves], RESERVED_VALVES)
-        return valves
+        return tuple(part for valve in valves for part in parts_of(valve))
 
     @model_validator(mode="after")
     def _sources_fit(self) -> Self:

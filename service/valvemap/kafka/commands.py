@@ -88,12 +88,19 @@ ACTIONS: Final = {
     "predict_measurement": (ESTIMATOR, 3),
     "invert": (NOTHING, 3),
     "compare": (ESTIMATOR, 0),
+    "predict_approved": (ESTIMATOR, 3),
 }
 _TEXTS: Final = {  # text fields of a command: maximum length, characters
     **dict.fromkeys(("id", "group", "valve", "action", "estimator"), MOST_NAME),
     **dict.fromkeys(("comment", "by"), MOST_TEXT),
 }
-ANSWERS: Final = {"predict": 3, "predict_measurement": 4, "invert": 4, "compare": 5}
+ANSWERS: Final = {
+    "predict": 3,
+    "predict_measurement": 4,
+    "invert": 4,
+    "compare": 5,
+    "predict_approved": 3,
+}
 QUESTIONS: Final = tuple(ANSWERS)  # name: number of values in the answer
 _MOST_VALUES: Final = max(ANSWERS.values())  # values in a command or a reply
 

@@ -128,6 +128,13 @@ class FleetOperator:
         mean, largest, U, dp, points = await self._ask(valve, "compare", estimator)
         return _Moved(mean, largest, U, dp, 0 if math.isnan(points) else int(points))
 
+    async def predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, Status]:
+        """Return Q (l/min), its standard deviation and status, by the approved map."""
+        Q, std, status = await self._ask(valve, "predict_approved", estimator, U, dp, T)
+        return Q, std, _status(status)
+
     def baseline(self, valve: int) -> Version | None:
         """Return the baseline of a valve, by its number."""
         return self._mirror.baseline(valve)

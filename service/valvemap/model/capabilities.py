@@ -10,6 +10,7 @@ diagnostics and files by having the methods.
 | `Forgetful` | have a forgetting factor |
 | `FindsChanges` | detect abrupt changes of the plant |
 | `FindsLags` | estimate the lags of the signals |
+| `Censors` | leave out samples that the meter does not show |
 | `Restarts` | may restart their map |
 | `ChoosesStructure` | select the structure of the map from the samples |
 | `PathDependent` | have hysteresis |
@@ -77,16 +78,21 @@ class FindsChanges(Protocol):
 
 @runtime_checkable
 class FindsLags(Protocol):
-    """An estimator that estimates the lags of U and Q."""
+    """An estimator that estimates how U and Q lag."""
 
     def lags_many(self, states: Any, chosen: Times) -> Sequence[tuple[float, float]]:  # noqa: ANN401
-        """Return the lags of U and Q of the chosen models, s."""
+        """Return the first-order lags of U and Q of the chosen models, s."""
 
     def largest_lags(self, states: Any) -> Floats:  # noqa: ANN401
-        """Return the larger of the two lags of each of M models, s (M,)."""
+        """Return the largest lag or dead time of each of M models, s (M,)."""
 
-    def too_fast(self, states: Any) -> Times:  # noqa: ANN401
-        """Return the number of samples of each of M models that moved too fast to learn from."""
+
+@runtime_checkable
+class Censors(Protocol):
+    """An estimator that does not learn samples whose flow the meter does not show."""
+
+    def censored(self, states: Any) -> Times:  # noqa: ANN401 - its own states
+        """Return the number of such samples of each of M models (M,)."""
 
 
 @runtime_checkable
@@ -130,6 +136,9 @@ class UsesTemperature(Protocol):
 @runtime_checkable
 class PathDependent(Protocol):
     """An estimator whose flow depends on the direction of U (hysteresis)."""
+
+    def half_play(self, state: Any) -> float:  # noqa: ANN401 - the estimator's state
+        """By how much U from below or above differs from U in the middle, %."""
 
     def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - the estimator's state
         """Direction of U (N,) along a path without a previous U."""

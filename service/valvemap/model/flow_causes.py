@@ -4,21 +4,23 @@ The log likelihood of the last n samples, up to a constant, is
 
     L = -n·(1 - ρ) / (1 + ρ) / 2 · ln(mean square of what a coarse map leaves)
 
-with ρ the correlation of successive residuals, that of the better model in a comparison. An
-operator is taken where it gains `rules.CLEAR`, the one that gains most first; one that is there is
-kept until the rows are likelier without it by `rules.STILL_CLEAR`.
+with ρ the correlation of successive residuals, that of the better model in a comparison. All
+operators have the same odds before anything is known: one is taken where it gains `rules.CLEAR`,
+and one that is there is kept until the rows are likelier without it by `rules.STILL_CLEAR`.
+
+Several combinations are followed at once. Each grows by the operators that explain most of the
+residual together with a change of those that are there; then all parameters are refined jointly.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Final
 
 import numpy as np
 
-from valvemap.model.kernels import flow_evidence
+from valvemap.model.flow_evidence import Evidence, jointly, slopes, smooth, solved, with_value
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.flow_basis import Axis, axis
 from valvemap.model.samples import Floats
 
 TRIED: Final = {
@@ -34,66 +36,18 @@ TRIED: Final = {
     paths.LAG_Q: (0.02, 0.06, 0.2, 0.6),
     paths.NEWS: (1.0,),
 }
-LIMITS: Final = {paths.CHOKE: (0.2, 0.98), paths.DEAD_U: (0.0, 1.0), paths.DEAD_Q: (0.0, 1.0)}
-STEPS: Final = (1.25, 1.1, 1.04, 1.015, 1.005, 1.0015, 1.0005)
-ONE_OF: Final = (  # of these operators there is one at most
-    {paths.PLAY, paths.STICK, paths.RELAYS},
-    {paths.CHOKE, paths.KNEE},
-)
-LAGS: Final = (paths.DEAD_U, paths.LAG_U, paths.DEAD_Q, paths.AVERAGE, paths.LAG_Q)
-RIVALS: Final = (  # operators of much the same effect
+AGE: Final = {  # mean age of what a lag shows, in units of its parameter
+    paths.DEAD_U: 1.0,
+    paths.LAG_U: 1.0,
+    paths.DEAD_Q: 1.0,
+    paths.AVERAGE: 0.5,
+    paths.LAG_Q: 1.0,
+}
+RIVALS: Final = (  # operators of much the same effect; of the first two groups there is one at most
     (paths.PLAY, paths.STICK, paths.RELAYS),
     (paths.CHOKE, paths.KNEE),
-    LAGS,
+    tuple(AGE),
 )
-
-
-class Evidence:
-    """Log likelihoods of the rows, each computed once, for a valve of these axes."""
-
-    def __init__(self, axis_U: Axis, axis_s: Axis, rows: Floats) -> None:
-        self.rows, self.Q, self._top = rows, rows[:, paths.LEFT_Q], float(axis_s.breaks[-1])
-        self._axis = coarse(axis_U.breaks[0], axis_U.breaks[-1])
-        self._known: dict[tuple[float, ...], tuple[float, float, float]] = {}
-
-    def of(self, given: Floats) -> tuple[float, float, float]:
-        """Mean square, correlation, count."""
-        key = tuple(given.tolist())
-        if key not in self._known:
-            out = self._fit(given)[1]
-            self._known[key] = float(out[0]), float(out[1]), float(out[2])
-        return self._known[key]
-
-    @property
-    def spent(self) -> int:
-        """How many fits there were."""
-        return len(self._known)
-
-    def _fit(self, given: Floats) -> tuple[Floats, Floats]:
-        b, out = np.zeros(flow_evidence.terms_of(self._axis)), np.empty(3)
-        flow_evidence.leftover(self._axis, self._top, self.rows, given, b, out)
-        return b, out
-
-    def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Floats) -> None:
-        """Fill the map's coefficients with those of the coarse map."""
-        b, _ = self._fit(given)
-        flow_evidence.refine(self._axis, self._top, b, axis_U, axis_s, theta)
-
-    def gain(self, better: Floats, than: Floats, most: float = rules.MOST_COLOUR) -> float:
-        """Log likelihood ratio, with a correlation of ``most`` at most."""
-        (square, rho, count), (other, other_rho, _) = self.of(better), self.of(than)
-        if not (square > 0.0 and other > 0.0):
-            return 0.0
-        rho = min(max(rho if square <= other else other_rho, 0.0), most)
-        return 0.5 * count * (1.0 - rho) / (1.0 + rho) * math.log(other / square)
-
-
-def coarse(low: float, high: float) -> Axis:
-    """Axis of the coarse map."""
-    size = max(abs(low), abs(high))
-    shares = size * np.array(rules.SHARES_COARSE)
-    breaks = np.concatenate([-shares[:0:-1], shares]) if low < 0.0 else shares
-    return axis(breaks)
 
 
 def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
@@ -103,21 +57,22 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
     that are missing whitens nothing alone. Those that gain too little in the end are dropped.
     """
     at = given.copy()
+    beam = [at]
     if np.count_nonzero(given):
-        is_explained = evidence.of(at)[0] < rules.EXPLAINED * noise_of(evidence.Q) ** 2
-        at = (_settled if is_explained else _likeliest)(evidence, at)
+        at = jointly(evidence, at)
+        is_explained = evidence.of(at).square < rules.EXPLAINED * noise_of(evidence.Q) ** 2
+        beam = [at] if is_explained else [at, np.zeros_like(at)]
     for _ in range(rules.MOST_OPERATORS):
-        found = max(
-            ((evidence.gain(tried, at, most=0.0), tried) for tried in _others(evidence, at)),
-            key=lambda one: one[0],
-        )
-        if found[0] < rules.CLEAR:
+        beam = _grown(evidence, beam)
+        if not beam or evidence.gain(beam[0], at, most=0.0) < rules.CLEAR:
             break
-        at = _likeliest(evidence, found[1])
+        at = beam[0]
+    if np.count_nonzero(at):
+        at = _swapped(evidence, at)
     at = _needed(evidence, at, given)
     gains = np.zeros(paths.PARAMETERS)
     for k in np.flatnonzero(at):
-        gains[k] = evidence.gain(at, _with(at, int(k), 0.0))
+        gains[k] = evidence.gain(at, with_value(at, int(k), 0.0))
     return at, gains
 
 
@@ -126,79 +81,97 @@ def end_of_meter(evidence: Evidence, given: Floats) -> float:
     tried = [at for at in _others(evidence, given) if at[paths.TOP] != given[paths.TOP]]
     if not tried:
         return 0.0
-    at = _refined(evidence, min(tried, key=lambda at: evidence.of(at)[0]), paths.TOP)
+    at = jointly(evidence, min(tried, key=lambda at: evidence.of(at).square))
     return float(at[paths.TOP]) if evidence.gain(at, given) >= rules.CLEAR else 0.0
 
 
-def _likeliest(evidence: Evidence, at: Floats) -> Floats:
-    """Refine all operators, and try rivals in the place of each."""
-    best = _settled(evidence, at)
+def _grown(evidence: Evidence, beam: list[Floats]) -> list[Floats]:
+    """The likeliest combinations of one more operator, refined, the best first."""
+    scored = [
+        (left, at)
+        for parent in beam
+        for left, at in _scored(evidence, parent, list(_others(evidence, parent)))
+    ]
+    return _best(evidence, scored)
+
+
+def _swapped(evidence: Evidence, best: Floats) -> Floats:
+    """Try rivals in the place of each operator until none is likelier."""
     improved = True
     while improved and evidence.spent < rules.MOST_TRIED:
-        improved = False
-        for k, rival in _rivals(best):
-            starts = (_with(_with(best, k, 0.0), rival, value) for value in TRIED[rival])
-            start = min(starts, key=lambda tried: evidence.of(tried)[0])
-            other = _settled(evidence, start)
-            if evidence.gain(other, best) > rules.LIKELIER:
-                best, improved = other, True
-                break
+        tried = [
+            with_value(with_value(best, k, 0.0), rival, value)
+            for group in RIVALS
+            for k in group
+            if best[k]
+            for rival in group
+            if not best[rival]
+            for value in TRIED[rival]
+        ]
+        others = _best(evidence, _scored(evidence, best, tried))
+        improved = bool(others) and evidence.gain(others[0], best) > rules.LIKELIER
+        best = others[0] if improved else best
     return best
 
 
-def _rivals(at: Floats) -> list[tuple[int, int]]:
-    """Operators that are there, with those that may stand in their place."""
-    return [
-        (k, rival) for group in RIVALS for k in group if at[k] for rival in group if not at[rival]
-    ]
+def _scored(
+    evidence: Evidence, parent: Floats, tried: list[Floats]
+) -> Iterator[tuple[float, Floats]]:
+    """Squares that each leaves where operators that are there as well may change a little."""
+    J, ks = slopes(evidence, parent), smooth(parent)
+    for at in tried:
+        r = evidence.of(at).residual
+        use = np.array([at[k] == parent[k] for k in ks], np.bool_)
+        left = float(np.einsum("i,i->", r, r))
+        if use.any():
+            A = np.einsum("ij,ik->jk", J[:, use], J[:, use])
+            b = np.einsum("ij,i->j", J[:, use], r)
+            left -= float(np.einsum("i,i->", b, solved(A, b)))
+        yield left, at
 
 
-def _settled(evidence: Evidence, at: Floats) -> Floats:
-    """Refine all operators in turn until none moves."""
-    for _ in range(rules.REFINEMENTS):
-        before = at
-        for k in np.flatnonzero(at):
-            at = _refined(evidence, at, int(k))
-        if np.array_equal(at, before):
-            break
-    return at
+def _best(evidence: Evidence, scored: Iterable[tuple[float, Floats]]) -> list[Floats]:
+    """Refine the most promising of different operators, the best first."""
+    firsts: dict[bytes, tuple[float, Floats]] = {}
+    for left, at in scored:
+        kind = (at != 0.0).tobytes()
+        if kind not in firsts or left < firsts[kind][0]:
+            firsts[kind] = left, at
+    promising = sorted(firsts.values(), key=lambda one: one[0])[: rules.BEAM]
+    refined = [jointly(evidence, at) for _, at in promising]
+    return sorted(refined, key=lambda at: evidence.of(at).square)
 
 
 def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
     """Drop operators that gain too little, the least first; known ones are kept unless refuted."""
     while True:
         short = [
-            (evidence.gain(at, _with(at, int(k), 0.0)) - bar, int(k))
+            (evidence.gain(at, with_value(at, int(k), 0.0)) - bar, int(k))
             for k in np.flatnonzero(at)
             for bar in (-rules.STILL_CLEAR if given[k] else rules.CLEAR,)
         ]
         if not short or min(short)[0] >= 0.0:
             return at
-        at = _with(at, min(short)[1], 0.0)
-
-
-def _with(at: Floats, k: int, value: float) -> Floats:
-    other = at.copy()
-    other[k] = value
-    return other
+        at = with_value(at, min(short)[1], 0.0)
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
-    """Return the parameters with one more operator, or with a rival instead."""
+    """Return the parameters with one more operator; a lag may take over age of another one."""
     for k, values in TRIED.items():
         for value in values:
             if not at[k]:
-                tried = _with(at, k, value)
-                for group in ONE_OF:
+                tried = with_value(at, k, value)
+                for group in RIVALS[:2]:
                     if k in group:
                         tried[[other for other in group if other != k]] = 0.0
                 yield tried
-                for other in LAGS if k in LAGS else ():  # a share of what another one bears
-                    if at[other] > value:
-                        yield _with(tried, other, at[other] - value)
+                for other in AGE if k in AGE else ():
+                    rest = at[other] - value * AGE[k] / AGE[other]
+                    if at[other] and rest > 0.0:
+                        yield with_value(tried, other, rest)
     if not at[paths.TOP]:
         for share in rules.SHARES_TOP:
-            yield _with(at, paths.TOP, float(np.quantile(evidence.Q, share)))
+            yield with_value(at, paths.TOP, float(np.quantile(evidence.Q, share)))
 
 
 def least_shown(Q: Floats, noise: float) -> tuple[float, float]:
@@ -224,24 +197,29 @@ def least_shown(Q: Floats, noise: float) -> tuple[float, float]:
     return least, each * float(np.count_nonzero(up | down))
 
 
+def most_delivered(rows: Floats, noise: float) -> tuple[float, float]:
+    """Return the largest flow of readings in the order of time, and the evidence for a pump's end.
+
+    A pump at its limit holds the flow while the valve opens: the pressure drop falls instead. What
+    the flow would have fallen with √Δp, or risen with U, is compared with the noise.
+    """
+    Q, U = np.abs(rows[:, paths.LEFT_Q]), np.abs(rows[:, paths.LEFT_U])
+    s, width = np.sqrt(np.abs(rows[:, paths.LEFT_DP])), rules.MOST_STAY * noise
+    level = float(np.median(Q[np.quantile(Q, rules.NEAR_TOP) - width <= Q]))
+    is_there = np.concatenate([[False], np.abs(Q - level) < width, [False]])
+    begins, ends = np.flatnonzero(np.diff(is_there)).reshape(-1, 2).T
+    evidence = 0.0
+    for begin, end in zip(begins, ends, strict=True):
+        if end - begin >= rules.SEEN_BELOW:
+            high, low = begin + np.argmax(s[begin:end]), begin + np.argmin(s[begin:end])
+            fall = 1.0 - s[low] / max(s[high], 1e-9)
+            rise = 1.0 - U[high] / max(U[low], 1e-9)
+            size = level * min(fall, rise) / max(noise, 1e-9)
+            evidence += rules.MOST_OF_JUMP if size > rules.MOST_OF_JUMP else 0.0
+    return level, evidence
+
+
 def noise_of(Q: Floats) -> float:
     """Standard deviation of white noise in readings, from their second differences."""
     bends = np.abs(Q[2:] - 2.0 * Q[1:-1] + Q[:-2])
     return float(rules.MEDIAN_TO_STD * np.median(bends) / math.sqrt(6.0)) if len(bends) else 0.0
-
-
-def _refined(evidence: Evidence, at: Floats, k: int) -> Floats:
-    """The likeliest value of parameter k nearby."""
-    low, high = LIMITS.get(k, (0.0, math.inf))
-    if k == paths.NEWS:
-        return at
-    if k == paths.TOP:
-        high = float(np.max(evidence.Q))
-    for step in STEPS:
-        for factor in (step, 1.0 / step):
-            while True:
-                tried = _with(at, k, min(max(at[k] * factor, low), high))
-                if tried[k] == at[k] or not evidence.gain(tried, at) > 0.0:
-                    break
-                at = tried
-    return at

@@ -1,28 +1,42 @@
 """`FlowMap`: the map as one Gaussian model, all of whose scales the samples decide."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final, Self
 
 import numpy as np
 
-from valvemap.model import flow_findings, flow_map_looks, flow_parameters
+from valvemap.model import flow_findings, flow_map_looks, flow_parameters, flow_words
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
+from valvemap.model.forgetting import check_lam, lam_of_memory
 from valvemap.model.kernels import (
     flow_drift,
+    flow_fit,
     flow_memory,
+    flow_path,
     flow_play,
 )
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.model_structures import FiveTerms, Structure
+from valvemap.model.portable_flow_map import GaussianMap
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import Adaptation, Quality
 
+LEAST_LAM: Final = lam_of_memory(2)  # of a cell's samples: its mean and the noise come from them
+LAGS: Final = (
+    *(flow_path.DEAD_U, flow_path.LAG_U),
+    *(flow_path.DEAD_Q, flow_path.AVERAGE, flow_path.LAG_Q),
+)
+NEARLY_THERE: Final = 0.25  # of half the play; so little is no reason to move the spool
+
 
 @dataclass(frozen=True)
 class FlowMap:
-    """The flow map as a Gaussian field over (U, s), s = sign(Δp)·√|Δp|.
+    """The flow map as one Gaussian field over (U, s), s = sign(Δp)·√|Δp|, learnt online.
 
         Q = g(U, s) + b_cell + ε,   g = Σ c_ij·B_i(U)·B_j(s)
 
@@ -35,6 +49,9 @@ class FlowMap:
     ----------
     U_range, dp_range
         Of the valve, % and bar.
+    lam
+        Forgetting factor of a cell, per sample that falls into it, LEAST_LAM <= lam <= 1: by
+        default 500 samples, .05 σ, less than a map needs. What moves in time needs none of it.
 
     Examples
     --------
@@ -52,11 +69,19 @@ class FlowMap:
 
     U_range: Range = (0.0, 100.0)
     dp_range: Range = (0.0, 200.0)
+    lam: float = 0.998
+
+    def __post_init__(self) -> None:
+        check_lam(self.lam, LEAST_LAM)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Points at which the map is published, then physical quantities."""
         return flow_parameters.NAMES
+
+    def with_forgetting(self, lam: float) -> Self:
+        """Use another forgetting factor; states may be carried over."""
+        return replace(self, lam=lam)
 
     def initial_state(self) -> FlowMapState:
         """State before the first sample."""
@@ -82,6 +107,7 @@ class FlowMap:
             predicted=predicted,
             residual=residual,
             status=trace.status,
+            longest=math.inf if self.lam == 1.0 else round(1.0 / (1.0 - self.lam), 6),
         )
         both = axes(self.U_range, self.dp_range)
         with np.errstate(all="ignore"):
@@ -113,11 +139,17 @@ class FlowMap:
         return Adaptation(int(self.adaptation_many(alone(state))[0]))
 
     def adaptation_many(self, states: FlowMapState) -> Codes:
-        """`adaptation` of M models (M,): drift where it is likelier than not on either side."""
+        """`adaptation` of M models (M,): each where it is likelier than not, reaction first."""
         moving = (states.chance[..., flow_drift.MOVING] > 0.5).any(axis=-1)
         young = states.counters[..., flow_memory.USED] < rules.SETTLED_MAP
         steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
-        return np.where(moving & ~young, Adaptation.DRIFT, steady).astype(np.uint8)
+        found = np.where(moving & ~young, Adaptation.DRIFT, steady)
+        hidden = (states.scalars[..., flow_fit.SURPRISE] > rules.SURPRISED) & (
+            states.scalars[..., flow_fit.STAYS_SEEN] >= rules.FEWEST_STAYS
+        )
+        found = np.where(hidden, Adaptation.MISFIT, found)
+        reacting = states.path[..., flow_path.NEWS] > 0.0
+        return np.where(reacting, Adaptation.REACTING, found).astype(np.uint8)
 
     def rates(self, state: FlowMapState) -> tuple[Floats, Floats]:
         """Rates of gain (1/h) and edge (%/h), and their standard deviations, (2, 2): by side."""
@@ -127,9 +159,76 @@ class FlowMap:
         """Causes of what the samples show, the likeliest first."""
         return flow_findings.findings(state, axes(self.U_range, self.dp_range))
 
-    def play(self, state: FlowMapState) -> float:
-        """Play between U and the spool, %."""
-        return 2.0 * float(state.play[flow_play.HALF])
+    def half_play(self, state: FlowMapState) -> float:
+        """Half of the play between U and the spool, %."""
+        return float(state.play[flow_play.HALF])
+
+    def directions(self, state: FlowMapState, U: Floats) -> Floats:
+        """Where in its play (-1 … 1) the spool is along a path of its own (N,)."""
+        found = np.zeros(len(U))
+        if (half := self.half_play(state)) > 0.0:
+            flow_play.behind(half, U, found)
+        return found
+
+    def predict_along(
+        self, state: FlowMapState, U: Floats, dp: Floats, T: Floats, direction: Floats
+    ) -> tuple[Floats, Floats]:
+        """Flow and standard deviation with U coming from below (1) or above (-1)."""
+        return self.predict(state, U - self.half_play(state) * direction, dp, T)
+
+    def approached(self, state: FlowMapState, U: Floats) -> Floats:
+        """U (N,) that moves the spool from where it is now to where ``U`` would hold it.
+
+        Through the play in the direction it has to go; see `NEARLY_THERE`.
+        """
+        half, seen = self.half_play(state), int(state.counters[flow_memory.ROWS_SEEN])
+        if half == 0.0 or seen == 0:
+            return U
+        last = float(state.recent[(seen - 1) % len(state.recent), flow_path.LEFT_U])
+        way = U - float(state.play[flow_play.SPOOL])
+        moved = np.clip(U + np.copysign(half, way), *self.U_range)
+        return np.where(np.abs(way) < NEARLY_THERE * half, last, moved)
+
+    def to_map(self, state: FlowMapState) -> GaussianMap:
+        """Return the map as a value."""
+        return GaussianMap.of(state, self.U_range, self.dp_range)
+
+    def describe(self, state: FlowMapState) -> str:
+        """Return the effects in force, in words."""
+        return flow_words.describe(state)
+
+    def describe_many(self, states: FlowMapState, chosen: Times) -> Sequence[str]:
+        """What ``describe`` gives of chosen valves."""
+        return [flow_words.describe(member(states, int(m))) for m in chosen]
+
+    def structure_now(self, state: FlowMapState) -> Structure | None:
+        """Eq. (7), where it is as good as certain; None for a map known only where samples were."""
+        return FiveTerms() if flow_words.is_plain(state) else None
+
+    def lags(self, state: FlowMapState) -> tuple[float, float]:
+        """First-order lags of U's effect and of the flow meter, s."""
+        return float(state.path[flow_path.LAG_U]), float(state.path[flow_path.LAG_Q])
+
+    def lags_many(self, states: FlowMapState, chosen: Times) -> Sequence[tuple[float, float]]:
+        """What ``lags`` gives of chosen valves."""
+        return [self.lags(member(states, int(m))) for m in chosen]
+
+    def largest_lags(self, states: FlowMapState) -> Floats:
+        """The largest lag, dead time or mean of each of M valves, s (M,)."""
+        return np.asarray(states.path[..., LAGS].max(axis=-1))
+
+    def censored(self, states: FlowMapState) -> Times:
+        """How many samples of each of M valves lay where the meter shows no flow."""
+        return np.asarray(states.counters[..., flow_memory.CENSORED])
+
+    def began(self, states: FlowMapState) -> Times:
+        """After how many samples the map of each of M valves began anew; 0: it never did."""
+        return states.counters[..., flow_memory.RESTARTED].copy()
+
+    def samples_since(self, states: FlowMapState) -> Times:
+        """How many samples of each of M valves its map has learnt since it began anew."""
+        counters = states.counters
+        return np.asarray(counters[..., flow_memory.USED] - counters[..., flow_memory.RESTARTED])
 
     @property
     def uses_temperature(self) -> bool:

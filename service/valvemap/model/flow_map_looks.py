@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model import flow_causes
+from valvemap.model import flow_causes, flow_evidence
 from valvemap.model.fleet import copied
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import (
@@ -38,7 +38,7 @@ def new_room() -> flow_memory.Room:
     """Room for the kernels to work in."""
     shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
     return flow_memory.Room(
-        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(4)
+        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(6)
     )
 
 
@@ -51,14 +51,14 @@ def learn(state: FlowMapState, both: Both, batch: flow_memory.Batch, start: int,
         T = float(batch.T[row - 1])
         T = T if abs(T) < rules.HUGE else math.nan
         if counters[flow_memory.BEGAN] != began:
-            _replay(state, both, T)
+            _replay(state, both, T, batch.longest)
         if counters[flow_memory.USED] >= counters[flow_memory.NEXT_FIT]:
             _refit(state, *both)
             if counters[flow_memory.DOUBTED]:
                 _doubt_change(state, both)
             _watch(state, both)
             if counters[flow_memory.USED] >= counters[flow_memory.NEXT_LOOK]:
-                _look(state, both, T)
+                _look(state, both, T, batch.longest)
 
 
 def predict(
@@ -75,7 +75,7 @@ def bare_memory(state: FlowMapState) -> flow_memory.Memory:
     return memory_of(state)._replace(cells=NO_CELLS, recent=NO_ROWS)
 
 
-def _look(state: FlowMapState, both: Both, T: float) -> None:
+def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
     """Search for operators; where others are found, the map begins again."""
     counters, path, play = state.counters, state.path, state.play
     used = int(counters[flow_memory.USED])
@@ -83,24 +83,52 @@ def _look(state: FlowMapState, both: Both, T: float) -> None:
     counters[flow_memory.NEXT_LOOK] = next(later, used + rules.MOST_BETWEEN_LOOKS)
     given = _given(state)
     rows = _rows(state)
-    evidence = flow_causes.Evidence(*both, rows)
+    evidence = flow_evidence.Evidence(*both, rows)
     found, gains = flow_causes.search(evidence, given)
     of = path[flow_path.GAINS : flow_path.GAINS + flow_path.PARAMETERS]
     of += gains
     of[(found == 0.0) & (np.arange(flow_path.PARAMETERS) != flow_path.LEAST)] = 0.0
     if found[flow_path.PLAY]:
-        left, noise = evidence.of(found)[0], flow_causes.noise_of(rows[:, flow_path.LEFT_Q])
+        left, noise = evidence.of(found).square, flow_causes.noise_of(rows[:, flow_path.LEFT_Q])
         path[flow_path.HYSTERESIS] += _sign(left > rules.OTHER_HYSTERESIS * noise**2)
     path[flow_path.NEWS] = found[flow_path.NEWS]
-    if not _differ(found, given):
-        return
-    path[: flow_path.PARAMETERS] = found
-    play[flow_play.HALF] = found[flow_path.PLAY]
-    path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
-    if (found == given)[: flow_path.TOP].all():
-        _empty_bounds(state, both)
+    of_found = flow_evidence.precision(evidence, found)
+    if _differ(found, given, of_found, state.precision):
+        path[: flow_path.PARAMETERS] = found
+        play[flow_play.HALF] = found[flow_path.PLAY]
+        path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
+        state.precision[:] = of_found
+        if (found == given)[: flow_path.TOP].all():
+            _empty_bounds(state, both)
+        else:
+            _replay(state, both, T, longest)
+        _refine(state, both, evidence, np.zeros_like(found))
     else:
-        _replay(state, both, T)
+        state.precision[:] += of_found
+        ks = [k for k in flow_evidence.smooth(found) if k != flow_path.PLAY]
+        moved = np.zeros_like(found)
+        if ks:
+            weighed = of_found[np.ix_(ks, ks)] @ (found - given)[ks]
+            moved[ks] = flow_evidence.solved(state.precision[np.ix_(ks, ks)], weighed)
+        _refine(state, both, evidence, moved)
+
+
+def _refine(
+    state: FlowMapState, both: Both, evidence: flow_evidence.Evidence, moved: Floats
+) -> None:
+    """Move the operators' parameters and, by its derivatives, the map; note the doubt left."""
+    at = _given(state)
+    ks = flow_evidence.smooth(at)
+    state.doubt[:] = 0.0
+    if not ks:
+        return
+    slopes = np.array([evidence.moved(at, k, *both) for k in ks])
+    covariance = flow_evidence.solved(state.precision[np.ix_(ks, ks)], np.eye(len(ks)))
+    state.doubt[:] = np.sqrt(np.einsum("ki,kl,li->i", slopes, covariance, slopes))
+    by = np.einsum("k,ki->i", moved[ks], slopes)
+    state.theta[:] += by
+    flow_cells.shift(*both, by, state.cells, new_room().work)
+    state.path[: flow_path.PARAMETERS] += moved
 
 
 def _doubt_change(state: FlowMapState, both: Both) -> None:
@@ -110,7 +138,7 @@ def _doubt_change(state: FlowMapState, both: Both) -> None:
     given = _given(state)
     if given[flow_path.TOP]:
         return
-    top = flow_causes.end_of_meter(flow_causes.Evidence(*both, _rows(state)), given)
+    top = flow_causes.end_of_meter(flow_evidence.Evidence(*both, _rows(state)), given)
     if top:
         path[flow_path.TOP], path[flow_path.GAINS + flow_path.TOP] = top, rules.CLEAR
         counters[flow_memory.CHANGES] -= 1
@@ -148,8 +176,10 @@ def _watch(state: FlowMapState, both: Both) -> None:
     Q = rows[:, flow_path.LEFT_Q]
     if len(Q) < rules.SEEN_BELOW:
         return
+    noise = flow_causes.noise_of(Q)
+    _watch_pump(path, rows, noise)
     before, at = path[flow_path.LEAST_SEEN], flow_path.GAINS + flow_path.LEAST
-    least, gain = flow_causes.least_shown(Q, flow_causes.noise_of(Q))
+    least, gain = flow_causes.least_shown(Q, noise)
     if before > 0.0 and least < rules.SAME_LEAST * before:
         path[at] = 0.0  # refuted
     if before == 0.0 or least < before:
@@ -163,12 +193,28 @@ def _watch(state: FlowMapState, both: Both) -> None:
         path[flow_path.LEAST] = path[flow_path.LEAST_SEEN]
 
 
-def _differ(found: Floats, given: Floats) -> bool:
-    """Whether the map would be another one."""
-    least = rules.OTHER * np.maximum(found, given)
-    least[flow_path.PLAY] = max(least[flow_path.PLAY], rules.PLAY_STEP)
-    least[flow_path.NEWS] = math.inf  # changes nothing of the map
-    return bool((np.abs(found - given) > least).any())
+def _watch_pump(path: Floats, rows: Floats, noise: float) -> None:
+    """Weigh whether the largest flow is that of the pump; a larger one refutes it."""
+    level, gain = flow_causes.most_delivered(rows, noise)
+    width = rules.MOST_STAY * noise
+    if level > path[flow_path.MOST] + width:
+        path[flow_path.MOST], path[flow_path.MOST_GAIN] = level, gain
+    elif level > path[flow_path.MOST] - width:
+        path[flow_path.MOST_GAIN] += gain
+
+
+def _differ(found: Floats, given: Floats, of_found: Floats, of_given: Floats) -> bool:
+    """Whether the map would be another one: other operators, or parameters beyond doubt."""
+    there = np.arange(flow_path.PARAMETERS) != flow_path.NEWS  # changes nothing of the map
+    ks = [int(k) for k in np.flatnonzero(there & (found > 0.0) & (given > 0.0))]
+    if ((found > 0.0) != (given > 0.0))[there].any():
+        return True
+    off, square = (found - given)[ks], 0.0
+    both = [of[np.ix_(ks, ks)] for of in (of_found, of_given)]
+    if all(np.diagonal(of).all() for of in both):
+        sum_of = sum(flow_evidence.solved(of, np.eye(len(ks))) for of in both)
+        square = float(off @ np.linalg.solve(sum_of, off))
+    return bool(square > 2.0 * rules.CLEAR) and bool((np.abs(off) > rules.OTHER * found[ks]).any())
 
 
 def _rows(state: FlowMapState) -> Floats:
@@ -178,7 +224,7 @@ def _rows(state: FlowMapState) -> Floats:
     return np.array(rows, np.float64)
 
 
-def _replay(state: FlowMapState, both: Both, T: float) -> None:
+def _replay(state: FlowMapState, both: Both, T: float, longest: float) -> None:
     """Begin the map again, with the last samples."""
     rows = _rows(state)
     N = len(rows)
@@ -197,10 +243,12 @@ def _replay(state: FlowMapState, both: Both, T: float) -> None:
         predicted=predicted,
         residual=residual,
         status=np.empty(N, np.uint8),
+        longest=longest,
     )
     counters[flow_memory.WATCHED] = N
     _begin_coarse(state, both, rows)
     flow_run.run(0, N, batch, *both, memory, room)
+    counters[flow_memory.RESTARTED] = counters[flow_memory.USED]
     counters[flow_memory.FITTED] = 0  # the next fit starts from the first guess
     _refit(state, *both)
 
@@ -208,8 +256,8 @@ def _replay(state: FlowMapState, both: Both, T: float) -> None:
 def _begin_coarse(state: FlowMapState, both: Both, rows: Floats) -> None:
     """Take the coarse map of the rows until all are learnt: a meter's filter is undone by it."""
     given = _given(state)
-    evidence = flow_causes.Evidence(*both, rows)
-    left, _, _ = evidence.of(given)
+    evidence = flow_evidence.Evidence(*both, rows)
+    left = evidence.of(given).square
     evidence.fill(given, *both, state.theta)
     scale = float(state.scalars[flow_fit.SCALE])
     state.std[:] = rules.COARSE * math.sqrt(scale)
@@ -230,11 +278,11 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
     fitted = bool(counters[flow_memory.FITTED])
     rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
-    counters[flow_memory.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
+    counters[flow_memory.FITTED] = fit(state, axis_U, axis_s, rounds, fresh=not fitted)
     if used >= counters[flow_memory.NEXT_START]:
         counters[flow_memory.NEXT_START] = 2 * used
         other = copied(state)
-        better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
+        better = fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
         gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
         if better and not gained <= 0.0:
             counters[flow_memory.FITTED] = 1
@@ -249,6 +297,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
 
 
-def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
+def fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
+    """Fit the map, written in place; 0 where it could not be done."""
     arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
     return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

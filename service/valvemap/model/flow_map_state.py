@@ -47,6 +47,10 @@ class FlowMapState(State):
         The stay in a cell that lasts, see :mod:`kernels.flow_memory`.
     play : (PLACES,)
         Play between U and the spool, see :mod:`kernels.flow_play`.
+    doubt : (n_U·n_s,) float32
+        Standard deviation that the operators' parameters give the map at the sites, l/min.
+    precision : (PARAMETERS, PARAMETERS)
+        Inverse covariance of the operators' parameters, 0 of those that are not there.
     path : (PLACES,)
         Operators between map and samples, see :mod:`kernels.flow_path`.
     recent : (ROWS, COLUMNS) float32
@@ -55,11 +59,13 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 2
+    state_version: ClassVar[int] = 3
 
     cells: NDArray[np.float32]
     theta: Floats
     std: NDArray[np.float32]
+    doubt: NDArray[np.float32]
+    precision: Floats
     w: Floats
     v: Floats
     x: Floats
@@ -101,6 +107,8 @@ class FlowMapState(State):
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
             "std": Contents(self.std).within(0.0),
+            "doubt": Contents(self.doubt).within(0.0),
+            "precision": Contents(self.precision),
             "w": Contents(self.w).within(0.0),
             "v": Contents(self.v).within(0.0),
             "chance": Contents(self.chance).within(0.0, 1.0),
@@ -137,6 +145,8 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         cells=cells,
         theta=np.zeros(n_U * n_s),
         std=np.zeros(n_U * n_s, np.float32),
+        doubt=np.zeros(n_U * n_s, np.float32),
+        precision=np.zeros((flow_path.PARAMETERS, flow_path.PARAMETERS)),
         w=np.ones(n_U - 2),
         v=np.ones(n_s - 2),
         x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),

@@ -6,16 +6,16 @@ s = -a2/a4 and has the wrong sign beyond. Here a status reports that, and U stay
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol, TypeVar, runtime_checkable
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from valvemap.model.capabilities import PathDependent
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.extrapolation import U_range_of, is_eq7, trusted
 from valvemap.model.inversion import Inversion
 from valvemap.model.kernels import inverse as kernel
-from valvemap.model.kernels.surface import T_REFERENCE, Surface
 from valvemap.model.linear_map import LinearMap
 from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
 from valvemap.model.monotone_search import search
@@ -26,6 +26,7 @@ from valvemap.model.support import Support
 from valvemap.vocabulary.statuses import InverseStatus
 
 U_MAX: Final = 100.0
+T_REFERENCE: Final = 40.0  # °C; stands in for a temperature that is missing
 TWO_SIDED_95: Final = 1.959963984540054
 ROUNDING: Final = 1e-12
 LEVELS, CHUNK = 41, 256  # levels of U for an uncertain answer; answers processed together
@@ -33,14 +34,6 @@ LEVELS, CHUNK = 41, 256  # levels of U for an uncertain answer; answers processe
 S = TypeVar("S", bound=State)
 
 Widening = Callable[[Floats, Floats, Floats, Floats], Floats]  # std of Q̂ at U, dp, T
-
-
-@runtime_checkable
-class HasSurface(Protocol):
-    """An estimator whose map is a cubic tensor spline."""
-
-    def surface(self, state: Any) -> Surface:  # noqa: ANN401 - the estimator's own state
-        """Return knots, nodes and coefficients."""
 
 
 def invert(
@@ -96,14 +89,11 @@ def invert(
                 theta = structure.coefficients(_theta_of(estimator, state, structure))
                 nodes = np.array(structure.T, np.float64)
                 found = _invert_spline(*structure.knots, nodes, theta, demand, drop, temperature)
-            case _ if isinstance(estimator, HasSurface):
-                knots_U, knots_s, nodes, theta, play = estimator.surface(state)
-                warm = np.where(np.isfinite(temperature), temperature, T_REFERENCE)
-                found = _invert_spline(knots_U, knots_s, nodes, theta, demand, drop, warm)
-                lag = play * np.broadcast_to(np.asarray(direction, np.float64), demand.shape)
-                found = _on_branch(found, lag)
             case _:
                 found = _search(estimator, state, demand, drop, temperature)
+        if isinstance(estimator, PathDependent):
+            lag = estimator.half_play(state) * np.asarray(direction, np.float64)
+            found = _on_branch(found, np.broadcast_to(lag, demand.shape), U_range_of(estimator))
         points = np.nan_to_num(found.U), drop, temperature
         std, lacking = _spread(estimator, state, *points)
         std = std if widened is None else widened(std, *points)
@@ -191,16 +181,17 @@ def _invert_spline(
     return _Found(U, unclipped, slope, status)
 
 
-def _on_branch(found: _Found, lag: Floats) -> _Found:
+def _on_branch(found: _Found, lag: Floats, reach: tuple[float, float]) -> _Found:
     """Add the hysteresis lag (%) of the map to U, within its range."""
     led = found.unclipped + lag
     moved = (lag != 0.0) & (found.status <= InverseStatus.BELOW_REACH) & np.isfinite(led)
-    reach = _select((led > U_MAX, InverseStatus.ABOVE_REACH), (led < 0, InverseStatus.BELOW_REACH))
+    above, below = led > reach[1], led < reach[0]
+    status = _select((above, InverseStatus.ABOVE_REACH), (below, InverseStatus.BELOW_REACH))
     return _Found(
-        U=np.where(moved, np.clip(led, 0.0, U_MAX), found.U),
+        U=np.where(moved, np.clip(led, *reach), found.U),
         unclipped=np.where(moved, led, found.unclipped),
         slope=found.slope,
-        status=np.where(moved, reach, found.status).astype(np.uint8),
+        status=np.where(moved, status, found.status).astype(np.uint8),
     )
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.bernstein import bernstein
-from valvemap.model.inverse_map import HasSurface
 from valvemap.model.model_structures import Polynomial, TensorSpline
 from valvemap.model.samples import Floats
 
@@ -57,7 +56,7 @@ class MapPieces:
 
         The polynomials are interpolated, and compared with the map between the points.
         """
-        knots = _knots(estimator, state)
+        knots = _knots(estimator)
         if knots is None:
             return None
         knots_U, knots_s = knots
@@ -158,11 +157,8 @@ class MapPieces:
         return np.ascontiguousarray(least.T)
 
 
-def _knots(estimator: Any, state: Any) -> tuple[Floats, Floats] | None:  # noqa: ANN401 - any
+def _knots(estimator: Any) -> tuple[Floats, Floats] | None:  # noqa: ANN401 - any
     """Return the knots of a spline, none for a polynomial; None for other maps."""
-    if isinstance(estimator, HasSurface):
-        surface = estimator.surface(state)
-        return surface.knots_U, surface.knots_s
     match getattr(estimator, "structure", None):
         case TensorSpline() as spline:
             return spline.knots

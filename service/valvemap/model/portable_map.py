@@ -6,14 +6,14 @@ predict bit-identically. Files of models contain these values.
 
 from typing import Any, assert_never
 
-from valvemap.model.auto import Auto
-from valvemap.model.auto_map import AutoMap
 from valvemap.model.capabilities import Portable
 from valvemap.model.estimator import Estimator
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.linear_map import LinearMap, LinearMapState, LinearParameters
+from valvemap.model.portable_flow_map import GaussianMap
 from valvemap.model.rbf_network import NetworkMap, RbfNetwork
 
-PortableMap = LinearParameters | NetworkMap | AutoMap
+PortableMap = LinearParameters | NetworkMap | GaussianMap
 
 
 def to_map(estimator: Estimator[Any], state: Any) -> PortableMap:  # noqa: ANN401 - its own state
@@ -47,7 +47,7 @@ def restored(portable: PortableMap) -> tuple[Estimator[Any], Any]:
         case NetworkMap(grid, U_range, dp_range, Q_scale):
             network = RbfNetwork(grid=grid, U_range=U_range, dp_range=dp_range, Q_scale=Q_scale)
             return network, portable.state()
-        case AutoMap():
-            return Auto(), portable.state()
+        case GaussianMap(U_range, dp_range):
+            return FlowMap(U_range, dp_range), portable.state()
         case _:
             assert_never(portable)

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 from asyncua import ua
 
@@ -23,6 +23,8 @@ _Name = TypeVar("_Name")
 _KEEP_ALIVES, _LIFETIME = 20, 120  # publishing intervals: of 0.5 s, 10 and 60 s
 _VALUES_PER_MESSAGE = 500
 _MOST_CHANGES = 10_000  # buffered until take(); the oldest are dropped first
+_MOST_EVENTS = 5_000  # buffered until take_events(); the oldest are dropped first
+_EVENT_QUEUE = 1_000  # at the server, until they are published
 
 
 @dataclass(frozen=True)
@@ -49,12 +51,14 @@ CLOSELY: Final = Sampling(0.05, 40, equal_too=True)
 
 
 class Followed(Generic[_Name]):
-    """One subscription: created by the first :meth:`follow`, deleted by :meth:`stop`.
+    """One subscription: created by the first :meth:`follow` or :meth:`listen`.
+
+    It is deleted by :meth:`stop`, or when nothing is followed and no events are listened to.
 
     Attributes
     ----------
     lost : int
-        Changes dropped because the buffer was full.
+        Changes and events dropped because a buffer was full.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -67,6 +71,51 @@ class Followed(Generic[_Name]):
         self._items: dict[_Name, int] = {}  # numbers at the server
         self._changes: deque[tuple[_Name, ua.DataValue]] = deque(maxlen=_MOST_CHANGES)
         self._failure: SourceError | None = None
+        self._listening: int | None = None  # client handle of the item for events
+        self._events: deque[list[Any]] = deque(maxlen=_MOST_EVENTS)
+
+    async def listen(self, node: ua.NodeId, wanted: ua.EventFilter, every_s: float) -> int:
+        """Monitor the events of a node beside the values; return the subscription's number.
+
+        Raises
+        ------
+        SourceRejected
+            if the server accepts no more subscriptions or items.
+        SourceLost
+        """
+        with self._connection.errors("listening to events"):
+            await self._begin(every_s)
+            handle = next(self._handles)
+            item = ua.MonitoredItemCreateRequest(
+                ItemToMonitor=ua.ReadValueId(
+                    NodeId=node, AttributeId=ua.AttributeIds.EventNotifier
+                ),
+                MonitoringMode=ua.MonitoringMode.Reporting,
+                RequestedParameters=ua.MonitoringParameters(
+                    ClientHandle=handle, Filter=wanted, QueueSize=_EVENT_QUEUE, DiscardOldest=True
+                ),
+            )
+            self._listening = handle
+            (result,) = await self._create([item])
+        if result.StatusCode.value >> 30:
+            self._listening = None
+            url, why = self._connection.settings.url, status_name(result.StatusCode.value)
+            raise SourceRejected(f"{url}: {why}")
+        return self._subscription or 0
+
+    def take_events(self) -> list[list[Any]]:
+        """Return the selected fields of the buffered events, and empty the buffer.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+            the failure that ended the subscription.
+        """
+        if self._failure is not None:
+            raise self._failure
+        events = list(self._events)
+        self._events.clear()
+        return events
 
     async def follow(
         self, nodes: Mapping[_Name, ua.NodeId], every_s: float, sampling: Sampling = CLOSELY
@@ -83,7 +132,7 @@ class Followed(Generic[_Name]):
         SourceLost
         """
         if not nodes:
-            await self.stop()
+            await self._end_values()
             return
         try:
             with self._connection.errors("following values"):
@@ -92,7 +141,7 @@ class Followed(Generic[_Name]):
                 new = {n: node for n, node in nodes.items() if n not in self._items}
                 await self._add(new, sampling)
         except SourceRejected:
-            await self.stop()
+            await self._end_values()
             raise
 
     def take(self) -> list[tuple[_Name, ua.DataValue]]:
@@ -117,9 +166,11 @@ class Followed(Generic[_Name]):
         SourceLost, SourceRejected
         """
         number, self._subscription = self._subscription, None
+        self._listening = None
         self._items.clear()
         self._names.clear()
         self._changes.clear()
+        self._events.clear()
         self._failure = None
         if number is None or self._publishing is None:
             return
@@ -134,6 +185,15 @@ class Followed(Generic[_Name]):
         if self._publishing is not None:
             self._publishing.cancel()
             await asyncio.gather(self._publishing, return_exceptions=True)
+
+    async def _end_values(self) -> None:
+        """Monitor no values any more; the subscription stays for events."""
+        if self._listening is None:
+            await self.stop()
+            return
+        with self._connection.errors("ending followed values"):
+            await self._forget(list(self._items))
+        self._changes.clear()
 
     async def _begin(self, every_s: float) -> None:
         if self._subscription is not None:
@@ -215,6 +275,11 @@ class Followed(Generic[_Name]):
                         if name is not None:
                             self.lost += len(self._changes) == _MOST_CHANGES
                             self._changes.append((name, change.Value))
+                case ua.EventNotificationList(Events=events):
+                    for event in events:
+                        if event.ClientHandle == self._listening:
+                            self.lost += len(self._events) == _MOST_EVENTS
+                            self._events.append([field.Value for field in event.EventFields])
                 case ua.StatusChangeNotification(Status=status) if status.value >> 30:
                     url, why = self._connection.settings.url, status_name(status.value)
                     raise SourceLost(f"{url}: the subscription ended: {why}")

@@ -10,6 +10,7 @@ from valvemap.opcua_client.connection import Connection, OperationLimits
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
 
+_HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _DEFAULT_OPERATIONS: Final = 1_000
 _MOST_OPERATIONS: Final = 10_000
 _REFERENCES: Final = 500  # of a node in one response; the rest by BrowseNext
@@ -87,6 +88,23 @@ async def read_attributes(
     return await in_chunks(nodes, max(limit // width, 1), read)
 
 
+async def read_properties(
+    connection: Connection, nodes: Sequence[ua.NodeId], names: Sequence[str]
+) -> list[tuple[object, ...]]:
+    """Read standard properties of nodes, one value per name; None where there is none."""
+    limit = (await operation_limits(connection)).nodes_per_read
+    paths = [_property_path(node, name) for node in nodes for name in names]
+    session = connection.session
+    found = await in_chunks(
+        paths, limit, lambda some: session.translate_browsepaths_to_nodeids(list(some))
+    )
+    targets = [_target(result) for result in found]
+    answers = iter(await read_values(connection, [one for one in targets if one is not None]))
+    values = [None if target is None else _good_value(next(answers)) for target in targets]
+    width = len(names)
+    return [tuple(values[i : i + width]) for i in range(0, len(values), width)]
+
+
 async def namespaces_of(connection: Connection) -> list[str]:
     """Read the server's NamespaceArray.
 
@@ -130,6 +148,28 @@ async def _read(
     return await connection.session.read(
         ua.ReadParameters(TimestampsToReturn=timestamps, NodesToRead=wanted)
     )
+
+
+def _property_path(node: ua.NodeId, name: str) -> ua.BrowsePath:
+    element = ua.RelativePathElement(
+        ReferenceTypeId=_HAS_PROPERTY,
+        IsInverse=False,
+        IncludeSubtypes=True,
+        TargetName=ua.QualifiedName(name, 0),
+    )
+    return ua.BrowsePath(StartingNode=node, RelativePath=ua.RelativePath(Elements=[element]))
+
+
+def _target(result: ua.BrowsePathResult) -> ua.NodeId | None:
+    if not result.StatusCode.is_good() or not result.Targets:
+        return None
+    target = result.Targets[0].TargetId
+    return ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
+
+
+def _good_value(answer: ua.DataValue) -> object:
+    good = answer.StatusCode is None or answer.StatusCode.is_good()
+    return answer.Value.Value if good and answer.Value is not None else None
 
 
 def _operations(announced: object) -> int:

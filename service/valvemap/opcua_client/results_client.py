@@ -5,12 +5,18 @@ It uses standard services only and does not need the compiled decoding loops of 
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from asyncua import ua
 
 from valvemap.clock import utc_ns
 from valvemap.errors import CommandRejected, SourceLost
+from valvemap.opcua_client.condition_events import (
+    ConditionChange,
+    condition_filter,
+    condition_of,
+)
 from valvemap.opcua_client.connection import (
     Connection,
     Security,
@@ -19,18 +25,26 @@ from valvemap.opcua_client.connection import (
     status_name,
 )
 from valvemap.opcua_client.followed import CLOSELY, Followed, Sampling
+from valvemap.opcua_client.history_reads import Course, read_aggregates, read_events
 from valvemap.opcua_client.requests import (
     children_of,
     in_chunks,
     namespaces_of,
     read_attributes,
+    read_properties,
     read_values,
 )
 
-__all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
+__all__ = ["Child", "Engineering", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
 UNKNOWN_NODE = int(ua.StatusCodes.BadNodeIdUnknown)  # code of a reading: no such variable
 
+_NO_HISTORY = (
+    ua.uaerrors.BadHistoryOperationUnsupported,
+    ua.uaerrors.BadServiceUnsupported,
+    ua.uaerrors.BadNotSupported,
+    ua.uaerrors.BadUserAccessDenied,
+)
 _METHODS_AT_ONCE = 50  # calls per request, so that other requests are not blocked
 _LATE = 10  # queue size of a watched variable, for delayed publishing
 
@@ -45,6 +59,15 @@ class Reading:
     value: Any
     code: int
     t: int
+
+
+@dataclass(frozen=True)
+class Engineering:
+    """Unit, range in it, and description of a variable; empty or None where not given."""
+
+    unit: str = ""
+    range: tuple[float, float] | None = None
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -158,6 +181,23 @@ class ResultsClient:
             answers = await read_attributes(connection, nodes, wanted)
         return [_type_name(*answer) for answer in answers]
 
+    async def engineering(self, ids: Sequence[str]) -> list[Engineering]:
+        """Return units, ranges and descriptions of variables.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        nodes = [self._node(id_) for id_ in ids]
+        with connection.errors("reading units"):
+            pairs = await read_properties(connection, nodes, ("EngineeringUnits", "EURange"))
+            texts = await read_attributes(connection, nodes, (ua.AttributeIds.Description,))
+        return [
+            _engineering(information, span, text)
+            for (information, span), (text,) in zip(pairs, texts, strict=True)
+        ]
+
     async def read(self, ids: Sequence[str | int]) -> list[Reading]:
         """Read variables, one reading each; a variable that cannot be read has a Bad ``code``.
 
@@ -268,6 +308,98 @@ class ResultsClient:
             )
         _check(id, status.value)
 
+    async def courses(
+        self, asked: Sequence[tuple[str, str]], span: tuple[int, int], every_ns: int
+    ) -> list[Course]:
+        """Read aggregates of variables from the server's history, at equal intervals.
+
+        ``asked`` are identifiers with Average, Minimum or Maximum; ``span`` in UTC ns, its end
+        excluded. A variable without a history has a Bad ``code``.
+
+        Raises
+        ------
+        CommandRejected
+            if the server reads no history.
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        nodes = [(self._node(id_), kind) for id_, kind in asked]
+        with connection.errors("reading history"):
+            try:
+                return await read_aggregates(connection, nodes, span, every_ns)
+            except _NO_HISTORY as error:
+                raise CommandRejected(f"{self.url}: keeps no history ({error})") from None
+
+    async def past_conditions(self, span: tuple[int, int], most: int) -> list[ConditionChange]:
+        """Return the newest changes of all alarms in a span (UTC ns), the newest first.
+
+        Raises
+        ------
+        CommandRejected
+            if the server keeps no history of events.
+        SourceLost, SourceRejected
+        """
+        connection, server = self._connected(), ua.NodeId(ua.ObjectIds.Server)
+        with connection.errors("reading past alarms"):
+            try:
+                found = await read_events(connection, server, condition_filter(), span, most)
+            except _NO_HISTORY as error:
+                raise CommandRejected(f"{self.url}: keeps no past alarms ({error})") from None
+        return [change for values in found if (change := condition_of(values)) is not None]
+
+    async def listen(self, every_s: float) -> None:
+        """Subscribe to the changes of all alarms; those that need somebody are reported first.
+
+        Raises
+        ------
+        SourceRejected
+            if the server accepts no more subscriptions or items.
+        SourceLost
+        """
+        if self._followed is None:
+            raise self._not_connected()
+        connection, server = self._connected(), ua.NodeId(ua.ObjectIds.Server)
+        number = await self._followed.listen(server, condition_filter(), every_s)
+        refresh = ua.CallMethodRequest(
+            ObjectId=ua.NodeId(ua.ObjectIds.ConditionType),
+            MethodId=ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh),
+            InputArguments=[ua.Variant(number, ua.VariantType.UInt32)],
+        )
+        with connection.errors("asking for the present alarms"):
+            (result,) = await connection.session.call([refresh])
+        _check("ConditionRefresh", result.StatusCode.value)
+
+    def conditions(self) -> list[ConditionChange]:
+        """Return the changes of alarms received since the last call, in order of arrival.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        if self._followed is None:
+            raise self._not_connected()
+        found = map(condition_of, self._followed.take_events())
+        return [change for change in found if change is not None]
+
+    async def comment(self, condition: str, event: bytes, text: str) -> None:
+        """Add a comment to a condition, of which ``event`` is an EventId.
+
+        Raises
+        ------
+        CommandRejected
+            if the server rejects it; the message has the StatusCode.
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        request = ua.CallMethodRequest(
+            ObjectId=self._node(condition),
+            MethodId=ua.NodeId(ua.ObjectIds.ConditionType_AddComment),
+            InputArguments=[ua.Variant(event), ua.Variant(ua.LocalizedText(text))],
+        )
+        with connection.errors(f"commenting on {condition}"):
+            (result,) = await connection.session.call([request])
+        _check(f"{condition}.AddComment", result.StatusCode.value)
+
     async def _follow(self, ids: Collection[str], every_s: float, sampling: Sampling) -> None:
         if self._followed is None:
             raise self._not_connected()
@@ -298,6 +430,17 @@ def _reading(answer: ua.DataValue) -> Reading:
     code = answer.StatusCode.value if answer.StatusCode is not None else 0
     time = answer.SourceTimestamp
     return Reading(value, int(code), 0 if time is None else utc_ns(time))
+
+
+def _engineering(information: object, span: object, text: ua.DataValue) -> Engineering:
+    symbol = information.DisplayName.Text if isinstance(information, ua.EUInformation) else None
+    bounds = (span.Low, span.High) if isinstance(span, ua.Range) else None
+    given = None if text.Value is None else text.Value.Value
+    return Engineering(
+        symbol or "",
+        bounds if bounds is not None and all(map(isfinite, bounds)) else None,
+        (given.Text or "") if isinstance(given, ua.LocalizedText) else "",
+    )
 
 
 def _type_name(type_: ua.DataValue, rank: ua.DataValue) -> str | None:

@@ -14,6 +14,9 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/…                 s=<Valve>.Identification.<Property>,
                                                      s=<Valve>.DeviceHealth: names of Devices (DI)
     Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
+
+An edge of a valve with ports has the place of a valve under the name ``<Valve>.PA``, a line under
+``<Valve>.LineA``: ``s=<Valve>.PA.<Estimator>.<Variable>``, ``s=<Valve>.LineA.Leakage``.
 """
 
 import re
@@ -27,10 +30,16 @@ from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.edges import PARTS, split_id
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Bounds, Kind, Quantity
 from valvemap.vocabulary.signals import PUBLISHED, SENSORS
-from valvemap.vocabulary.statuses import Described, FeedForwardStatus, InverseStatus
+from valvemap.vocabulary.statuses import (
+    Described,
+    FeedForwardStatus,
+    InverseStatus,
+    LineEdge,
+)
 
 NAMESPACE = SERVICE_NAMESPACE
 ROOT = "Identification"
@@ -46,6 +55,7 @@ BASELINE, BUILDS_ON = "Baseline", "BuildsOn"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 RECOMMENDED, RECOMMENDED_REASON = "Recommended", "RecommendedReason"
+LEAKAGE, LEAKAGE_STD = "Leakage", "LeakageStd"
 FINDINGS, FINDING_CODES = f"{DIAGNOSTICS}.Findings", f"{DIAGNOSTICS}.FindingCodes"
 FINDING_PROBABILITIES = f"{DIAGNOSTICS}.FindingProbabilities"
 IDENTIFICATION, DEVICE_HEALTH = "Identification", "DeviceHealth"  # browse names of DI
@@ -58,6 +68,7 @@ YEAR_S = 3.15e7
 _TAKEN = {
     *(INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
     *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION, RECOMMENDED, RECOMMENDED_REASON),
+    *PARTS,
 }
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
@@ -132,7 +143,7 @@ def estimator_variables(
 def signal_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
     """The newest sample of one valve, in the order of ``vocabulary.signals.PUBLISHED``."""
     ranges = {
-        "%": U_RANGE,
+        "%": valve.U_range,
         "bar": (0.0, max(valve.dp_range)),
         "l/min": valve.Q_range,
         "°C": T_RANGE,
@@ -461,7 +472,7 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             "inverse; by default the one that Recommended names, until then Auto or the first. "
             "The method Invert returns the 95 % interval of this U.",
             unit=Unit.PERCENT,
-            range=U_RANGE,
+            range=valve.U_range,
         ),
         VariableNode(
             f"{prefix}.RequiredUStatus",
@@ -496,6 +507,38 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
     )
 
 
+def line_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """The variables that a line of a valve with ports has beside others."""
+    if not valve.is_line:
+        return ()
+    prefix = f"{valve.name}.{INVERSE}"
+    return (
+        VariableNode(
+            f"{valve.name}.{LEAKAGE}",
+            "Flow that the line loses per bar between p1 and p2 while all edges are closed, in "
+            "(l/min)/bar; the flow of its edges is without it.",
+        ),
+        VariableNode(
+            f"{valve.name}.{LEAKAGE_STD}", "Standard deviation of Leakage, in (l/min)/bar."
+        ),
+        VariableNode(
+            f"{prefix}.Edge",
+            f"The edge that passes FlowDemand. {_sentences(LineEdge)}",
+            ua.VariantType.Int32,
+            statuses=LineEdge,
+        ),
+        *(
+            VariableNode(
+                f"{prefix}.RequiredU{end}",
+                f"{end} end of the 95 % interval of RequiredU.",
+                unit=Unit.PERCENT,
+                range=valve.U_range,
+            )
+            for end in ("Lower", "Upper")
+        ),
+    )
+
+
 def inverse_results(valve: ValveDescription) -> tuple[VariableNode, ...]:
     """The variables of a valve's inverse map that change with each result."""
     rare = f"{valve.name}.{INVERSE}.{ARMED}", f"{valve.name}.{INVERSE}.{FEED_FORWARD_STATUS}"
@@ -513,7 +556,7 @@ def map_variable(valve: ValveDescription) -> VariableNode:
         "Control voltage U over flow (rows, YAxisDefinition, MapQ) and pressure drop (columns, "
         "XAxisDefinition, MapDp); NaN where the valve cannot deliver.",
         unit=Unit.PERCENT,
-        range=U_RANGE,
+        range=valve.U_range,
         dimensions=(len(valve.map_Q), len(valve.map_dp)),
     )
 
@@ -695,9 +738,15 @@ def _camel_case(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 
+def _own_name(name: str) -> str:
+    """Return a name; of an edge or a line, that of its valve."""
+    owner, rest = split_id(name)
+    return name if rest else owner.partition(".")[0]
+
+
 def _check_unique(what: str, names: Sequence[str], taken: set[str]) -> None:
     for number, name in enumerate(names):
-        if not _NAME.fullmatch(name):
+        if not _NAME.fullmatch(_own_name(name)):
             raise ConfigurationError(
                 f"{what} '{name}': a name of letters, digits, '_' and '-' is needed"
             )
@@ -723,6 +772,6 @@ COUNTERS = {
     "too_fast": "Samples rejected because a signal changed faster than its limit.",
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples not learnt by an estimator: U is outside the range of its structure.",
-    "too_fast_for_lag": "Samples not learnt by Auto: too fast for the signals' lags.",
+    "censored": "Samples not learnt by Auto: the meter does not show a flow as large or as small.",
     "lane_failures": "Stops of an estimator at an unexpected error (alarm LaneFailed).",
 }

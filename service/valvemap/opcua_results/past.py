@@ -8,10 +8,11 @@ from typing import Final
 import numpy as np
 from asyncua import ua
 
-from guarded_opcua import Event, PastEvent, Records, Span
+from guarded_opcua import Cells, Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import ROOT
 from valvemap.pipeline.ports import AlarmReport, PastStore
 from valvemap.runtime.past import REQUIRED_U
+from valvemap.vocabulary.edges import split_id
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
@@ -30,16 +31,17 @@ def has_past(id_: str) -> bool:
     >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Residual", "V1.RLS.Status")]
     [True, True, False]
     """
-    _, _, rest = id_.partition(".")
+    _, rest = split_id(id_)
     part, _, name = rest.partition(".")
     return name in _PARTS.get(part, _ESTIMATED)
 
 
 class ResultsPast:
-    """Fulfils :class:`guarded_opcua.Historian`: the file is read in a thread."""
+    """Fulfils :class:`guarded_opcua.Historian` and `Summarising`: the file is read in a thread."""
 
     def __init__(self, store: PastStore) -> None:
         self._store = store
+        self.widths: Sequence[int] = store.widths
 
     def raw(self, variable: ua.NodeId, span: Span, skip: int, most: int) -> Awaitable[Records]:
         """Past values of a variable, see :class:`guarded_opcua.Historian`."""
@@ -53,6 +55,34 @@ class ResultsPast:
         missing = np.isnan(past.values) & (past.codes < _BAD)
         codes = np.where(missing, _NO_DATA, past.codes)
         return Records(past.values, codes, past.t, past.t)
+
+    def cells(
+        self, variable: ua.NodeId, low: int, high: int, width: int
+    ) -> Awaitable[Cells | None]:
+        """Summaries of a variable, see :class:`guarded_opcua.Summarising`."""
+        return asyncio.to_thread(self._cells, str(variable.Identifier), low, high, width)
+
+    def _cells(self, id_: str, low: int, high: int, width: int) -> Cells | None:
+        series, _, column = id_.rpartition(".")
+        found = self._store.cells(series, column, low, high, width)
+        if found is None:
+            return None
+        marks = found.marks
+        return Cells(
+            width,
+            found.t,
+            found.rows,
+            found.good,
+            found.uncertain,
+            found.low,
+            found.high,
+            found.total,
+            low_again=(marks & 1) > 0,
+            high_again=(marks & 2) > 0,
+            low_first=(marks & 4) > 0,
+            high_first=(marks & 8) > 0,
+            extent=found.extent,
+        )
 
 
 class AlarmsPast:

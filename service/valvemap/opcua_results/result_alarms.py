@@ -36,7 +36,6 @@ from valvemap.opcua_results.information_model import (
 )
 from valvemap.opcua_results.result_types import ALARM, Place, type_of
 from valvemap.opcua_results.result_values import Shown, alarm_values
-from valvemap.pipeline.alarm_guide import GUIDES
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
 from valvemap.pipeline.ports import (
     AlarmChange,
@@ -48,7 +47,9 @@ from valvemap.pipeline.ports import (
     Results,
     ValveDescription,
 )
+from valvemap.vocabulary.alarm_guide import GUIDES
 from valvemap.vocabulary.commands import NAMED, Action
+from valvemap.vocabulary.edges import split_id
 
 CONDITION = "Condition"
 MOST_OF_A_COMMENT = 200  # characters shown in LastAction
@@ -184,7 +185,7 @@ class ResultAlarms:
                 type_definition=type_of(self._server, ALARM),
             )
             for node in alarm_variables(prefix):
-                await add_variable(each, node, now[node.id.partition(".")[2]])
+                await add_variable(each, node, now[split_id(node.id)[1]])
             await self._add_methods(self._server, each, valve, alarm.name)
             kind = self._key(owner, alarm.name).type_definition
             folder = await _add_condition(self._server, each, kind)
@@ -266,7 +267,8 @@ class ResultAlarms:
 
     def _owner_of(self, condition: ua.NodeId) -> tuple[str | None, str] | None:
         """Return the valve (None: the service) and the alarm of a condition; None if unknown."""
-        names = str(condition.Identifier).split(".")
+        owner, rest = split_id(str(condition.Identifier))
+        names = (owner, *rest.split("."))
         if (
             condition.NamespaceIndex != self._server.namespace_index
             or len(names) != 4

@@ -21,6 +21,7 @@ from valvemap.opcua_results.information_model import (
     estimator_variables,
     health_variables,
     inverse_results,
+    line_variables,
     parameter_variables,
     signal_variables,
 )
@@ -28,6 +29,7 @@ from valvemap.opcua_results.result_frames import frame_names, frame_variables
 from valvemap.opcua_results.result_values import Column
 from valvemap.pipeline.nameplate import BLANK
 from valvemap.pipeline.ports import ValveDescription
+from valvemap.vocabulary.edges import split_id
 
 _Kind = tuple[ua.VariantType, int | None]
 
@@ -66,7 +68,7 @@ def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
             yield _beside_others(node, f"{estimator.name}.{PARAMETERS}")
     for node in signal_variables(valve):
         yield _beside_others(node, SIGNALS)
-    for node in inverse_results(valve):
+    for node in (*inverse_results(valve), *line_variables(valve)):
         yield _by_itself(node)
     for counter in valve.counters:
         yield replace(_by_itself(counter_variable(valve.name, counter)), first=0, ages=False)
@@ -211,7 +213,7 @@ def _beside_others(node: VariableNode, column: str) -> Changing:
 
 
 def _within_valve(node: VariableNode) -> str:
-    return node.id.partition(".")[2]
+    return split_id(node.id)[1]
 
 
 def _at_first(changing: Changing, valves: int, now: int) -> Column:

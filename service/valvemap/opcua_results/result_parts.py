@@ -28,6 +28,7 @@ from valvemap.opcua_results.information_model import (
     inverse_variables,
     lag_variables,
     last_action,
+    line_variables,
     map_variable,
     parameter_variables,
     recommended_variables,
@@ -98,6 +99,9 @@ class ResultParts:
         await self._variables.add(place, folder, of_frame, None)
         for node in recommended_variables(valve.name):
             await self._variables.add(place, folder, node, None)
+        for node in line_variables(valve):
+            if f".{INVERSE}." not in node.id:
+                await self._variables.add(place, folder, node, None)
 
     async def add_estimator(
         self,
@@ -151,6 +155,9 @@ class ResultParts:
         for node in inverse_variables(valve):
             value, take = start.get(node.id), on_write.get(node.id)
             await self._variables.add(place, parent, node, value, take)
+        for node in line_variables(valve):
+            if f".{INVERSE}." in node.id:
+                await self._variables.add(place, parent, node, None)
         if valve.map_Q and valve.map_dp:
             await self._add_map(place, parent, valve)
         await self._commands.add(place, parent, Subject.INVERSE, valve.name, INVERSE)

@@ -98,7 +98,7 @@ class ResultQuestions:
         )
 
     async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
-        """Add the query of the baseline: Compare, the deviation of an estimator's map from it."""
+        """Add the queries of the baseline: Compare, an estimator's deviation from it; Predict."""
         flow = Unit.LITRE_PER_MINUTE
         await add_method(
             place,
@@ -121,6 +121,20 @@ class ResultQuestions:
             description="Flow of the present map minus that of the approved one, at the points of "
             "a grid where both rest on measurements: Mean and Largest (l/min; negative: less flow "
             "than approved), U (%) and dp (bar) of Largest, and the number of points.",
+        )
+        await add_method(
+            place,
+            parent,
+            f"{valve}.{BASELINE}.Predict",
+            partial(self._predict_approved, valve),
+            inputs=(Argument("Estimator", "Whose map", type=ua.VariantType.String), _U, _dp, _T),
+            outputs=(
+                Argument("Q", "Flow; NaN if unknown", unit=flow),
+                Argument("Std", "Its standard deviation", unit=flow),
+                _STATUS,
+            ),
+            required=Role.OBSERVER,
+            description=f"Flow at a point of the approved map. Status: {_numbered(Status)}.",
         )
 
     def _predict(
@@ -150,6 +164,15 @@ class ResultQuestions:
                 _first(answer.upper),
                 int(answer.status[0]),
             ),
+        )
+
+    def _predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, int]]:
+        return answered(
+            partial(self._operator.predict_approved, valve, estimator, U, dp, T),
+            lambda found: (found[0], found[1], int(found[2])),
+            partial(self._notes.refused, valve),
         )
 
     def _compare(

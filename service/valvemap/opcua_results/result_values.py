@@ -39,6 +39,8 @@ from valvemap.opcua_results.information_model import (
     INVERSE,
     LAG_Q,
     LAG_U,
+    LEAKAGE,
+    LEAKAGE_STD,
     PARAMETERS,
     SERVICE,
     SIGNALS,
@@ -48,6 +50,7 @@ from valvemap.pipeline.ports import (
     EstimatorResults,
     Health,
     InverseResults,
+    LineResults,
     Results,
     SignalResults,
     Version,
@@ -96,6 +99,8 @@ def columns_of(results: Results, now: int, by_name: Collection[str] = ()) -> Ite
     for name, estimator in results.estimators.items():
         yield from _estimator_columns(name, estimator, now, by_name=name in by_name)
     yield from _inverse_columns(results.inverse, now)
+    if results.lines is not None:
+        yield from _line_columns(results.lines, results.inverse, now)
     if results.signals is not None:
         yield _signal_column(results.signals, now)
 
@@ -263,6 +268,17 @@ def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
     yield Column(f"{INVERSE}.RequiredU", results.required_U, answers, t)
     own = _of_inverses(_INVERSE_ITSELF, results)
     yield Column(f"{INVERSE}.RequiredUStatus", results.status, own, t)
+
+
+def _line_columns(lines: LineResults, inverse: InverseResults, now: int) -> Iterator[Column]:
+    codes, t = inverse_codes(inverse), np.where(inverse.t, inverse.t, now)
+    for name, values in ((LEAKAGE, lines.leakage), (LEAKAGE_STD, lines.leakage_std)):
+        known = np.where(np.isfinite(values), codes, worse(codes, _Codes.UncertainInitialValue))
+        yield Column(name, values, known, t)
+    answers = worse(codes, _ANSWERS[inverse.status])
+    for name, values in (("Lower", lines.lower), ("Upper", lines.upper)):
+        yield Column(f"{INVERSE}.RequiredU{name}", values, answers, t)
+    yield Column(f"{INVERSE}.Edge", lines.edge, _of_inverses(_INVERSE_ITSELF, inverse), t)
 
 
 def _of_estimators(table: StatusCodes, results: EstimatorResults) -> StatusCodes:

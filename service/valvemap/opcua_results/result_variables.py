@@ -13,6 +13,7 @@ from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_types import Place
 from valvemap.opcua_results.result_values import Shown
 from valvemap.pipeline.ports import Answer
+from valvemap.vocabulary.edges import split_id
 
 
 class ResultVariables:
@@ -87,7 +88,7 @@ class ResultVariables:
         self._added[node.id] = variable
         if self._past is not None and has_past(node.id):
             place.add_history([variable], self._past)
-        owner, _, name = node.id.partition(".")
+        owner, name = split_id(node.id)
         if node.id in self._waiting:
             self.show(owner, self._waiting.pop(node.id))
         slot = self._slots.find(owner)
@@ -119,5 +120,5 @@ class ResultVariables:
     def forget(self, valves: Collection[str]) -> None:
         """Drop the variables of these valves: their nodes were removed."""
         for known in (self._added, self._waiting):
-            for id_ in [id_ for id_ in known if id_.partition(".")[0] in valves]:
+            for id_ in [id_ for id_ in known if split_id(id_)[0] in valves]:
                 del known[id_]

@@ -7,7 +7,7 @@ from valvemap.pipeline.ports import Operator
 
 _QUESTIONS = {
     *("alarms", "alarmed", "baseline", "compare"),
-    *("predict", "predict_measurement", "invert"),
+    *("predict", "predict_measurement", "predict_approved", "invert"),
 }
 
 

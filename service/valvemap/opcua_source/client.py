@@ -1,7 +1,7 @@
 """The source adapter: an OPC UA client that returns arrays and never retries."""
 
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from valvemap.opcua_client.connection import (
 )
 from valvemap.opcua_source.decoding import overflown
 from valvemap.opcua_source.history import NEVER, Holes, Knowledge, SourceHistory
+from valvemap.opcua_source.item_watch import ItemWatch
 from valvemap.opcua_source.position import Mark, Position, position_from_bytes, position_to_bytes
 from valvemap.opcua_source.recall import recall
 from valvemap.opcua_source.source_clock import SourceClock
@@ -85,6 +86,7 @@ class OpcUaSource:
         self._heir: Callable[[Estate], None] | None = None
         self._surplus: tuple[int, ...] | None = None  # items of a predecessor; None: no predecessor
         self._tally = Tally()
+        self._watch = ItemWatch(settings, self._valves, self._clock)
         self._source_clock = SourceClock(self._clock)
         self._connection: Connection | None = None
         self._ticket: Ticket | None = None
@@ -104,6 +106,11 @@ class OpcUaSource:
     def counters(self) -> SourceCounters:
         """Counters over all connections."""
         return SourceCounters(**vars(self._tally))
+
+    @property
+    def remarks(self) -> Mapping[int, tuple[str, ...]]:
+        """By number of the valve, sentences on its nodes that are not as configured."""
+        return self._watch.remarks
 
     @property
     def started(self) -> int:
@@ -137,6 +144,7 @@ class OpcUaSource:
             raise
         self._connection, self._subscription = connection, subscription
         self._source_clock.follow(connection)
+        self._watch.start(connection, subscription)
         if self._history_s > 0.0:
             self._history.over(connection, (item.node for item in subscription.items))
 
@@ -350,6 +358,7 @@ class OpcUaSource:
     async def drop(self) -> None:
         """Close the socket only; the server keeps the subscription. Safe to call twice."""
         await self._source_clock.stop()
+        await self._watch.stop()
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None
         if subscription is not None:
@@ -374,7 +383,7 @@ class OpcUaSource:
             return None
         surplus = self._surplus
         checked = None if surplus is None else await self._check_nodes(connection)
-        found = await take_over(connection, self._left, self._tally, self._clock)
+        found = await take_over(connection, self._left, self._tally, self._clock, self._watch.table)
         if found is not None:
             subscription, available = found
             known = False
@@ -396,9 +405,12 @@ class OpcUaSource:
         self._left, self._left_at = position.left(nodes), self._clock.monotonic()
 
     async def _check_nodes(self, connection: Connection) -> CheckedNodes:
-        nodes = await check_nodes(connection, self._valves)
+        """Check every node; once all were usable, unusable ones are watched instead of refused."""
+        before = self._watch.namespaces
+        nodes = await check_nodes(connection, self._valves, before, lenient=bool(before))
         await check_units(connection, self._valves, nodes)
         self._writable = nodes.writable
+        self._watch.accept(nodes)
         return nodes
 
     @cached_property
@@ -415,6 +427,7 @@ class OpcUaSource:
             nodes.monitored,
             self._tally,
             self._clock,
+            self._watch.table,
             hold_back=self._holds_back,
         )
 
@@ -444,6 +457,7 @@ class OpcUaSource:
             await self.drop()
             heir(self._estate())
         await self._source_clock.stop()
+        await self._watch.stop()
         self._left = self._ticket = None
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None

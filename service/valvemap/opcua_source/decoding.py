@@ -83,6 +83,8 @@ class Message:
         Changes marked with the Overflow bit: the server's queue was full and dropped some.
     not_numeric : int
         Changes whose value is not a numeric scalar.
+    kind : uint8
+        Built-in type of each change's value, (N,); 0: no value; 255: not a numeric scalar.
     """
 
     sequence_number: int
@@ -92,6 +94,7 @@ class Message:
     status_change: int | None
     overflows: int
     not_numeric: int
+    kind: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -258,6 +261,7 @@ def _message(reader: Reader) -> Message:
         status_change=status_change,
         overflows=sum(batch.overflows for batch in batches),
         not_numeric=sum(batch.not_numeric for batch in batches),
+        kind=np.concatenate([batch.kind for batch in batches] or [_NO_KINDS]),
     )
 
 
@@ -266,6 +270,10 @@ class _Batch:
     changes: DataChanges
     overflows: int
     not_numeric: int
+    kind: NDArray[np.uint8]
+
+
+_NO_KINDS = np.empty(0, np.uint8)
 
 
 def _data_changes(reader: Reader, publish_time: int, handle: int = _HANDLE) -> _Batch:
@@ -293,6 +301,7 @@ def _data_changes(reader: Reader, publish_time: int, handle: int = _HANDLE) -> _
         DataChanges(item=item, value=_values(bits, kind), status=status, source_time=time),
         overflows=int(np.count_nonzero(overflown(status))),
         not_numeric=int(np.count_nonzero(kind == _NO_NUMBER)),
+        kind=kind,
     )
 
 

@@ -21,13 +21,15 @@ _ITEMS_AT_ONCE = 20 * PER_VALVE  # between two requests the server publishes
 class Item:
     """A monitored item: its node, its id at the server and the revised queue size.
 
-    ``handle`` is the client handle of its changes.
+    ``handle`` is the client handle of its changes; ``sampling_ms`` the revised sampling interval
+    (0: unknown).
     """
 
     node: MonitoredNode
     number: int
     queue_size: int
     handle: int
+    sampling_ms: float = 0.0
 
 
 async def create_items(
@@ -80,7 +82,13 @@ async def create_items(
             settings.sampling_interval_ms,
         )
     items = tuple(
-        Item(node, result.MonitoredItemId, result.RevisedQueueSize, handle)
+        Item(
+            node,
+            result.MonitoredItemId,
+            result.RevisedQueueSize,
+            handle,
+            result.RevisedSamplingInterval,
+        )
         for (handle, node), result in zip(nodes.items(), created, strict=True)
     )
     _check_queues(connection, items, settings.queue_size)

@@ -15,11 +15,16 @@ from valvemap.opcua_client.requests import read_values
 READ_EVERY_S = 10.0
 _READINGS = 6  # kept: one minute, in which a busy source may report late times
 _CLOCKS_AGREE_S = 0.1  # smaller offsets are treated as zero
+_PLACES = 3  # decimals of a step of our clock, s
 _RENEWED_S = 1.0  # longest update interval of a server's CurrentTime
 
 
 class Reading(NamedTuple):
-    """One reading: offset of the source's clock (positive: ahead of ours) and round trip, s."""
+    """One reading, s: offset of the source's clock from ours (positive: ahead), and round trip.
+
+    Ours is the time of day when the service started plus the monotonic time since then, so a step
+    of this machine's clock does not change the offset.
+    """
 
     ahead_s: float
     took_s: float
@@ -30,7 +35,8 @@ class SourceClock:
 
     A reading never overestimates the server's time. It may be too early by the transmission delay,
     by up to 1 s because many servers update CurrentTime once per second, and by more if the server
-    is busy. The estimate is therefore the maximum over the last minute.
+    is busy. The estimate is therefore the maximum over the last minute. A clock that was set
+    back is therefore noticed late here; :mod:`valvemap.pipeline.sample_clocks` bridges that time.
 
     Parameters
     ----------
@@ -57,16 +63,20 @@ class SourceClock:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
+        self._began = clock.now() - round(clock.monotonic() * 1e9)
         self._readings: deque[Reading] = deque(maxlen=_READINGS)
         self._following: asyncio.Task[None] | None = None
         self.started = 0
 
     @property
     def ahead_s(self) -> float:
-        """Offset, s, positive if ahead of ours; 0 if unknown or within the uncertainty."""
-        if not self._readings:
-            return 0.0
-        ahead_s, took_s = max(self._readings)
+        """Offset from our time of day, s, positive if ahead; 0 if within the uncertainty.
+
+        Without a reading, the source is assumed not to follow steps of this machine's clock.
+        """
+        ours_s = round((self._steady_ns() - self._clock.now()) * 1e-9, _PLACES)
+        ahead_s, took_s = max(self._readings, default=Reading(0.0, 0.0))
+        ahead_s += ours_s
         doubt_s = took_s / 2.0 + _CLOCKS_AGREE_S
         return 0.0 if -_RENEWED_S - doubt_s <= ahead_s <= doubt_s else ahead_s
 
@@ -94,7 +104,11 @@ class SourceClock:
             self.started = started
             self._readings.clear()
         if said:
-            self.note(Reading((said - self._clock.now()) * 1e-9, took_s))
+            self.note(Reading((said - self._steady_ns()) * 1e-9, took_s))
+
+    def _steady_ns(self) -> int:
+        """Our time, UTC ns, without the steps of this machine's clock since the start."""
+        return self._began + round(self._clock.monotonic() * 1e9)
 
     def follow(self, connection: Connection) -> None:
         """Read the clock periodically, until `stop`."""

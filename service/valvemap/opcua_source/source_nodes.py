@@ -7,12 +7,14 @@ from uuid import UUID
 
 from asyncua import ua
 
+from valvemap.clock import utc_ns
 from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import Connection, in_one_line, status_name
 from valvemap.opcua_client.requests import namespaces_of, read_attributes
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.pipeline.units import Measure
+from valvemap.vocabulary.item_states import ItemState
 from valvemap.vocabulary.signals import PER_VALVE, READ, Signal
 
 REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # nodes that are written
@@ -88,22 +90,48 @@ class ValveNodes:
 
 
 @dataclass(frozen=True)
-class _Wanted:
-    """One node as configured; ``item`` is None for those that are written."""
+class Wanted:
+    """One node as configured, with its label in messages; ``item`` is None if it is written."""
 
     item: int | None
     valve: int
     text: str
     role: str
+    label: str
+
+
+@dataclass(frozen=True)
+class Looked:
+    """One node as it is at the server.
+
+    Attributes
+    ----------
+    node
+        Its NodeId; None if the server does not know its namespace.
+    fault, state
+        Why it cannot be used, as the end of a sentence, and its state; None and GOOD: it can.
+    type
+        Built-in type of its values; None: not known yet.
+    status, time
+        StatusCode of its value, and its source time, UTC ns (0: none).
+    """
+
+    node: ua.NodeId | None
+    fault: str | None
+    state: ItemState = ItemState.GOOD
+    type: int | None = None
+    status: int = 0
+    time: int = 0
 
 
 @dataclass(frozen=True)
 class MonitoredNode:
-    """A node to subscribe to, and the item number of its changes."""
+    """A node to subscribe to, the item number of its changes, and their type (None: unknown)."""
 
     item: int
     node: ua.NodeId
     label: str
+    type: int | None = None
 
 
 @dataclass(frozen=True)
@@ -117,10 +145,15 @@ class WritableNode:
 
 @dataclass(frozen=True)
 class CheckedNodes:
-    """The nodes to subscribe to, and the nodes to write to by valve and role."""
+    """The nodes to subscribe to, and the nodes to write to by valve and role.
+
+    ``faults`` are the unusable nodes by item, as sentences; ``namespaces`` the NamespaceArray.
+    """
 
     monitored: tuple[MonitoredNode, ...]
     writable: dict[tuple[int, str], WritableNode]
+    faults: Mapping[int, str] = field(default_factory=dict)
+    namespaces: tuple[str, ...] = ()
 
 
 def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.NodeId:
@@ -170,8 +203,17 @@ def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.Node
         raise ConfigurationError(f"node '{printable(text)}' is no NodeId; {_ALLOWED}") from error
 
 
-async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> CheckedNodes:
+async def check_nodes(
+    connection: Connection,
+    valves: Sequence[ValveNodes],
+    before: Sequence[str] = (),
+    *,
+    lenient: bool = False,
+) -> CheckedNodes:
     """Read every node once.
+
+    ``before`` is the NamespaceArray for which ``ns=<index>`` was meant; empty: the present one.
+    If ``lenient``, unusable nodes are left out, unless all are unusable.
 
     Raises
     ------
@@ -179,48 +221,121 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
         if a node is missing, unreadable, not writable or not a number; names the first one.
     SourceLost
     """
-    url = connection.settings.url
+    wanted = list(wanted_nodes(valves))
     namespaces = await namespaces_of(connection)
-    wanted = [node for number, valve in enumerate(valves) for node in _of_valve(number, valve)]
-    ids = [parse_node_id(node.text, namespaces) for node in wanted]
-    with connection.errors("reading the nodes"):
-        answers = await read_attributes(connection, ids, _ATTRIBUTES)
-        return _checked(url, valves, wanted, ids, answers)
-
-
-def _checked(
-    url: str,
-    valves: Sequence[ValveNodes],
-    wanted: Sequence[_Wanted],
-    ids: Sequence[ua.NodeId],
-    answers: Sequence[Sequence[ua.DataValue]],
-) -> CheckedNodes:
-    """Return the usable nodes; raise SourceRejected if any is unusable."""
-    monitored, writable, faults = [], {}, []
-    for node, node_id, answer in zip(wanted, ids, answers, strict=True):
-        label = f"node '{node.text}' ({node.role} of valve {valves[node.valve].valve})"
-        fault = _fault(answer, write=node.item is None)
-        if fault is None and node.role == HEARTBEAT and _type_of(answer) != ua.VariantType.UInt32:
-            fault = f"is of type {_type_of(answer).name} at {{url}}; a UInt32 is needed"
-        if fault:
-            faults.append(f"{label} {fault.format(url=url)}")
+    looked = await look(connection, wanted, namespaces, before)
+    monitored, writable, faults = [], {}, {}
+    copies = {item for items in copies_of(valves).values() for item in items}
+    for number, (node, found) in enumerate(zip(wanted, looked, strict=True)):
+        if found.fault is not None or found.node is None:
+            faults[number] = f"{node.label} {found.fault}"
         elif node.item is None:
-            writable[node.valve, node.role] = WritableNode(node_id, _type_of(answer), label)
-        else:
-            monitored.append(MonitoredNode(node.item, node_id, label))
-    if faults:
+            kind = _variant_type(found.type)
+            writable[node.valve, node.role] = WritableNode(found.node, kind, node.label)
+        elif node.item not in copies:
+            monitored.append(MonitoredNode(node.item, found.node, node.label, found.type))
+    if faults and not (lenient and monitored):
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
-        raise SourceRejected(faults[0] + more)
-    return CheckedNodes(tuple(monitored), writable)
+        raise SourceRejected(next(iter(faults.values())) + more)
+    of_items = {item: said for n, said in faults.items() if (item := wanted[n].item) is not None}
+    return CheckedNodes(tuple(monitored), writable, of_items, tuple(before or namespaces))
 
 
-def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:
+def copies_of(valves: Sequence[ValveNodes]) -> dict[int, list[int]]:
+    """Return the items whose node another item has, too: they are monitored once, by the first.
+
+    >>> copies_of([ValveNodes("V1", "s=U", "s=p1", "s=p2", "s=Q")] * 2)
+    {0: [6], 1: [7], 2: [8], 3: [9]}
+    """
+    first: dict[str, int] = {}
+    found: dict[int, list[int]] = {}
+    for number, valve in enumerate(valves):
+        for signal, _, text in valve.signals():
+            item = number * PER_VALVE + signal
+            if first.setdefault(text, item) != item:
+                found.setdefault(first[text], []).append(item)
+    return found
+
+
+def wanted_nodes(valves: Sequence[ValveNodes]) -> Iterator[Wanted]:
+    """Yield every configured node of the given valves."""
+    return (node for number, valve in enumerate(valves) for node in _of_valve(number, valve))
+
+
+async def look(
+    connection: Connection,
+    wanted: Sequence[Wanted],
+    namespaces: Sequence[str],
+    before: Sequence[str] = (),
+) -> list[Looked]:
+    """Read nodes once; return what each is at the server; arguments as those of `check_nodes`.
+
+    Raises
+    ------
+    SourceLost
+    """
+    url = connection.settings.url
+    ids: list[ua.NodeId | str] = []
+    for node in wanted:
+        try:
+            ids.append(_resolved(node.text, namespaces, before))
+        except SourceRejected as error:
+            ids.append(str(error))
+    known = [one for one in ids if not isinstance(one, str)]
+    with connection.errors("reading the nodes"):
+        both = ua.TimestampsToReturn.Both
+        answers = iter(await read_attributes(connection, known, _ATTRIBUTES, both))
+        return [
+            Looked(None, one, ItemState.GONE)
+            if isinstance(one, str)
+            else _looked(url, node, one, next(answers))
+            for node, one in zip(wanted, ids, strict=True)
+        ]
+
+
+def _looked(url: str, node: Wanted, node_id: ua.NodeId, answer: Sequence[ua.DataValue]) -> Looked:
+    _, data_type, _, _, value = answer
+    fault, state = _fault(answer, write=node.item is None)
+    if fault is None and node.role == HEARTBEAT and _type_of(answer) != ua.VariantType.UInt32:
+        fault = f"is of type {_type_of(answer).name} at {{url}}; a UInt32 is needed"
+    if fault is not None:
+        return Looked(node_id, fault.format(url=url), state)
+    stamped = value.SourceTimestamp
+    time = utc_ns(stamped) if stamped is not None else 0
+    return Looked(node_id, None, ItemState.GOOD, _kind(data_type, value), _code(value), time)
+
+
+def _resolved(text: str, namespaces: Sequence[str], before: Sequence[str]) -> ua.NodeId:
+    """Parse a NodeId; an index denotes the namespace that it had in ``before``."""
+    match = _NODE_ID.fullmatch(text)
+    if match is not None and match["uri"] is not None and match["uri"] not in namespaces:
+        raise SourceRejected(
+            f"cannot be found: the server has no namespace {printable(match['uri'])}; it has "
+            f"{in_one_line(', '.join(namespaces))}"
+        )
+    node = parse_node_id(text, namespaces)
+    index = int(match["index"] or 0) if match is not None else 0
+    if not index or index >= len(before) or list(namespaces[index : index + 1]) == [before[index]]:
+        return node
+    if before[index] not in namespaces:
+        raise SourceRejected(
+            f"has lost its namespace: ns={index} was {printable(before[index])}; the server has "
+            f"{in_one_line(', '.join(namespaces))}"
+        )
+    return ua.NodeId(node.Identifier, list(namespaces).index(before[index]), node.NodeIdType)
+
+
+def _of_valve(number: int, nodes: ValveNodes) -> Iterator[Wanted]:
+    def wanted(item: int | None, text: str, role: str) -> Wanted:
+        label = f"node '{text}' ({role} of valve {nodes.valve})"
+        return Wanted(item, number, text, role, label)
+
     for signal, name, text in nodes.signals():
-        yield _Wanted(number * PER_VALVE + signal, number, text, name)
+        yield wanted(number * PER_VALVE + signal, text, name)
     for role in (REQUIRED_U, HEARTBEAT):
         text = getattr(nodes, role)
         if text is not None:
-            yield _Wanted(None, number, text, role)
+            yield wanted(None, text, role)
 
 
 def _uint32(text: str) -> int:
@@ -230,14 +345,15 @@ def _uint32(text: str) -> int:
     return number
 
 
-def _fault(answer: Sequence[ua.DataValue], *, write: bool) -> str | None:
-    """Return the fault of a node as the end of a sentence with ``{url}``; None if it has none."""
+def _fault(answer: Sequence[ua.DataValue], *, write: bool) -> tuple[str | None, ItemState]:
+    """Return the fault of a node as the end of a sentence with ``{url}``, None if it has none."""
     node_class, data_type, rank, access, value = answer
-    return (
-        _fault_of_class(node_class)
-        or _fault_of_access(access, value, write=write)
-        or _fault_of_type(data_type, rank, value)
+    faults = (
+        (_fault_of_class(node_class), ItemState.GONE),
+        (_fault_of_access(access, value, write=write), ItemState.REFUSED),
+        (_fault_of_type(data_type, rank, value), ItemState.WRONG_TYPE),
     )
+    return next((one for one in faults if one[0] is not None), (None, ItemState.GOOD))
 
 
 def _fault_of_class(node_class: ua.DataValue) -> str | None:
@@ -268,14 +384,17 @@ def _fault_of_type(data_type: ua.DataValue, rank: ua.DataValue, value: ua.DataVa
     if kind is not None and kind not in NUMERIC_FORMATS and kind not in _ABSTRACT_NUMBERS:
         name = ua.VariantType(kind).name
         return f"is of type {name} at {{url}}; a Boolean, an integer, Float or Double is needed"
-    if rank.Value.Value not in _SCALARS:
+    if rank.Value.Value not in _SCALARS or (value.Value is not None and value.Value.is_array):
         return "is an array at {url}; a scalar is needed"
     return None
 
 
 def _type_of(answer: Sequence[ua.DataValue]) -> ua.VariantType:
     _, data_type, _, _, value = answer
-    kind = _kind(data_type, value)
+    return _variant_type(_kind(data_type, value))
+
+
+def _variant_type(kind: int | None) -> ua.VariantType:
     return ua.VariantType(kind) if kind in NUMERIC_FORMATS else ua.VariantType.Double
 
 

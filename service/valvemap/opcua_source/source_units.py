@@ -9,8 +9,8 @@ from asyncua import ua
 
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, in_one_line
-from valvemap.opcua_client.requests import in_chunks, operation_limits, read_values
-from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes
+from valvemap.opcua_client.requests import read_properties
+from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes, copies_of
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import (
     QUANTITY_OF,
@@ -24,14 +24,13 @@ from valvemap.pipeline.units import (
 )
 from valvemap.vocabulary.signals import MEASURED, PER_VALVE, Signal
 
-_HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _PROPERTIES: Final = ("EngineeringUnits", "EURange")
 _SLACK: Final = 0.01  # of a range: rounding in its configuration
 _ELECTRICAL_SPANS: Final = ((4.0, 20.0), (0.0, 20.0), (0.0, 10.0), (-10.0, 10.0), (0.0, 5.0))
 
 
 class Scales:
-    """Converts data changes to the internal units."""
+    """Hands the changes of a shared node to all its items, in their internal units."""
 
     def __init__(self, valves: Sequence[ValveNodes]) -> None:
         n = len(valves) * PER_VALVE
@@ -44,9 +43,16 @@ class Scales:
         self._has_none = bool((self._gain == 1.0).all() and (self._offset == 0.0).all())
         differences = [number for number, valve in enumerate(valves) if valve.dp is not None]
         self._dp_items = np.array(differences, np.int32) * PER_VALVE + Signal.P1
+        copies = copies_of(valves)
+        self._times = np.ones(n + 1, np.int64)  # items of an item's node; last: of an unknown item
+        for item, own in copies.items():
+            self._times[item] += len(own)
+        self._of_node = {item: np.array([item, *own], np.int32) for item, own in copies.items()}
 
     def __call__(self, changes: DataChanges) -> DataChanges:
         """Return the changes in internal units; the same object if no signal needs conversion."""
+        if self._of_node:
+            changes = self._to_all(changes)
         if len(self._dp_items):
             changes = self._with_zeros(changes)
         if self._has_none:
@@ -54,6 +60,19 @@ class Scales:
         gain, offset = self._gain[changes.item], self._offset[changes.item]
         own = (gain == 1.0) & (offset == 0.0)
         return replace(changes, value=np.where(own, changes.value, changes.value * gain + offset))
+
+    def _to_all(self, changes: DataChanges) -> DataChanges:
+        """Repeat each change of a shared node for all items of the node."""
+        unknown = (changes.item < 0) | (changes.item >= len(self._gain))
+        times = self._times[np.where(unknown, -1, changes.item)]
+        found = changes[np.repeat(np.arange(len(changes)), times)]
+        begins = np.cumsum(times) - times
+        item = found.item.copy()
+        for first, items in self._of_node.items():
+            rows = begins[changes.item == first]
+            for k, one in enumerate(items):
+                item[rows + k] = one
+        return replace(found, item=item)
 
     def _with_zeros(self, changes: DataChanges) -> DataChanges:
         """Add p2 = 0 behind each change of a Δp transmitter, with its time and status."""
@@ -156,19 +175,9 @@ async def read_units(connection: Connection, nodes: Sequence[ua.NodeId]) -> list
     """
     with connection.errors("reading units"):
         try:
-            limit = (await operation_limits(connection)).nodes_per_read
-            paths = [_path(node, name) for node in nodes for name in _PROPERTIES]
-            session = connection.session
-            found = await in_chunks(
-                paths, limit, lambda some: session.translate_browsepaths_to_nodeids(list(some))
-            )
-            targets = [_target(result) for result in found]
-            there = [target for target in targets if target is not None]
-            answers = iter(await read_values(connection, there))
+            pairs = await read_properties(connection, nodes, _PROPERTIES)
         except ua.UaStatusCodeError:
             return [SaidOfNode() for _ in nodes]
-        values = [None if target is None else _value(next(answers)) for target in targets]
-    pairs = zip(values[::2], values[1::2], strict=True)
     return [_said(information, bounds) for information, bounds in pairs]
 
 
@@ -183,28 +192,6 @@ def _wanted(
         command = nodes.writable.get((number, REQUIRED_U))
         if command is not None:
             yield number, REQUIRED_U, command.node, command.label
-
-
-def _path(node: ua.NodeId, name: str) -> ua.BrowsePath:
-    element = ua.RelativePathElement(
-        ReferenceTypeId=_HAS_PROPERTY,
-        IsInverse=False,
-        IncludeSubtypes=True,
-        TargetName=ua.QualifiedName(name, 0),
-    )
-    return ua.BrowsePath(StartingNode=node, RelativePath=ua.RelativePath(Elements=[element]))
-
-
-def _target(result: ua.BrowsePathResult) -> ua.NodeId | None:
-    if not result.StatusCode.is_good() or not result.Targets:
-        return None
-    target = result.Targets[0].TargetId
-    return ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
-
-
-def _value(answer: ua.DataValue) -> object:
-    good = answer.StatusCode is None or answer.StatusCode.is_good()
-    return answer.Value.Value if good and answer.Value is not None else None
 
 
 def _said(information: object, bounds: object) -> SaidOfNode:

@@ -29,6 +29,7 @@ from valvemap.opcua_source.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
+from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import Item, create_items, delete_items, enlarge_queues
 from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.pipeline.data_changes import DataChanges
@@ -119,7 +120,9 @@ class Subscription:
         created: ua.CreateSubscriptionResult,
         tally: Tally,
         clock: Clock,
+        table: ItemTable,
     ) -> None:
+        self._table = table
         self._created = created
         self._items: tuple[Item, ...] = ()
         self._item_of_handle: NDArray[np.int32] | None = None  # None: they are equal
@@ -218,6 +221,29 @@ class Subscription:
                 by_handle = dict(enumerate(missing, handle))
                 added = await create_items(self._connection, self._id, by_handle)
                 self.watch((*self._items, *added))
+
+    async def monitor_again(self, node: MonitoredNode) -> None:
+        """Delete the monitored item of a node, if there is one, and create it again.
+
+        Raises
+        ------
+        SourceLost
+        SourceRejected
+            if the node cannot be monitored.
+        """
+        own = [item for item in self._items if item.node.item == node.item]
+        others = [item for item in self._items if item.node.item != node.item]
+        handle = max((item.handle for item in self._items), default=-1) + 1
+        handle = own[0].handle if own else handle
+        with self._connection.errors("monitoring a node again"):
+            await delete_items(self._connection, self._id, [item.number for item in own])
+            self.watch(others)
+            self.watch((*others, *await create_items(self._connection, self._id, {handle: node})))
+
+    @property
+    def waits(self) -> bool:
+        """Whether publish requests are withheld because our buffer is full."""
+        return not self._room.is_set()
 
     async def catch_up(self, available: Sequence[int] = ()) -> bool:
         """Request all unread messages of the previous connection again (Republish).
@@ -413,7 +439,7 @@ class Subscription:
             self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def _keep(self, message: Message) -> None:
-        changes = self._of_items(message.changes)
+        changes = self._of_items(message)
         if not len(changes):
             return
         if len(changes) > _MOST_CHANGES:
@@ -436,14 +462,14 @@ class Subscription:
             self._room.clear()
         self._arrived.set()
 
-    def _of_items(self, changes: DataChanges) -> DataChanges:
+    def _of_items(self, message: Message) -> DataChanges:
         """Return the changes with known handles, numbered by item instead of handle."""
-        table = self._item_of_handle
-        if table is None or not len(changes):
-            return changes
-        known = (changes.item >= 0) & (changes.item < len(table))
-        item = np.where(known, table[np.where(known, changes.item, 0)], np.int32(-1))
-        return replace(changes, item=item)[item >= 0]
+        changes, table = message.changes, self._item_of_handle
+        if table is not None and len(changes):
+            known = (changes.item >= 0) & (changes.item < len(table))
+            item = np.where(known, table[np.where(known, changes.item, 0)], np.int32(-1))
+            changes = replace(changes, item=item)
+        return self._table.note(changes, message.kind, self._clock.monotonic())
 
     async def _adapt_queues(self) -> None:
         """Measure the rate of changes and enlarge queues to hold one minute of them."""
@@ -478,6 +504,7 @@ async def subscribe(
     nodes: Sequence[MonitoredNode],
     tally: Tally,
     clock: Clock,
+    table: ItemTable,
     *,
     hold_back: bool = False,
 ) -> Subscription:
@@ -505,7 +532,7 @@ async def subscribe(
             )
         )
         _check_pace(result)
-    subscription = Subscription(connection, result, tally, clock)
+    subscription = Subscription(connection, result, tally, clock, table)
     if hold_back:
         subscription.hold_back()
     subscription.start()
@@ -521,7 +548,7 @@ async def subscribe(
 
 
 async def take_over(
-    connection: Connection, left: Left, tally: Tally, clock: Clock
+    connection: Connection, left: Left, tally: Tally, clock: Clock, table: ItemTable
 ) -> tuple[Subscription, Sequence[int]] | None:
     """Take over a subscription that still exists at the server; None if it cannot be transferred.
 
@@ -543,7 +570,7 @@ async def take_over(
             if result.StatusCode.value >> 30:
                 return None
             available = list(result.AvailableSequenceNumbers or ())
-    subscription = Subscription(connection, left.created, tally, clock)
+    subscription = Subscription(connection, left.created, tally, clock, table)
     subscription.go_on_from(left)
     return subscription, available
 

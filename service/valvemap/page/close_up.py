@@ -13,6 +13,7 @@ from valvemap.page.ports import Client, Wanted
 from valvemap.page.reading import read_all
 from valvemap.page.store import Store
 from valvemap.readings import Reading
+from valvemap.vocabulary.edges import split_id
 
 TICK_S = 0.1  # s; poll interval of a valve that is in view
 _FOLLOWED_EVERY_S = 0.5  # s; publishing interval: a message costs more than five results in it
@@ -96,7 +97,7 @@ class CloseUp:
         of = {valve.name: number for number, valve in self._valves.items()}
         frames: dict[int, list[Reading]] = {}
         for id_, reading in self._client.changes():
-            valve, _, name = id_.partition(".")
+            valve, name = split_id(id_)
             number = of.get(valve)
             if number is None:
                 continue

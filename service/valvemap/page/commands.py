@@ -1,4 +1,4 @@
-"""Commands of a logged-in user: demand a flow; in a demo, control the rig."""
+"""Commands of a logged-in user: demands, alarms, approved maps; in a demo, control the rig."""
 
 import math
 from typing import Any
@@ -7,6 +7,8 @@ from valvemap.errors import CommandRejected
 from valvemap.page.log_ins import LogIn
 
 _LONGEST_NAME = 100
+_LONGEST_COMMENT = 200
+_LONGEST_EVENT = 128  # hexadecimal digits of an EventId
 
 
 async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
@@ -23,6 +25,25 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
             name = _checked(valve)
             await log_in.service.write(f"{name}.Inverse.PressureDrop", _finite(dp))
             await log_in.service.write(f"{name}.Inverse.FlowDemand", _finite(Q))
+        case {
+            "alarm": str() as alarm,
+            "of": str() as owner,
+            "do": "Acknowledge" | "Confirm" as step,
+            "comment": str() as text,
+        }:
+            place = f"{_checked(owner)}.Alarms.{_checked(alarm)}"
+            await log_in.service.call(place, step, [[_short(text)]])
+        case {
+            "alarm": str() as alarm,
+            "of": str() as owner,
+            "do": "Comment",
+            "comment": str() as text,
+            "event": str() as event,
+        }:
+            place = f"{_checked(owner)}.Alarms.{_checked(alarm)}.Condition"
+            await log_in.service.comment(place, _event(event), _short(text))
+        case {"baseline": str() as valve, "do": "Approve" | "RollBack" as step}:
+            await log_in.service.call(f"{_checked(valve)}.Baseline", step, [[]])
         case {"scenario": str() as scenario}:
             if scenario:
                 await _rig(log_in).call("Rig", "StartScenario", [[_checked(scenario)]])
@@ -56,3 +77,16 @@ def _finite(number: float) -> float:
     if not math.isfinite(number):
         raise CommandRejected("a number is needed")
     return float(number)
+
+
+def _short(text: str) -> str:
+    if len(text) > _LONGEST_COMMENT or (text and not text.isprintable()):
+        raise CommandRejected(f"a comment has at most {_LONGEST_COMMENT} characters, in one line")
+    return text
+
+
+def _event(digits: str) -> bytes:
+    try:
+        return bytes.fromhex(digits[:_LONGEST_EVENT])
+    except ValueError:
+        raise CommandRejected("no such event") from None

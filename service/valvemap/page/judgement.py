@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
+from valvemap.vocabulary.health import DeviceHealth
 from valvemap.vocabulary.statuses import Adaptation, Described, InverseStatus, Status
 
 STALE_AFTER_S = 3.0  # s; maximum age of the newest sample: three rounds of the page
@@ -27,20 +28,28 @@ class Reason(Described):
     EXTRAPOLATING = 2, "extrapolating", "The valve works where nothing was measured before."
     UNEXCITED = 3, "not excited", "The signals hold still; the map is kept as it is."
     WARMING_UP = 4, "warming up", "Too few samples yet to know the whole map."
-    MISFIT = 5, "misfit", "The structure cannot follow this valve everywhere."
-    HELD = 6, "held", "An update would have left the range of numbers; the map is kept."
-    CHANGED = 7, "valve changed", "The valve changed abruptly."
-    REJECTED = 8, "samples rejected", "The newest samples are of bad quality and were not used."
-    STALE = 9, "no new samples", "No new sample arrives."
-    SENSOR_FAILURE = 10, "sensor failed", "A sensor has failed."
-    NO_SAMPLES = 11, "signals lost", "There is no connection to the valve's signals."
-    UNREADABLE = 12, "unreadable", "The service does not publish this valve any more."
-    FAILED = 13, "failed", "The estimator stopped at an unexpected error; Reset starts it again."
+    MAINTENANCE = 5, "needs inspection", "An alarm is active: it works, but needs inspection."
+    OFF_SPEC = 6, "out of specification", "An alarm is active: it deviates, or extrapolates."
+    MISFIT = 7, "misfit", "The structure cannot follow this valve everywhere."
+    HELD = 8, "held", "An update would have left the range of numbers; the map is kept."
+    CHANGED = 9, "valve changed", "The valve changed abruptly."
+    REJECTED = 10, "samples rejected", "The newest samples are of bad quality and were not used."
+    FAULTY = 11, "failure", "An alarm is active: the valve's output cannot be used."
+    STALE = 12, "no new samples", "No new sample arrives."
+    SENSOR_FAILURE = 13, "sensor failed", "A sensor has failed."
+    NO_SAMPLES = 14, "signals lost", "There is no connection to the valve's signals."
+    UNREADABLE = 15, "unreadable", "The service does not publish this valve any more."
+    FAILED = 16, "failed", "The estimator stopped at an unexpected error; Reset starts it again."
 
     @property
     def severity(self) -> Severity:
         """Severity of the reason."""
         return _SEVERITIES[self]
+
+    @property
+    def is_old(self) -> bool:
+        """Whether the valve's values are not of now, or none."""
+        return self >= Reason.STALE
 
 
 _SEVERITIES = {
@@ -49,10 +58,13 @@ _SEVERITIES = {
     Reason.EXTRAPOLATING: Severity.NOTE,
     Reason.UNEXCITED: Severity.NOTE,
     Reason.WARMING_UP: Severity.NOTE,
+    Reason.MAINTENANCE: Severity.WARNING,
+    Reason.OFF_SPEC: Severity.WARNING,
     Reason.MISFIT: Severity.WARNING,
     Reason.HELD: Severity.WARNING,
     Reason.CHANGED: Severity.WARNING,
     Reason.REJECTED: Severity.WARNING,
+    Reason.FAULTY: Severity.ALARM,
     Reason.STALE: Severity.ALARM,
     Reason.SENSOR_FAILURE: Severity.ALARM,
     Reason.NO_SAMPLES: Severity.ALARM,
@@ -80,6 +92,11 @@ _BY_STATUS: Mapping[int, Reason] = {
     Status.FAILED: Reason.FAILED,
     Status.UNRELIABLE: Reason.MISFIT,
 }
+_BY_HEALTH: Mapping[int, Reason] = {
+    DeviceHealth.MAINTENANCE_REQUIRED: Reason.MAINTENANCE,
+    DeviceHealth.OFF_SPEC: Reason.OFF_SPEC,
+    DeviceHealth.FAILURE: Reason.FAULTY,
+}
 _BAD = 0x8000_0000
 _BAD_WAITING_FOR_INITIAL_DATA = 0x8032_0000
 _BAD_SENSOR_FAILURE = 0x808C_0000
@@ -102,6 +119,8 @@ class Standing:
         Time since the last abrupt change; infinite if there was none.
     adaptation
         The estimator's assessment of its residuals (Adaptation); 0 if it has none.
+    health
+        DeviceHealth, from the active alarms; 0 if the service publishes none.
     """
 
     code: int
@@ -109,6 +128,7 @@ class Standing:
     silent_s: float
     changed_s: float = float("inf")
     adaptation: int = 0
+    health: int = 0
 
 
 def judge(seen: Standing) -> Reason:
@@ -119,7 +139,11 @@ def judge(seen: Standing) -> Reason:
     >>> judge(Standing(code=0, status=2, silent_s=60.0)).severity
     <Severity.ALARM: 3>
     """
-    reasons = [_by_code(seen.code), _BY_STATUS.get(seen.status, Reason.OK)]
+    reasons = [
+        _by_code(seen.code),
+        _BY_STATUS.get(seen.status, Reason.OK),
+        _BY_HEALTH.get(seen.health, Reason.OK),
+    ]
     if seen.silent_s > STALE_AFTER_S and seen.code != _BAD_WAITING_FOR_INITIAL_DATA:
         reasons.append(Reason.STALE)
     if seen.changed_s <= CHANGE_SHOWN_S:

@@ -7,6 +7,8 @@ All little endian; times are ms since 1970, StatusCodes as in OPC UA::
     kind 2, matrix:   u1 kind, u1 0, u2 valve, u2 name, u2 0, u4 rows, u4 columns, f8 time,
                       rows × columns × f8
     kind 3, rows:     u1 kind, u1 columns, u2 0, u4 n, n × columns × f8, n × u2 valve
+    kind 4, trend:    u1 kind, u1 whether from the service's history, u2 courses, u4 question,
+                      f8 start, f8 step, f8 seen since (ms), u4 n, courses × 3 × n × f4
 
 Names are sent as numbers, assigned by an earlier JSON message ``{"names": [...]}``.
 """
@@ -18,7 +20,9 @@ from typing import Any
 
 import numpy as np
 
-_NUMBERS, _MATRIX, _ROWS = 1, 2, 3
+from valvemap.page.trends import Trend
+
+_NUMBERS, _MATRIX, _ROWS, _TREND = 1, 2, 3, 4
 _MS = 1e-6  # ms per ns
 
 
@@ -66,6 +70,22 @@ def pack_rows(valves: Sequence[int], rows: Sequence[Sequence[float]]) -> bytes:
             np.array([len(valves)], "<u4").tobytes(),
             values.tobytes(),
             np.array(valves, "<u2").tobytes(),
+        )
+    )
+
+
+def pack_trend(question: int, trend: Trend) -> bytes:
+    """Pack the answer to a question for a trend."""
+    n = trend.courses[0].shape[1] if trend.courses else 0
+    times = np.array([trend.start, trend.step, trend.since], "<f8") * _MS
+    return b"".join(
+        (
+            np.array([_TREND, trend.is_kept], "<u1").tobytes(),
+            np.array([len(trend.courses)], "<u2").tobytes(),
+            np.array([question], "<u4").tobytes(),
+            times.tobytes(),
+            np.array([n], "<u4").tobytes(),
+            *(np.asarray(course, "<f4").tobytes() for course in trend.courses),
         )
     )
 

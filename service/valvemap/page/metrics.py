@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterator
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 
 from valvemap.page.door import REASONS
 from valvemap.page.observer import Link, Observer
@@ -49,8 +50,12 @@ class Metrics:
         yield GaugeMetricFamily(
             "valvemap_service_up", "Whether the service answers the page.", value=float(up)
         )
+        build = InfoMetricFamily("valvemap_build", "Version of the page's program.")
+        build.add_metric([], {"version": version("valvemap")})
+        yield build
         if up:
             yield from self._of_valves()
+            yield from self._of_alarms()
             yield from self._of_service()
         yield GaugeMetricFamily(
             "valvemap_page_viewers", "Open pages.", value=float(len(self._viewers))
@@ -103,6 +108,24 @@ class Metrics:
         yield from (severity, rmse, samples, silent)
         yield from self._of_estimators()
         yield from self._of_diagnostics()
+
+    def _of_alarms(self) -> Iterator[Metric]:
+        """Yield the alarms that are active or need somebody; the others have no series."""
+        labels = ["source", "alarm"]
+        severity = GaugeMetricFamily(
+            "valvemap_alarm_severity",
+            "Severity of an alarm, 1 to 1,000 (OPC UA Part 9); 0 if it only needs somebody.",
+            labels=labels,
+        )
+        waiting = GaugeMetricFamily(
+            "valvemap_alarm_unacknowledged",
+            "Whether an alarm is not acknowledged or not confirmed.",
+            labels=labels,
+        )
+        for (source, name), change in self._observer.alarms.present.items():
+            severity.add_metric([source, name], float(change.severity if change.active else 0))
+            waiting.add_metric([source, name], float(not (change.acked and change.confirmed)))
+        yield from (severity, waiting)
 
     def _of_estimators(self) -> Iterator[Metric]:
         """Yield the quantities of the frame, by valve and estimator."""

@@ -7,7 +7,8 @@ from datetime import datetime
 from enum import StrEnum
 
 from valvemap.clock import Clock, utc_ns
-from valvemap.errors import CommandRejected, SourceLost, ValvemapError
+from valvemap.errors import CommandRejected, SourceLost, SourceRejected, ValvemapError
+from valvemap.page.alarm_list import AlarmList
 from valvemap.page.close_up import TICK_S, CloseUp
 from valvemap.page.figures import Figures
 from valvemap.page.judgement import Reason, Severity, Standing, judge
@@ -22,12 +23,14 @@ from valvemap.page.reading import read_all
 from valvemap.page.store import Store
 from valvemap.page.surface import draw_surface
 from valvemap.page.timeline import TimeLine
+from valvemap.page.trends import Trends
 from valvemap.readings import Reading
 
 _TICKS_PER_ROUND = 10  # all valves are read once a second
 _ROUNDS_PER_DISCOVERY = 5  # changes and actions are rare
 _SURFACE_EVERY_S = 5.0  # s; drawing a map takes the service some 20 ms
 _RETRY_S = (0.5, 1.0, 2.0)  # s; short, so that a restarted service reappears within seconds
+_LISTENS_EVERY_S = 0.5  # s; publishing interval of alarms
 _REFUSED_RETRY_S = 10.0  # s; after a refusal, which rarely ends soon
 
 
@@ -51,6 +54,7 @@ class Row:
     samples: float
     silent_s: float
     predicted: float
+    health: float
 
 
 class Observer:
@@ -66,6 +70,8 @@ class Observer:
         Returns the valves and maps in view.
     on_change
         Called after each read.
+    past
+        A second client, for the history; None: the first one reads it, too.
     """
 
     def __init__(
@@ -74,6 +80,7 @@ class Observer:
         clock: Clock,
         wanted: Callable[[], Wanted],
         on_change: Callable[[], None],
+        past: Client | None = None,
     ) -> None:
         self.client = client
         self.store = Store()
@@ -87,9 +94,14 @@ class Observer:
         self._wanted = wanted
         self._on_change = on_change
         self._close_up = CloseUp(client, self.store, clock)
+        self.alarms = AlarmList()
+        self.trends = Trends(past or client, clock, is_shared=past is None)
+        self._listens_since = 0
+        self._health: dict[int, float] = {}
         self._heard: dict[int, tuple[int, float]] = {}
         self._recommended: dict[str, str] = {}
         self._changed: dict[int, int] = {}
+        self._approved: dict[tuple[int, str], str] = {}  # versions of the approved maps drawn
         self.figures = Figures(client, clock)
         self._version: object = None
 
@@ -100,6 +112,7 @@ class Observer:
             try:
                 await self.client.connect()
                 await self._discover()
+                await self._listen()
                 failures = 0
                 self._say(Link.UP, "")
                 await self._look_for_ever()
@@ -111,6 +124,7 @@ class Observer:
                 pause = _REFUSED_RETRY_S
             finally:
                 await self.client.close()
+                await self.trends.close()
             failures += 1
             await asyncio.sleep(pause)
 
@@ -123,6 +137,17 @@ class Observer:
         """Read the figures of `/metrics`, if connected."""
         if self.link is Link.UP:
             await self.figures.look(self.valves)
+
+    async def _listen(self) -> None:
+        """Subscribe to alarms; without them the page shows everything else."""
+        self.trends.forget()
+        try:
+            await self.client.listen(_LISTENS_EVERY_S)
+        except (SourceRejected, CommandRejected) as error:
+            self.alarms.forget(str(error))
+        else:
+            self.alarms.forget("")
+            self._listens_since = self._clock.now()
 
     async def _look_for_ever(self) -> None:
         tasks = {asyncio.create_task(self._look()), asyncio.create_task(self._draw_maps())}
@@ -157,15 +182,27 @@ class Observer:
     async def _draw_maps(self) -> None:
         while True:
             for valve, estimator in sorted(self._wanted().maps):
-                try:
-                    surface = await draw_surface(self.client, self.valves[valve].name, estimator)
-                except CommandRejected:
-                    continue  # this estimator has no map yet
-                now = self._clock.now()
-                for name, matrix in surface.items():
-                    self.store.put(valve, f"{estimator}.Surface{name}", matrix, 0, now)
-                self._on_change()
+                await self._draw_map(valve, estimator)
+                await self._draw_approved(valve, estimator)
             await asyncio.sleep(_SURFACE_EVERY_S if self._wanted().maps else TICK_S)
+
+    async def _draw_map(self, valve: int, estimator: str, *, approved: bool = False) -> None:
+        name = self.valves[valve].name
+        try:
+            surface = await draw_surface(self.client, name, estimator, approved=approved)
+        except CommandRejected:
+            return  # this estimator has no map yet
+        now, kind = self._clock.now(), "Approved" if approved else "Surface"
+        for part, matrix in surface.items():
+            self.store.put(valve, f"{estimator}.{kind}{part}", matrix, 0, now)
+        self._on_change()
+
+    async def _draw_approved(self, valve: int, estimator: str) -> None:
+        """Draw the approved map, once for each version."""
+        (version,) = await self._read([f"{self.valves[valve].name}.Baseline.Version"])
+        if version.value and self._approved.get((valve, estimator)) != version.value:
+            self._approved[valve, estimator] = version.value
+            await self._draw_map(valve, estimator, approved=True)
 
     async def _discover(self) -> None:
         """Browse all valves; increment the generation if they have changed."""
@@ -184,6 +221,7 @@ class Observer:
             self.generation += 1
             self.valves = tuple(found)
             self.store.clear()
+            self._approved.clear()
             self.rows.clear()
             self._close_up.forget_points()
         self._close_up.forget()
@@ -192,6 +230,8 @@ class Observer:
 
     async def _look_around(self, wanted: Wanted, *, thoroughly: bool) -> None:
         """Read the state of every valve, and the slow variables of the valves in view."""
+        if not self.alarms.trouble:
+            self.alarms.hear(self.client.conditions(), self.time_line, self._listens_since)
         if thoroughly:
             (version,) = await self._read([VERSION])
             if version.value != self._version:
@@ -220,6 +260,7 @@ class Observer:
         primary = self._primary(number)
         of = {name: columns.get(f"{primary}.{name}", float("nan")) for name in _SHOWN}
         self._hear(number, frame.t)
+        self.trends.see(valve, len(self.valves), frame.t, columns)
         adaptation = self.store.get(number, f"{primary}.Adaptation")
         now = self._clock.now()
         reason = judge(
@@ -229,6 +270,7 @@ class Observer:
                 silent_s=self.silent_s(number),
                 changed_s=(now - self._changed.get(number, 0)) * 1e-9,
                 adaptation=int(adaptation.value or 0) if adaptation else 0,
+                health=int(self._health.get(number, 0)),
             )
         )
         reason, since = self.time_line.stands(valve.name, reason, now)
@@ -240,6 +282,7 @@ class Observer:
             samples=of["SampleCount"],
             silent_s=self.silent_s(number),
             predicted=of["PredictedFlow"],
+            health=self._health.get(number, float("nan")),
         )
 
     def _primary(self, number: int) -> str:
@@ -276,6 +319,12 @@ class Observer:
         for valve, action in zip(self.valves, actions, strict=True):
             if isinstance(action.value, str):
                 self.time_line.acted(valve.name, action.value, action.t)
+        health = await self._read([f"{valve.name}.DeviceHealth" for valve in self.valves])
+        self._health = {
+            number: float(found.value)
+            for number, found in enumerate(health)
+            if isinstance(found.value, int)
+        }
         recommended = await self._read([f"{valve.name}.Recommended" for valve in self.valves])
         self._recommended = {
             valve.name: str(found.value or "")

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from valvemap.readings import Child, Reading
+from valvemap.readings import Child, ConditionChange, Course, Reading
 
 
 class Client(Protocol):
@@ -45,6 +45,32 @@ class Client(Protocol):
 
     async def write(self, id: str, value: float) -> None:  # noqa: A002 - OPC UA's word
         """Write a Double."""
+
+    async def courses(
+        self, asked: Sequence[tuple[str, str]], span: tuple[int, int], every_ns: int
+    ) -> Sequence[Course]:
+        """Read aggregates (Average, Minimum, Maximum) of variables from the server's history.
+
+        CommandRejected: the server keeps none.
+        """
+
+    async def past_conditions(self, span: tuple[int, int], most: int) -> Sequence[ConditionChange]:
+        """Return the newest changes of all alarms in a span (UTC ns), the newest first.
+
+        CommandRejected: the server keeps none.
+        """
+
+    async def listen(self, every_s: float) -> None:
+        """Subscribe to the changes of all alarms; those that need somebody are reported first.
+
+        SourceRejected: the server has no room for it.
+        """
+
+    def conditions(self) -> Sequence[ConditionChange]:
+        """Return the changes of alarms received since the last call, in order."""
+
+    async def comment(self, condition: str, event: bytes, text: str) -> None:
+        """Add a comment to a condition, of which ``event`` is an EventId."""
 
 
 @dataclass

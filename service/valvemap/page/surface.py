@@ -12,8 +12,10 @@ _AT_ONCE = 51  # points of one call: three rows; other clients are served betwee
 _NAN = float("nan")
 
 
-async def draw_surface(client: Client, valve: str, estimator: str) -> Mapping[str, Any]:
-    """Read an estimator's map at the last measured temperature.
+async def draw_surface(
+    client: Client, valve: str, estimator: str, *, approved: bool = False
+) -> Mapping[str, Any]:
+    """Read an estimator's map at the last measured temperature: the present or the approved one.
 
     Returns
     -------
@@ -23,6 +25,8 @@ async def draw_surface(client: Client, valve: str, estimator: str) -> Mapping[st
 
     Raises
     ------
+    CommandRejected
+        if there is no such map.
     SourceLost, SourceRejected
     """
     (axis,) = await client.read([f"{valve}.Inverse.MapDp"])
@@ -32,7 +36,11 @@ async def draw_surface(client: Client, valve: str, estimator: str) -> Mapping[st
     answers: list[tuple[Any, ...]] = []
     for start in range(0, len(points), _AT_ONCE):
         chunk = points[start : start + _AT_ONCE]
-        answers += await client.call(f"{valve}.{estimator}", "Predict", chunk)
+        if approved:
+            inputs = [(estimator, *point) for point in chunk]
+            answers += await client.call(f"{valve}.Baseline", "Predict", inputs)
+        else:
+            answers += await client.call(f"{valve}.{estimator}", "Predict", chunk)
     rows = [answers[k : k + POINTS_DP] for k in range(0, len(answers), POINTS_DP)]
     columns = {
         name: [[float(answer[k]) for answer in row] for row in rows]

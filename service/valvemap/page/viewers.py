@@ -16,14 +16,16 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from guarded_opcua.admission import Admission
 from valvemap.clock import Clock
-from valvemap.errors import ValvemapError
 from valvemap.page.judgement import INVERSE_SEVERITIES, Reason
 from valvemap.page.layout import Valve
 from valvemap.page.messages import pack_rows, pack_text
 from valvemap.page.observer import Observer
 from valvemap.page.packing import Packing
 from valvemap.page.ports import Wanted
+from valvemap.page.questions import Senseless, answer_to
 from valvemap.page.rates import TokenBucket
+from valvemap.vocabulary.alarm_guide import GUIDES
+from valvemap.vocabulary.health import DeviceHealth
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
 from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import InverseStatus, Status
@@ -32,10 +34,6 @@ _SLOW_READER_S = 10.0  # s; timeout of sending one message
 _OPENED_PER_S = 50  # WebSockets of one address a second; starting a wall of screens opens some 20
 _MESSAGES_PER_S, _BURST = 20.0, 60.0  # messages a second: more than dragging a slider sends
 _POLICY_VIOLATION, _TRY_AGAIN_LATER = 1008, 1013  # close codes, RFC 6455 and IANA
-
-
-class Senseless(Exception):  # noqa: N818 - it says what came
-    """A viewer sent an invalid request."""
 
 
 @dataclass(eq=False)
@@ -52,8 +50,8 @@ class Viewer:
         Name of the estimator whose map is in view.
     overview
         Whether the overview is in view.
-    seen, events_seen, names_seen
-        Revision, event number and name number sent last.
+    seen, events_seen, names_seen, alarms_seen
+        Revision, event number, name number and revision of the alarms sent last.
     """
 
     socket: WebSocket
@@ -64,6 +62,7 @@ class Viewer:
     seen: int = 0
     events_seen: int = 0
     names_seen: int = 0
+    alarms_seen: int = -1
     greeted: tuple[int, str, str] | None = None
     rows_seen: dict[int, Any] = field(default_factory=dict)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
@@ -201,32 +200,10 @@ class Viewers:
                 viewer.overview = overview
                 viewer.rows_seen.clear()
                 viewer.changed.set()
-            case {
-                "ask": int() as number,
-                "invert": str() as valve,
-                "Q": float() | int() as Q,
-                "dp": float() | int() as dp,
-            }:
-                await self._invert(viewer, observer, number, valve, float(Q), float(dp))
+            case {"ask": int() as number, **question}:
+                await self._send(viewer, await answer_to(observer, number, question))
             case _:
                 raise Senseless
-
-    async def _invert(
-        self, viewer: Viewer, observer: Observer, number: int, name: str, Q: float, dp: float
-    ) -> None:
-        """Ask the service for the voltage of a flow; writes nothing."""
-        if name not in (valve.name for valve in observer.valves):
-            raise Senseless
-        try:
-            arguments = [(Q, dp, float("nan"))]
-            ((U, lower, upper, status),) = await observer.client.call(
-                f"{name}.Inverse", "Invert", arguments
-            )
-        except ValvemapError as error:
-            answer: dict[str, Any] = {"error": str(error)}
-        else:
-            answer = {"U": U, "lower": lower, "upper": upper, "status": status}
-        await self._send(viewer, pack_text({"answer": number, "Q": Q, "dp": dp, **answer}))
 
     async def _send_for_ever(self, viewer: Viewer, observer: Observer) -> None:
         with suppress(WebSocketDisconnect, RuntimeError, OSError, TimeoutError):
@@ -263,6 +240,12 @@ class Viewers:
                     ]
                 }
             )
+        if viewer.alarms_seen != observer.alarms.revision:
+            viewer.alarms_seen = observer.alarms.revision
+            alarms = observer.alarms
+            yield pack_text(
+                {"alarms": alarms.rows(), "of": len(alarms.present), "trouble": alarms.trouble}
+            )
         if viewer.overview:
             yield from self._new_rows(viewer, observer)
         numbers = {valve.name: number for number, valve in enumerate(observer.valves)}
@@ -290,6 +273,7 @@ class Viewers:
                         r.samples,
                         r.silent_s,
                         r.predicted,
+                        r.health,
                     )
                     for _, r in new
                 ],
@@ -325,14 +309,22 @@ def _greeting(observer: Observer) -> dict[str, Any]:
             for valve in observer.valves
         ],
         "quantities": [
-            {"name": q.name, "heading": q.heading, "decimals": q.decimals, "about": q.sentence}
+            {
+                "name": q.name,
+                "heading": q.heading,
+                "unit": q.unit,
+                "decimals": q.decimals,
+                "about": q.sentence,
+            }
             for q in ESTIMATOR_QUANTITIES
             if q.heading
         ],
         "words": {
             "status": [(status.label, status.sentence) for status in Status],
             "inverse": [(INVERSE_SEVERITIES[s], s.sentence) for s in InverseStatus],
-            "reason": [(reason.label, reason.sentence) for reason in Reason],
+            "reason": [(reason.label, reason.sentence, reason.is_old) for reason in Reason],
+            "health": [(health.label, health.sentence) for health in DeviceHealth],
+            "guides": {name: (guide.quantity, guide.action) for name, guide in GUIDES.items()},
             "signals": dict(_signals()),
         },
     }

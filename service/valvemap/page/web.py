@@ -47,6 +47,8 @@ class Page:
         Time source.
     rig
         The URL of a demo's rig; None without one.
+    past
+        A second client of the service, for its history; None: ``client`` reads it, too.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Page:
         settings: PageSettings,
         clock: Clock,
         rig: str | None = None,
+        past: Client | None = None,
     ) -> None:
         self.settings = settings
         self.door = Door(settings, clock)
@@ -65,6 +68,7 @@ class Page:
             clock,
             lambda: self.viewers.wanted(self.observer.valves),
             self.viewers.wake,
+            past,
         )
         self.log_ins = LogIns(clients, settings, clock)
         self._has_rig = rig is not None

@@ -116,8 +116,9 @@ def _misfit(m: Measured) -> str:
 
 def _lost(m: Measured) -> str:
     if not m.value < float("inf"):
-        return "No usable sample has arrived"
-    return f"No usable sample for {_duration(m.value)} (limit {m.limit:g} s)"
+        return f"No usable sample has arrived{': ' + m.reason if m.reason else ''}"
+    said = f": {m.reason}" if m.reason else ""
+    return f"No usable sample for {_duration(m.value)} (limit {m.limit:g} s){said}"
 
 
 def _frozen(m: Measured) -> str:

@@ -160,6 +160,7 @@ class Alarms:
         self._senses = _nothing_seen(M)
         self._patient = np.zeros(M, np.bool_)
         self._reasons = np.zeros(M, f"<U{MOST_OF_A_REASON}")
+        self._of_source: dict[int, str] = {}
         self._written = *self._arrays().values(), self._patient  # by a step
 
     @property
@@ -263,6 +264,11 @@ class Alarms:
         """Update with whether the answers to K valves' standing demands are extrapolated."""
         self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
 
+    def note_source(self, m: int, words: str) -> None:
+        """Note what the source says of a valve's nodes, for the texts of its alarms."""
+        self._of_source[m] = words
+        self.version[m] += bool(self._conditions.active[m].any())
+
     def note_failure(self, m: int, reason: str, *, whole: bool) -> None:
         """Note the reason why a lane of one valve stopped, or (``whole``) all of them."""
         detail = self._conditions.detail[m, Alarm.LANE_FAILED]
@@ -338,7 +344,9 @@ class Alarms:
 
     def reports(self, m: int) -> tuple[AlarmReport, ...]:
         """Return the state of every alarm of one valve, in words."""
-        return self._states.reports(m, [str(self._reasons[m])] * len(Alarm))
+        reasons = [self._of_source.get(m, "")] * len(Alarm)
+        reasons[Alarm.LANE_FAILED] = str(self._reasons[m])
+        return self._states.reports(m, reasons)
 
     def to_bytes(self, m: int) -> bytes:
         """Pack one valve's alarms and their statistics, without the losses of the last minute."""

@@ -101,6 +101,19 @@ def together(parts: Sequence[ByValve]) -> ByValve:
     )
 
 
+def in_turn(parts: Sequence[ByValve]) -> ByValve:
+    """Concatenate samples that may be of the same valves, those of each in the order of parts."""
+    samples = Samples.concatenate([part.samples for part in parts])
+    lengths = [part.segments.stops - part.segments.starts for part in parts]
+    valve = np.concatenate(
+        [np.repeat(part.segments.members, n) for part, n in zip(parts, lengths, strict=True)]
+    )
+    order = np.argsort(valve, kind="stable")
+    members, counts = np.unique(valve, return_counts=True)
+    stops = np.cumsum(counts)
+    return ByValve(samples[order], Segments(members, stops - counts, stops))
+
+
 @dataclass(frozen=True)
 class Alignment:
     """Aligns the changes of V valves.
@@ -217,6 +230,18 @@ class Alignment:
     def begin_anew(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
         """Accept any running number next: the source of these valves was restarted."""
         return self._run(waiting, DataChanges.empty(), valves, slots.BEGIN_ANEW)
+
+    def set_clock(self, waiting: Waiting, valves: Times, command: int) -> tuple[Waiting, ByValve]:
+        """The source's clock of these valves, without running number, was set.
+
+        ``command`` is SET_BACK or SET_FORWARD of :mod:`valvemap.pipeline.kernels.waiting`.
+        """
+        return self._run(waiting, DataChanges.empty(), valves, command)
+
+    @property
+    def rules(self) -> Rules:
+        """The rules as the kernels take them."""
+        return self._rules
 
     def counters(self, state: Waiting, valve: int) -> Mapping[str, int]:
         """Counts of one valve since the start."""

@@ -10,6 +10,7 @@ from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.baseline import Baseline, Difference, difference
 from valvemap.pipeline.estimator_commands import EstimatorCommands
+from valvemap.pipeline.valve_state import Lane
 from valvemap.vocabulary.statuses import Status
 
 
@@ -36,6 +37,7 @@ class ApprovedMaps:
         self._commands = commands
         self.baselines: dict[int, Baseline] = {}
         self.counts = np.zeros(len(valves.plans), np.int64)
+        self._unpacked: tuple[tuple[str, str, str], Lane] | None = None  # of the last question
 
     def approve(self, valve: str) -> None:
         """Store the estimators' states as the valve's baseline, the map when new.
@@ -91,15 +93,23 @@ class ApprovedMaps:
         CommandRejected
             if there is no such baseline or estimator, or its configuration differs.
         """
-        baseline, plan = self._baseline(valve), self._valves.plans[self._valves.numbers[valve]]
-        if estimator not in plan.estimators:
-            raise CommandRejected(f"{valve} has no estimator {estimator!r}")
-        try:
-            then = baseline.lane(estimator, plan.estimators[estimator])
-        except StateMismatchError as error:
-            raise CommandRejected(f"{valve}.{estimator}: {error}") from None
+        plan, then = self._valves.plans[self._valves.numbers[valve]], self._then(valve, estimator)
         now, T = self._valves.lane(valve, estimator), self._valves.T_or_last(valve, np.nan)
         return difference(plan, now, then, T)
+
+    def predict(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, Status]:
+        """Return Q (l/min), its standard deviation and status at one point of the approved map.
+
+        Raises
+        ------
+        CommandRejected
+            as :meth:`compare` does.
+        """
+        then, T = self._then(valve, estimator), self._valves.T_or_last(valve, T)
+        Q, std, status = valve_state.predicted(then, *np.array([[U], [dp], [T]]))
+        return float(Q[0]), float(std[0]), Status(int(status[0]))
 
     def of(self, valve: int) -> Baseline | None:
         """Return the baseline of a valve, or None."""
@@ -110,6 +120,21 @@ class ApprovedMaps:
         self.counts[valve] = kept.number
         if is_approved:
             self.baselines[valve] = kept
+
+    def _then(self, valve: str, estimator: str) -> Lane:
+        """Return an estimator's approved lane; maps are asked for point by point."""
+        baseline, plan = self._baseline(valve), self._valves.plans[self._valves.numbers[valve]]
+        key = valve, estimator, baseline.digest
+        if self._unpacked is not None and self._unpacked[0] == key:
+            return self._unpacked[1]
+        if estimator not in plan.estimators:
+            raise CommandRejected(f"{valve} has no estimator {estimator!r}")
+        try:
+            then = baseline.lane(estimator, plan.estimators[estimator])
+        except StateMismatchError as error:
+            raise CommandRejected(f"{valve}.{estimator}: {error}") from None
+        self._unpacked = key, then
+        return then
 
     def _baseline(self, valve: str) -> Baseline:
         found = self.of(self._valves.numbers[valve])

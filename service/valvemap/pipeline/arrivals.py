@@ -2,9 +2,9 @@
 
 import json
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -17,14 +17,16 @@ from valvemap.pipeline.alignment import (
     Alignment,
     AlignmentSettings,
     ByValve,
+    in_turn,
     optional_in_keys,
     presence,
     together,
 )
+from valvemap.pipeline.clock_steps import ClockSteps, Step
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
-from valvemap.pipeline.kernels.waiting import NEVER, Waiting
+from valvemap.pipeline.kernels.waiting import NEVER, SET_BACK, SET_FORWARD, Waiting
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, isolate, saved
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
@@ -100,14 +102,56 @@ class Arrivals:
         self.timing = timing or Timing(TimingSettings(), alignment.optional, fixed=True)
         self._waiting = alignment.initial_state()
         self._buffer = CopyBuffer()
+        rules = alignment.rules
+        bits = np.int64(1) << np.arange(slots.SIGNALS)
+        required = (rules.required[:, np.newaxis] & bits) > 0
+        self._steps = ClockSteps(required, ~rules.numbered, rules.reorder)
+        self._due: list[Step] = []
+        self._announced = 0  # changes taken of those announced
+        self._may_step = not rules.numbered.all()
         self.failed = np.zeros(len(self.names), np.bool_)
         self._errors: list[tuple[int, Exception]] = []
 
+    def announce(self, changes: DataChanges, now_s: float) -> None:
+        """Find the steps of the source's clock in changes that are going to be taken, in parts.
+
+        ``now_s`` is our monotonic time of their receipt.
+        """
+        self._announced = 0
+        self._due = []
+        if self._may_step:
+            steps = self._steps.find(changes, now_s, self._waiting)
+            self._due = [step for step in steps if self.timing.is_alike(step.valve)]
+
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
+        first, self._announced = self._announced, self._announced + len(changes)
+        due = [step for step in self._due if first <= step.row < self._announced]
+        after = np.zeros(len(changes), np.bool_)
+        for step in due:
+            after[step.row - first :] |= changes.item[step.row - first :] // PER_VALVE == step.valve
         if self.failed.any():
-            changes = changes[~self.failed[changes.item // PER_VALVE]]
-        return self._align(self.timing.take(changes, self._fail))
+            works = ~self.failed[changes.item // PER_VALVE]
+            changes, after = changes[works], after[works]
+        if not due:
+            parts = [self._align(self.timing.take(changes, self._fail))]
+        else:
+            parts = [self._align(self.timing.take(changes[~after], self._fail))]
+            parts += self._set_clocks(due)
+            parts.append(self._align(self.timing.take(changes[after], self._fail)))
+        if self._may_step:
+            for part in parts:
+                self._steps.remember(part)
+        return parts[0] if len(parts) == 1 else in_turn(parts)
+
+    def _set_clocks(self, steps: Sequence[Step]) -> Iterator[ByValve]:
+        for command in (SET_BACK, SET_FORWARD):
+            own = np.array([step.valve for step in steps if step.command == command], np.int64)
+            if len(own):
+                yield self._isolated(own, partial(self._set, command))
+
+    def _set(self, command: int, valves: Times) -> tuple[Waiting, ByValve]:
+        return self.alignment.set_clock(self._waiting, valves, command)
 
     def new_failures(self) -> list[tuple[int, Exception]]:
         """Return the valves at which an error was raised since the last call, with the error."""

@@ -14,18 +14,10 @@ CHECK_FUNCTION              never: the service is not informed of work on a devi
 """
 
 from collections.abc import Iterable
-from enum import IntEnum
 
+from valvemap.vocabulary.health import DeviceHealth
 
-class DeviceHealth(IntEnum):
-    """Health of a device."""
-
-    NORMAL = 0
-    FAILURE = 1
-    CHECK_FUNCTION = 2
-    OFF_SPEC = 3
-    MAINTENANCE_REQUIRED = 4
-
+__all__ = ["HEALTH_OF", "DeviceHealth", "device_health"]
 
 HEALTH_OF = {
     "SensorLost": DeviceHealth.FAILURE,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.capabilities import ChoosesStructure, FindsChanges, FindsLags, Restarts
+from valvemap.model.capabilities import Censors, ChoosesStructure, FindsChanges, FindsLags, Restarts
 from valvemap.model.change import Change
 from valvemap.model.estimator import State
 from valvemap.model.fleet import ManyModels, copied, member, members, repeated, stack
@@ -31,6 +31,7 @@ class Stacked:
         self._finder = estimator if isinstance(estimator, FindsChanges) else None
         self._chooser = estimator if isinstance(estimator, ChoosesStructure) else None
         self._laggard = estimator if isinstance(estimator, FindsLags) else None
+        self._censor = estimator if isinstance(estimator, Censors) else None
         self._restarting = estimator if isinstance(estimator, Restarts) else None
         self._all = repeated(estimator.initial_state(), M)
         self._arrays = tuple(self.columns().values())
@@ -83,7 +84,7 @@ class Stacked:
         return [None] * len(chosen)
 
     def largest_lags(self, chosen: Times) -> Floats:
-        """Return the larger of the two lags, s; NaN if not estimated (K,)."""
+        """Return the largest lag or dead time, s; NaN if not estimated (K,)."""
         if self._laggard is not None:
             return self._laggard.largest_lags(self._all)[chosen]
         return np.full(len(chosen), np.nan)
@@ -92,10 +93,10 @@ class Stacked:
         """Return the diagnosis of the residuals of the given valves (K,)."""
         return self._estimator.adaptation_many(members(self._all, chosen))
 
-    def too_fast(self, M: int) -> Times:
-        """Number of samples that moved too fast for the lags of their signals (M,)."""
-        if self._laggard is not None:
-            return self._laggard.too_fast(self._all)
+    def censored(self, M: int) -> Times:
+        """Number of samples not learnt as the meter does not show their flow (M,)."""
+        if self._censor is not None:
+            return self._censor.censored(self._all)
         return np.zeros(M, np.int64)
 
     def began(self) -> Times:
@@ -188,7 +189,7 @@ class Listed:
         """Return the diagnosis of the residuals of the given valves (K,)."""
         return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
 
-    def too_fast(self, M: int) -> Times:
+    def censored(self, M: int) -> Times:
         """Return zeros (M,)."""
         return np.zeros(M, np.int64)
 

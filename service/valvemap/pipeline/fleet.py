@@ -50,7 +50,7 @@ from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 MISFIT_EVERY_NS = 10_000_000_000  # interval at which the adaptation status is polled: it is slow
 
-COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag", "lane_failures")
+COUNTER_NAMES = (*OF_GATE, "beyond_range", "censored", "lane_failures")
 
 
 class Fleet:
@@ -502,9 +502,9 @@ class Fleet:
     def rejections(self) -> Times:
         """Counts (M, reasons) since the start: rejections by gate and estimators, lane failures."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
-        too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
+        censored = np.max([lanes.censored() for lanes in self._lanes.values()], axis=0)
         failed = self.alarms.failures()
-        return np.column_stack((self._gate.counts(), beyond, too_fast, failed))
+        return np.column_stack((self._gate.counts(), beyond, censored, failed))
 
 
 def _nothing_saved(_: Times) -> Restore:

@@ -29,6 +29,7 @@ from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_columns import KeptColumns
 from valvemap.pipeline.kept_states import KeptStates
 from valvemap.pipeline.lane_failures import LaneFailure, Step
+from valvemap.pipeline.line_inverse import LineInverse
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.plausibility import Finding
 from valvemap.pipeline.ports import (
@@ -92,8 +93,11 @@ class Identification:
         self._approved = approved = ApprovedMaps(valves, self._commands)
         self._alarms = alarms = AllAlarms(valves, service_alarms)
         self._armed = armed = ArmedValves(valves)
-        self._results = ResultTables(valves, arrivals, intake, maps, approved, armed, commands)
-        self._kept = KeptStates(valves, arrivals, approved, alarms, maps)
+        self._lines = lines = LineInverse(valves, intake)
+        self._results = ResultTables(
+            valves, arrivals, intake, maps, approved, armed, commands, lines
+        )
+        self._kept = KeptStates(valves, arrivals, approved, alarms, maps, intake.splitter)
         self._columns = KeptColumns(valves, intake, approved)
         self._executors = {
             Subject.ESTIMATOR: commands,
@@ -146,6 +150,14 @@ class Identification:
         return self._intake.take(changes)
 
     @changes_state
+    def announce(self, changes: DataChanges, now_s: float) -> None:
+        """Find steps of the source's clock in changes received at ``now_s`` (monotonic), s.
+
+        Call it before `take` of these changes, whole or in parts; recordings need no call.
+        """
+        self._arrivals.announce(changes, now_s)
+
+    @changes_state
     def learn(self, arrived: ByValve) -> ByValve:
         """Estimate from aligned samples; return them, with implausible samples marked BAD."""
         return self._intake.learn(arrived)
@@ -175,7 +187,14 @@ class Identification:
 
     def waited_for(self, valve: int) -> tuple[str, ...]:
         """Return the signals that are missing for a valve's samples, and a remedy."""
-        return self._arrivals.waited_for(valve, self.plans[valve].nodes)
+        return self._results.waited_for(valve)
+
+    @changes_state
+    def note_source(self, valve: int, words: tuple[str, ...]) -> None:
+        """Note what the source says of a valve's nodes; shown as `waited_for` and by its alarms."""
+        self._results.note_source(valve, words)
+        fleet, m = self._valves.at(valve)
+        fleet.alarms.note_source(m, "; ".join(words))
 
     def timing(self, valve: int) -> tuple[str, ...]:
         """Describe how each of a valve's signals is stamped."""
@@ -262,7 +281,10 @@ class Identification:
         return self._commands.predict_measurement(valve, estimator, U, dp, T)
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
-        """U for a demanded flow at a pressure drop."""
+        """U for a demanded flow at a pressure drop; of a line, signed."""
+        number = self._valves.numbers[valve]
+        if self._lines.is_line(number):
+            return self._lines.invert(number, Q, dp, T).as_inversion()
         return self._commands.invert(valve, Q, dp, T)
 
     def required(self, valve: int) -> tuple[Required, Status]:
@@ -272,6 +294,12 @@ class Identification:
     def compare(self, valve: str, estimator: str) -> Difference:
         """Return the difference of an estimator's map from the baseline's."""
         return self._approved.compare(valve, estimator)
+
+    def predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, Status]:
+        """Q (l/min), its standard deviation and status at one point of the approved map."""
+        return self._approved.predict(valve, estimator, U, dp, T)
 
     def baseline(self, valve: int) -> Baseline | None:
         """Return the approved map, or None."""

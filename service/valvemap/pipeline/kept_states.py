@@ -11,11 +11,13 @@ from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline
+from valvemap.pipeline.edges import Splitter
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.provenance import (
     ALARMS,
     BASELINE,
+    EDGE,
     MEMORY,
     PLACES,
     TIMING,
@@ -40,6 +42,8 @@ class KeptStates:
         State stored beside the estimators'.
     maps
         Recomputed after a restore.
+    splitter
+        What waits of the edges of valves with ports.
     """
 
     def __init__(
@@ -49,12 +53,14 @@ class KeptStates:
         approved: ApprovedMaps,
         alarms: AllAlarms,
         maps: MapsAndSurveys,
+        splitter: Splitter,
     ) -> None:
         self._valves = valves
         self._arrivals = arrivals
         self._approved = approved
         self._alarms = alarms
         self._maps = maps
+        self._splitter = splitter
         self._memory_keys: dict[
             tuple[int, bool | tuple[str, ...], bool], str
         ] = {}  # by fleet, `_has`
@@ -103,6 +109,7 @@ class KeptStates:
             BASELINE: self._take_baseline,
             ALARMS: self._take_alarms,
             PLACES: self._take_places,
+            EDGE: self._take_edge,
         }
         known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator in (MEMORY, PLACES)):
@@ -159,6 +166,10 @@ class KeptStates:
             found.append(_beside(name, TIMING, timing.to_bytes(key), state.t, key))
         if self._approved.counts[valve]:
             found.append(self._baseline_of(valve))
+        key = self._memory_key(valve)
+        edge = self._splitter.to_bytes(valve, key)
+        if edge is not None:
+            found.append(_beside(name, EDGE, edge, state.t, key))
         return [replace(one, meaning=self._meanings[valve]) for one in found]
 
     def _of_service(self) -> list[Checkpoint]:
@@ -220,6 +231,10 @@ class KeptStates:
         else:
             fleet, m = self._valves.at(self._number(kept))
             fleet.alarms.from_bytes(m, kept.state)
+
+    def _take_edge(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        self._splitter.from_bytes(number, kept.state, self._memory_key(number))
 
     def _take_places(self, kept: Checkpoint) -> None:
         fleet, m = self._valves.at(self._number(kept))

@@ -171,9 +171,9 @@ class Lanes:
         """Return the root mean square of recent residuals of the given valves, l/min."""
         return recent_rmse(self._scores[chosen])
 
-    def too_fast(self) -> Times:
-        """Number of samples that moved too fast for the lags of their signals (M,)."""
-        return self.states.too_fast(len(self.beyond))
+    def censored(self) -> Times:
+        """Number of samples not learnt as the meter does not show their flow (M,)."""
+        return self.states.censored(len(self.beyond))
 
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
         """Mask the samples (N,) whose U is beyond the estimator's range, and count them."""

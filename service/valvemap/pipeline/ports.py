@@ -85,6 +85,10 @@ class Upstream(Protocol):
         With several sources, an array by valve.
         """
 
+    @property
+    def remarks(self) -> Mapping[int, tuple[str, ...]]:
+        """By number of the valve, sentences on its nodes that are not as configured."""
+
 
 class AllSources(Upstream, Protocol):
     """All sources of a service."""
@@ -163,6 +167,8 @@ class ValveDescription:
     map_dp: tuple[float, ...] = ()
     counters: tuple[str, ...] = ()
     nameplate: Nameplate = BLANK
+    U_range: tuple[float, float] = (0.0, 100.0)
+    is_line: bool = False
 
 
 @dataclass(frozen=True)
@@ -261,6 +267,21 @@ class InverseResults:
     map_U: Sequence[Floats]
     armed: NDArray[np.bool_]
     feed_forward: Codes
+
+
+@dataclass(frozen=True)
+class LineResults:
+    """What M lines of valves with ports have beside other valves; all arrays (M,).
+
+    ``leakage`` and ``leakage_std`` are in l/min/bar, NaN while unknown. ``edge`` (`LineEdge`)
+    passes the demanded flow, at a U between ``lower`` and ``upper`` with 95 % probability.
+    """
+
+    leakage: Floats
+    leakage_std: Floats
+    edge: Codes
+    lower: Floats
+    upper: Floats
 
 
 @dataclass(frozen=True)
@@ -440,6 +461,7 @@ class Results:
     recommended: Sequence[Recommendation] = ()
     findings: Sequence[tuple[Finding, ...]] = ()
     alarms: AlarmResults | None = None
+    lines: LineResults | None = None
 
     def one(self, m: int) -> ValveResult:
         """Return the results of the m-th valve."""
@@ -575,6 +597,11 @@ class Operator(Protocol):
     def compare(self, valve: str, estimator: str) -> Answer[Compared]:
         """Return the difference of an estimator's map from the baseline."""
 
+    def predict_approved(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, Status]]:
+        """Q (l/min), its standard deviation and status, by the approved map."""
+
     def baseline(self, valve: int) -> Version | None:
         """Return the baseline of a valve, by its number."""
 
@@ -667,8 +694,46 @@ class Past:
         return Past(self.t[rows], self.values[rows], self.codes[rows])
 
 
+@dataclass(frozen=True)
+class PastCells:
+    """One column of a series, summarised in cells of equal width; all arrays of shape (n,).
+
+    Attributes
+    ----------
+    t
+        Start of each cell, UTC ns, a multiple of the width; cells without rows are left out.
+    rows, good, uncertain
+        Number of rows, and of those with a Good and an Uncertain value; the others are Bad.
+    low, high, total
+        Minimum, maximum and sum of the Good values; ∞, −∞, 0 without one.
+    marks
+        Bits: 1, 2: minimum, maximum occur more than once; 4, 8: they are the first Good value, at
+        the cell's start.
+    extent
+        First and last time of all rows of the series, UTC ns.
+    """
+
+    t: Times
+    rows: Times
+    good: Times
+    uncertain: Times
+    low: Floats
+    high: Floats
+    total: Floats
+    marks: NDArray[np.uint8]
+    extent: tuple[int, int]
+
+
 class PastStore(Protocol):
-    """Stores and returns the history of signals and results; from any thread, one at a time."""
+    """Stores and returns the history of signals and results; from any thread, one at a time.
+
+    Attributes
+    ----------
+    widths
+        Widths of the cells of `cells`, ascending, ns.
+    """
+
+    widths: Sequence[int]
 
     @property
     def lost(self) -> int:
@@ -698,6 +763,12 @@ class PastStore(Protocol):
         most: int,
     ) -> Past:
         """Return rows from ``low`` to ``high`` (UTC ns, inclusive), without the first ``skip``."""
+
+    def cells(self, series: str, column: str, low: int, high: int, width: int) -> PastCells | None:
+        """Return the cells of a width (ns) that begin from ``low`` to before ``high``.
+
+        None if there are none of that width, or while a file is repaired.
+        """
 
     def note(self, changes: Sequence[AlarmChange]) -> None:
         """Save changes of alarms; a change that is stored already is skipped.

@@ -35,7 +35,8 @@ TIMING: Final = "Signals"  # how its signals are stamped; likewise
 BASELINE: Final = "Baseline"  # its approved map; likewise
 ALARMS: Final = "Alarms"  # the state of its alarms; likewise
 PLACES: Final = "Recommended"  # the errors of its estimators' maps at places; likewise
-BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES)
+EDGE: Final = "Edge"  # what waits of an edge of a valve with ports; likewise
+BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES, EDGE)
 
 
 @dataclass(frozen=True)

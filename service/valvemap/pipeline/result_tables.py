@@ -24,12 +24,14 @@ from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.fleet import COUNTER_NAMES as NOT_LEARNT
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Step
+from valvemap.pipeline.line_inverse import NO_ANSWER, LineAnswer, LineInverse
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.ports import (
     AlarmResults,
     EstimatorDescription,
     EstimatorResults,
     InverseResults,
+    LineResults,
     Results,
     SignalResults,
     ValveDescription,
@@ -43,6 +45,7 @@ from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 
+_MISSING = OF_ALIGNMENT.index("missing")
 _GUESSED = InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE
 
 
@@ -61,8 +64,8 @@ class ResultTables:
         The valves' baselines.
     armed
         State of their feed-forward.
-    commands
-        Computes the answers to their standing demands.
+    commands, lines
+        Compute the answers to their standing demands.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class ResultTables:
         approved: ApprovedMaps,
         armed: ArmedValves,
         commands: EstimatorCommands,
+        lines: LineInverse,
     ) -> None:
         self._valves = valves
         self._arrivals = arrivals
@@ -82,6 +86,8 @@ class ResultTables:
         self._approved = approved
         self._armed = armed
         self._commands = commands
+        self._of_source: dict[int, tuple[str, ...]] = {}
+        self._lines = lines
         self._alarms_base = 0  # added to the versions of alarms
 
     def show_all_alarms_again(self) -> None:
@@ -179,6 +185,28 @@ class ResultTables:
         )
 
     def _of_fleet(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
+        found = self._of_valves(fleet, valves, at_best)
+        return self._of_lines(found, valves) if self._lines.is_line(int(valves[0])) else found
+
+    def _of_lines(self, found: Results, valves: Times) -> Results:
+        """Return the results of lines: their edges answer the demands."""
+        answers = [self._line_answer(valve) for valve in valves.tolist()]
+        U, lower, upper, status, edge = (
+            np.array(x, np.float64) for x in zip(*answers, strict=True)
+        )
+        leakage, std = self._lines.leakages(valves.tolist())
+        inverse = replace(found.inverse, required_U=U, status=status.astype(np.uint8))
+        lines = LineResults(
+            np.array(leakage), np.array(std), edge.astype(np.uint8), lower=lower, upper=upper
+        )
+        return replace(found, inverse=inverse, lines=lines)
+
+    def _line_answer(self, line: int) -> LineAnswer:
+        with self._valves.bulkhead(line, Step.INVERSE):
+            return self._lines.required(line)
+        return NO_ANSWER
+
+    def _of_valves(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
         places, is_old = self._valves.places[valves], at_best == Quality.UNCERTAIN
         estimators = {
             name: replace(
@@ -218,14 +246,24 @@ class ResultTables:
         return [
             self._reasons(valve)
             if is_idle
-            else self._arrivals.stand_still(valve, plans[valve].nodes)
+            else self._of_source.get(valve, ())
+            + self._arrivals.stand_still(valve, plans[valve].nodes)
             for valve, is_idle in zip(valves.tolist(), idle.tolist(), strict=True)
         ]
 
     def _reasons(self, valve: int) -> tuple[str, ...]:
         if self._intake.implausible[valve]:
             return tuple(finding.sentence for finding in self._intake.findings(valve))
-        return self._arrivals.waited_for(valve, self._valves.plans[valve].nodes)
+        return self.waited_for(valve)
+
+    def waited_for(self, valve: int) -> tuple[str, ...]:
+        """Return what the source says of a valve's nodes, else its missing signals."""
+        said = self._of_source.get(valve)
+        return said or self._arrivals.waited_for(valve, self._valves.plans[valve].nodes)
+
+    def note_source(self, valve: int, words: tuple[str, ...]) -> None:
+        """Note what the source says of a valve's nodes."""
+        self._of_source[valve] = words
 
     def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
         """Flow's standard deviation due to sensor errors at each valve's newest sample, l/min."""
@@ -272,7 +310,9 @@ class ResultTables:
 
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._valves.places[valves]]
-        return np.column_stack((self._arrivals.counts(valves), rejected))
+        aligned = self._arrivals.counts(valves)
+        aligned[:, _MISSING] += self._intake.splitter.dropped[valves]
+        return np.column_stack((aligned, rejected))
 
 
 def descriptions(plans: Sequence[ValvePlan]) -> tuple[ValveDescription, ...]:
@@ -286,11 +326,13 @@ def descriptions(plans: Sequence[ValvePlan]) -> tuple[ValveDescription, ...]:
                 for name, estimator in plan.estimators.items()
             ),
             Q_range=(min(plan.map_Q), max(plan.map_Q)),
-            dp_range=(0.0, max(plan.map_dp)),
+            dp_range=(min(0.0, *plan.map_dp), max(plan.map_dp)),
             map_Q=plan.map_Q,
             map_dp=plan.map_dp,
             counters=COUNTERS,
             nameplate=plan.nameplate,
+            U_range=plan.U_range,
+            is_line=plan.part is not None and plan.part.edge is None,
         )
         for plan in plans
     )

@@ -11,6 +11,7 @@ from valvemap.pipeline.alignment import COUNTER_NAMES, ByValve
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.edges import LEAK, Splitter, gathered
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
@@ -43,6 +44,8 @@ class SampleIntake:
         Mask (V,) of the valves with inconsistent signals: rejected until a restart.
     plausibility : Plausibility
         Evidence for and against plausible signals.
+    splitter : Splitter
+        Splits the samples of valves with ports into those of edges.
     """
 
     def __init__(self, valves: AllValves, arrivals: Arrivals) -> None:
@@ -57,6 +60,9 @@ class SampleIntake:
         self.plausibility = Plausibility(V)
         self.refuted = np.zeros(V, np.bool_)
         self._insists = np.array([plan.insist for plan in valves.plans], np.bool_)
+        self.splitter = Splitter(
+            [plan.part for plan in valves.plans], [plan.name for plan in valves.plans]
+        )
 
     def take(self, changes: DataChanges) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
@@ -72,18 +78,46 @@ class SampleIntake:
         return self._learn_arrived(self._arrivals.begin_source_anew(valves))
 
     def learn(self, arrived: ByValve) -> ByValve:
-        """Estimate from aligned samples; return them, with implausible samples marked BAD."""
-        self._note_newest(arrived)
-        arrived = self._without_implausible(arrived)
+        """Estimate from aligned samples; return them, with implausible samples marked BAD.
+
+        Of valves with ports, the lines come first: what they lose is not the edges' flow.
+        """
+        if not self.splitter:
+            self._note_newest(arrived)
+            arrived = self._without_implausible(arrived)
+            self._estimate(arrived)
+            return arrived
+        lines, others = self.splitter.divide(arrived)
+        self._note_newest(lines)
+        self._estimate(lines)
+        others, used = self.splitter.split(others, self._stop_edge)
+        self._note_newest(others)
+        rows, learnt = np.flatnonzero(used), others.segments.among(used)
+        some = ByValve(others.samples[rows], learnt.of(learnt.stops > learnt.starts))
+        some = self._without_implausible(some)
+        self._estimate(some)
+        others.samples.quality[rows] = some.samples.quality
+        return gathered({**lines, **others})
+
+    def _estimate(self, arrived: ByValve) -> None:
+        """Update the fleets; the leakage that lines predict is handed to their edges."""
         valves, starts, stops = arrived.segments
         for fleet, every in self._valves.by_fleet(valves):
             for first_of in range(0, len(every), VALVES_AT_ONCE):
                 own = every[first_of : first_of + VALVES_AT_ONCE]
                 rows, first, last = _rows(starts[own], stops[own])
                 segments = Segments(self._valves.places[valves[own]], first, last)
-                fleet.take(arrived.samples[rows], segments)
+                samples = arrived.samples[rows]
+                _, traces = fleet.take(samples, segments)
                 self._note_losses(fleet, valves[own])
-        return arrived
+                if fleet.plan.part is not None and fleet.plan.part.edge is None:
+                    for k, start, stop in zip(own, first, last, strict=True):
+                        line = int(valves[k])
+                        leakage = traces[LEAK].predicted[start:stop]
+                        self.splitter.note_leakage(line, samples.t[start:stop], leakage)
+
+    def _stop_edge(self, valve: int, error: Exception) -> None:
+        self._valves.stop(valve, Step.ALIGNMENT, None, error)
 
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
         """Estimate from one valve's samples; return them as gated, and each estimator's trace."""

@@ -29,6 +29,7 @@ from valvemap.model.support import Support
 from valvemap.model.survey import Survey, survey
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import RULES, Alarm
+from valvemap.pipeline.edges import Part
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
 from valvemap.pipeline.meaning import Meaning
@@ -59,6 +60,7 @@ class ValvePlan:
     is never written to the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is
     that of the sensors, ``nodes`` are their names in messages about missing signals, ``alarms`` the
     rules of the alarms; ``nameplate`` is published only; ``meaning`` is stored with the states.
+    ``part`` says which edge or line it is of a valve with ports.
     """
 
     name: str
@@ -77,6 +79,7 @@ class ValvePlan:
     meaning: Meaning | None = None
     follows: bool = False
     references: frozenset[str] = frozenset()
+    part: Part | None = None
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class Label:
     units: tuple[Unit, ...]
     evidence: Mapping[Role, float]
 
-    @property
+    @cached_property
     def role(self) -> Role:
         """The most likely role."""
         return max(self.evidence, key=lambda role: self.evidence[role])
@@ -70,7 +70,7 @@ class Label:
         others = max(value for other, value in self.evidence.items() if other not in LEARNT)
         return self.evidence[role] - max(0.0, best - _SPARE, others)
 
-    @property
+    @cached_property
     def is_relevant(self) -> bool:
         """Whether it looks like a signal of a valve."""
         return self.role in LEARNT and self.evidence[self.role] > 0.0

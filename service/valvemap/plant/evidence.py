@@ -5,13 +5,14 @@ Each function returns a log likelihood in nats, 0 where nothing speaks against t
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import log
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.plant.law import LEAST_ROWS, Fit, quantile
+from valvemap.plant.law import LEAST_LEFT, LEAST_ROWS, Fit, quantile, quantiles
 from valvemap.plant.roles import Role
 
 Floats = NDArray[np.float64]
@@ -25,6 +26,8 @@ _REVERSED: Final = 25.0  # nats for pressures that are reversed throughout
 _FEW_REVERSED: Final = 0.05
 _NONE_EXPLAINS: Final = 0.5  # explained share of the hypothesis that no reading is right
 _SHUT, _LEAKY = 2.0, 0.3  # % of U; share of the largest flow that no shut valve lets through
+
+_OF_FLOW: Final = (Role.P1, Role.P2, Role.DP, Role.Q)
 
 Plateau = tuple[float, float, float, float]
 """Lowest and highest usual value, and the log widths of the flanks below and above."""
@@ -68,22 +71,42 @@ def of_range(values: Floats, bounds: tuple[float, float] | None, role: Role) -> 
     return -2.0 if tiny and role in {Role.P1, Role.DP, Role.Q} else 0.0
 
 
-def of_magnitudes(values: Mapping[Role, Floats], rating: Rating) -> dict[str, float]:
-    """Judge values, in internal units, by what valves have and by the name plate; by sentence."""
+class Signal:
+    """Values of one signal in the internal unit, with what is asked of them again and again."""
+
+    def __init__(self, values: Floats) -> None:
+        self.values = values
+
+    @cached_property
+    def top(self) -> float:
+        """Largest magnitude but for one in a hundred; NaN without a value."""
+        return quantile(np.abs(self._good), 0.99) if len(self._good) else float("nan")
+
+    @cached_property
+    def median(self) -> float:
+        """Median; NaN without a value."""
+        return quantile(self._good, 0.5) if len(self._good) else float("nan")
+
+    @cached_property
+    def _good(self) -> Floats:
+        return self.values[np.isfinite(self.values)]
+
+
+def of_magnitudes(signals: Mapping[Role, Signal], rating: Rating) -> dict[str, float]:
+    """Judge values by what valves have and by the name plate; by sentence."""
     found = {}
     for role, plateau in PLATEAUS.items():
-        if role in values:
-            found[f"{role} is unusual"] = _on_plateau(_top(values[role]), plateau)
+        if role in signals:
+            found[f"{role} is unusual"] = _on_plateau(signals[role].top, plateau)
     for role in (Role.P1, Role.P2):
-        good = values[role][np.isfinite(values[role])] if role in values else np.zeros(0)
-        if len(good) and quantile(good, 0.5) < _VACUUM:
+        if role in signals and signals[role].median < _VACUUM:
             found[f"{role} is negative"] = -6.0
-    if Role.T in values:
-        found["T is unusual"] = _of_oil(values[Role.T])
-    k = coefficient(values)
+    if Role.T in signals:
+        found["T is unusual"] = _of_oil(signals[Role.T].median)
+    k = coefficient({role: signals[role].values for role in _OF_FLOW if role in signals})
     if k > 0.0:
         found["Q is unusual for this Δp"] = _on_plateau(k, COEFFICIENT)
-    return found | _of_rating(values, k, rating)
+    return found | _of_rating(signals, k, rating)
 
 
 def coefficient(values: Mapping[Role, Floats]) -> float:
@@ -103,13 +126,13 @@ def pressure_drop(values: Mapping[Role, Floats]) -> Floats:
     return values[Role.P1] - values[Role.P2]
 
 
-def of_shut_valve(values: Mapping[Role, Floats]) -> float:
+def of_shut_valve(signals: Mapping[Role, Signal]) -> float:
     """Judge the flow at U = 0."""
-    U, Q = values[Role.U], values[Role.Q]
+    U, Q = signals[Role.U].values, signals[Role.Q].values
     shut = np.isfinite(Q) & (np.abs(U) < _SHUT)
     if shut.sum() < _PER_SAMPLE:
         return 0.0
-    return -5.0 if quantile(np.abs(Q[shut]), 0.5) > _LEAKY * _top(Q) else 0.0
+    return -5.0 if quantile(np.abs(Q[shut]), 0.5) > _LEAKY * signals[Role.Q].top else 0.0
 
 
 def of_response(values: Mapping[Role, Floats], fit: Fit) -> float:
@@ -119,7 +142,7 @@ def of_response(values: Mapping[Role, Floats], fit: Fit) -> float:
     if fit.moves or good.sum() < LEAST_ROWS:
         return 0.0
     drive = U[good] * np.sqrt(np.abs(dp[good]))
-    low, high = quantile(drive, 0.1), quantile(drive, 0.9)
+    low, high = quantiles(drive, (0.1, 0.9))
     moves = high - low > _MOVING * max(abs(low), abs(high)) and np.ptp(U[good]) > _MOVING_U
     return _UNMOVED if moves else 0.0
 
@@ -130,6 +153,11 @@ def of_law(fit: Fit) -> float:
     if not fit.moves:
         return total
     return total - 0.5 * _rows(fit) * log(fit.left / fit.total)
+
+
+def most_of_law(rows: int) -> float:
+    """Return the most that :func:`of_law` can give for so many samples."""
+    return -0.5 * min(rows / _PER_SAMPLE, _EFFECTIVE) * log(LEAST_LEFT)
 
 
 def of_no_law(fit: Fit) -> float:
@@ -144,11 +172,11 @@ def _rows(fit: Fit) -> float:
     return min(fit.rows / _PER_SAMPLE, _EFFECTIVE)
 
 
-def _of_rating(values: Mapping[Role, Floats], k: float, rating: Rating) -> dict[str, float]:
+def _of_rating(signals: Mapping[Role, Signal], k: float, rating: Rating) -> dict[str, float]:
     found = {}
-    if rating.pressure_bar and Role.P1 in values:
+    if rating.pressure_bar and Role.P1 in signals:
         plateau = (0.04 * rating.pressure_bar, 1.05 * rating.pressure_bar, 0.3, 0.05)
-        found["p1 contradicts the rated pressure"] = _on_plateau(_top(values[Role.P1]), plateau)
+        found["p1 contradicts the rated pressure"] = _on_plateau(signals[Role.P1].top, plateau)
     if rating.flow_l_min and k > 0.0:
         rated = rating.flow_l_min / rating.drop_bar**0.5
         plateau = (0.06 * rated, 1.5 * rated, 0.3, 0.15)
@@ -156,19 +184,12 @@ def _of_rating(values: Mapping[Role, Floats], k: float, rating: Rating) -> dict[
     return found
 
 
-def _of_oil(values: Floats) -> float:
-    good = values[np.isfinite(values)]
-    if not len(good):
+def _of_oil(T: float) -> float:
+    if np.isnan(T):
         return 0.0
     low, high, width = OIL
-    T = quantile(good, 0.5)
     off = max(low - T, T - high, 0.0) / width
     return -0.5 * off * off
-
-
-def _top(values: Floats) -> float:
-    good = values[np.isfinite(values)]
-    return quantile(np.abs(good), 0.99) if len(good) else float("nan")
 
 
 def _on_plateau(value: float, plateau: Plateau) -> float:

@@ -6,6 +6,7 @@ variance of Q, both no smaller than the noise of Q: its change from sample to sa
 law leaves, if that is less.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-KNOTS: Final = 5
+KNOTS: Final = (0.0, 0.2, 0.4, 0.6, 0.8)  # shares of the samples below each
 LAGS_S: Final = (0.0, 0.06, 0.25, 1.0)  # s, of a flow meter
 LEAST_ROWS: Final = 20  # samples; fewer test nothing
 _RIDGE: Final = 1e-6
@@ -22,6 +23,7 @@ _CLEAR_DP: Final = 1.0  # bar
 _CLEAR_FLOW: Final = 0.1  # of the largest flow
 _NOISE_STEPS: Final = 6.0**0.5 * 0.6745  # of the median of second differences
 _LEAST_NOISE: Final = 0.08  # of the spread of Q: what no law of so few parts can explain
+LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit leaves
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,7 @@ def fit(U: Floats, dp: Floats, Q: Floats, step_s: float) -> Fit:
     U, dp, Q = U[good], dp[good], Q[good]
     total = float(np.var(Q))
     root = np.sign(dp) * np.sqrt(np.abs(dp))
-    shares = np.linspace(0.0, 0.8, KNOTS)
-    knots = np.array(sorted({quantile(U, share) for share in shares.tolist()}))
+    knots = np.array(sorted(set(quantiles(U, KNOTS))))
     columns = np.stack([root, *(root * np.maximum(U - knot, 0.0) for knot in knots)], axis=1)
     rows, parts = columns.shape
     lags = (lag / step_s for lag in LAGS_S if lag < rows * step_s or lag == 0.0)
@@ -84,10 +85,19 @@ def quantile(values: Floats, share: float) -> float:
     >>> quantile(np.array([3.0, 1.0, 2.0]), 0.25)
     1.5
     """
-    ordered, at = np.sort(values), share * (len(values) - 1)
-    low = int(at)
-    high = min(low + 1, len(values) - 1)
-    return float(ordered[low] + (at - low) * (ordered[high] - ordered[low]))
+    return quantiles(values, (share,))[0]
+
+
+def quantiles(values: Floats, shares: Sequence[float]) -> list[float]:
+    """Return several of them."""
+    ordered = np.sort(values)
+    found = []
+    for share in shares:
+        at = share * (len(ordered) - 1)
+        low = int(at)
+        below, above = float(ordered[low]), float(ordered[min(low + 1, len(ordered) - 1)])
+        found.append(below + (at - low) * (above - below))
+    return found
 
 
 def _left(columns: Floats, Q: Floats) -> float:

@@ -10,7 +10,7 @@ another one; and the hypothesis that none of them is right.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, islice, product
-from math import exp, log
+from math import exp, inf, log
 from typing import Final
 
 import numpy as np
@@ -26,6 +26,7 @@ from valvemap.plant.scales import Scale, mistaken, scales
 
 Floats = NDArray[np.float64]
 
+_UNWATCHED: Final = np.full(1, np.nan)
 SWAPPED: Final = log(0.005 / 6)  # prior of two given signals swapped
 MISTAKEN: Final = log(0.005 / 16)  # prior of one given unit that is another
 UNKNOWN: Final = log(0.003)  # prior of numbers in no unit of the tables
@@ -50,7 +51,7 @@ class Record:
 
     def of(self, candidate: Candidate) -> Floats:
         """Return the values of a variable; one NaN if it was not watched."""
-        return self.values.get(candidate.node, np.full(1, np.nan))
+        return self.values.get(candidate.node, _UNWATCHED)
 
 
 @dataclass(frozen=True)
@@ -98,20 +99,57 @@ class Given:
     assume: bool = False
 
 
+class _Memo:
+    """What the readings of one record have in common: scaled signals, and fits of the law."""
+
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self._fits: dict[object, Fit] = {}
+        self._signals: dict[object, evidence.Signal] = {}
+
+    def signal(self, node: Candidate, scale: Scale, role: Role) -> evidence.Signal:
+        """Return a variable's values in the scale, as the role has them."""
+        key = node.node, scale.text, role
+        if (found := self._signals.get(key)) is None:
+            found = evidence.Signal(scale(self._record.of(node), role))
+            self._signals[key] = found
+        return found
+
+    def fit(
+        self,
+        nodes: Mapping[Role, Candidate],
+        chosen: Mapping[Role, Scale],
+        values: Mapping[Role, Floats],
+    ) -> Fit:
+        """Return the law's fit, for which the scales of U and Q do not matter."""
+        pressures = [
+            (role, nodes[role].node, chosen[role].text)
+            for role in (Role.P1, Role.P2, Role.DP)
+            if role in nodes
+        ]
+        key = nodes[Role.U].node, nodes[Role.Q].node, *pressures
+        if (found := self._fits.get(key)) is None:
+            drop = evidence.pressure_drop(values)
+            found = fit(values[Role.U], drop, values[Role.Q], self._record.step_s)
+            self._fits[key] = found
+        return found
+
+
 def readings(group: Group, record: Record, given: Given, rating: Rating) -> list[Reading]:
     """Return the readings of a valve's variables with their probabilities, the likeliest first.
 
     The probabilities do not add up to 1: the rest is the hypothesis that none is right.
     """
-    fits: dict[object, Fit] = {}
-    found = sorted(_by_labels(group, record, given, rating, fits), key=lambda r: -r.score)
+    memo = _Memo(record)
+    found = sorted(_by_labels(group, record, given, rating, memo), key=lambda r: -r.score)
     if not found:
         return []
     varied = [
         other
         for reading in found[:_WITH_MISTAKES]
         if not reading.missing
-        for other in _with_mistakes(reading, record, given, rating, fits)
+        for other in _with_mistakes(reading, record, given, rating, memo, found[0].score)
+        if other is not None
     ]
     best = max(found[0].score, *(r.score for r in varied)) if varied else found[0].score
     kept = [r for r in (*found, *varied) if r is found[0] or r.score > best - _NEGLIGIBLE]
@@ -149,7 +187,7 @@ def _label_score(reading: Reading) -> float:
 
 
 def _by_labels(
-    group: Group, record: Record, given: Given, rating: Rating, fits: dict[object, Fit]
+    group: Group, record: Record, given: Given, rating: Rating, memo: _Memo
 ) -> Iterator[Reading]:
     assignments = _assignments(group, given)
     is_lacking = _lacks(assignments[0][0])  # whatever the values are
@@ -167,7 +205,9 @@ def _by_labels(
             if sum(scale.prior for _, scale in chosen) > best - _UNLIKELY
         )
         for chosen in islice(likely, _MOST_SCALES):
-            yield _judged(dict(nodes), dict(chosen), prior, record, rating, fits)
+            reading = _judged(dict(nodes), dict(chosen), prior, record, rating, memo)
+            if reading is not None:
+                yield reading
 
 
 def _lacks(nodes: Mapping[Role, Candidate]) -> bool:
@@ -225,44 +265,38 @@ def _judged(
     prior: float,
     record: Record,
     rating: Rating,
-    fits: dict[object, Fit],
+    memo: _Memo,
     mistake: str = "",
     labelled: Mapping[Role, Candidate] | None = None,
-) -> Reading:
+    best: float = -inf,
+) -> Reading | None:
     """Score a reading; ``labelled`` are the variables whose ranges belong to the roles.
 
-    ``fits`` keeps the law's fits: the scales of U and Q do not matter for them.
+    None if no law
+    could make the reading more than negligible beside one with the score ``best``.
     """
     ranges = labelled or nodes
     score = prior + sum(scale.prior for scale in chosen.values()) + _of_pair(chosen)
     raw = {role: record.of(node) for role, node in nodes.items()}
-    values = {role: chosen[role](raw[role], role) for role in nodes}
+    signals = {role: memo.signal(node, chosen[role], role) for role, node in nodes.items()}
+    values = {role: signal.values for role, signal in signals.items()}
     if _lacks(nodes):
         return Reading(nodes, chosen, score, NOT_TESTED, mistake, values)
     against = {
         f"{role} leaves its range": _of_range(node, role, chosen[role], raw[role])
         for role, node in ranges.items()
     }
-    against |= evidence.of_magnitudes(values, rating)
-    against["Q flows at U = 0"] = evidence.of_shut_valve(values)
-    key = _fit_key(nodes, chosen)
-    if (tested := fits.get(key)) is None:
-        drop = evidence.pressure_drop(values)
-        tested = fits[key] = fit(values[Role.U], drop, values[Role.Q], record.step_s)
-    against["Q does not move with U"] = evidence.of_response(values, tested)
-    score += evidence.of_law(tested) + sum(against.values())
+    against |= evidence.of_magnitudes(signals, rating)
+    against["Q flows at U = 0"] = evidence.of_shut_valve(signals)
+    score += sum(against.values())
+    if score + evidence.most_of_law(len(values[Role.Q])) < best - _NEGLIGIBLE:
+        return None
+    tested = memo.fit(nodes, chosen, values)
+    unmoved = against["Q does not move with U"] = evidence.of_response(values, tested)
+    score += evidence.of_law(tested) + unmoved
     return Reading(
         nodes, chosen, score, tested, mistake, values, contradictions=against, prior=prior
     )
-
-
-def _fit_key(nodes: Mapping[Role, Candidate], chosen: Mapping[Role, Scale]) -> object:
-    pressures = [
-        (role, nodes[role].node, chosen[role].text)
-        for role in (Role.P1, Role.P2, Role.DP)
-        if role in nodes
-    ]
-    return nodes[Role.U].node, nodes[Role.Q].node, *pressures
 
 
 def _of_pair(chosen: Mapping[Role, Scale]) -> float:
@@ -294,9 +328,14 @@ def _of_range(node: Candidate, role: Role, scale: Scale, raw: Floats) -> float:
 
 
 def _with_mistakes(
-    reading: Reading, record: Record, given: Given, rating: Rating, fits: dict[object, Fit]
-) -> Iterator[Reading]:
-    """Yield the variations of a reading in which labels are mistaken."""
+    reading: Reading,
+    record: Record,
+    given: Given,
+    rating: Rating,
+    memo: _Memo,
+    best: float,
+) -> Iterator[Reading | None]:
+    """Yield the variations of a reading in which labels are mistaken; None for negligible ones."""
     prior = reading.prior
     learnt = [r for r in reading.nodes if r is not Role.T and r not in given.nodes]
     for one, other in combinations(learnt, 2):
@@ -304,14 +343,17 @@ def _with_mistakes(
         nodes[one], nodes[other] = nodes[other], nodes[one]
         what = f"{one} and {other} are swapped"
         yield _judged(
-            nodes, reading.scales, prior + SWAPPED, record, rating, fits, what, reading.nodes
+            nodes, reading.scales, prior + SWAPPED, record, rating, memo, what, reading.nodes, best
         )
     for roles in _mistakable(reading, given):
         first = roles[0]
         for scale in mistaken(reading.scales[first], first):
             chosen = {**reading.scales, **dict.fromkeys(roles, scale)}
             what = f"{' and '.join(roles)} {'is' if len(roles) == 1 else 'are'} {scale.reason}"
-            yield _judged(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, fits, what)
+            yield _judged(
+                *(dict(reading.nodes), chosen, prior + MISTAKEN, record, rating, memo, what),
+                best=best,
+            )
 
 
 def _mistakable(reading: Reading, given: Given) -> Iterator[Sequence[Role]]:

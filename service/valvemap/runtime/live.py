@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -30,6 +30,7 @@ from valvemap.pipeline.ports import (
     Results,
     ResultSink,
 )
+from valvemap.pipeline.sample_clocks import SampleClocks
 from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.past import PastKeeper
@@ -121,6 +122,7 @@ class LiveService:
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # implausible, and logged
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
+        self._remarks: Mapping[int, tuple[str, ...]] = {}  # as published
         self._worked_s, self._worked_since = 0.0, now
         self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # estimated pace
         if identification.journal is not None:
@@ -138,6 +140,7 @@ class LiveService:
         self._under_way = False
         self._connected = np.zeros(len(identification.plans), np.bool_)
         self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
+        self._clocks = SampleClocks(len(identification.plans))
         self._newest_U = np.full(len(identification.plans), np.nan)
         self._feed_forward = FeedForwardWriter(
             identification, source, clock, self._situation, self._note_new
@@ -188,13 +191,15 @@ class LiveService:
         self._source_started[own] = source_started
         if source_started and ((before != 0) & (before != source_started)).any():
             log.warning("source restarted")
+            self._clocks.forget(own)
             await self._use(self.identification.begin_source_anew(own), own)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """Identify, publish and feed forward; a backlog in pieces, with other tasks in between."""
         own = self._own(valves)
         self._connected[own] = True
-        self._heard_at[own] = self._clock.monotonic()
+        self._heard_at[own] = received = self._clock.monotonic()
+        self.identification.announce(changes, received)
         rest = changes
         while len(rest):
             await self._wait_if_behind(len(rest))
@@ -248,7 +253,10 @@ class LiveService:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
         self._held_s[members] = 0.0
-        self._newest[members] = samples.samples.t[stops - 1]
+        newest = samples.samples.t[stops - 1]
+        self._newest[members] = newest
+        if len(members):
+            self._clocks.note(members, newest, self._clock.monotonic(), self._offset_s())
         self._newest_U[members] = samples.samples.U[stops - 1]
         ages = self._ages()
         steady = ~self.identification.holds()[members]
@@ -291,6 +299,7 @@ class LiveService:
         """Run the tasks that are due; only ``valves`` are fed forward."""
         now, own = self._clock.monotonic(), self._own(valves)
         self._log_failures()
+        self._note_remarks()
         await self._wait_no_longer(now)
         await self._doubt(now)
         await self._feed_forward.write(own[self._feed_forward.are_due(own, now)])
@@ -332,8 +341,14 @@ class LiveService:
 
     def _source_now(self) -> Times:
         """Current time of each valve's source, UTC ns."""
-        ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
+        self._clocks.note_offset(self._offset_s())
+        ahead = self._source.clock_offset_s + self._clocks.correction_s
         return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
+
+    def _offset_s(self) -> Floats:
+        """Offset of each valve's source against our monotonic time, s."""
+        ours = self._clock.now() * 1e-9 - self._clock.monotonic()
+        return ours + np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
@@ -442,6 +457,18 @@ class LiveService:
         if valves:
             self._note_new(valves)
             await self._publish_all()
+
+    def _note_remarks(self) -> None:
+        """Publish what the source says of each valve's nodes, where that changed."""
+        remarks = self._source.remarks
+        if remarks is self._remarks or remarks == self._remarks:
+            return
+        both = remarks.keys() | self._remarks.keys()
+        changed = [n for n in sorted(both) if remarks.get(n) != self._remarks.get(n)]
+        self._remarks = remarks
+        for valve in changed:
+            self.identification.note_source(valve, remarks.get(valve, ()))
+        self._note_new(changed)
 
     def _note_new(self, valves: Iterable[int]) -> None:
         self._to_publish.add(valves, self._clock.monotonic())

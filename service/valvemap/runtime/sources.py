@@ -3,10 +3,10 @@
 import asyncio
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import Source, SourceCounters
 from valvemap.runtime.supervisor import Consumer, SupervisorSettings, supervise
 from valvemap.vocabulary.signals import PER_VALVE
+
+_MOST_REMARKS: Final = 20  # nodes of one source that are named
 
 
 class SourceWithHeir(Source, Protocol):
@@ -135,8 +137,17 @@ class Sources:
         return np.asarray(offsets[self._part_of[:, 0]])
 
     @property
+    def remarks(self) -> Mapping[int, tuple[str, ...]]:
+        """As `Source.remarks`, by number among all valves."""
+        return {
+            part.valves[number]: words
+            for part in self.parts
+            for number, words in part.source.remarks.items()
+        }
+
+    @property
     def states(self) -> tuple[str, ...]:
-        """One line for each source: its connection, and its losses."""
+        """One line for each source: its connection and its losses; one for each of its remarks."""
         lines = []
         for part, there in zip(self.parts, self.connected, strict=True):
             seen = part.source.counters
@@ -145,6 +156,10 @@ class Sources:
                 f"{seen.missing_messages} messages missing, {seen.overflows} overflows, "
                 f"{seen.undecodable} undecodable"
             )
+            said = [words for of_valve in part.source.remarks.values() for words in of_valve]
+            lines += said[:_MOST_REMARKS]
+            if len(said) > _MOST_REMARKS:
+                lines.append(f"… and {len(said) - _MOST_REMARKS} more nodes")
         return tuple(lines)
 
     async def check(self) -> None:

@@ -24,6 +24,15 @@ class Quality(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a birth says of a metric beside its value; empty or None where not given."""
+
+    unit: str = ""
+    range: tuple[float, float] | None = None
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Tag:
     """A metric: its device (None: the edge node), name, data type and alias.
 
@@ -35,6 +44,7 @@ class Tag:
     name: str
     kind: DataType
     alias: int
+    meaning: Meaning = Meaning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +72,20 @@ def alike(a: Value, b: Value) -> bool:
 
 
 def add_birth(payload: Any, tag: Tag, value: Value) -> None:  # noqa: ANN401 - a Payload
-    """Add a metric to a BIRTH: its name, alias, data type and current value."""
+    """Add a metric to a BIRTH: name, alias, data type, current value, unit, range, description.
+
+    The properties have the names that Ignition takes over into its tags.
+    """
     metric = _add(payload, tag, value)
     metric.name = tag.name
+    meaning = tag.meaning
+    if meaning.unit:
+        _add_property(metric.properties, "engUnit", DataType.STRING, meaning.unit)
+    if meaning.range is not None:
+        for key, bound in zip(("engLow", "engHigh"), meaning.range, strict=True):
+            _add_property(metric.properties, key, DataType.DOUBLE, bound)
+    if meaning.description:
+        _add_property(metric.properties, "documentation", DataType.STRING, meaning.description)
 
 
 def add_data(payload: Any, tag: Tag, value: Value, *, historical: bool) -> None:  # noqa: ANN401

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 from typing import Protocol
 
-from valvemap.readings import Child, Reading
+from valvemap.readings import Child, Engineering, Reading
 from valvemap.sparkplug.edge_node import Message
 
 
@@ -32,6 +32,9 @@ class Service(Protocol):
 
     async def scalar_types(self, ids: Sequence[str]) -> Sequence[str | None]:
         """Return the standard data type of each variable; None for arrays."""
+
+    async def engineering(self, ids: Sequence[str]) -> Sequence[Engineering]:
+        """Return units, ranges and descriptions of variables."""
 
     async def read(self, ids: Sequence[str | int]) -> Sequence[Reading]:
         """Read variables; a number is the identifier of a standard node."""

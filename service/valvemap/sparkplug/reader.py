@@ -10,10 +10,11 @@ import structlog
 from valvemap.clock import Clock
 from valvemap.errors import SourceLost, SourceRejected, ValvemapError
 from valvemap.readings import Reading
-from valvemap.sparkplug.metrics import OVERFLOW, Value
+from valvemap.sparkplug.metrics import OVERFLOW, Meaning, Value
 from valvemap.sparkplug.ports import Service
 from valvemap.sparkplug.schema import DataType
 from valvemap.sparkplug.shown import OVERFLOWS, Shown, Variable
+from valvemap.vocabulary.edges import split_id
 
 log = structlog.get_logger(__name__)
 
@@ -152,7 +153,7 @@ class Reader:
             children = [child for some in await self._service.browse_each(level) for child in some]
             level = []
             for child in children:
-                device, _, name = child.id.partition(".")
+                device, name = split_id(child.id)
                 if child.id.endswith(_VERSIONS):
                     continue
                 if child.is_variable:
@@ -163,10 +164,15 @@ class Reader:
                 elif not child.is_method and child.id.rpartition(".")[2] != _NOT_FOLLOWED:
                     level.append(child.id)
         types = await self._service.scalar_types([id_ for id_, _, _ in found])
-        return [
-            Variable(id_, device, name, _KINDS[type_])
-            for (id_, device, name), type_ in zip(found, types, strict=True)
+        scalars = [
+            (*one, _KINDS[type_])
+            for one, type_ in zip(found, types, strict=True)
             if type_ in _KINDS
+        ]
+        given = await self._service.engineering([id_ for id_, *_ in scalars])
+        return [
+            Variable(*one, Meaning(said.unit, said.range, said.description))
+            for one, said in zip(scalars, given, strict=True)
         ]
 
     def _value(self, reading: Reading) -> Value:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from itertools import count
 from typing import Final, NamedTuple
 
-from valvemap.sparkplug.metrics import BAD_NO_COMMUNICATION, GOOD, Tag, Value, alike
+from valvemap.sparkplug.metrics import BAD_NO_COMMUNICATION, GOOD, Meaning, Tag, Value, alike
 from valvemap.sparkplug.outbox import Outbox
 from valvemap.sparkplug.schema import DataType
 
@@ -29,6 +29,7 @@ class Variable(NamedTuple):
     device: str | None
     name: str
     kind: DataType
+    meaning: Meaning = Meaning()
 
 
 class Shown:
@@ -113,10 +114,10 @@ class Shown:
         own = {id_: value for id_, value in self.newest.items() if id_ in _OWN}
         self.newest = {**own, **values}
         self._by_id, self.tags = {}, {None: []}
-        for id_, device, name, kind in variables:
+        for id_, device, name, kind, meaning in variables:
             if id_ not in self._aliases:
                 self._aliases[id_] = next(self._next_alias)
-            tag = Tag(id_, device, name, kind, self._aliases[id_])
+            tag = Tag(id_, device, name, kind, self._aliases[id_], meaning)
             self._by_id[id_] = tag
             self.tags.setdefault(device, []).append(tag)
 

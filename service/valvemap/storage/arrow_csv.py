@@ -10,6 +10,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv
 
@@ -20,6 +21,10 @@ from valvemap.storage.dates import DateForm
 
 _NANO: Final = 9  # decimals of a second in ns
 _PLACES: Final = 38  # digits of a decimal of 128 bits
+_TIMES: Final = (  # the first that reads all times of the first lines is taken
+    *(pa.int64(), pa.decimal128(_PLACES, _NANO)),
+    *(pa.timestamp("ns"), pa.timestamp("ns", "UTC")),
+)
 _UNLIKE: Final = ('"', "(")  # quoted cells; nan(…), which `float` rejects
 
 
@@ -63,6 +68,16 @@ class ArrowCells:
         cells = [x.lstrip(" ") for x in encoded.dictionary.to_pylist()]
         names, index = columns.names(cells)
         return names, index[_array(encoded.indices)]
+
+    def castable(self, places: Collection[int], kind: pa.DataType) -> bool:
+        """Whether these columns of texts may be read as ``kind``: a quick look."""
+        try:
+            for place in places:
+                trimmed = pc.utf8_trim_whitespace(self._column(place))
+                pc.replace_substring(trimmed, ",", ".").cast(kind)
+        except pa.ArrowException:
+            return False
+        return True
 
     def _column(self, place: int) -> Any:  # noqa: ANN401 - untyped
         column = self._table.column(str(place))
@@ -111,14 +126,16 @@ class ArrowParser:
         """Return a parser of the file that begins with these lines; None if Arrow reads no such."""
         if not any(line.strip() for line in lines):
             return None
-        kinds = [pa.int64(), pa.decimal128(_PLACES, _NANO)]
-        kinds += [pa.timestamp("ns"), pa.timestamp("ns", "UTC"), pa.string()]
-        for kind in [pa.string()] if dates.serial else kinds:
-            given = numbers, texts, dict.fromkeys(times, kind)
-            parser = cls(width, separator, dates, *given)
-            if parser.parsed("".join(lines)) is not None:
-                return parser
-        return None
+        text = "".join(lines)
+        as_text = cls(width, separator, dates, numbers, texts, dict.fromkeys(times, pa.string()))
+        cells = as_text.parsed(text)
+        if cells is None or dates.serial:
+            return as_text if cells is not None else None
+        for kind in _TIMES:
+            typed = cls(width, separator, dates, numbers, texts, dict.fromkeys(times, kind))
+            if cells.castable(times, kind) and typed.parsed(text) is not None:
+                return typed
+        return as_text
 
     def parsed(self, text: str) -> ArrowCells | None:
         """Return the cells of whole lines; None if they must be read as text."""

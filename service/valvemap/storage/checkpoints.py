@@ -24,6 +24,7 @@ from valvemap.storage.sqlite_files import (
     transaction,
 )
 from valvemap.storage.state_lock import FileLock, is_at
+from valvemap.vocabulary.edges import split_id
 
 LOG = "the log of the last save"
 MOST_ASIDE = 8  # states set aside of one valve and estimator; the oldest are deleted
@@ -190,7 +191,7 @@ class CheckpointFile(Closing):
         )
         if self._log_was_torn:
             self.damaged.append(LOG)
-        hurt = {name.partition(".")[0] for name in self.damaged}
+        hurt = {split_id(name)[0] for name in self.damaged}
         until = {
             valve: min(
                 max((r.saved for r in whole if r.name == name), default=self._saved)

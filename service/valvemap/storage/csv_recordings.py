@@ -8,7 +8,7 @@ import os
 import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from itertools import chain, islice
 from pathlib import Path
@@ -462,6 +462,16 @@ def packed(packing: str, text: bytes) -> bytes:
             return lzma.compress(text, preset=3)
         case _:
             return text
+
+
+@contextmanager
+def text_of(path: Path, packing: str) -> Iterator[Iterator[str]]:
+    """Yield the lines of a file; damage is a `RecordingError`."""
+    number = 0
+    with _Faults(path, lambda: number), path.open("rb") as raw:
+        unpacked = io.BufferedReader(cast("io.RawIOBase", _unpacked(raw, packing)), _PEEK)
+        encoding = _encoding(unpacked.peek(_PEEK))
+        yield iter(io.TextIOWrapper(unpacked, encoding=encoding, newline=""))
 
 
 def _unpacked(raw: BinaryIO, packing: str) -> IO[bytes]:

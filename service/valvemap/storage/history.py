@@ -9,14 +9,17 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from valvemap.pipeline.ports import AlarmChange, Past, Piece
+from valvemap.pipeline.ports import AlarmChange, Past, PastCells, Piece
 from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
-from valvemap.storage.history_blocks import CODES, T, unpack
+from valvemap.storage.history_blocks import CODES, SEALED, T
+from valvemap.storage.history_cells import WIDTHS, width_of
 from valvemap.storage.history_mending import check_blocks, take_over
 from valvemap.storage.history_order import in_order, joined, nothing
 from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
 from valvemap.storage.history_series import SeriesWriter
+from valvemap.storage.history_spans import Spans, drop_aged, drop_excess, raw_bytes
+from valvemap.storage.history_tiers import TierReader
 from valvemap.storage.sqlite_files import (
     SALVAGING,
     is_damage,
@@ -24,6 +27,7 @@ from valvemap.storage.sqlite_files import (
     name_aside,
     naming,
     pragma,
+    snapshot,
     text,
     transaction,
 )
@@ -41,9 +45,9 @@ class HistoryFile(Closing):
 
     A series is a table of rows: a time, a status code and value columns. Rows may come late: they
     are read in order of time. A row that is stored already is left out; one that differs from the
-    stored row of its time is left out and counted as lost. A save is
-    one transaction, so a kill loses only unsaved rows. Small blocks are joined, so that a day at
-    100 Hz is 211 blocks.
+    stored row of its time is left out and counted as lost. A save is one transaction, so a kill
+    loses only unsaved rows. Every 4,096 rows of a series are sealed: packed without loss, and added
+    to the tiers (minimum, mean, maximum and counts over 10 s and 5 min) in the same transaction.
 
     A damaged file never stops the service. If its structure is damaged, the file is set aside under
     a name with its time, and its readable blocks are copied to a new file. If a column is damaged,
@@ -59,7 +63,9 @@ class HistoryFile(Closing):
     keep_s
         Age at which rows are dropped, block by block, s; rows age while the file is open.
     most_bytes
-        Maximum size of the file; the oldest blocks are dropped first.
+        Maximum size of the file; the oldest blocks are dropped first, see `history_spans`.
+    results_s, trend_s
+        Age at which rows of results, and the tier of 5 min, are dropped; by default ``keep_s``.
     mends
         Whether to repair damage, which only the owner of the file may do; else it raises
         StorageError.
@@ -97,17 +103,22 @@ class HistoryFile(Closing):
         keep_s: float = 7 * 86_400.0,
         most_bytes: int = 2_000_000_000,
         *,
+        results_s: float | None = None,
+        trend_s: float | None = None,
         mends: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = Path(path)
+        self.widths: Sequence[int] = WIDTHS
         self._lost = 0
         self._rows: SeriesWriter
-        self._keep_s, self._most_bytes = keep_s, most_bytes
+        self._spans = Spans.of(keep_s, results_s, trend_s)
+        self._most_bytes = most_bytes
         self._writing, self._reading = Lock(), Lock()
         self._mends, self._clock = mends, clock
         self._notes: list[str] = []
         self._opened, self._damaged_at = 0, -np.inf
+        self._written, self._tiers_are_whole = 0, False
         self._pages_checked = self._is_open = False
         self._chores: Generator[None] = _no_chores()
         self._recounted = 0  # rows of unfinished files set aside that `lost` holds
@@ -139,13 +150,12 @@ class HistoryFile(Closing):
         """Return rows from ``low`` to ``high`` (UTC ns, both included) after ``skip`` others."""
 
         def find() -> Past:
-            if not self._rows.names.keys() >= {series, column, T, CODES}:
+            if not self._rows.names.keys() >= {column, T, CODES}:
                 return nothing()
             found, wanted = [], skip + most
-            number = self._rows.names[series]
             blocks = (
                 (first, last, self._rows_between(block, series, column, low, high))
-                for block, first, last in self._blocks(number, low, high, backwards=backwards)
+                for block, first, last in self._blocks(series, low, high, backwards=backwards)
             )
             for rows in in_order(blocks, backwards=backwards):
                 found.append(rows)
@@ -155,6 +165,22 @@ class HistoryFile(Closing):
             return joined(found)[skip : skip + most]
 
         return self._ask(find)
+
+    def cells(self, series: str, column: str, low: int, high: int, width: int) -> PastCells | None:
+        """Return the cells of a tier that begin from ``low`` to before ``high`` (UTC ns).
+
+        Rows that are not sealed yet are included. None if there is no tier of that width, or while
+        the tiers are made anew, after damage or of an older file.
+        """
+        if not self._tiers_are_whole:
+            return None
+        state = self._opened, self._written
+        found = self._ask(lambda: self._tiers.cells(series, column, (low, high), width, state))
+        if isinstance(found, str):  # damaged
+            with self._writing:
+                self._rows.damaged_tiers.add(found)
+            return None
+        return found
 
     def note(self, changes: Sequence[AlarmChange]) -> None:
         """Store changes of alarms; skip those already stored."""
@@ -186,12 +212,10 @@ class HistoryFile(Closing):
 
         def drop() -> int:
             now_s = self._ran_s + self._clock() - self._opened_at
-            old, dropped = history_age.expired(self._writer, now_s - self._keep_s), 0
-            if old is not None:
-                alarm_changes.forget(self._writer, old.change)
-                dropped = self._rows.drop("id <= ?", (old.block,))
+            dropped = drop_aged(self._writer, self._rows, self._spans, now_s)
             excess = self._bytes() - self._most_bytes
-            dropped += self._rows.drop_oldest(excess) if excess > 0 else 0
+            if excess > 0:
+                dropped += drop_excess(self._rows, excess, self._most_bytes)
             history_age.mark(self._writer, now_s)
             return dropped
 
@@ -217,10 +241,11 @@ class HistoryFile(Closing):
 
     @property
     def bytes_per_s(self) -> float:
-        """The rate at which the file has grown, per s that it was open; 0 if too short to tell."""
+        """The bytes of rows written per s that the file was open; 0 if too short to tell."""
         with self._writing, naming(self.path):
-            span_s = history_age.ran_s(self._writer) - history_age.since_s(self._writer)
-            return self._bytes() / span_s if span_s >= MEASURED_S else 0.0
+            oldest, held = raw_bytes(self._writer, self._rows)
+            span_s = history_age.ran_s(self._writer) - history_age.since_s(self._writer, oldest)
+            return held / span_s if span_s >= MEASURED_S else 0.0
 
     def take_notes(self) -> list[str]:
         """Return the messages on damage since the last call."""
@@ -241,6 +266,8 @@ class HistoryFile(Closing):
             try:
                 with transaction(self._writer):
                     done = work()
+                    self._reset_damaged_tiers()
+                self._written += 1
             except BaseException as error:
                 if isinstance(error, sqlite3.DatabaseError) and is_damage(error):
                     self._mend(error)
@@ -256,22 +283,32 @@ class HistoryFile(Closing):
         with naming(self.path):
             opened = self._opened
             try:
-                with self._reading:
+                with self._reading, snapshot(self._reader):
                     return work()
             except sqlite3.DatabaseError as error:
                 with self._writing:
                     if opened == self._opened:
                         self._mend(error)
-            with self._reading:
+            with self._reading, snapshot(self._reader):
                 return work()
+
+    def _reset_damaged_tiers(self) -> None:
+        if not self._rows.damaged_tiers or not self._mends:
+            return
+        for series in self._rows.damaged_tiers:
+            self._rows.reset_tiers(series)
+        self._rows.damaged_tiers.clear()
+        self._chores.close()
+        self._tiers_are_whole, self._chores = False, self._waiting()
 
     def _open(self) -> None:
         if self._opened:
             self._lost += self._rows.lost
         self._writer = _open(self.path)
         self._rows = SeriesWriter(self._writer)
-        self._reader = sqlite3.connect(self.path, check_same_thread=False)
+        self._reader = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
         self._reader.text_factory = text
+        self._tiers = TierReader(self._reader, self._rows)
         self._opened += 1
         self._is_open = True
         self._ran_s, self._opened_at = history_age.ran_s(self._writer), self._clock()
@@ -283,7 +320,7 @@ class HistoryFile(Closing):
         self._lost, self._recounted = self._lost - self._recounted, 0
         self._finished.clear()
         self._rows.reload()
-        self._chores = self._waiting()
+        self._tiers_are_whole, self._chores = False, self._waiting()
 
     def _close(self) -> None:
         self._chores.close()
@@ -336,27 +373,37 @@ class HistoryFile(Closing):
         self._finished.clear()
 
     def _waiting(self) -> Generator[None]:
-        """Check each block, then copy the readable blocks of files set aside."""
-        dropped = 0
-        for lost in check_blocks(self._writer, self._rows.names):
-            if lost:
-                self._lost, dropped = self._lost + lost, dropped + lost
+        """Check each block, copy the readable blocks of files set aside, seal loose blocks."""
+        dropped, hurt = 0, set[str]()
+        for checked in check_blocks(self._writer, self._rows.names):
+            if checked.lost:
+                self._lost, dropped = self._lost + checked.lost, dropped + checked.lost
                 self._rows.reload_series()
+                hurt.add(checked.series)
             yield
         if dropped:
             self._notes.append(f"{self.path}: columns of {dropped:,} rows are damaged and dropped")
+        if "" in hurt:
+            self._rows.reset_all_tiers()
+        else:
+            for series in filter(width_of, hurt):
+                self._rows.reset_tiers(series.rpartition(SEALED)[0])
         for marker, damaged in _set_aside_before(self.path):
             kept = lost = 0
             for taken in take_over(self._writer, damaged, self._rows.number):
                 kept, lost = kept + taken.rows, lost + taken.lost
                 self._lost, self._recounted = self._lost + taken.lost, self._recounted + taken.lost
-                if taken.rows:
-                    self._rows.resume_after(taken)
                 yield
+            self._rows.reset_all_tiers()
             self._notes.append(
                 f"{damaged.name}: {kept:,} rows are copied; {lost:,} rows lack columns or all"
             )
             self._finished.append(marker)
+        sealed: int | None = -(2**63)
+        while sealed is not None:
+            sealed = self._rows.seal_pending(sealed)
+            yield
+        self._tiers_are_whole = True
 
     def _bytes(self) -> int:
         pages, free, page = (
@@ -365,26 +412,24 @@ class HistoryFile(Closing):
         return (pages - free) * page
 
     def _blocks(
-        self, series: int, low: int, high: int, *, backwards: bool
+        self, series: str, low: int, high: int, *, backwards: bool
     ) -> list[tuple[int, int, int]]:
         """Return number, first and last time of blocks in a span, see `in_order`."""
+        numbers = [self._rows.names.get(name, -1) for name in (series, series + SEALED)]
         order = "last DESC" if backwards else "first"
         select = (
-            "SELECT id, first, last FROM block WHERE series = ? AND first <= ? AND last >= ? "  # noqa: S608
-            f"ORDER BY {order}"
+            "SELECT id, first, last FROM block WHERE series IN (?, ?) AND first <= ? "  # noqa: S608
+            f"AND last >= ? ORDER BY {order}"
         )
-        return self._reader.execute(select, (series, high, low)).fetchall()
+        return self._reader.execute(select, (*numbers, high, low)).fetchall()
 
     def _rows_between(self, block: int, series: str, column: str, low: int, high: int) -> Past:
-        past = self._rows_of(block, series, column)
-        return past[slice(*np.searchsorted(past.t, [low, high + 1]).tolist())]
-
-    def _rows_of(self, block: int, series: str, column: str) -> Past:
         found = self._rows.examined(self._reader, series, block, (T, CODES, column))
         if column not in found.parts:  # the series had no such column then, or it is damaged
             return nothing()
-        codes, values = (unpack(name, found.parts[name]) for name in (CODES, column))
-        return Past(found.t, values, codes)
+        past = Past(found.t, found.columns[column], found.columns[CODES])
+        first, behind = np.searchsorted(past.t, low), np.searchsorted(past.t, high, side="right")
+        return past[slice(int(first), int(behind))]  # high + 1 may be beyond int64
 
 
 def _no_chores() -> Generator[None]:

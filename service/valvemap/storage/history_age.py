@@ -39,9 +39,10 @@ def ran_s(connection: sqlite3.Connection) -> float:
     return float(found or 0.0)
 
 
-def since_s(connection: sqlite3.Connection) -> float:
-    """Return the file's time at its oldest mark, s: rows have been written since; 0 of none."""
-    (found,) = connection.execute("SELECT min(ran_s) FROM written").fetchone()
+def since_s(connection: sqlite3.Connection, block: int) -> float:
+    """Return the file's time at the oldest mark that has a block, s; 0 of none."""
+    select = "SELECT min(ran_s) FROM written WHERE block >= ?"
+    (found,) = connection.execute(select, (block,)).fetchone()
     return float(found or 0.0)
 
 
@@ -53,10 +54,12 @@ def mark(connection: sqlite3.Connection, now_s: float) -> None:
 
 
 def expired(connection: sqlite3.Connection, before_s: float) -> Mark | None:
-    """Return the newest mark that is not after a time of the file, and delete those before it."""
+    """Return the newest mark that is not after a time of the file."""
     select = "SELECT ran_s, block, change FROM written WHERE ran_s <= ? ORDER BY ran_s DESC LIMIT 1"
     found = connection.execute(select, (before_s,)).fetchone()
-    if found is None:
-        return None
-    connection.execute("DELETE FROM written WHERE ran_s < ?", (found[0],))
-    return Mark(*found)
+    return None if found is None else Mark(*found)
+
+
+def forget_before(connection: sqlite3.Connection, mark: Mark) -> None:
+    """Delete the marks before one."""
+    connection.execute("DELETE FROM written WHERE ran_s < ?", (mark.ran_s,))

@@ -6,16 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from valvemap.storage import alarm_changes
 from valvemap.storage.history_blocks import (
-    BYTES_OF_VALUE,
+    SEALED,
     Parts,
     T,
+    chosen,
     examine,
     insert,
+    rows_in,
     unpack,
-    without,
 )
+from valvemap.storage.history_cells import width_of
 from valvemap.storage.salvage import Block, salvage_blocks, salvage_changes
 
 CHANGES_AT_ONCE: Final = 100  # alarm changes per step, some 10 us each
@@ -24,12 +28,12 @@ _NEXT = (
     "SELECT id, series, first, last, rows FROM block WHERE id > ? AND id <= ? ORDER BY id LIMIT 1"
 )
 _PARTS = "SELECT name, digest, data FROM part WHERE block = ?"
-_BETWEEN = "SELECT block, max(length(data)) FROM part WHERE block > ? AND block < ? GROUP BY block"
+_BETWEEN = "SELECT block, data FROM part WHERE block > ? AND block < ?"
 _DROP = "DELETE FROM part WHERE block = ? AND name = ?"
 _UPDATE = "UPDATE block SET first = ?, last = ?, rows = ? WHERE id = ?"
 _OVERLAP = (
     "SELECT data FROM block JOIN part ON part.block = block.id "
-    "WHERE series = ? AND first <= ? AND last >= ? AND name = ?"
+    "WHERE series IN (?, ?) AND first <= ? AND last >= ? AND name = ?"
 )
 _CHANGE = (
     "INSERT OR IGNORE INTO alarm_change (t, owner, digest, report, checksum) VALUES (?, ?, ?, ?, ?)"
@@ -37,18 +41,24 @@ _CHANGE = (
 
 
 @dataclass(frozen=True)
+class Checked:
+    """The lost rows of a block, and its series; empty if unknown."""
+
+    lost: int = 0
+    series: str = ""
+
+
+@dataclass(frozen=True)
 class Taken:
     """The copied and the lost rows of a block."""
 
-    series: str = ""
-    last: int = 0
     rows: int = 0
     lost: int = 0
 
 
 def check_blocks(
     connection: sqlite3.Connection, names: Mapping[str, int]
-) -> Generator[int, None, None]:
+) -> Generator[Checked, None, None]:
     """Check each block; yield how many of its rows are lost.
 
     Damaged columns are dropped, and blocks without times entirely. The block table is corrected if
@@ -58,9 +68,12 @@ def check_blocks(
     (newest,) = connection.execute("SELECT max(id) FROM block").fetchone()
     block = -(2**63)
     while row := connection.execute(_NEXT, (block, newest)).fetchone():
-        for stray, size in connection.execute(_BETWEEN, (block, row[0])).fetchall():
+        strays = dict[int, int]()
+        for stray, data in connection.execute(_BETWEEN, (block, row[0])):
+            strays[stray] = max(strays.get(stray, 0), rows_in(data))
+        for stray, rows in strays.items():
             connection.execute("DELETE FROM part WHERE block = ?", (stray,))
-            yield size // BYTES_OF_VALUE
+            yield Checked(rows)
         block, owner, first, last, rows = row
         stored = connection.execute(_PARTS, (block,)).fetchall()
         known = {n: numbers[n] for n, *_ in stored if n in numbers}
@@ -73,7 +86,8 @@ def check_blocks(
             connection.execute("DELETE FROM block WHERE id = ?", (block,))
         elif (first, last, rows) != (true := (int(found.t[0]), int(found.t[-1]), n)):
             connection.execute(_UPDATE, (*true, block))
-        yield 0 if n and not dropped else n or max(rows, 1)
+        lost = 0 if n and not dropped else n or max(rows, 1)
+        yield Checked(lost, numbers.get(owner, ""))
 
 
 def take_over(
@@ -104,16 +118,18 @@ def take_over(
 def _take_over(connection: sqlite3.Connection, block: Block, number: Callable[[str], int]) -> Taken:
     if not block.series:
         return Taken(lost=block.lost)
-    found, series = block.found, number(block.series)
-    span = series, int(found.t[-1]), int(found.t[0])
-    for (data,) in connection.execute(_OVERLAP, (*span, number(T))).fetchall():
-        found = without(unpack(T, data), found)
+    found = block.found
+    both = number(block.series), number(block.series + SEALED)
+    span = *both, int(found.t[-1]), int(found.t[0])
+    known = [unpack(T, data) for (data,) in connection.execute(_OVERLAP, (*span, number(T)))]
+    if known:
+        found = chosen(found, ~np.isin(found.t, np.concatenate(known)))
     if not len(found.t):
         return Taken(lost=block.lost)
     (lowest,) = connection.execute("SELECT min(id) FROM block").fetchone()
-    before_all = None if lowest is None else lowest - 1  # blocks come newest first
-    insert(connection, block.series, found.t, found.parts, number, id_=before_all)
-    return Taken(block.series, int(found.t[-1]), len(found.t), block.lost)
+    before_all = 0 if lowest is None else lowest - 1  # blocks come newest first
+    insert(connection, block.series, found.t, found.parts, number, before_all)
+    return Taken(0 if width_of(block.series) else len(found.t), block.lost)
 
 
 def _note(connection: sqlite3.Connection, changes: list[tuple[object, ...]]) -> Taken:

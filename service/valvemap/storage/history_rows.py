@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Flags, Floats, Times
 from valvemap.pipeline.ports import Piece
-from valvemap.storage.history_blocks import unpack
 
 
 @dataclass(frozen=True)
@@ -25,12 +24,12 @@ class Rows:
         columns = {name: values[chosen] for name, values in self.columns.items()}
         return Rows(self.series, self.t[chosen], self.codes[chosen], columns)
 
-    def differs(self, stored: Mapping[str, bytes], place: NDArray[Any]) -> Flags:
+    def differs(self, stored: Mapping[str, NDArray[Any]], place: NDArray[Any]) -> Flags:
         """Return which rows (n,) differ from the stored rows at ``place`` (n,), bit by bit."""
         found = np.zeros(len(self.t), np.bool_)
         for name, values in self.columns.items():
             if name in stored:
-                there = np.ascontiguousarray(unpack(name, stored[name])[place])
+                there = np.ascontiguousarray(stored[name][place])
                 found |= there.view(np.int64) != np.ascontiguousarray(values).view(np.int64)
         return found
 

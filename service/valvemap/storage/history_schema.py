@@ -10,7 +10,7 @@ from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.sqlite_files import check_owner, damage, pragma, transaction
 
 APPLICATION_ID = 0x76_6D_61_68  # "vmah"
-SCHEMA_VERSION = 2  # 1: checksums without the column's name
+SCHEMA_VERSION = 3  # 1: checksums without the column's name; 2: nothing packed, no tiers
 PAGE: Final = 4_096  # bytes; SQLite's default, used by all our files
 HEADER: Final = 100  # bytes
 FIXED: Final = (slice(0, 18), slice(20, 24), slice(44, 48), slice(56, 60), slice(68, 72))

@@ -8,13 +8,12 @@ from typing import Annotated, Final, Literal, assert_never
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from valvemap.model.auto_map import BAND, AutoMap
 from valvemap.model.kernels import lack_of_fit
+from valvemap.model.kernels.flow_path import PARAMETERS
 from valvemap.model.kernels.support import PLACES_OF_CELL, T_LOW
-from valvemap.model.kernels.surface import BORDER
 from valvemap.model.linear_map import LinearParameters
-from valvemap.model.map_shapes import Shape
 from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
+from valvemap.model.portable_flow_map import MOVING, SCALARS, GaussianMap
 from valvemap.model.portable_map import PortableMap
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import NetworkMap
@@ -23,6 +22,7 @@ from valvemap.model.samples import Floats
 from valvemap.model.support import Support
 
 VERSION: Final = 2
+MOST_RANGE: Final = 1e4  # % or bar
 UNITS: Final = {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
 
 Numbers = tuple[float, ...]
@@ -113,36 +113,37 @@ class NetworkSection(_Section):
         return self
 
 
-class AutoSection(_Section):
-    """The shape that `Auto` chose, its parameters, and the inverse information behind its std."""
+class GaussianSection(_Section):
+    """The map of `Auto`, see :class:`~valvemap.model.portable_flow_map.GaussianMap`."""
 
-    kind: Literal["auto"] = "auto"
-    shape: tuple[float | None, ...] = Field(min_length=6, max_length=6)
-    dp_top: float
+    kind: Literal["gaussian"] = "gaussian"
+    U_range: tuple[float, float]
+    dp_range: tuple[float, float]
     theta: Numbers
-    beside: Numbers = Field(min_length=BORDER, max_length=BORDER)
-    inverse: Rows
-    mixed: Rows
-    corner: Rows
-    variance: float
-    gain_variance: float = 0.0
+    std: Numbers
+    moving: tuple[Rows, Rows]
+    scalars: Numbers = Field(min_length=len(SCALARS), max_length=len(SCALARS))
+    temperatures: tuple[float | None, float | None]
+    operators: Numbers = Field(min_length=PARAMETERS, max_length=PARAMETERS)
+    play: tuple[float, float]
 
     @model_validator(mode="after")
-    def _sizes_fit(self) -> "AutoSection":
-        n = Shape.from_array(_shape_of(self)).size
-        for name, rows, columns in (
-            ("theta", n, None),
-            ("inverse", n, BAND),
-            ("mixed", n, BORDER),
-            ("corner", BORDER, BORDER),
-        ):
-            table = getattr(self, name)
-            if len(table) != rows or (columns and any(len(row) != columns for row in table)):
-                raise ValueError(f"{name}: {rows} rows of {columns or 1} are allowed")
+    def _sizes_fit(self) -> "GaussianSection":
+        for name in ("U_range", "dp_range"):
+            low, high = getattr(self, name)
+            if not -MOST_RANGE <= low < high <= MOST_RANGE:
+                raise ValueError(
+                    f"{name}: two ascending numbers within ±{MOST_RANGE:g} are allowed"
+                )
+        sides = [[len(row) for row in side] for side in self.moving]
+        if sides != [[MOVING[2]] * MOVING[1]] * MOVING[0]:
+            raise ValueError(f"moving: {MOVING[0]} x {MOVING[1]} rows of {MOVING[2]} are allowed")
         return self
 
 
-MapSection = Annotated[LinearSection | NetworkSection | AutoSection, Field(discriminator="kind")]
+MapSection = Annotated[
+    LinearSection | NetworkSection | GaussianSection, Field(discriminator="kind")
+]
 
 
 class RegionSection(_Section):
@@ -230,17 +231,19 @@ def map_section(portable: PortableMap) -> MapSection:
                 log_b=_numbers(portable.log_b),
                 monitor=_numbers(portable.monitor),
             )
-        case AutoMap():
-            return AutoSection(
-                shape=tuple(None if np.isnan(x) else float(x) for x in portable.shape),
-                dp_top=portable.dp_top,
+        case GaussianMap():
+            first, last = portable.temperatures.tolist()
+            half, known = portable.play.tolist()
+            return GaussianSection(
+                U_range=portable.U_range,
+                dp_range=portable.dp_range,
                 theta=_numbers(portable.theta),
-                beside=_numbers(portable.beside),
-                inverse=_rows(portable.inverse),
-                mixed=_rows(portable.mixed),
-                corner=_rows(portable.corner),
-                variance=portable.variance,
-                gain_variance=portable.gain_variance,
+                std=_numbers(portable.std),
+                moving=(_rows(portable.moving[0]), _rows(portable.moving[1])),
+                scalars=_numbers(portable.scalars),
+                temperatures=(_or_none(first), _or_none(last)),
+                operators=_numbers(portable.operators),
+                play=(half, known),
             )
         case _:
             assert_never(portable)
@@ -259,17 +262,17 @@ def map_of(section: MapSection) -> PortableMap:
             ranges = section.grid, section.U_range, section.dp_range, section.Q_scale
             w, c, log_b = (np.array(x, np.float64) for x in (section.w, section.c, section.log_b))
             return NetworkMap(*ranges, w, c, log_b, np.array(section.monitor))
-        case AutoSection():
-            return AutoMap(
-                shape=_shape_of(section),
-                dp_top=section.dp_top,
+        case GaussianSection():
+            return GaussianMap(
+                U_range=section.U_range,
+                dp_range=section.dp_range,
                 theta=np.array(section.theta),
-                beside=np.array(section.beside),
-                inverse=np.array(section.inverse),
-                mixed=np.array(section.mixed),
-                corner=np.array(section.corner),
-                variance=section.variance,
-                gain_variance=section.gain_variance,
+                std=np.array(section.std),
+                moving=np.array(section.moving),
+                scalars=np.array(section.scalars),
+                temperatures=np.array(section.temperatures, np.float64),
+                operators=np.array(section.operators),
+                play=np.array(section.play),
             )
 
 
@@ -351,8 +354,8 @@ def _fewest(section: StructureSection) -> int:
             return len(section.U) * len(section.s)
 
 
-def _shape_of(section: AutoSection) -> Floats:
-    return np.array([np.nan if x is None else x for x in section.shape])
+def _or_none(x: float) -> float | None:
+    return None if np.isnan(x) else x
 
 
 def _numbers(values: Floats) -> Numbers:

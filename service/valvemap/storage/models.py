@@ -198,8 +198,10 @@ def is_model(file: Path) -> bool:
 
 def _first(error: ValidationError) -> str:
     details = error.errors()[0]
-    tags = {"linear", "network", "auto", "polynomial", "spline", "radial_basis"}
+    tags = {"linear", "network", "gaussian", "polynomial", "spline", "radial_basis"}
     field = ".".join(str(key) for key in details["loc"] if key not in tags)
+    if details["type"] == "union_tag_invalid" and details["ctx"]["tag"] == "auto":
+        return f"{field}: it is of the former Auto; identify it anew: valvemap replay --save FILE"
     message = details["msg"].removeprefix("Value error, ").replace("\n", " ")
     if isinstance(details["input"], str | int | float):
         message += f", not {repr(details['input'])[:MOST_SHOWN]}"

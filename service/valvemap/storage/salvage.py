@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from valvemap.storage import alarm_changes
-from valvemap.storage.history_blocks import BYTES_OF_VALUE, Examined, examine
+from valvemap.storage.history_blocks import Examined, base_of, examine, rows_in
 from valvemap.storage.history_schema import FIXED, PAGE, first_page, has_header, has_tables
 from valvemap.storage.sqlite_files import FIRST_PAGE, text
 
@@ -60,14 +60,11 @@ def salvage_blocks(damaged: Path) -> Iterator[Block]:
                 for number, digest, data in rows
                 for name in names.get(number, ())
             }
-            series = {name for owner in owners for name in names.get(owner, ())}
+            series = {base_of(name) for owner in owners for name in names.get(owner, ())}
             found = {name: examine(name, parts) for name in series}
             usable = [name for name in series if len(found[name].t)]
             if len(usable) != 1:  # none, or the series is ambiguous
-                longest = (
-                    max((len(data) for *_, data in rows if isinstance(data, bytes)), default=0)
-                    // BYTES_OF_VALUE
-                )
+                longest = max((rows_in(data) for *_, data in rows), default=0)
                 yield Block("", Examined.none(), max(said, longest) or 1)
                 continue
             (whose,) = usable

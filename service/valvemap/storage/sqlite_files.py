@@ -74,6 +74,17 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 @contextmanager
+def snapshot(connection: sqlite3.Connection) -> Iterator[None]:
+    """Run the queries of the block on one state of the file."""
+    connection.execute("BEGIN")
+    try:
+        yield
+    finally:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+
+
+@contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Convert errors of SQLite and the file system to a one-line StorageError naming the file."""
     try:

@@ -194,6 +194,75 @@ class InverseStatus(Described):
     )
 
 
+class AxisStatus(Described):
+    """Whether the edges of a cylinder's valve can be identified from its position and pressures."""
+
+    OK = 0, "ok", "The edges, the bulk modulus and the leakage are identified."
+    NO_PRESSURES = (
+        1,
+        "no pressures",
+        (
+            "Position and command do not tell the flows: the same command gives another speed at "
+            "another load. Add pA, pB, pS and pT."
+        ),
+    )
+    MISSING_PRESSURE = (
+        2,
+        "pressure missing",
+        "Each edge needs the pressures on both its sides. Add the missing one.",
+    )
+    MISSING_SIGNAL = 3, "signal missing", "Position and U are both needed. Add the missing one."
+    TOO_SLOW = (
+        4,
+        "too slow",
+        (
+            "The samples come too slowly for pressures and spool to be followed. Sample at 50 Hz "
+            "or faster; 100 Hz is better."
+        ),
+    )
+    TOO_SHORT = (
+        5,
+        "too short",
+        "Less than 60 s can be used. Let the machine work for 5 minutes at several loads.",
+    )
+    END_STOPS = (
+        6,
+        "at the end stops",
+        "The piston is at its end stops most of the time, where its speed tells no flow.",
+    )
+    LOW_PRESSURE = (
+        7,
+        "low pressure",
+        (
+            "A line is below 3 bar most of the time, where oil holds free air and may cavitate. "
+            "Raise the back pressure or move against a load."
+        ),
+    )
+    BULK_MODULUS = (
+        8,
+        "bulk modulus implausible",
+        (
+            "The bulk modulus is outside 0.1 … 2 GPa. Check units and sign of position and "
+            "pressures, diameters and dead volumes."
+        ),
+    )
+    UNEXCITED = (
+        9,
+        "not excited",
+        "U does not open all edges. Move the axis in both directions.",
+    )
+
+
+class LineEdge(Described):
+    """Which edge of a line passes a demanded flow."""
+
+    NONE = 0, "none", "No flow is demanded, or the edge that would pass it is not learnt."
+    PA = 1, "P to A", "U > 0 opens it: oil flows from P into line A."
+    AT = 2, "A to T", "U < 0 opens it: oil flows from line A to the tank."
+    PB = 3, "P to B", "U < 0 opens it: oil flows from P into line B."
+    BT = 4, "B to T", "U > 0 opens it: oil flows from line B to the tank."
+
+
 class FeedForwardStatus(Described):
     """Whether the answer is written to the valve, and if not, why."""
 

@@ -7,8 +7,8 @@ its samples, not the basis at their mean.
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.kernels.compiled import inner
-from valvemap.model.kernels.flow_basis import Axis, interval, slopes, values
+from valvemap.model.kernels.compiled import inner, lean_kernel
+from valvemap.model.kernels.flow_basis import Axis, interval, slopes, surface, values
 from valvemap.model.samples import Floats
 
 # Columns: samples; what they are worth in white noise; means; second central moments.
@@ -46,6 +46,15 @@ def deposit(
     cell[MEAN_U] += share * du
     cell[MEAN_S] += share * ds
     cell[MEAN_Q] += share * (Q - cell[MEAN_Q])
+
+
+@lean_kernel
+def shift(axis_U: Axis, axis_s: Axis, by: Floats, cells: Cells, work: Floats) -> None:
+    """Add the surface of coefficients ``by`` (n_U·n_s,) to all cells; ``work`` is (4, 3)."""
+    for c in range(len(cells)):
+        if cells[c, COUNT] > 0.0:
+            u, s = float(cells[c, MEAN_U]), float(cells[c, MEAN_S])
+            cells[c, MEAN_Q] += surface(axis_U, axis_s, by, u, s, work)
 
 
 @inner

@@ -19,12 +19,15 @@ ALONG_S = 3
 
 @kernel
 def leftover(
-    axis: Axis, top: float, rows: Floats, given: Floats, b: Floats, out: Floats
+    axis: Axis, top: float, rows: Floats, given: Floats, ridge: float, b: Floats, residual: Floats,
+    out: Floats,
 ) -> None:  # fmt: skip
     """Fill ``out`` (3,): mean square of the residual, its lag-1 correlation, rows counted.
 
     ``rows`` (N, paths.COLUMNS) in the order of time; ``given`` (PARAMETERS,); ``axis`` of a coarse
-    map along U, ``top`` the largest √Δp. ``b`` (`terms_of`,) becomes the coarse map.
+    map along U, ``top`` the largest √Δp. ``b`` (`terms_of`,) becomes the coarse map, drawn towards
+    what it was by the weight of ``ridge`` samples; ``residual`` (N,) what it leaves, 0 at rows that
+    do not count.
     """
     N, K = len(rows), len(b)
     X, t = np.zeros((N, K)), np.zeros(N)
@@ -34,7 +37,7 @@ def leftover(
     used = np.zeros(N, np.bool_)
     for i in range(0, N, rules.EVERY):
         used[i] = t[i] - t[base[i]] >= rules.LONGEST_LAG
-    _fit(X, rows, used, given, b, out)
+    _fit(X, rows, used, given, ridge, b, residual, out)
 
 
 def terms_of(axis: Axis) -> int:
@@ -147,13 +150,16 @@ def _filtered(X: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
 
 @maker
 def _fit(
-    X: Floats, rows: Floats, used: np.ndarray, given: Floats, b: Floats, out: Floats
+    X: Floats, rows: Floats, used: np.ndarray, given: Floats, ridge: float, b: Floats,
+    residual: Floats, out: Floats,
 ) -> None:  # fmt: skip
     N, K = X.shape
+    prior = b.copy()
     top, least = given[paths.TOP], given[paths.LEAST]
     path = np.zeros(paths.PLACES)
     path[: paths.PARAMETERS] = given
-    residual, flows, limit, known = np.zeros(N), np.zeros(N), math.inf, 0
+    flows, limit, known = np.zeros(N), math.inf, 0
+    residual[:] = 0.0
     for k_round in range(rules.ROBUST_ROUNDS):
         A, x_Q = np.zeros(K * K), np.zeros(K)
         refused, counted = 0, 0
@@ -181,7 +187,8 @@ def _fit(
                     for j in range(k + 1):
                         A[Index(k * K + j)] += x * X[i, Index(j)]
         for k in range(K):
-            A[k * K + k] += rules.RIDGE
+            A[k * K + k] += ridge
+            x_Q[k] += ridge * prior[k]
         if counted <= K or (known > 0 and refused == 0 and top + least == 0.0):
             break
         b[:] = x_Q
@@ -209,7 +216,7 @@ def _fit(
     squares = products = before = 0.0
     for i in range(N):
         if used[i]:
-            r = min(max(residual[i], -limit), limit)
+            r = residual[i] = min(max(residual[i], -limit), limit)
             squares += r * r
             products += r * before
             before = r

@@ -76,7 +76,6 @@ def fit(
         for f in range(prior.FAMILIES):
             lam[f] *= scalars[SCALE_BEFORE] / scale
     scalars[SCALE_BEFORE] = scale
-    lam[prior.ZERO] = guess[prior.ZERO]
     of, to = _room(len(axis_U.sites) * n_s, 2 * n_s + 3, known)
     work = np.empty((4, 3))
     solved.gather(axis_U, axis_s, cells, work, of)
@@ -201,9 +200,10 @@ def _update_prior(
         square, used = lam[prior.CURVE] * found_s[j, 0], lam[prior.CURVE] * found_s[j, 1]
         v[j] = (rules.FREEDOM_S + v[j] * used) / (rules.FREEDOM_S + square)
     moved = 0.0
-    for f in (prior.BEND, prior.CURVE, prior.TWIST):
+    for f in range(prior.FAMILIES):
+        most = guess[f] if f == prior.ZERO else rules.FLAT * guess[f]
         used = rules.FREEDOM_LEVEL + lam[f] * totals[f, 1]
-        wanted = used / (rules.FREEDOM_LEVEL / (rules.FLAT * guess[f]) + totals[f, 0])
+        wanted = min(used / (rules.FREEDOM_LEVEL / most + totals[f, 0]), most)
         moved = max(moved, abs(math.log(wanted / lam[f])))
         lam[f] = _towards(wanted, lam[f])
     return moved < rules.SETTLED

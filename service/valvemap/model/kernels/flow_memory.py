@@ -19,7 +19,8 @@ WATCHED = 21  # rows of `recent` that were searched for a least flow
 CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus MODELS where U < 0
 DOUBTED = 23  # 1 where a change was called and may be the meter's end
 CALM = 24  # samples when it was last forgotten what moves
-COUNTERS = 25
+RESTARTED = 25  # samples when the map began again, those that it then learnt once more included
+COUNTERS = 26
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
@@ -37,6 +38,7 @@ class Memory(NamedTuple):
     cells: Cells
     theta: Floats
     std: Singles
+    doubt: Singles
     scalars: Floats
     counters: np.ndarray
     x: Floats
@@ -62,10 +64,11 @@ class Batch(NamedTuple):
     predicted: Floats
     residual: Floats
     status: np.ndarray
+    longest: float  # samples that a cell remembers
 
 
 class Room(NamedTuple):
-    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_path.metered`, (4,)."""
+    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_path.metered`, (6,)."""
 
     work: Floats
     drift: Floats

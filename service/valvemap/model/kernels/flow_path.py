@@ -29,7 +29,8 @@ LAGGED, STUCK, SEEN = 2 * PARAMETERS, 2 * PARAMETERS + 1, 2 * PARAMETERS + 2  # 
 LEAST_SEEN = 2 * PARAMETERS + 3  # l/min
 HYSTERESIS = 2 * PARAMETERS + 4  # looks in which play left much, less the others
 FLOOR = 2 * PARAMETERS + 5  # (l/min)²; least variance of the noise behind a meter's filter
-PARTS = 2 * PARAMETERS + 6  # %; spools behind the relays, RELAY_COUNT places
+MOST, MOST_GAIN = 2 * PARAMETERS + 6, 2 * PARAMETERS + 7  # l/min a pump delivers; evidence of it
+PARTS = 2 * PARAMETERS + 8  # %; spools behind the relays, RELAY_COUNT places
 RELAY_COUNT = 8
 PLACES = PARTS + RELAY_COUNT
 
@@ -128,8 +129,8 @@ def metered(
     """Means over what the meter shows now; False: not enough is known.
 
     ``newest`` is the row of the last sample, ``known`` the number of rows. ``out`` becomes the mean
-    of spool and root; of the flow, less that at the mean place; of the squared difference. The last
-    two are by the map ``theta``, of some of the rows.
+    of spool and root; of the flow, less that at the mean place; of the squared difference; the
+    variances of spool and root. Those of the flow are by the map ``theta``, of some of the rows.
     """
     out[:] = 0.0
     total, some, u, r, age, row = 0.0, 0.0, 0.0, 0.0, 0.0, newest
@@ -141,6 +142,8 @@ def metered(
         total += weight
         out[0] += weight * recent[row, SPOOL]
         out[1] += weight * recent[row, ROOT]
+        out[4] += weight * recent[row, SPOOL] ** 2
+        out[5] += weight * recent[row, ROOT] ** 2
         every += step
         if weight > 0.0 and (every >= horizon / rules.POINTS_SHOWN or some == 0.0):
             flow = surface(axis_U, axis_s, theta, recent[row, SPOOL], recent[row, ROOT], work)
@@ -158,6 +161,7 @@ def metered(
         return False
     flow = surface(axis_U, axis_s, theta, u / some, r / some, work)
     out[0], out[1] = out[0] / total, out[1] / total
+    out[4], out[5] = out[4] / total - out[0] ** 2, out[5] / total - out[1] ** 2
     out[2] /= some
     out[3] = max(out[3] / some - out[2] ** 2, 0.0)
     out[2] -= flow

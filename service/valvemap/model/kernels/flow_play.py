@@ -14,7 +14,7 @@ it is a step of Gauss and Newton on h itself.
 import math
 
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.compiled import inner
+from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.samples import Floats
 
 GRID = rules.HALF_PLAYS
@@ -85,6 +85,16 @@ def decide(play: Floats) -> bool:
             play[HALF] = min(max(play[HALF] + off, 0.0), GRID[MANY - 1])
             _forget(play)
     return False
+
+
+@lean_kernel
+def behind(half: float, U: Floats, out: Floats) -> None:
+    """Where in its play (-1 … 1) the spool is along a path of N values of U, at 0 at first."""
+    spool = math.nan
+    for i in range(len(U)):
+        if math.isfinite(U[i]):
+            spool = min(max(spool, U[i] - half), U[i] + half) if math.isfinite(spool) else U[i]
+        out[i] = (U[i] - spool) / half if math.isfinite(U[i]) else 0.0
 
 
 @inner

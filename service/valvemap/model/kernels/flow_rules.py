@@ -9,7 +9,6 @@ from typing import Final
 STEP_U: Final = 1.25  # %; distance of knots along U; a dead band's edge is a bend between two
 SHARES_S: Final = (0.0, 0.05, 0.1, 0.18, 0.28, 0.4, 0.55, 0.7, 0.85, 1.0)  # of the largest √|Δp|;
 # knots along s: laminar flow bends near 0
-MEMORY: Final = 500.0  # samples; what a cell remembers: .05 σ, less than a map needs
 
 # Fits.
 FIRST_FIT: Final = 24  # samples; before the first fit: a few more than eq. (7) has parameters
@@ -151,7 +150,10 @@ BOTH_BRANCHES: Final = 0.51  # of the half width of a hysteresis: its standard d
 # the 95 % interval hold both branches
 LEAST_NOISES: Final = 3.0  # standard deviations of the noise; a least flow is larger
 MOST_OF_JUMP: Final = 10.0  # log likelihood that one jump over small flows tells at most
-REFINEMENTS: Final = 4  # rounds over all operators that are there
+REFINEMENTS: Final = 6  # steps of Gauss and Newton over all operators that are there, at most
+BEAM: Final = 3  # combinations of operators that are followed at once
+DIFFERENCE: Final = 0.02  # of a parameter; half the distance over which derivatives are taken
+ABRUPT_STEPS: Final = (1.25, 1.1, 1.04, 1.015, 1.005)  # factors; search along one parameter
 MEDIAN_TO_STD: Final = 1.4826  # of a Gaussian
 SAME_LEAST: Final = 0.85  # of the least flow seen; a smaller one refutes it
 OTHER_HYSTERESIS: Final = (
@@ -162,7 +164,8 @@ COARSE: Final = 0.02  # of the flow; standard deviation of the coarse map
 OF_COARSE: Final = 0.5  # of the variance that the coarse map leaves: least variance of the noise
 STEADY_FILTER: Final = 0.1  # of the noise's variance; doubt about a filter beyond which a sample
 # tells nothing of what moves in time
-STAY_BEHIND_FILTER: Final = 0.5  # of the noise's variance; least variance of a stay behind a filter
+STAY_BEHIND_FILTER: Final = 4.0  # of the noise's variance; least variance of a stay behind a
+# filter: the map's errors there are common to many stays
 LIKELIER: Final = 1.0  # log likelihood from which on a rival takes an operator's place
 EXPLAINED: Final = 1.5  # of the white noise's variance; rows that are left so little need no rivals
 MOST_TRIED: Final = 1500  # coarse maps fitted in a look before it tries no more rivals: .5 s

@@ -12,7 +12,7 @@ from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
-from valvemap.model.kernels.flow_basis import Axis, surface
+from valvemap.model.kernels.flow_basis import Axis, interval, surface
 from valvemap.model.kernels.flow_cells import (
     COUNT,
     MEAN_Q,
@@ -110,11 +110,12 @@ def _learn(
         scalars[fits.FIRST_T] = batch.T[i] if abs(batch.T[i]) < rules.HUGE else math.nan
         scalars[fits.NOW_T] = scalars[fits.STAY_T] = scalars[fits.STAY_T + 1] = math.nan
     at[WARM], beyond = 0.0, 0.0  # flow that the meter shows beyond that of the place
-    bent = 0.0  # variance of that
+    bent, own = 0.0, 1.0  # variance of that; of what the sample says, the share on its own cell
     if not is_beyond and paths.filters(path):
         if not _metered(axis_U, axis_s, u, r, memory, room):
             return _WARMING_UP
         u, r, beyond = room.means[0], room.means[1], room.means[2]
+        own = _own(axis_U, axis_s, room.means)
         side = 0 if u >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
     if counters[FITTED]:
@@ -171,9 +172,9 @@ def _learn(
     worth = (1.0 - alike) / (1.0 + alike)
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
         shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent)
-        weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300))
+        weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own
     deposit(
-        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, rules.MEMORY
+        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
     )
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
@@ -210,6 +211,15 @@ def _metered(axis_U: Axis, axis_s: Axis, u: float, r: float, memory: Memory, roo
     return paths.metered(
         axis_U, axis_s, memory.theta, recent, newest, known, memory.path, room.work, room.means
     )
+
+
+@inner
+def _own(axis_U: Axis, axis_s: Axis, means: Floats) -> float:
+    """Share of a cell's detail that a meter passes: 1 / √(1 + (ω·τ)²), ω = π·speed / size."""
+    i, j = interval(axis_U, means[0]), interval(axis_s, means[1])
+    du, ds = axis_U.breaks[i + 1] - axis_U.breaks[i], axis_s.breaks[j + 1] - axis_s.breaks[j]
+    lost = max(means[4], 0.0) / (du * du) + max(means[5], 0.0) / (ds * ds)
+    return float(1.0 / math.sqrt(1.0 + math.pi * math.pi * lost))
 
 
 @inner

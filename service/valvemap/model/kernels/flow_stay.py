@@ -155,7 +155,7 @@ def end_stay(memory: Memory, room: Room) -> None:
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
         cell = memory.cells[counters[STAY_CELL]]
         cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
-    is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE]
+    is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE] or stay[KNOWN_COUNT] >= rules.SURE_CELL
     is_sure = is_sure and counters[USED] - counters[BEGAN] >= rules.SETTLED_MAP
     if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
         side, now = counters[STAY_SIDE], counters[STAY_TIME]

@@ -65,7 +65,7 @@ def align_changes(
                 k = place_by_time(w, v, j, time, value, status, rules)
                 todo = SETTLE if k >= 0 else NOTHING
         if todo != NOTHING and not rules.numbered[v]:
-            n = leave_by_time(w, v, k, i < start, rules, out, n)
+            n = leave_by_time(w, v, k, todo, rules, out, n)
             continue
         while todo != NOTHING:
             if todo == JUDGE:

@@ -13,6 +13,9 @@ from valvemap.pipeline.kernels.waiting import (
     MISSING,
     NEVER,
     SEEN,
+    SET_BACK,
+    SET_FORWARD,
+    SETTLE,
     SIGNALS,
     SIZE,
     TIME,
@@ -72,27 +75,34 @@ def leave_by_time(
     w: Waiting,
     v: int,
     complete: int,
-    at_once: bool,  # noqa: FBT001 - numba takes positions only
+    command: int,
     rules: Rules,
     out: Aligned,
     n: int,
 ) -> int:
-    """Emit complete samples, oldest first; return the number in ``out``.
+    """Emit complete samples, oldest first, and carry out a command; return the number in ``out``.
+
+    SETTLE: those that are due. FLUSH, BEGIN_ANEW and SET_BACK: all of them. SET_BACK and
+    SET_FORWARD: the source's clock was set, so the next step between samples is no loss.
 
     Incomplete samples before them are dropped if overdue; otherwise emission stops there.
     ``complete`` is the slot of a complete sample; -1: search for the newest.
     """
-    order, reorder = w.order[v], 0 if at_once else rules.reorder[v]
+    order, reorder = w.order[v], rules.reorder[v] if command == SETTLE else 0
+    if command == SET_FORWARD:
+        order[LAST_TIME] = NEVER
+        w.counters[v, CLOCK_STEPS] += 1
+        return n
     if complete < 0:
         for k in range(order[SIZE]):
             if w.slots[v, k, FILLED] == rules.required[v]:
                 complete = k
-        if complete < 0:
+        if complete < 0 and command != SET_BACK:
             return n
-    newest = w.slots[v, complete, TIME]
+    newest = w.slots[v, max(complete, 0), TIME]
     started = order[HIGH] != NEVER
     done = ZERO
-    while done < order[SIZE]:
+    while complete >= 0 and done < order[SIZE]:
         time = w.slots[v, done, TIME]
         if w.slots[v, done, FILLED] == rules.required[v]:
             if reorder > 0 and time > newest - reorder:
@@ -109,6 +119,8 @@ def leave_by_time(
         done += 1
     if done > 0:
         _drop(w, v, done)
+    if command == SET_BACK:
+        _begin_anew(w, v)
     return n
 
 

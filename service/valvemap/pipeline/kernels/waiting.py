@@ -54,7 +54,8 @@ TIME, FILLED, NUMBER, SINCE, OPENED, SLOT_FIELDS = range(6)
 ) = range(19)
 ORDER_FIELDS = SEEN + STRIDE
 
-NOTHING, JUDGE, SETTLE, FLUSH, BEGIN_ANEW, MAKE_ROOM = range(6)  # commands for a valve
+# commands for a valve; SET_BACK and SET_FORWARD are for those without running number
+NOTHING, JUDGE, SETTLE, FLUSH, BEGIN_ANEW, MAKE_ROOM, SET_BACK, SET_FORWARD = range(8)
 
 ENOUGH = 8  # regular steps after which a long one is a loss
 NEW_PACE = 4  # successive long steps: the source has become slower

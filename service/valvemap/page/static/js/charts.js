@@ -3,9 +3,10 @@
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { css } from "./dom.js";
 
-const SECONDS = 60; // in view
+const SECONDS = 60; // in view of a live chart
 export const SECOND_AXIS = 64; // px that an axis on the right takes; without one, charts keep them free to lie above each other
 const GAP_S = 2; // no line is drawn over a longer silence
+const DAY_S = 86400;
 
 /** A ring of rows (time in s first), the newest last. */
 export class History {
@@ -32,67 +33,74 @@ export class History {
   clear() { for (const column of this.data) column.length = 0; }
 }
 
-/** A chart of the newest minute. series: [{label, colour, width, dash, scale, fill}]; bands: [[upper, lower, fill]]. */
-export function timeChart(parent, height, series, { unit, unit2, bands = [], range, right = 12 } = {}) {
-  const axis = (label, extra = {}) => ({
+const FONT = "12px system-ui, sans-serif";
+
+function axis(label, extra = {}) {
+  return {
     stroke: () => css("--soft"), grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false },
-    font: "12px system-ui, sans-serif", label, labelFont: "12px system-ui, sans-serif", labelSize: 18, size: 46, ...extra,
-  });
-  const clock = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit" });
-  const options = {
-    width: parent.clientWidth || 300, height, padding: [8, unit2 ? 0 : right, 0, 0],
-    legend: { show: false },
-    cursor: { drag: { x: false, y: false }, points: { size: 6 } },
-    scales: {
-      x: { time: true, range: (_, __, max) => [max - SECONDS, max] },
-      y: range ? { range } : {},
-      ...(unit2 ? { second: {} } : {}),
-    },
-    axes: [
-      axis(null, { size: 26, labelSize: 0, space: 90, values: (_, ticks) => ticks.map((t) => clock.format(new Date(t * 1000))) }),
-      axis(unit),
-      ...(unit2 ? [axis(unit2, { scale: "second", side: 1, grid: { show: false } })] : []),
-    ],
-    series: [
-      {},
-      ...series.map(({ label, colour, width = 1.5, scale = "y", dots = false }) => ({
-        label, width: width || 1, scale, stroke: width ? () => css(colour) : "transparent",
-        points: { show: dots, size: 4, width: 0, fill: () => css(colour) }, ...(dots ? { paths: () => null } : {}),
-      })),
-    ],
-    bands: bands.map(([upper, lower, colour]) => ({ series: [upper, lower], fill: () => `${css(colour)}26` })),
+    font: FONT, label, labelFont: FONT, labelSize: 18, size: 46, ...extra,
   };
-  const chart = new uPlot(options, [[], ...series.map(() => [])], parent);
+}
+
+function line({ label, colour, width = 1.5, dash = [], scale = "y", dots = false, size = 4, spanGaps = false }) {
+  return {
+    label, width: width || 1, scale, dash, spanGaps, stroke: width ? () => css(colour) : "transparent",
+    points: { show: dots, size, width: 0, fill: () => css(colour) }, ...(dots ? { paths: () => null } : {}),
+  };
+}
+
+const filled = (bands) => bands.map(([upper, lower, colour, share = "26"]) => ({ series: [upper, lower], fill: () => `${css(colour)}${share}` }));
+
+/** A chart as wide as its parent, and as high unless a height is given. */
+function fitted(parent, height, options, data) {
+  const size = () => ({ width: parent.clientWidth || 300, height: height ?? Math.max(parent.clientHeight, 90) });
+  const chart = new uPlot({ ...size(), ...options }, data, parent);
   const resize = new ResizeObserver(() => {
-    if (parent.clientWidth && parent.clientWidth !== chart.width) chart.setSize({ width: parent.clientWidth, height });
+    const wanted = size();
+    if (parent.clientWidth && (wanted.width !== chart.width || wanted.height !== chart.height)) chart.setSize(wanted);
   });
   resize.observe(parent);
   return { chart, close: () => { resize.disconnect(); chart.destroy(); } };
 }
 
+const seconds = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+const minutes = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit" });
+const days = new Intl.DateTimeFormat("en-GB", { day: "numeric", month: "short" });
+
+function timeTicks(chart, ticks) {
+  const step = ticks.length > 1 ? ticks[1] - ticks[0] : 1;
+  return ticks.map((t) => {
+    const date = new Date(t * 1000);
+    if (step >= DAY_S || (date.getHours() === 0 && date.getMinutes() === 0 && step >= 600)) return days.format(date);
+    return (step < 60 ? seconds : minutes).format(date);
+  });
+}
+
+/** A chart of the newest minute, or of `span` [from, to] in s. series: [{label, colour, width, dash, scale}]; bands: [[upper, lower, fill]]. */
+export function timeChart(parent, height, series, { unit, unit2, bands = [], range, right = 12, span, cursor = {}, hooks = {} } = {}) {
+  return fitted(parent, height, {
+    padding: [8, unit2 ? 0 : right, 0, 0], legend: { show: false },
+    cursor: { drag: { x: false, y: false }, points: { size: 6 }, ...cursor },
+    scales: {
+      x: { time: true, range: (_, __, max) => span?.() ?? [max - SECONDS, max] },
+      y: range ? { range } : {},
+      ...(unit2 ? { second: {} } : {}),
+    },
+    axes: [
+      axis(null, { size: 26, labelSize: 0, space: 90, values: timeTicks }), axis(unit),
+      ...(unit2 ? [axis(unit2, { scale: "second", side: 1, grid: { show: false } })] : []),
+    ],
+    series: [{}, ...series.map(line)], bands: filled(bands), hooks,
+  }, [[], ...series.map(() => [])]);
+}
+
 /** A chart over a number; data are set with chart.setData. */
 export function lineChart(parent, height, series, { x, y, bands = [], xRange } = {}) {
-  const axis = (label) => ({
-    stroke: () => css("--soft"), grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false },
-    font: "12px system-ui, sans-serif", label, labelFont: "12px system-ui, sans-serif", labelSize: 18, size: label === x ? 30 : 46,
-  });
-  const chart = new uPlot({
-    width: parent.clientWidth || 300, height, padding: [8, 14, 0, 0], legend: { show: false },
-    cursor: { drag: { x: false, y: false } },
+  return fitted(parent, height, {
+    padding: [8, 14, 0, 0], legend: { show: false }, cursor: { drag: { x: false, y: false } },
     scales: { x: { time: false, ...(xRange ? { range: xRange } : {}) } },
-    axes: [axis(x), axis(y)],
-    series: [
-      {},
-      ...series.map(({ label, colour, width = 1.5, dash = [], points = false }) => ({
-        label, width: width || 1, dash, spanGaps: !points, stroke: width ? () => css(colour) : "transparent",
-        points: { show: points, size: 5, fill: () => css(colour) }, ...(points ? { paths: () => null } : {}),
-      })),
-    ],
-    bands: bands.map(([upper, lower, colour]) => ({ series: [upper, lower], fill: () => `${css(colour)}26` })),
-  }, [[], ...series.map(() => [])], parent);
-  const resize = new ResizeObserver(() => {
-    if (parent.clientWidth && parent.clientWidth !== chart.width) chart.setSize({ width: parent.clientWidth, height });
-  });
-  resize.observe(parent);
-  return { chart, close: () => { resize.disconnect(); chart.destroy(); } };
+    axes: [axis(x, { size: 30 }), axis(y)],
+    series: [{}, ...series.map(({ points = false, ...of }) => line({ ...of, dots: points, size: 5, spanGaps: !points }))],
+    bands: filled(bands),
+  }, [[], ...series.map(() => [])]);
 }

@@ -1,5 +1,7 @@
 // Numbers and times as people read them; the width of a number does not depend on its digits.
 
+import { decimals, spreadShown, toShown } from "./units.js";
+
 export const NAN = "–";
 
 /** A number with a fixed count of decimals; a true minus sign. */
@@ -43,10 +45,20 @@ export function clock(ms) {
 }
 
 // Filled with the service's own words when the page connects: [label, sentence], for the inverse
-// [severity, sentence], by number; of signals [caption, unit], by name.
+// [severity, sentence], by number, of reasons also whether the values are old; of signals [caption, unit], by name.
 export const STATUS = [], INVERSE_STATUS = [], REASONS = [], SIGNALS = {};
+export const HEALTH = []; // by NAMUR NE 107: [label, sentence]
+export const GUIDES = {}; // of alarms, by name: [quantity, what to do]
 
-export function learnWords({ status, inverse, reason, signals }) {
+export function learnWords({ status, inverse, reason, signals, health, guides }) {
   Object.assign(SIGNALS, signals);
-  [[STATUS, status], [INVERSE_STATUS, inverse], [REASONS, reason]].forEach(([kept, words]) => kept.splice(0, Infinity, ...words));
+  Object.assign(GUIDES, guides);
+  [[STATUS, status], [INVERSE_STATUS, inverse], [REASONS, reason], [HEALTH, health]].forEach(([kept, words]) => kept.splice(0, Infinity, ...words));
 }
+
+/** SensorFrozen → Sensor frozen. */
+export const spaced = (name) => name.replace(/(?<=[a-z])[A-Z]/g, (capital) => ` ${capital.toLowerCase()}`);
+
+/** A number of the service's unit, in the unit in use, without that unit. */
+export const inUnit = (value, unit, usual) => fixed(toShown(value, unit), decimals(unit, usual));
+export const spreadInUnit = (value, unit, usual) => fixed(spreadShown(value, unit), decimals(unit, usual));

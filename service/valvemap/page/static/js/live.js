@@ -1,8 +1,18 @@
 // The page's one connection: what it brings is kept here, and whoever draws asks for it.
 
-import { learnWords } from "./format.js";
+import { learnWords, REASONS } from "./format.js";
 
 const RETRY_MS = [300, 1000, 2000];
+const SILENT_MS = 4000; // the page hears something every second
+const COURSE_MS = 120000;
+const STALE_S = 3; // without a new sample, a valve's numbers are old
+
+const OLD = {
+  connecting: { why: "The page is still connecting to the service.", advice: "Wait some seconds." },
+  lost: { why: "The service does not answer.", advice: "Check that it runs, and the network between." },
+  refused: { why: "The service refuses this page.", advice: "Check the page's certificate and its user at the service: valvemap trust." },
+  page: { why: "This page's server does not answer.", advice: "Check that valvemap dashboard runs, and the network." },
+};
 
 export class Live extends EventTarget {
   link = "connecting";
@@ -10,7 +20,11 @@ export class Live extends EventTarget {
   url = "";
   valves = [];
   quantities = []; // of each estimator: name, heading, decimals, about
-  rows = new Map(); // valve number → {severity, reason, since, rmse, noise, samples, silent, predicted}
+  rows = new Map(); // valve number → {severity, reason, since, rmse, noise, samples, silent, predicted, health}
+  courses = new Map(); // valve number → [[t in ms, Q̂], …] of the last two minutes
+  alarms = []; // those that need somebody, worst first
+  alarmCount = 0;
+  alarmTrouble = ""; // why they are not known
   events = [];
   heardAt = performance.now();
   #values = new Map(); // name → {value, code, t} of the watched valve
@@ -57,11 +71,40 @@ export class Live extends EventTarget {
 
   names() { return [...this.#values.keys()]; }
 
+  /** Why nothing that is shown is of now: {why, since (ms), advice}; null while all is well. */
+  get old() {
+    const silent = performance.now() - this.heardAt > SILENT_MS;
+    const state = this.link === "up" && silent ? "page" : this.link;
+    if (state === "up") return null;
+    return { state, ...OLD[state], since: state === "page" ? Date.now() - (performance.now() - this.heardAt) : this.since };
+  }
+
+  /** The same of one valve, whose samples may have ended while all else goes on. */
+  oldOf(valve) {
+    if (this.old) return this.old;
+    const row = this.rows.get(this.valves.findIndex(({ name }) => name === valve));
+    if (!row) return null;
+    if (REASONS[row.reason][2]) return { state: "valve", why: REASONS[row.reason][1], since: row.since, advice: "See Alarms for what to do." };
+    if (row.silent > STALE_S) return { state: "valve", why: "No new sample arrives.", since: Date.now() - 1000 * row.silent, advice: "Check the source of its signals." };
+    return null;
+  }
+
   /** Which voltage a flow demands: the service's own answer; nothing is written. */
-  invert(valve, Q, dp) {
+  invert(valve, Q, dp) { return this.#ask({ invert: valve, Q, dp }); }
+
+  /** Courses of variables over a span in ms: {start, step, since (ms), kept, courses: [[mean, least, largest], …]}. */
+  trend(valve, names, from, to, step) { return this.#ask({ trend: valve, names, from: Math.floor(from), to: Math.ceil(to), step }); }
+
+  /** Changes of alarms in a span in ms, the newest first: {past, kept}. */
+  past(from, to) { return this.#ask({ past: true, from: Math.floor(from), to: Math.ceil(to) }); }
+
+  /** How the present map differs from the approved one: {mean, largest, U, dp, points}. */
+  compare(valve, estimator) { return this.#ask({ compare: valve, estimator }); }
+
+  #ask(question) {
     const number = ++this.#question;
     return new Promise((resolve) => {
-      if (!this.#send({ ask: number, invert: valve, Q, dp })) resolve({ error: "not connected" });
+      if (!this.#send({ ask: number, ...question })) resolve({ error: "not connected" });
       else this.#asked.set(number, resolve);
     });
   }
@@ -108,12 +151,14 @@ export class Live extends EventTarget {
     if (message.link) {
       this.url = message.url;
       this.since = message.since;
+      Object.assign(this, { link: message.link, text: message.text }); // views are drawn on what is so now
       this.valves = message.valves;
       this.quantities = message.quantities;
       learnWords(message.words);
       if (this.#generation !== message.generation) {
         this.#generation = message.generation;
         this.#values.clear();
+        this.courses.clear();
         this.dispatchEvent(new Event("layout"));
       }
       this.#setLink(message.link, message.text);
@@ -130,6 +175,9 @@ export class Live extends EventTarget {
       }
       this.events.splice(0, this.events.length - 500);
       this.dispatchEvent(new Event("events"));
+    } else if (message.alarms) {
+      Object.assign(this, { alarms: message.alarms, alarmCount: message.of, alarmTrouble: message.trouble });
+      this.dispatchEvent(new Event("alarms"));
     } else if (message.answer) {
       this.#asked.get(message.answer)?.(message);
       this.#asked.delete(message.answer);
@@ -143,6 +191,7 @@ export class Live extends EventTarget {
     if (kind === 1) this.#takeNumbers(view);
     else if (kind === 2) this.#takeMatrix(view);
     else if (kind === 3) this.#takeRows(view);
+    else if (kind === 4) this.#takeTrend(view);
   }
 
   #takeNumbers(view) {
@@ -173,14 +222,31 @@ export class Live extends EventTarget {
     this.dispatchEvent(new CustomEvent("matrix", { detail: name }));
   }
 
+  #note(valve, predicted) {
+    const course = this.courses.get(valve) ?? [], now = Date.now();
+    course.push([now, predicted]);
+    while (course[0][0] < now - COURSE_MS) course.shift();
+    this.courses.set(valve, course);
+  }
+
+  #takeTrend(view) {
+    const courses = view.getUint16(2, true), number = view.getUint32(4, true), n = view.getUint32(32, true);
+    const read = (at) => Float32Array.from({ length: n }, (_, k) => view.getFloat32(at + 4 * k, true));
+    const found = Array.from({ length: courses }, (_, c) => [0, 1, 2].map((k) => read(36 + 4 * n * (3 * c + k))));
+    const [start, step, since] = [8, 16, 24].map((at) => view.getFloat64(at, true));
+    this.#asked.get(number)?.({ start, step, since, kept: view.getUint8(1) === 1, courses: found });
+    this.#asked.delete(number);
+  }
+
   #takeRows(view) {
     const columns = view.getUint8(1), n = view.getUint32(4, true);
     for (let k = 0; k < n; k++) {
       const at = 8 + 8 * columns * k;
-      const [severity, reason, since, rmse, noise, samples, silent, predicted] =
+      const [severity, reason, since, rmse, noise, samples, silent, predicted, health] =
         Array.from({ length: columns }, (_, j) => view.getFloat64(at + 8 * j, true));
       const valve = view.getUint16(8 + 8 * columns * n + 2 * k, true);
-      this.rows.set(valve, { severity, reason, since, rmse, noise, samples, silent, predicted });
+      this.#note(valve, predicted);
+      this.rows.set(valve, { severity, reason, since, rmse, noise, samples, silent, predicted, health });
     }
     this.dispatchEvent(new Event("rows"));
   }

@@ -1,7 +1,8 @@
 // What a new valve still lacks: rates, losses, what is not measured yet, the next test point.
 
 import { css, h, mark, onTheme, pen, say } from "../dom.js";
-import { count, fixed, span } from "../format.js";
+import { count, fixed, inUnit, span, spreadInUnit } from "../format.js";
+import { shown } from "../units.js";
 
 const REFRESH_MS = 1000;
 const RATE_S = 10; // over which rates are taken: what comes in bursts is counted evenly
@@ -54,7 +55,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       say(cells[2], fixed(per(name), 1));
     });
     const perSecond = per("Aligned");
-    say(rate, Number.isFinite(perSecond) ? fixed(perSecond, 1) : "–");
+    say(rate, Number.isFinite(perSecond) && !live.old ? fixed(perSecond, 1) : "–");
     say(rateWords, " samples/s");
     showChecks(of, counts, per);
     showComing();
@@ -68,15 +69,17 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     const arriving = Number.isFinite(per("Aligned")) ? per("Aligned") > 0 : counts.Aligned > 0; // no rate yet at the first look
-    const lines = [
+    const old = live.old, isStale = live.oldOf(valve.name) !== null;
+    mark(root, "stale", isStale);
+    const lines = old ? [[false, `${old.why} ${old.advice} Nothing else is known now.`]] : [
       [live.link === "up" && arriving, arriving ? "Signals arrive and find together." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
       [share >= 0.6, `${fixed(100 * share, 0)} % of the range measured recently; 60 % make a map worth its name.`],
-      [of("Status") === 0, of("Status") === 0 ? "All parameters are determined." : "Not all parameters are determined, or the signals hold still."],
+      [of("Status") === 0 && !isStale, isStale ? "The parameters are those of the last sample." : of("Status") === 0 ? "All parameters are determined." : "Not all parameters are determined, or the signals hold still."],
     ];
-    if (Number.isFinite(condition)) lines.push([condition < 1e4, condition < 1e4 ? "U and Δp vary enough, and apart from each other." : "U and Δp vary too little, or only together: vary one while the other rests."]);
+    if (!old && Number.isFinite(condition)) lines.push([condition < 1e4, condition < 1e4 ? "U and Δp vary enough, and apart from each other." : "U and Δp vary too little, or only together: vary one while the other rests."]);
     while (checks.children.length < lines.length) checks.append(h("li", {}, h("span")));
     while (checks.children.length > lines.length) checks.lastChild.remove();
     lines.forEach(([done, text], k) => {
@@ -100,7 +103,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const std = live.get(`${selected}.Coverage`)?.value, age = live.get(`${selected}.CoverageAge`)?.value;
     const U = live.get("Diagnostics.CoverageU")?.value, dp = live.get("Diagnostics.CoverageDp")?.value;
     const [u, p] = [of("SuggestedU"), of("SuggestedDp")];
-    say(next, Number.isFinite(u) ? `U ${fixed(u, 0)} % at Δp ${fixed(p, 0)} bar would make the map surer than any other point.` : "No point stands out yet.");
+    say(next, Number.isFinite(u) ? `U ${fixed(u, 0)} % at Δp ${inUnit(p, "bar", 0)} ${shown("bar")} would make the map surer than any other point.` : "No point stands out yet.");
     if (!Array.isArray(std) || !U || !dp) { say(heatWords, "The service has not surveyed this map yet."); return; }
     const { context, width, height } = pen(heat), left = 42, bottom = 34;
     const w = (width - left - 8) / dp.length, hgt = (height - bottom - 4) / U.length;
@@ -117,8 +120,8 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     context.fillStyle = css("--soft");
     context.font = "12px system-ui, sans-serif";
     context.textAlign = "center";
-    dp.forEach((value, j) => { if (j % 2 === 0) context.fillText(fixed(value, 0), left + (j + 0.5) * w, height - bottom + 14); });
-    context.fillText("Δp in bar", left + (width - left) / 2, height - 3);
+    dp.forEach((value, j) => { if (j % 2 === 0) context.fillText(inUnit(value, "bar", 0), left + (j + 0.5) * w, height - bottom + 14); });
+    context.fillText(`Δp in ${shown("bar")}`, left + (width - left) / 2, height - 3);
     context.textAlign = "right";
     U.forEach((value, i) => { if (i % 2 === 0) context.fillText(fixed(value, 0), left - 6, height - bottom - (i + 0.5) * hgt + 4); });
     context.save();
@@ -138,7 +141,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       context.stroke();
     }
     const never = Array.isArray(age) ? age.flatMap((row) => [...row]).filter((seconds) => !Number.isFinite(seconds)).length : 0;
-    say(heatWords, `${never} of ${U.length * dp.length} regions were never measured (palest); the pale ones not for ${span(FRESH_S)}. Red: the map is as unsure as one measurement, ± ${fixed(2 * most, 2)} l/min.`);
+    say(heatWords, `${never} of ${U.length * dp.length} regions were never measured (palest); the pale ones not for ${span(FRESH_S)}. Red: the map is as unsure as one measurement, ± ${spreadInUnit(2 * most, "l/min", 2)} ${shown("l/min")}.`);
   }
 
   const timer = setInterval(update, REFRESH_MS);

@@ -2,21 +2,24 @@
 
 import { lineChart } from "../charts.js";
 import { css, h, mark, onTheme, say } from "../dom.js";
-import { counted, fixed, INVERSE_STATUS } from "../format.js";
+import { clock, counted, fixed, INVERSE_STATUS, inUnit, spreadInUnit } from "../format.js";
+import { decimals, inUnits, shown, spreadShown, toShown } from "../units.js";
 
 const COLOURINGS = [
-  ["Q", "Flow", "l/min"], ["std", "Uncertainty", "± 2 σ, l/min"], ["status", "Extrapolated", ""], ["change", "Difference", "l/min"],
+  ["Q", "Flow"], ["std", "Uncertainty"], ["status", "Extrapolated"], ["change", "Difference"],
 ];
 const EXTRAPOLATING = 6;
 const NEAR_BAR = 10; // points so near to a section are drawn on it
+const AROUND_MS = 3000; // before an alarm, for the place where it arose
+const COMPARE_MS = 10000; // between two comparisons with the approved map
 const ASK_MS = 150; // between two questions while a slider moves
 
-export function mapView(root, { live, valve, estimator, choose, user }) {
+export function mapView(root, { live, valve, estimator, isChosen, choose, user, query }) {
   const closers = [];
   let colouring = "Q", kept = null, plotted = null, section = 100, redraw = 0, asking = false, asked = 0;
-  let selected = estimator;
+  let selected = estimator, place = null, comparison = null, old = null;
 
-  const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; kept = null; choose(selected); keepButton(); } },
+  const which = h("select", { "aria-label": "Estimator", onchange: () => { isChosen = true; select(which.value); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
   const colourings = h("span.segments", { role: "group", "aria-label": "Colour by" }, COLOURINGS.map(([key, title]) =>
     h("button", { type: "button", "data-colouring": key, "aria-pressed": String(key === colouring), onclick: () => { colouring = key; schedule(true); } }, title)));
@@ -24,6 +27,10 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
   const plot = h("div.surface", { role: "img", "aria-label": "Flow over control voltage and pressure drop" });
   const words = h("p.words");
   const sectionChart = h("div.chart"), sectionWords = h("span.muted");
+  const best = h("strong"), reason = h("p"), placeWords = h("p.words");
+  const beforeWords = h("p"), beforeDone = h("p.words", { role: "status" }), show = h("button.quiet", { type: "button", onclick: () => { kept = null; keepButton(); colouring = "change"; schedule(true); } }, "Show both maps"), beforeHint = h("p.words");
+  const approve = h("button", { type: "button", disabled: true, onclick: () => baseline("Approve") }, "Approve this map");
+  const rollBack = h("button.quiet", { type: "button", disabled: true, onclick: () => baseline("RollBack") }, "Keep the approved one");
   const sectionSlider = slider("Pressure drop", "bar", 0, 200, 1, section, (value) => { section = value; drawSection(); schedule(); });
   const Q = slider("Flow", "l/min", 0, 200, 0.5, 60, ask), dp = slider("Pressure drop", "bar", 1, 200, 1, 100, ask);
   const answer = h("span.value", { "aria-live": "off" }, "–"), interval = h("span.muted"), verdict = h("span.badge");
@@ -32,10 +39,12 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
   const standing = h("p.words");
 
   root.append(
-    h("div.head", {}, h("h1", {}, `${valve.name}: map`), h("label", {}, "Estimator ", which), h("span.fill"), h("span.together", {}, h("span.muted", {}, "Colour"), colourings), keep),
+    h("div.head", {}, h("h1", {}, `${valve.name}: map`), h("span.fill"), h("span.together", {}, h("span.muted", {}, "Colour"), colourings), keep),
     h("div.grid.map-grid", {},
-      h("section.card", {}, plot, words),
+      h("section.card.stack", {}, plot, placeWords, words),
       h("div.grid", {},
+        h("section.card.best", {}, h("header", {}, h("h2", {}, "Recommended map"), best), reason,
+          h("details.diagnostics", {}, h("summary", {}, "Diagnostics: the map of another estimator"), h("label", {}, "Estimator ", which))),
         h("section.card.inverse", {},
           h("header", {}, h("h2", {}, "Which U for which flow?")),
           Q.element, dp.element,
@@ -44,6 +53,8 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
         h("section.card", {},
           h("header", {}, h("h2", {}, "Section at one pressure drop"), h("span.fill"), sectionWords),
           sectionChart, sectionSlider.element),
+        h("section.card.before", {}, h("header", {}, h("h2", {}, "Against the approved map")), beforeWords,
+          h("div.buttons", {}, show, beforeHint, rollBack, approve), beforeDone),
       ),
     ),
   );
@@ -52,17 +63,85 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     { label: "upper", colour: "--line-1", width: 0 }, { label: "lower", colour: "--line-1", width: 0 },
     { label: "Q̂", colour: "--line-1", width: 2 }, { label: "kept", colour: "--line-6", width: 1.5, dash: [5, 4] },
     { label: "measured", colour: "--measured", points: true },
-  ], { x: "U in %", y: "Q in l/min", bands: [[1, 2, "--line-1"]], xRange: [0, 100] });
+  ], { x: "U in %", y: `Q in ${shown("l/min")}`, bands: [[1, 2, "--line-1"]], xRange: [0, 100] });
   closers.push(chart.close);
+
+  function select(name) {
+    selected = name;
+    which.value = name;
+    kept = null;
+    comparison = null;
+    choose(selected);
+    keepButton();
+    compare();
+  }
+
+  /** The recommended map is shown, unless another one was chosen. */
+  function followRecommended() {
+    const recommended = live.get("Recommended")?.value, why = live.get("RecommendedReason")?.value, of = live.oldOf(valve.name);
+    if (!isChosen && recommended && recommended !== selected && valve.estimators.includes(recommended)) select(recommended);
+    say(best, of ? "not known now" : recommended ? (recommended === selected ? recommended : `${recommended} (shown: ${selected})`) : `none yet (shown: ${selected})`);
+    say(reason, inUnits(why || "No estimator stands out yet: places must be visited again."));
+  }
+
+  async function compare() {
+    const version = live.get("Baseline.Version")?.value;
+    if (!version || live.old) { comparison = null; showBefore(); return; }
+    const found = await live.compare(valve.name, selected);
+    comparison = found.error ? null : found;
+    showBefore();
+  }
+
+  function showBefore() {
+    const version = live.get("Baseline.Version")?.value, when = live.number("Baseline.Time"), unit = shown("l/min");
+    if (!version) say(beforeWords, "No map is approved yet. Approve one when the valve is new: later maps are compared with it.");
+    else if (!comparison) say(beforeWords, `Approved: version ${version}${when > 0 ? `, ${clock(when)}` : ""}. The comparison is not known.`);
+    else if (!comparison.points) say(beforeWords, `Approved: version ${version}. Both maps rest on measurements at no common point yet.`);
+    else {
+      const since = live.number(`${selected}.ChangeCount`) > 0 ? ` The last abrupt change was at ${clock(live.number(`${selected}.ChangeTime`))}.` : "";
+      say(beforeWords, `Now minus approved (version ${version}${when > 0 ? `, ${clock(when)}` : ""}): ${spreadInUnit(comparison.mean, "l/min", 1)} ${unit} on average; largest ${spreadInUnit(comparison.largest, "l/min", 1)} ${unit} at U ${fixed(comparison.U, 0)} %, Δp ${inUnit(comparison.dp, "bar", 0)} ${shown("bar")}; ${comparison.points} points.${since}`);
+    }
+    show.hidden = !version;
+    const why = live.old ? `${live.old.why} Nothing can be written.` : !user.name ? "To approve a map, log in as an operator." : "";
+    approve.disabled = Boolean(why) || Boolean(live.oldOf(valve.name));
+    rollBack.disabled = Boolean(why) || !version;
+    say(beforeHint, why);
+  }
+
+  async function baseline(what) {
+    const question = what === "Approve" ? "Approve the present maps of all estimators? Later maps are compared with them." : "Go back to the approved map? What all estimators learnt since is dropped.";
+    if (!confirm(question)) return;
+    const problem = await user.command({ baseline: valve.name, do: what });
+    say(beforeDone, problem ?? { Approve: "Approved.", RollBack: "The estimators are as they were when the map was approved." }[what]);
+    compare();
+  }
+
+  /** Where the valve worked when an alarm arose. */
+  async function findPlace() {
+    const at = Number(query.get("at"));
+    if (!(at > 0)) return;
+    const found = await live.trend(valve.name, ["Signals.U", "Signals.dp", "Signals.Q"], at - AROUND_MS, at + 500, 500);
+    const rows = found.error ? [] : [...found.courses[0][0]].map((_, k) => found.courses.map(([mean]) => mean[k])).filter((row) => row.every(Number.isFinite));
+    if (!rows.length) { say(placeWords, `Where the valve worked at ${clock(at)} is not kept.`); return; }
+    const [U, dp, flow] = rows.at(-1);
+    place = { U, dp, Q: flow };
+    section = Math.round(dp);
+    sectionSlider.set(section);
+    say(placeWords, `At ${clock(at)} the valve worked at U ${fixed(U, 1)} %, Δp ${inUnit(dp, "bar", 0)} ${shown("bar")}, Q ${inUnit(flow, "l/min", 1)} ${shown("l/min")} (marked).`);
+    schedule(true);
+  }
 
   function keepButton() { say(keep, kept ? "Keep again" : "Keep to compare"); }
 
   /** The newest surface, all in one. */
-  function surface() {
-    const of = (name) => live.get(`${selected}.Surface${name}`)?.value;
+  function surface(kind = "Surface") {
+    const of = (name) => live.get(`${selected}.${kind}${name}`)?.value;
     const [U, Dp, flow, std, status] = ["U", "Dp", "Q", "Std", "Status"].map(of);
     return U && Dp && flow && std && status ? { U: [...U], dp: [...Dp], Q: flow.map((row) => [...row]), std: std.map((row) => [...row]), status: status.map((row) => [...row]) } : null;
   }
+
+  /** With which map the present one is compared: kept here, else the approved one. */
+  function before() { return kept ?? (live.get("Baseline.Version")?.value ? surface("Approved") : null); }
 
   function schedule(now = false) {
     for (const button of colourings.children) {
@@ -83,47 +162,55 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     const rows = Array.isArray(points) ? points : [points];
     const traces = [
       {
-        type: "surface", x: found.dp, y: found.U, z: found.Q, surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
+        type: "surface", x: found.dp.map(bar), y: found.U, z: found.Q.map((row) => row.map(lpm)), surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
         colorbar: { title: { text: colour.title, side: "top" }, thickness: 12, len: 0.75, tickfont: { color: css("--soft") }, ...colour.ticks }, opacity: 0.96,
-        hovertemplate: "U %{y:.1f} %<br>Δp %{x:.0f} bar<br>Q %{z:.1f} l/min<extra></extra>", showscale: true,
+        hovertemplate: `U %{y:.1f} %<br>Δp %{x:.${decimals("bar", 0)}f} ${shown("bar")}<br>Q %{z:.${decimals("l/min", 1)}f} ${shown("l/min")}<extra></extra>`, showscale: true,
       },
       {
-        type: "scatter3d", mode: "markers", x: rows.map((r) => r[1]), y: rows.map((r) => r[0]), z: rows.map((r) => r[2]),
+        type: "scatter3d", mode: "markers", x: rows.map((r) => bar(r[1])), y: rows.map((r) => r[0]), z: rows.map((r) => lpm(r[2])),
         marker: { size: 2.4, color: css("--measured"), opacity: 0.75 }, hoverinfo: "skip", showlegend: false,
       },
       {
-        type: "scatter3d", mode: "lines", x: found.U.map(() => section), y: found.U, z: found.Q.map((row) => interpolate(found.dp, row, section)),
+        type: "scatter3d", mode: "lines", x: found.U.map(() => bar(section)), y: found.U, z: found.Q.map((row) => lpm(interpolate(found.dp, row, section))),
         line: { color: css("--ink"), width: 4 }, hoverinfo: "skip", showlegend: false,
       },
+      ...(place ? [{
+        type: "scatter3d", mode: "markers", x: [bar(place.dp)], y: [place.U], z: [lpm(place.Q)], hoverinfo: "skip", showlegend: false,
+        marker: { size: 7, color: css("--alarm"), line: { color: css("--card"), width: 2 }, symbol: "diamond" },
+      }] : []),
     ];
+    const then = colouring === "change" ? before() : null;
+    if (then) { // both maps: the earlier one as a faint sheet
+      traces.push({ type: "surface", x: then.dp.map(bar), y: then.U, z: then.Q.map((row) => row.map(lpm)), opacity: 0.32, showscale: false, hoverinfo: "skip", colorscale: [[0, css("--line-6")], [1, css("--line-6")]] });
+    }
     const axis = (title, range) => ({ title: { text: title }, color: css("--soft"), gridcolor: css("--line"), zerolinecolor: css("--line"), backgroundcolor: css("--card"), showbackground: true, ...(range ? { range } : {}) });
     const layout = {
       margin: { l: 30, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
-      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.83, y: -1.72, z: 0.96 }, center: { x: 0.04, y: 0, z: -0.13 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
+      scene: { xaxis: axis(`Δp in ${shown("bar")}`), yaxis: axis("U in %"), zaxis: axis(`Q in ${shown("l/min")}`), camera: { eye: { x: -1.83, y: -1.72, z: 0.96 }, center: { x: 0.04, y: 0, z: -0.13 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
     };
     await Plotly.react(plot, traces, layout, { displayModeBar: false, responsive: true, displaylogo: false });
     plotted = Plotly;
     const all = found.status.flat(), far = all.filter((s) => s === EXTRAPOLATING).length;
     const reach = found.std.flat().filter(Number.isFinite).sort((a, b) => a - b);
-    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${fixed(2 * (reach[reach.length >> 1] ?? NaN), 2)} l/min.${kept ? ` Compared with the map kept at ${kept.at ?? "this page's request"}.` : ""}`);
+    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${spreadInUnit(2 * (reach[reach.length >> 1] ?? NaN), "l/min", 2)} ${shown("l/min")}.${colouring === "change" ? (kept ? " Compared with the map kept at this page's request." : before() ? " Compared with the approved map, drawn as a grey sheet." : " Nothing to compare: approve a map, or keep one here.") : ""}`);
   }
 
   function colours(found) {
-    const [, , unit] = COLOURINGS.find(([key]) => key === colouring);
-    const quiet = [[0, css("--note-ground")], [1, css("--line-1")]];
+    const unit = shown("l/min"), quiet = [[0, css("--note-ground")], [1, css("--line-1")]];
     if (colouring === "std") {
-      const values = found.std.map((row) => row.map((s) => 2 * s)), sorted = values.flat().filter(Number.isFinite).sort((a, b) => a - b);
-      return { values, scale: [[0, "#2c7a4b"], [0.5, "#e0b84c"], [1, "#b3261e"]], low: 0, high: sorted[Math.floor(0.95 * sorted.length)] || 1, title: unit };
+      const values = found.std.map((row) => row.map((s) => 2 * lpm(s))), sorted = values.flat().filter(Number.isFinite).sort((a, b) => a - b);
+      return { values, scale: [[0, "#2c7a4b"], [0.5, "#e0b84c"], [1, "#b3261e"]], low: 0, high: sorted[Math.floor(0.95 * sorted.length)] || 1, title: `± 2 σ, ${unit}` };
     }
     if (colouring === "status") {
       return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, "#c7cdd3"], [1, "#c7cdd3"]], low: 0, high: 1, title: "", ticks: { tickvals: [0.25, 0.75], ticktext: ["measured<br>near", "extra-<br>polated"] } };
     }
     if (colouring === "change") {
-      const values = kept ? found.Q.map((row, i) => row.map((q, j) => q - kept.Q[i][j])) : found.Q.map((row) => row.map(() => 0));
+      const then = before(), values = then ? found.Q.map((row, i) => row.map((q, j) => lpm(q - then.Q[i][j]))) : found.Q.map((row) => row.map(() => 0));
       const most = Math.max(...values.flat().map(Math.abs).filter(Number.isFinite), 0.5);
-      return { values, scale: [[0, "#b3261e"], [0.5, "#e9ecef"], [1, "#1d5fa8"]], low: -most, high: most, title: "now − kept, l/min" };
+      return { values, scale: [[0, "#b3261e"], [0.5, "#e9ecef"], [1, "#1d5fa8"]], low: -most, high: most, title: kept ? `now − kept, ${unit}` : then ? `now − approved, ${unit}` : `nothing to compare, ${unit}` };
     }
-    return { values: found.Q, scale: [[0, quiet[0][1]], [1, quiet[1][1]]], low: 0, high: Math.max(...found.Q.flat().filter(Number.isFinite), 1), title: unit };
+    const values = found.Q.map((row) => row.map(lpm));
+    return { values, scale: quiet, low: 0, high: Math.max(...values.flat().filter(Number.isFinite), 0.1), title: unit };
   }
 
   function drawSection() {
@@ -131,13 +218,13 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     if (!found) return;
     const at = (grid) => found.U.map((_, i) => interpolate(found.dp, grid[i], section));
     const flow = at(found.Q), std = at(found.std), points = live.get("Points")?.value ?? [];
-    const near = (Array.isArray(points) ? points : [points]).filter(([, p]) => Math.abs(p - section) <= NEAR_BAR);
+    const then = before(), near = (Array.isArray(points) ? points : [points]).filter(([, p]) => Math.abs(p - section) <= NEAR_BAR);
     // measured points lie between the grid's: one axis for both
-    const x = [...found.U.map((u, i) => [u, flow[i] + 1.96 * std[i], flow[i] - 1.96 * std[i], flow[i], kept ? interpolate(kept.dp, kept.Q[i], section) : null, null]),
+    const x = [...found.U.map((u, i) => [u, flow[i] + 1.96 * std[i], flow[i] - 1.96 * std[i], flow[i], then ? interpolate(then.dp, then.Q[i], section) : null, null]),
       ...near.map(([u, p, q]) => [u, null, null, null, null, q - slope(found, u, p, section)])].sort((a, b) => a[0] - b[0]);
-    const columns = [0, 1, 2, 3, 4, 5].map((k) => x.map((row) => (Number.isFinite(row[k]) ? row[k] : k ? undefined : row[0])));
+    const columns = [0, 1, 2, 3, 4, 5].map((k) => x.map((row) => (Number.isFinite(row[k]) ? (k ? lpm(row[k]) : row[k]) : k ? undefined : row[0])));
     chart.chart.setData(columns);
-    say(sectionWords, `Δp ${fixed(section, 0)} bar · ${counted(near.length, "point")} within ± ${NEAR_BAR} bar`);
+    say(sectionWords, `Δp ${inUnit(section, "bar", 0)} ${shown("bar")} · ${counted(near.length, "point")} within ± ${inUnit(NEAR_BAR, "bar", 0)} ${shown("bar")}`);
   }
 
   function ask() {
@@ -147,6 +234,13 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
 
   async function question() {
     if (asking) { ask(); return; }
+    old = live.oldOf(valve.name);
+    showUser();
+    if (live.old) {
+      say(answer, "–"); say(interval, ""); mark(verdict, "severity", 3); say(verdict, `not known: ${live.old.why}`);
+      delete answer.dataset.for; delete answer.dataset.u;
+      return;
+    }
     asking = true;
     const wanted = [Q.value, dp.value];
     const found = await live.invert(valve.name, ...wanted);
@@ -154,11 +248,11 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     if (found.error) {
       say(answer, "–"); say(interval, ""); mark(verdict, "severity", 3); say(verdict, found.error);
     } else {
-      const [severity, sentence] = INVERSE_STATUS[found.status] ?? [1, ""];
+      const [known, sentence] = INVERSE_STATUS[found.status] ?? [1, ""], severity = old ? 3 : known;
       say(answer, `${fixed(found.U ?? NaN, 2)} %`); // as finely as its interval
       say(interval, found.lower === null ? "" : `95 %: ${fixed(found.lower, 2)} to ${fixed(found.upper, 2)} %`);
       mark(verdict, "severity", severity);
-      say(verdict, sentence);
+      say(verdict, old ? `not of now: ${old.why}` : sentence);
       mark(answer, "u", found.U ?? "");
       mark(answer, "for", `${found.Q}@${found.dp}`);
     }
@@ -168,27 +262,37 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
   async function demand() {
     const [flow, drop] = [Q.value, dp.value];
     const problem = await user.command({ demand: valve.name, Q: flow, dp: drop });
-    say(written, problem ?? `Written: FlowDemand ${fixed(flow, 1)} l/min at ${fixed(drop, 0)} bar.`);
+    say(written, problem ?? `Written: FlowDemand ${inUnit(flow, "l/min", 1)} ${shown("l/min")} at ${inUnit(drop, "bar", 0)} ${shown("bar")}.`);
   }
 
   function showUser() {
-    write.disabled = !user.name;
-    write.title = user.name ? "" : "Log in as an operator of the service first";
-    if (!user.name) say(written, "Asking writes nothing. To write FlowDemand, log in as an operator.");
+    const of = live.oldOf(valve.name);
+    write.disabled = !user.name || of !== null;
+    write.title = of ? of.why : user.name ? "" : "Log in as an operator of the service first";
+    if (of) say(written, `Nothing can be written: ${of.why}${of.since ? ` Since ${clock(of.since)}.` : ""} ${of.advice}`);
+    else if (!user.name) say(written, "Asking writes nothing. To write FlowDemand, log in as an operator.");
     else if (!written.textContent.startsWith("Written")) say(written, "");
+    mark(root, "stale", of !== null);
+    showBefore();
   }
 
   function showStanding() {
     const U = live.number("Inverse.RequiredU"), flow = live.number("Inverse.FlowDemand"), drop = live.number("Inverse.PressureDrop");
-    say(standing, Number.isFinite(flow)
-      ? `In force: FlowDemand ${fixed(flow, 1)} l/min at ${fixed(drop, 0)} bar, RequiredU ${fixed(U, 1)} %.`
+    say(standing, live.old ? "" : Number.isFinite(flow)
+      ? `In force: FlowDemand ${inUnit(flow, "l/min", 1)} ${shown("l/min")} at ${inUnit(drop, "bar", 0)} ${shown("bar")}, RequiredU ${fixed(U, 1)} %.`
       : "No FlowDemand is in force.");
+    followRecommended();
   }
 
-  const onMatrix = ({ detail }) => { if (detail === `${selected}.SurfaceStatus` || detail === "Points") schedule(); };
+  const onMatrix = ({ detail }) => { if (detail === `${selected}.SurfaceStatus` || detail === `${selected}.ApprovedStatus` || detail === "Points") schedule(); };
   live.addEventListener("matrix", onMatrix);
   live.addEventListener("values", showStanding);
   user.addEventListener("change", showUser);
+  live.addEventListener("standing", question);
+  closers.push(() => live.removeEventListener("standing", question));
+  const comparing = setInterval(compare, COMPARE_MS), first = setTimeout(compare, 1500);
+  closers.push(() => clearInterval(comparing), () => clearTimeout(first));
+  findPlace();
   const again = setInterval(ask, 1000); // the map moves on
   closers.push(onTheme(() => schedule(true)), () => clearInterval(again), () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding),
     () => user.removeEventListener("change", showUser), () => plotted?.purge(plot));
@@ -198,6 +302,8 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
   ask();
   return () => closers.forEach((close) => close());
 }
+
+const bar = (value) => toShown(value, "bar"), lpm = (value) => spreadShown(value, "l/min");
 
 let loading = null;
 
@@ -214,12 +320,11 @@ function plotly() {
 
 function slider(title, unit, min, max, step, value, onChange) {
   const id = `s${Math.random().toString(36).slice(2)}`;
-  const shown = h("output", { for: id }), input = h("input", { id, type: "range", min, max, step, value });
-  const decimals = step < 1 ? 1 : 0;
-  const say_ = () => { say(shown, `${fixed(Number(input.value), decimals)} ${unit}`); input.setAttribute("aria-valuetext", shown.textContent); };
+  const output = h("output", { for: id }), input = h("input", { id, type: "range", min, max, step, value });
+  const say_ = () => { say(output, `${inUnit(Number(input.value), unit, step < 1 ? 1 : 0)} ${shown(unit)}`); input.setAttribute("aria-valuetext", output.textContent); };
   input.addEventListener("input", () => { say_(); onChange(Number(input.value)); });
   say_();
-  return { element: h("div.slider", {}, h("label", { for: id }, title), input, shown), get value() { return Number(input.value); } };
+  return { element: h("div.slider", {}, h("label", { for: id }, title), input, output), get value() { return Number(input.value); }, set: (to) => { input.value = to; say_(); } };
 }
 
 function interpolate(x, y, at) {

@@ -13,7 +13,7 @@ const FAULTS = [
   ["drop_out", "Samples are not sent", "share", 0.5], ["clock_step", "The source's clock jumps", "s", 5],
 ];
 
-export function rigView(root, { valve, user }) {
+export function rigView(root, { live, valve, user }) {
   const scenario = h("select", { name: "scenario" }, SCENARIOS.map(([name, text]) => h("option", { value: name }, `${name}: ${text}`)));
   const kind = h("select", { name: "kind" }, FAULTS.map(([name, text]) => h("option", { value: name }, text)));
   const size = h("input", { name: "size", type: "number", step: "any", required: true }), unit = h("span.muted");
@@ -30,7 +30,7 @@ export function rigView(root, { valve, user }) {
       h("section.card", {}, h("header", {}, h("h2", {}, `Break something of ${valve.name}`)),
         h("form.form", { onsubmit: (event) => {
           event.preventDefault();
-          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. The time line shows what the service makes of it.`);
+          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. Alarms shows within seconds what the service makes of it.`);
         } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject))),
     ),
     done,
@@ -48,13 +48,14 @@ export function rigView(root, { valve, user }) {
   }
 
   function showUser() {
-    for (const button of [start, stop, inject]) button.disabled = !user.name;
-    say(hint, user.name ? `As ${user.name}.` : "Log in as operator (the demo has printed the password) to play with it.");
+    for (const button of [start, stop, inject]) button.disabled = !user.name || live.old !== null;
+    say(hint, live.old ? `${live.old.why} ${live.old.advice}` : user.name ? `As ${user.name}.` : "Log in as operator (the demo has printed the password) to play with it.");
   }
 
   kind.addEventListener("change", choose);
   user.addEventListener("change", showUser);
   choose();
   showUser();
-  return () => user.removeEventListener("change", showUser);
+  live.addEventListener("standing", showUser);
+  return () => { user.removeEventListener("change", showUser); live.removeEventListener("standing", showUser); };
 }

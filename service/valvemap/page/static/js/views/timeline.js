@@ -1,9 +1,11 @@
 // What happened: how valves stood, what changed, what operators did.
 
 import { h } from "../dom.js";
-import { clock } from "../format.js";
+import { clock, spaced } from "../format.js";
+import { inUnits } from "../units.js";
 
-const KINDS = { status: "state", change: "change", action: "action", link: "service" };
+const KINDS = { status: "state", change: "change", alarm: "alarm", action: "action", link: "service" };
+const PAST_MS = 7 * 86400e3;
 
 export function timelineView(root, { live }) {
   const list = h("ol.events"), which = h("select", { "aria-label": "Valve" }), kind = h("select", { "aria-label": "Kind" },
@@ -17,14 +19,28 @@ export function timelineView(root, { live }) {
     which.value = chosen;
   }
 
+  let past = [];
+
+  /** Alarms from before this page began to look, from the service's history. */
+  async function readPast() {
+    const found = await live.past(Date.now() - PAST_MS, Date.now());
+    const events = (found.past ?? []).map(({ t, source, name, text, severity, active, acked, event }) => ({
+      number: -1, t, valve: source === "Service" ? "" : source, kind: "alarm", severity: active && !acked ? severity : 1, event,
+      text: `${spaced(name)} ${active ? (acked ? "acknowledged; still active" : "raised") : acked ? "acknowledged" : "cleared"}. ${text}`,
+    }));
+    past = events.sort((a, b) => b.t - a.t);
+    draw();
+  }
+
   function draw() {
-    const shown = live.events.filter((event) => (!which.value || event.valve === which.value) && (!kind.value || event.kind === kind.value))
+    const first = Math.min(...live.events.filter((event) => event.kind === "alarm").map(({ t }) => t), Infinity);
+    const shown = [...live.events, ...past.filter(({ t }) => t < first)].filter((event) => (!which.value || event.valve === which.value) && (!kind.value || event.kind === kind.value))
       .sort((a, b) => b.t - a.t || b.number - a.number); // what is found out late happened when it did
     list.replaceChildren(...shown.map((event) => h("li", { "data-kind": event.kind },
       h("time.muted", { datetime: new Date(event.t).toISOString() }, clock(event.t)),
       h("span", {}, h("span.badge", { "data-severity": event.severity }, KINDS[event.kind] ?? event.kind)),
       event.valve ? h("a", { href: `#/valve/${encodeURIComponent(event.valve)}` }, event.valve) : h("span.muted", {}, "service"),
-      h("span", {}, event.text))));
+      h("span", {}, inUnits(event.text)))));
     if (!shown.length) list.append(h("li.muted", {}, "Nothing has happened since this page began to look."));
   }
 
@@ -34,5 +50,6 @@ export function timelineView(root, { live }) {
   live.addEventListener("layout", fillValves);
   fillValves();
   draw();
+  readPast();
   return () => { live.removeEventListener("events", draw); live.removeEventListener("layout", fillValves); };
 }

@@ -2,30 +2,40 @@
 
 import { History, SECOND_AXIS, timeChart } from "../charts.js";
 import { css, h, lineVariable, mark, onTheme, paced, pen, say } from "../dom.js";
-import { count, fixed, REASONS, short, SIGNALS, span, STATUS } from "../format.js";
+import { clock, count, fixed, inUnit, REASONS, short, SIGNALS, span, spreadInUnit, STATUS } from "../format.js";
 import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
+import { decimals as decimalsOf, inUnits, shown as shownUnit, spreadShown, toShown } from "../units.js";
 
 const RESIDUALS = 600; // of the newest minute
 const LAGS = 20;
 const MOST_PARAMETERS = 100; // a network has hundreds, of which none says anything alone
+const MINUTE_MS = 60000, STEP_MS = 100; // of history, with which the charts begin
 const REDRAW_MS = 250; // of what is counted rather than seen
 
-export function valveView(root, { live, valve, estimator, choose }) {
+export function valveView(root, { live, valve, estimator, isChosen, choose }) {
   const estimators = valve.estimators;
   const closers = [];
   const flows = new History(4), residuals = new History(3), drives = new History(2);
   const bySelected = [];
   let selected = estimators.includes(estimator) ? estimator : valve.primary;
-  let drawnAt = 0;
+  let drawnAt = 0, filling = 0, waiting = null;
 
   const signals = Object.fromEntries(Object.keys(SIGNALS).map((name) => [name, signalTile(name)]));
   const badge = h("span.badge"), sentence = h("span.muted.sentence");
+  const best = h("strong"), bestReason = h("p"), bestLinks = h("p.links", {}, h("a.button", { href: `#/map/${encodeURIComponent(valve.name)}` }, "Map"), h("a.button", { href: `#/trend/${encodeURIComponent(valve.name)}` }, "Trend"), h("a.button", { href: "#/alarms" }, "Alarms"));
+  let areAllShown = localStorage.getItem("diagnostics") === "open";
+  const more = h("button.quiet.more", { type: "button", onclick: () => {
+    areAllShown = !areAllShown;
+    localStorage.setItem("diagnostics", areAllShown ? "open" : "");
+    showOthers();
+  } });
   const table = estimatorTable(estimators, live.quantities, (name) => select(name));
   const parameters = h("tbody"), parametersTitle = h("h2");
   const spread = h("canvas.bars", { role: "img", "aria-label": "Histogram of the residuals" }), follow = h("canvas.bars", { role: "img", "aria-label": "Autocorrelation of the residuals" });
   const spreadWords = h("p.words"), followWords = h("p.words");
   const facts = h("dl.facts");
   const flowChart = h("div.chart"), residualChart = h("div.chart"), driveChart = h("div.chart");
+  for (const body of [flowChart, residualChart, driveChart]) body.classList.add("fit");
   const driveCard = card("Control voltage and pressure drop", driveChart, legend(["U", "--line-1"], ["Δp", "--line-2"]));
 
   root.append(
@@ -38,12 +48,13 @@ export function valveView(root, { live, valve, estimator, choose }) {
         driveCard,
       ),
       h("div.grid", {},
-        h("section.card", {}, h("header", {}, h("h2", {}, "Estimators")), table.element),
+        h("section.card.best", {}, h("header", {}, h("h2", {}, "Recommended map"), best), bestReason, bestLinks,
+          table.element, more),
         h("div.grid.two", {},
           h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, how large")), spread, spreadWords),
           h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, do they repeat")), follow, followWords),
         ),
-        h("section.card", {}, h("header", {}, parametersTitle),
+        h("section.card.parameters", {}, h("header", {}, parametersTitle),
           h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Parameters" },
             h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th.number", {}, "Value"), h("th.number", {}, "± 2 σ"), h("th", {}, "relative"))), parameters))),
         h("section.card", {}, h("header", {}, h("h2", {}, "In words")), facts),
@@ -51,17 +62,17 @@ export function valveView(root, { live, valve, estimator, choose }) {
     ),
   );
 
-  const flow = timeChart(flowChart, 196, [
+  const flow = timeChart(flowChart, null, [
     { label: "upper", colour: "--line-1", width: 0 }, { label: "lower", colour: "--line-1", width: 0 },
     { label: "predicted", colour: "--line-1", width: 1.5 }, { label: "measured", colour: "--measured", dots: true },
-  ], { unit: "Q in l/min", bands: [[1, 2, "--line-1"]], right: SECOND_AXIS });
-  const residual = timeChart(residualChart, 150, [
+  ], { unit: `Q in ${shownUnit("l/min")}`, bands: [[1, 2, "--line-1"]], right: SECOND_AXIS });
+  const residual = timeChart(residualChart, null, [
     { label: "upper", colour: "--line-6", width: 0 }, { label: "lower", colour: "--line-6", width: 0 },
     { label: "residual", colour: "--line-1", width: 1.25 },
-  ], { unit: "l/min", bands: [[1, 2, "--line-6"]], right: SECOND_AXIS });
-  const drive = timeChart(driveChart, 150, [
+  ], { unit: shownUnit("l/min"), bands: [[1, 2, "--line-6"]], right: SECOND_AXIS });
+  const drive = timeChart(driveChart, null, [
     { label: "U", colour: "--line-1" }, { label: "Δp", colour: "--line-2", scale: "second" },
-  ], { unit: "U in %", unit2: "Δp in bar" });
+  ], { unit: "U in %", unit2: `Δp in ${shownUnit("bar")}` });
   closers.push(flow.close, residual.close, drive.close);
 
   function select(name) {
@@ -70,8 +81,38 @@ export function valveView(root, { live, valve, estimator, choose }) {
     flows.clear();
     residuals.clear();
     bySelected.length = 0;
+    drives.clear();
     drawnAt = 0;
+    fill();
     take();
+  }
+
+  /** Begin with the last minute of the service's history: a change of view loses nothing. */
+  async function fill() {
+    const number = ++filling, now = Date.now(), of = selected;
+    waiting = [];
+    const found = await live.trend(valve.name, ["PredictedFlow", "Residual", "NoiseStd"].map((name) => `${of}.${name}`).concat("Signals.U", "Signals.dp"), now - MINUTE_MS, now, STEP_MS);
+    if (number !== filling) return;
+    const newer = waiting;
+    waiting = null;
+    if (!found.error) {
+      const [predicted, missed, noise, U, dp] = found.courses.map(([mean]) => mean), first = newer[0]?.[0] ?? Infinity;
+      predicted.forEach((value, k) => {
+        const t = (found.start + (k + 0.5) * found.step) / 1000;
+        if (Number.isFinite(value) && t < first) add(t, value, missed[k], noise[k], U[k], dp[k]);
+      });
+    }
+    newer.forEach((row) => add(...row));
+    soon();
+  }
+
+  function add(t, predicted, missed, noise, U, dp) {
+    const reach = 1.96 * noise, shown = (value) => toShown(value, "l/min");
+    if (Number.isFinite(missed)) bySelected.push(missed);
+    if (bySelected.length > RESIDUALS) bySelected.shift();
+    flows.add(t, [predicted + reach, predicted - reach, predicted, predicted + missed].map(shown));
+    residuals.add(t, [2 * noise, -2 * noise, missed].map((value) => spreadShown(value, "l/min")));
+    drives.add(t, [U, toShown(dp, "bar")]);
   }
 
   /** Keep what is new; what is seen of it follows at the machine's pace. */
@@ -79,15 +120,9 @@ export function valveView(root, { live, valve, estimator, choose }) {
     const of = (name) => `${selected}.${name}`;
     const entry = live.get(of("PredictedFlow"));
     if (entry?.t) {
-      const predicted = entry.value, missed = live.number(of("Residual")), noise = live.number(of("NoiseStd"));
-      const t = entry.t / 1000, reach = 1.96 * noise;
-      if (t > residuals.last) {
-        if (Number.isFinite(missed)) bySelected.push(missed);
-        if (bySelected.length > RESIDUALS) bySelected.shift();
-        flows.add(t, [predicted + reach, predicted - reach, predicted, predicted + missed]);
-        residuals.add(t, [2 * noise, -2 * noise, missed]);
-        drives.add(t, [live.number("Signals.U"), live.number("Signals.dp")]);
-      }
+      const t = entry.t / 1000;
+      const row = [t, entry.value, live.number(of("Residual")), live.number(of("NoiseStd")), live.number("Signals.U"), live.number("Signals.dp")];
+      if (waiting) { if (t > (waiting.at(-1)?.[0] ?? -Infinity)) waiting.push(row); } else if (t > residuals.last) add(...row);
     }
     soon();
   }
@@ -98,7 +133,8 @@ export function valveView(root, { live, valve, estimator, choose }) {
     flow.chart.setData(flows.data);
     residual.chart.setData(residuals.data);
     drive.chart.setData(drives.data);
-    table.show(live, selected);
+    table.show(live, selected, live.oldOf(valve.name));
+    followRecommended();
     if (performance.now() - drawnAt < REDRAW_MS) return;
     drawnAt = performance.now();
     standing();
@@ -108,14 +144,44 @@ export function valveView(root, { live, valve, estimator, choose }) {
     showFacts();
   });
 
+  /** The recommended estimator is shown, unless another one was chosen. */
+  function followRecommended() {
+    const recommended = live.get("Recommended")?.value;
+    if (!isChosen && recommended && recommended !== selected && estimators.includes(recommended)) {
+      select(recommended);
+      isChosen = false;
+    }
+  }
+
+  /** The recommended estimator stands alone until the others are asked for. */
+  function showOthers() {
+    const best = live.get("Recommended")?.value, isAlone = estimators.includes(best) && estimators.length > 1;
+    more.hidden = !isAlone;
+    more.setAttribute("aria-expanded", String(areAllShown));
+    say(more, areAllShown ? "Hide the other estimators" : `Diagnostics: ${estimators.length - 1} other estimators`);
+    estimators.forEach((name, k) => { table.rows[k].hidden = isAlone && !areAllShown && name !== best && name !== selected; });
+  }
+
   function standing() {
-    const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
+    showOthers();
+    const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name)), old = live.oldOf(valve.name);
+    const recommended = live.get("Recommended")?.value, reason = live.get("RecommendedReason")?.value;
+    say(best, old ? "not known now" : recommended || "none yet");
+    say(bestReason, inUnits(reason || (recommended ? "" : "No estimator stands out yet: places must be visited again.")));
+    mark(root, "stale", old !== null);
+    if (old) {
+      mark(badge, "severity", 3);
+      say(badge, row && old.state === "valve" ? REASONS[row.reason][0] === "ok" ? "no new samples" : REASONS[row.reason][0] : "not known");
+      say(sentence, `${old.why}${old.since ? ` Since ${clock(old.since)}, for ${span((Date.now() - old.since) / 1000)}.` : ""} ${old.advice}`);
+      return;
+    }
     if (!row) return;
     mark(badge, "severity", row.severity);
     say(badge, REASONS[row.reason]?.[0] ?? "");
     const status = live.number(`${selected}.Status`);
-    say(sentence, `${selected}: ${STATUS[status]?.[1] ?? "nothing known yet"} ${count(live.number(`${selected}.SampleCount`))} samples.`);
-    mark(root, "stale", live.link !== "up" || row.silent > 3);
+    const since = row.severity ? ` since ${clock(row.since)}` : "";
+    const next = row.severity > 1 ? " See Alarms for what to do." : "";
+    say(sentence, `${row.severity ? `${REASONS[row.reason][1].replace(/\.$/, "")}${since}.${next} ` : ""}${selected}: ${STATUS[status]?.[1].split(". ")[0].replace(/\.?$/, ".") ?? "nothing known yet"} ${count(live.number(`${selected}.SampleCount`))} samples.`);
   }
 
   function drawSpread() {
@@ -138,9 +204,9 @@ export function valveView(root, { live, valve, estimator, choose }) {
       }
       context.stroke();
     }
-    axisText(context, width, height, [`−${fixed(limit, 1)}`, "0", `${fixed(limit, 1)} l/min`]);
+    axisText(context, width, height, [`−${spreadInUnit(limit, "l/min", 1)}`, "0", `${spreadInUnit(limit, "l/min", 1)} ${shownUnit("l/min")}`]);
     const mean = bySelected.reduce((a, b) => a + b, 0) / bySelected.length;
-    say(spreadWords, `${bySelected.length} residuals; mean ${fixed(mean, 2)}, noise ${fixed(noise, 2)} l/min (line)`);
+    say(spreadWords, `${bySelected.length} residuals; mean ${spreadInUnit(mean, "l/min", 2)}, noise ${spreadInUnit(noise, "l/min", 2)} ${shownUnit("l/min")} (line)`);
   }
 
   function drawFollow() {
@@ -178,8 +244,8 @@ export function valveView(root, { live, valve, estimator, choose }) {
 
   function showFacts() {
     const of = (name) => live.number(`${selected}.${name}`), lines = [];
-    const [status, sentence] = STATUS[of("Status")] ?? ["–", ""];
-    lines.push(["Status", `${status}: ${sentence}`]);
+    const [status, about] = STATUS[of("Status")] ?? ["–", ""], old = live.oldOf(valve.name);
+    lines.push(["Status", old ? `not known: ${old.why}` : `${status}: ${about}`]);
     const age = live.number("Diagnostics.SampleAge");
     const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
     lines.push(["Newest sample", Number.isFinite(age) ? `${span(age)} old` : row ? `seen ${span(row.silent)} ago` : "–"]);
@@ -196,12 +262,10 @@ export function valveView(root, { live, valve, estimator, choose }) {
     const changes = of("ChangeCount");
     if (Number.isFinite(changes)) {
       const when = of("ChangeTime");
-      lines.push(["Abrupt changes", changes ? `${changes}, the last at ${new Date(when).toLocaleTimeString("en-GB")}: ${fixed(of("ChangeSize"), 1)} l/min` : "none"]);
+      lines.push(["Abrupt changes", changes ? `${changes}, the last at ${clock(when)}: ${spreadInUnit(of("ChangeSize"), "l/min", 1)} ${shownUnit("l/min")}` : "none"]);
     }
-    const reason = live.get("RecommendedReason")?.value;
-    if (reason) lines.push(["Recommended", `${live.get("Recommended")?.value || "none"}: ${reason}`]);
     const causes = live.get("Diagnostics.Findings")?.value ?? [], chances = live.get("Diagnostics.FindingProbabilities")?.value ?? [];
-    causes.forEach((sentence, k) => lines.push([k ? "" : "Findings", `${fixed(100 * chances[k], 0)} %: ${sentence}`]));
+    causes.forEach((sentence, k) => lines.push([k ? "" : "Findings", `${fixed(100 * chances[k], 0)} %: ${inUnits(sentence)}`]));
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     if (waiting) lines.push(["Waiting for", String(waiting)]);
     const action = live.get("Diagnostics.LastAction")?.value;
@@ -216,15 +280,23 @@ export function valveView(root, { live, valve, estimator, choose }) {
 
   live.addEventListener("values", take);
   closers.push(() => live.removeEventListener("values", take), onTheme(() => { drawnAt = 0; soon(); }));
-  const slow = setInterval(standing, 1000);
+  live.addEventListener("standing", standing);
+  closers.push(() => live.removeEventListener("standing", standing), () => { filling = -1; });
+  const slow = setInterval(() => {
+    const old = live.oldOf(valve.name);
+    standing();
+    table.show(live, selected, old);
+    if (old) showFacts(); // nothing else would write that they are not of now
+  }, 1000);
   closers.push(() => clearInterval(slow));
+  fill();
   take();
   return () => closers.forEach((close) => close());
 }
 
 function signalTile(name) {
-  const value = h("span.digits"), element = h("div.signal", { "data-signal": name },
-    h("span.name", {}, SIGNALS[name][0]), h("span.value", {}, value, h("span.unit", {}, SIGNALS[name][1])));
+  const unit = SIGNALS[name][1], value = h("span.digits"), element = h("div.signal", { "data-signal": name },
+    h("span.name", {}, SIGNALS[name][0]), h("span.value", {}, value, h("span.unit", {}, shownUnit(unit))));
   return {
     element,
     show(live) {
@@ -234,7 +306,7 @@ function signalTile(name) {
         shown = live.number(`${first}.PredictedFlow`) + live.number(`${first}.Residual`);
       }
       element.hidden = name !== "Q" && !live.has(`Signals.${name}`);
-      say(value, fixed(shown, 1));
+      say(value, inUnit(shown, unit, 1));
       mark(element, "quality", live.quality(`Signals.${name}`));
     },
   };
@@ -246,17 +318,20 @@ function estimatorTable(estimators, quantities, onSelect) {
       h("i.swatch", { style: { "--c": lineVariable(k) } }), name)),
     h("td"), quantities.map(() => h("td.number"))));
   const element = h("table.estimators", {},
-    h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th", {}, "Status"), quantities.map(({ heading, about }) => h("th.number", { title: about }, heading)))),
+    h("thead", {}, h("tr", {}, h("th", {}, `in ${shownUnit("l/min")}`), h("th", {}, "Status"), quantities.map(({ heading, about }) => h("th.number", { title: about }, heading)))),
     h("tbody", {}, rows));
   return {
     element,
-    show(live, selected) {
+    rows,
+    show(live, selected, old) {
+      const best = live.get("Recommended")?.value;
       estimators.forEach((name, k) => {
         const of = (what) => live.number(`${name}.${what}`), cells = rows[k].cells;
         const chosen = String(name === selected);
         if (rows[k].getAttribute("aria-selected") !== chosen) rows[k].setAttribute("aria-selected", chosen);
-        say(cells[1], STATUS[of("Status")]?.[0] ?? "–");
-        quantities.forEach(({ name: what, decimals }, j) => say(cells[j + 2], fixed(of(what), decimals)));
+        mark(rows[k], "best", name === best);
+        say(cells[1], old ? "not known" : STATUS[of("Status")]?.[0] ?? "–");
+        quantities.forEach(({ name: what, decimals, unit }, j) => say(cells[j + 2], unit === "l/min" ? fixed(spreadShown(of(what), unit), decimalsOf(unit, decimals)) : fixed(of(what), decimals)));
       });
     },
   };

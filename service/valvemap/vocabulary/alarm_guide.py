@@ -1,7 +1,7 @@
 """For an operator: the quantity of each alarm, its unit, and what to do. Pure.
 
-The documentation's table of alarms is made from it, with the limits of :mod:`pipeline.alarms` and
-the causes of :mod:`pipeline.alarm_words`.
+The page shows it. The documentation's table of alarms is made from it, with the limits of
+:mod:`pipeline.alarms` and the causes of :mod:`pipeline.alarm_words`.
 """
 
 from collections.abc import Mapping

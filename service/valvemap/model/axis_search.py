@@ -1,0 +1,194 @@
+"""Identification of an axis from a recording: refusals in words, play and spool by the residual."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from valvemap.model.axis import (
+    AxisFit,
+    AxisGeometry,
+    AxisRegression,
+    AxisSamples,
+    AxisState,
+    compared,
+    fit,
+    with_theta,
+)
+from valvemap.model.samples import Floats
+from valvemap.vocabulary.statuses import AxisStatus
+
+_SLOWEST_S: Final = 0.0205  # s; 50 Hz: slower, the intervals no longer follow valve and pressures
+_LEAST_S: Final = 60.0  # s of use; 30 s leave the maps at several standard deviations of a meter
+_LEAST_SHARE: Final = 0.3  # of the intervals must be of use
+_MISSING_SHARE: Final = 0.5
+_MODULUS_GPa: Final = (0.1, 2.0)
+_LEAST_SWING: Final = 10.0  # %; U must reach it in both directions
+_PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0)  # %
+_LAGS_S: Final = (0.0, 0.012, 0.025, 0.04, 0.06)  # s; 1/f of the spool
+_PLAY_STEPS: Final = (0.5, 0.125, 0.03)  # %
+_LAG_STEPS_S: Final = (0.006, 0.003, 0.0015, 0.0008)  # s
+_MOST_PLAY, _MOST_LAG_S = 10.0, 0.2
+_SEARCHED: Final = 20_000  # samples; more do not move the minimum
+
+
+@dataclass(frozen=True)
+class AxisResult:
+    """Result of :func:`identify`: a fit, or the reason why there is none.
+
+    ``status`` other than OK: ``fit`` must not be used, and ``sentence`` says why and what to do.
+    ``left_out`` has the number of intervals by reason.
+    """
+
+    status: AxisStatus
+    sentence: str
+    fit: AxisFit | None
+    left_out: dict[str, int]
+
+
+def identify(samples: AxisSamples, geometry: AxisGeometry, *, searched: bool = True) -> AxisResult:
+    """Identify an axis from a recording.
+
+    Parameters
+    ----------
+    samples : AxisSamples
+    geometry : AxisGeometry
+    searched
+        Whether play and spool are found by the residual; else neither is assumed.
+
+    Examples
+    --------
+    >>> t = np.arange(100) * 10_000_000
+    >>> still = AxisSamples.of(t, U=np.zeros(100), x=np.zeros(100))
+    >>> identify(still, AxisGeometry(63, 45, 800, 1.2, 1.2)).status
+    <AxisStatus.NO_PRESSURES: 1>
+    """
+    period_s, refused = _period(samples)
+    if refused is not None:
+        return refused
+    regression = AxisRegression(geometry, period_s)
+    if searched:
+        regression = _searched(regression, samples[:_SEARCHED])
+    state, found = fitted(regression, samples)
+    if searched:
+        found = _widened(found, state, samples)
+    left_out = state.reasons()
+    use_s = state.rows * period_s
+    status, detail = AxisStatus.OK, ""
+    if left_out["end stop"] > _LEAST_SHARE * len(samples) and use_s < _LEAST_S:
+        status, detail = AxisStatus.END_STOPS, f"{left_out['end stop']} of {len(samples)} samples"
+    elif left_out["low pressure"] > _LEAST_SHARE * len(samples) and use_s < _LEAST_S:
+        status, detail = AxisStatus.LOW_PRESSURE, f"{left_out['low pressure']} samples"
+    elif use_s < _LEAST_S:
+        status, detail = AxisStatus.TOO_SHORT, f"{use_s:.0f} s of use"
+    elif min(np.nanmax(samples.U), -np.nanmin(samples.U)) < _LEAST_SWING:
+        status = AxisStatus.UNEXCITED
+        detail = f"U from {np.nanmin(samples.U):.0f} to {np.nanmax(samples.U):.0f} %"
+    elif not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
+        status, detail = AxisStatus.BULK_MODULUS, f"{found.bulk_modulus[0]:.2f} GPa"
+    sentence = f"{status.sentence} ({detail})" if detail else status.sentence
+    return AxisResult(status, sentence, found, left_out)
+
+
+def fitted(regression: AxisRegression, samples: AxisSamples) -> tuple[AxisState, AxisFit]:
+    """Return state and fit of samples, with the residuals of a first fit for its intervals."""
+    first, _ = regression.update(regression.initial_state(), samples)
+    start = with_theta(regression.initial_state(), fit(regression, first).theta)
+    state, _ = regression.update(start, samples)
+    return state, fit(regression, state)
+
+
+def _period(samples: AxisSamples) -> tuple[float, AxisResult | None]:
+    """Return the sampling period (s), or the refusal of samples that cannot be used."""
+
+    def refusal(status: AxisStatus, detail: str) -> tuple[float, AxisResult]:
+        return math.nan, AxisResult(status, f"{status.sentence} ({detail})", None, {})
+
+    if len(samples) < 2:
+        return refusal(AxisStatus.TOO_SHORT, f"{len(samples)} samples")
+    missing = [
+        name
+        for name in ("pA", "pB", "pS", "pT")
+        if np.mean(~np.isfinite(getattr(samples, name))) > _MISSING_SHARE
+    ]
+    if len(missing) == 4:
+        return refusal(AxisStatus.NO_PRESSURES, "position and command alone")
+    if missing:
+        return refusal(AxisStatus.MISSING_PRESSURE, f"{', '.join(missing)} missing")
+    for name in ("x", "U"):
+        if np.mean(~np.isfinite(getattr(samples, name))) > _MISSING_SHARE:
+            return refusal(AxisStatus.MISSING_SIGNAL, f"{name} missing")
+    period_s = 1e-9 * float(np.median(np.diff(samples.t)))
+    if not 0.0 < period_s <= _SLOWEST_S:
+        rate = f"{1.0 / period_s:.1f} Hz" if period_s > 0.0 else "no time between the samples"
+        return refusal(AxisStatus.TOO_SLOW, rate)
+    return period_s, None
+
+
+def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegression:
+    """Return the regression with the play and spool of the least residual.
+
+    Both delay the spool, so that the valley of the loss is oblique: each lag is judged with its own
+    best play.
+    """
+    losses: dict[tuple[float, float], float] = {}
+
+    def loss(at: tuple[float, float]) -> float:
+        if at not in losses:
+            tried = _with(regression, at)
+            state, _ = tried.update(tried.initial_state(), samples)
+            losses[at] = compared(state)[1]
+        return losses[at]
+
+    def with_best_play(lag_s: float, play: float) -> tuple[float, float]:
+        best = play, lag_s
+        for step in _PLAY_STEPS:
+            while True:
+                beside = [(min(max(best[0] + d, 0.0), _MOST_PLAY), lag_s) for d in (step, -step)]
+                better = min(beside, key=loss)
+                if loss(better) >= loss(best):
+                    break
+                best = better
+        return best
+
+    first = min(((play, _LAGS_S[1]) for play in _PLAYS), key=loss)
+    best = min((with_best_play(lag_s, first[0]) for lag_s in _LAGS_S), key=loss)
+    for step in _LAG_STEPS_S:
+        beside = [
+            with_best_play(min(max(best[1] + d, 0.0), _MOST_LAG_S), best[0]) for d in (step, -step)
+        ]
+        best = min((best, *beside), key=loss)
+    return _with(regression, best)
+
+
+def _widened(found: AxisFit, state: AxisState, samples: AxisSamples) -> AxisFit:
+    """Return the fit with the uncertainty of play and spool in its covariance.
+
+    The coefficients' slopes over play and lag come from fits beside the best; how well both are
+    known, from the loss there and from the smallest step of the search.
+    """
+    regression, least = found.regression, np.array([_PLAY_STEPS[-1], _LAG_STEPS_S[-1]])
+    play, lag_s = regression.play_percent, 1.0 / regression.spool_hz
+    steps = 2.0 * least  # a step within the search's own would find nothing but its grain
+    rows = 2.0 * state.squares[2] / found.together
+
+    def tried(i: int, j: int) -> tuple[Floats, float]:
+        at = play + i * steps[0], lag_s + j * steps[1]
+        other = _with(regression, at)
+        return compared(other.update(other.initial_state(), samples)[0])
+
+    here, ahead = compared(state), (tried(1, 0), tried(0, 1))
+    slopes = np.stack(
+        [(theta - here[0]) / step for (theta, _), step in zip(ahead, steps, strict=True)], axis=1
+    )
+    scale = rows / max(here[1] ** 2, 1e-12)
+    rises = np.array([scale * (rms**2 - here[1] ** 2) for _, rms in ahead])
+    known = steps**2 / np.maximum(rises, 1e-3)  # where the loss, in its units, has risen by 1
+    spread = np.minimum(known, (4.0 * steps) ** 2) + least**2 / 3.0
+    return replace(found, covariance=found.covariance + (slopes * spread) @ slopes.T)
+
+
+def _with(regression: AxisRegression, at: tuple[float, float]) -> AxisRegression:
+    play, lag_s = at
+    return replace(regression, play_percent=play, spool_hz=1.0 / lag_s if lag_s > 0.0 else math.inf)

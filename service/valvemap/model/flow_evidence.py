@@ -1,0 +1,182 @@
+"""Evidence for operators: the coarse map of the last samples for any parameters; joint refinement.
+
+The residual r(θ) of the coarse map, fitted for each θ, is nearly linear in the parameters nearby.
+Steps of Gauss and Newton refine all of them at once; JᵀJ of the last is their precision.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from valvemap.model.kernels import flow_evidence
+from valvemap.model.kernels import flow_path as paths
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.flow_basis import Axis, axis
+from valvemap.model.samples import Floats
+
+LIMITS: Final = {paths.CHOKE: (0.2, 0.98)}
+SLOWEST: Final = dict.fromkeys(
+    (paths.DEAD_U, paths.LAG_U, paths.DEAD_Q, paths.AVERAGE, paths.LAG_Q),
+    (0.0, 2.0 * rules.LONGEST_LAG),
+)
+ABRUPT: Final = (paths.STICK, paths.TOP)  # the residual is no smooth function of these
+FIXED: Final = (paths.NEWS, paths.LEAST)
+DAMPED: Final = (0.0, 0.1, 10.0)  # of JᵀJ's diagonal; tried in turn until a step helps
+
+
+class Left(NamedTuple):
+    """What a coarse map leaves: mean square, lag-1 correlation, rows that count, residual (N,)."""
+
+    square: float
+    rho: float
+    rows: float
+    residual: Floats
+
+
+class Evidence:
+    """Log likelihoods of the rows, each computed once, for a valve of these axes."""
+
+    def __init__(self, axis_U: Axis, axis_s: Axis, rows: Floats) -> None:
+        self.rows, self.Q, self._top = rows, rows[:, paths.LEFT_Q], float(axis_s.breaks[-1])
+        self.step = float(np.median(rows[:, paths.STEP])) if len(rows) else 0.0
+        self._axis = coarse(axis_U.breaks[0], axis_U.breaks[-1])
+        self._known: dict[tuple[float, ...], Left] = {}
+
+    def of(self, given: Floats) -> Left:
+        """What the best coarse map leaves with these parameters."""
+        key = tuple(given.tolist())
+        if key not in self._known:
+            self._known[key] = self._fit(given)[1]
+        return self._known[key]
+
+    @property
+    def spent(self) -> int:
+        """How many fits there were."""
+        return len(self._known)
+
+    def _fit(self, given: Floats, near: Floats | None = None) -> tuple[Floats, Left]:
+        b = np.zeros(flow_evidence.terms_of(self._axis)) if near is None else near.copy()
+        ridge = rules.RIDGE if near is None else 1.0
+        residual, out = np.empty(len(self.rows)), np.empty(3)
+        flow_evidence.leftover(self._axis, self._top, self.rows, given, ridge, b, residual, out)
+        return b, Left(float(out[0]), float(out[1]), float(out[2]), residual)
+
+    def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Floats) -> None:
+        """Fill the map's coefficients with those of the coarse map."""
+        flow_evidence.refine(self._axis, self._top, self._fit(given)[0], axis_U, axis_s, theta)
+
+    def moved(self, at: Floats, k: int, axis_U: Axis, axis_s: Axis) -> Floats:
+        """Derivative of the map's coefficients by parameter k, 0 where the rows do not reach."""
+        above, below = around(self, at, k)
+        near, slope = self._fit(at)[0], np.zeros(len(axis_U.sites) * len(axis_s.sites))
+        b = (self._fit(above, near)[0] - self._fit(below, near)[0]) / (above[k] - below[k])
+        flow_evidence.refine(self._axis, self._top, b, axis_U, axis_s, slope)
+        return slope
+
+    def gain(self, better: Floats, than: Floats, most: float = rules.MOST_COLOUR) -> float:
+        """Log likelihood ratio, with a correlation of ``most`` at most."""
+        one, other = self.of(better), self.of(than)
+        if not (one.square > 0.0 and other.square > 0.0):
+            return 0.0
+        rho = min(max(one.rho if one.square <= other.square else other.rho, 0.0), most)
+        return 0.5 * one.rows * (1.0 - rho) / (1.0 + rho) * math.log(other.square / one.square)
+
+
+def coarse(low: float, high: float) -> Axis:
+    """Axis of the coarse map."""
+    size = max(abs(low), abs(high))
+    shares = size * np.array(rules.SHARES_COARSE)
+    breaks = np.concatenate([-shares[:0:-1], shares]) if low < 0.0 else shares
+    return axis(breaks)
+
+
+def with_value(at: Floats, k: int, value: float) -> Floats:
+    """Parameters with another value of parameter k."""
+    other = at.copy()
+    other[k] = value
+    return other
+
+
+def smooth(at: Floats) -> list[int]:
+    """Parameters that are there, on which the residual depends smoothly."""
+    return [int(k) for k in np.flatnonzero(at) if k not in ABRUPT + FIXED]
+
+
+def slopes(evidence: Evidence, at: Floats) -> Floats:
+    """Derivatives of the residual by the `smooth` parameters (N, p)."""
+    J = np.empty((len(evidence.rows), len(smooth(at))))
+    for n, k in enumerate(smooth(at)):
+        above, below = around(evidence, at, k)
+        J[:, n] = evidence.of(above).residual - evidence.of(below).residual
+        J[:, n] /= above[k] - below[k]
+    return J
+
+
+def around(evidence: Evidence, at: Floats, k: int) -> tuple[Floats, Floats]:
+    """Parameters with more and with less of parameter k: dead times come in whole samples."""
+    step = rules.DIFFERENCE * at[k]
+    step = max(step, evidence.step) if k in (paths.DEAD_U, paths.DEAD_Q) else step
+    return _limited(at, k, at[k] + step), _limited(at, k, at[k] - step)
+
+
+def jointly(evidence: Evidence, at: Floats) -> Floats:
+    """The likeliest parameters nearby."""
+    for _ in range(rules.REFINEMENTS):
+        before = at
+        at = _abruptly(evidence, _newton(evidence, at))
+        if not evidence.gain(at, before, most=0.0) > rules.LIKELIER:
+            break
+    return at
+
+
+def solved(A: Floats, b: Floats, damped: float = 0.0) -> Floats:
+    """A⁻¹·b of a symmetric A whose diagonal grows by a share; 0 where it is 0."""
+    diagonal = np.diagonal(A)
+    held = np.where(diagonal > 0.0, (damped + rules.RIDGE) * diagonal, 1.0)
+    return np.linalg.solve(A + np.diag(held), b)
+
+
+def precision(evidence: Evidence, at: Floats) -> Floats:
+    """Inverse covariance of the parameters (PARAMETERS, PARAMETERS), 0 for those that are fixed."""
+    J, ks = slopes(evidence, at), smooth(at)
+    left, A = evidence.of(at), np.zeros((paths.PARAMETERS, paths.PARAMETERS))
+    rho = min(max(left.rho, 0.0), rules.MOST_COLOUR)
+    worth = (1.0 - rho) / (1.0 + rho) / max(left.square, 1e-300)
+    A[np.ix_(ks, ks)] = worth * np.einsum("ij,ik->jk", J, J)
+    return A
+
+
+def _newton(evidence: Evidence, at: Floats) -> Floats:
+    ks = smooth(at)
+    if not ks:
+        return at
+    J = slopes(evidence, at)
+    A, b = np.einsum("ij,ik->jk", J, J), np.einsum("ij,i->j", J, evidence.of(at).residual)
+    for damped in DAMPED:
+        moved = -solved(A, b, damped)
+        tried = at
+        for n, k in enumerate(ks):
+            most = 0.5 * at[k]
+            tried = _limited(tried, k, at[k] + min(max(float(moved[n]), -most), most))
+        if evidence.gain(tried, at, most=0.0) > 0.0:
+            return tried
+    return at
+
+
+def _abruptly(evidence: Evidence, at: Floats) -> Floats:
+    """Refine the parameters on which the residual depends by jumps, one after another."""
+    for k in (k for k in ABRUPT if at[k]):
+        for step in rules.ABRUPT_STEPS:
+            for factor in (step, 1.0 / step):
+                while True:
+                    tried = _limited(at, k, at[k] * factor)
+                    if tried[k] == at[k] or not evidence.gain(tried, at) > 0.0:
+                        break
+                    at = tried
+    return at
+
+
+def _limited(at: Floats, k: int, value: float) -> Floats:
+    low, high = LIMITS.get(k, SLOWEST.get(k, (0.0, math.inf)))
+    return with_value(at, k, min(max(value, low), high))

@@ -1,0 +1,259 @@
+"""An axis's equations as filtered rows of a regression, summed sample by sample in fixed order.
+
+Over the interval between two samples the mean of each term is known: of the speed from the two
+positions, of ṗ from the two pressures, of an edge's basis from the spool's course in `PARTS` parts.
+All terms of a row then pass the same low-pass of 2nd order (state-variable filter), so that
+nothing is differentiated and left bare, and the equation holds for the filtered terms as for the
+bare ones. An interval that is left out is left out of every term.
+
+Columns: for the edges PA, AT, PB, BT ``knots`` spline functions and one for the departure from √Δp,
+then 1/β, c and free air.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from valvemap.model.kernels.compiled import inner, kernel
+from valvemap.model.samples import Codes, Floats, Times
+
+PARTS: Final = 4  # parts of an interval; a spool of 100 Hz then moves by a quarter of its way
+COMMON: Final = 3  # 1/β, c, air
+ATMOSPHERE_BAR: Final = 1.013
+PER_COMPLIANCE: Final = 1e-4  # 1/bar; unit of the coefficient 1/β: 1 is 1 GPa
+PER_LEAKAGE: Final = 1e-2  # l/min/bar; unit of the coefficient c
+PER_AIR: Final = 1e-2  # unit of the coefficient of the free air: 1 %
+ROOT: Final = 10.0  # √bar; where the departure from √Δp changes its sign
+
+USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
+
+MEMORY: Final = ("held", "spool", "speed", "U", "x", "pA", "pB", "pS", "pT", "known", "settling")
+_RENEWED: Final = 100  # rows; forgetting is applied at every hundredth one
+
+
+@inner
+def _held(memory: float, U: float, half: float) -> float:
+    return min(max(memory, U - half), U + half)
+
+
+@inner
+def _root(drop: float) -> float:
+    return math.copysign(math.sqrt(abs(drop)), drop)
+
+
+@inner
+def _basis(table: Floats, breaks: Floats, u: float, scale: float, row: Floats, at: int) -> None:
+    """Add the three spline functions at u, times ``scale``, to a row from ``at`` on."""
+    low, high = 0, len(breaks) - 2
+    while low < high:
+        middle = (low + high + 1) // 2
+        if u >= breaks[middle]:
+            low = middle
+        else:
+            high = middle - 1
+    y = u - breaks[low]
+    for b in range(3):
+        row[at + low + b] += scale * (
+            table[low, b, 0] + y * (table[low, b, 1] + y * table[low, b, 2])
+        )
+
+
+@inner
+def _edge(
+    table: Floats, breaks: Floats, y: float, drop: float, sign: float, row: Floats, at: int
+) -> None:
+    """Add an edge's regressors at its own spool position y ≥ 0 (%) and drop (bar)."""
+    s = _root(drop)
+    _basis(table, breaks, min(y, 100.0), sign * s, row, at)
+    row[at + len(breaks) + 1] += sign * 0.01 * y * s * (abs(s) / ROOT - 1.0)
+
+
+@inner
+def _sum_row(M: Floats, b: Floats, squares: Floats, row: Floats, places: Times, line: int) -> None:
+    n = len(b)
+    y = row[n]
+    squares[line] += y * y
+    for p in range(len(places)):
+        j = places[p]
+        value = row[j]
+        if value == 0.0:
+            continue
+        b[j] += value * y
+        for q in range(p + 1):
+            k = places[q]
+            M[j, k] += value * row[k]
+
+
+@kernel
+def axis_rows(
+    t: Times,
+    signals: Floats,
+    last: Times,
+    memory: Floats,
+    filtered: Floats,
+    M: Floats,
+    b: Floats,
+    squares: Floats,
+    counts: Times,
+    theta: Floats,
+    errors: Floats,
+    score: Floats,
+    scores: Floats,
+    table: Floats,
+    breaks: Floats,
+    geometry: Floats,
+    settings: Floats,
+    places: Times,
+    status: Codes,
+    residual: Floats,
+) -> None:
+    """Advance the state of an axis by N samples.
+
+    Parameters
+    ----------
+    t, signals
+        UTC ns (N,), and U, x, pA, pB, pS, pT (N, 6) in %, mm and bar.
+    last, memory, filtered
+        Time of the last sample (1,); ``MEMORY``; the filter's two stages per line (2, 2, n + 1).
+    M, b, squares, counts
+        Information (n, n; lower triangle) and (n,); Σy² per line and the rows' weight (3,); number
+        of intervals used, and of intervals by reason (6,). Every ``stride``-th one is a row.
+    theta, errors
+        Coefficients (n,) for the residuals; sums of them: Σe², Σ of squares of block sums, the
+        running block's sums and length, rows in blocks, per line (2, 5).
+    score, scores
+        Σ row·e of the running block (n,), and Σ of its squares over the blocks (n, n).
+    geometry
+        A_A, A_B (cm²), stroke (mm), V_A and V_B at their shortest (l).
+    settings
+        Sampling period (s), half the play (%), the spool's transition (2, 2) and input (2,), the
+        filter's share per sample, forgetting per row, lowest pressure (bar), margin at the stops
+        (mm), longest gap (s), settling intervals, length of a block (rows), stride.
+    places
+        Columns of line A and of line B, (2, ·).
+    status, residual
+        Out: reason (N,), and residuals of both lines (N, 2), l/min.
+    """
+    n, knots = len(b), len(breaks) + 2  # m + 2 functions on m intervals, and the departure
+    half = settings[1]
+    share, forget, stride = settings[8], settings[9], int(settings[15])
+    A_A, A_B, stroke = geometry[0], geometry[1], geometry[2]
+    rows = np.zeros((2, n + 1))
+    now = np.empty(6)
+    for i in range(len(t)):
+        for k in range(6):
+            now[k] = signals[i, k]
+        dt = 1e-9 * (t[i] - last[0])
+        reason = USED
+        finite = True
+        for k in range(6):
+            finite = finite and math.isfinite(now[k])
+        residual[i, 0] = math.nan
+        residual[i, 1] = math.nan
+        if not finite:
+            status[i] = MISSING
+            counts[1 + MISSING] += 1
+            memory[9] = 0.0
+            continue
+        if memory[9] == 0.0 or dt <= 0.0 or dt > settings[12]:
+            held = now[0] if memory[9] == 0.0 else _held(memory[0], now[0], half)
+            memory[0], memory[1], memory[2] = held, held, 0.0
+            memory[10] = settings[13]
+            reason = GAP
+        rows[:] = 0.0
+        if reason == USED:
+            pA, pB, pS, pT = memory[5], memory[6], memory[7], memory[8]
+            memory[0] = _held(memory[0], memory[3], half)
+            for part in range(PARTS):
+                before, speed = memory[1], memory[2]
+                off = before - memory[0]
+                memory[1] = memory[0] + settings[2] * off + settings[3] * speed
+                memory[2] = settings[4] * off + settings[5] * speed
+                y = 0.5 * (before + memory[1])
+                w = (part + 0.5) / PARTS
+                a, c = pA + w * (now[2] - pA), pB + w * (now[3] - pB)
+                s, d = pS + w * (now[4] - pS), pT + w * (now[5] - pT)
+                if y > 0.0:
+                    _edge(table, breaks, y, s - a, 1.0 / PARTS, rows[0], 0)
+                    _edge(table, breaks, y, c - d, -1.0 / PARTS, rows[1], 3 * knots)
+                else:
+                    _edge(table, breaks, -y, a - d, -1.0 / PARTS, rows[0], knots)
+                    _edge(table, breaks, -y, s - c, 1.0 / PARTS, rows[1], 2 * knots)
+            if memory[10] > 0.0:
+                memory[10] -= 1.0
+                reason = GAP
+            elif (
+                min(memory[4], now[1]) < settings[11]
+                or max(memory[4], now[1]) > stroke - settings[11]
+            ):
+                reason = END_STOP
+            elif min(pA, pB, now[2], now[3]) < settings[10]:
+                reason = LOW_PRESSURE
+        if reason == USED:
+            x = 0.5 * (memory[4] + now[1])
+            drop = 0.5 * (pA + now[2] - pB - now[3])
+            rows[0, n] = 6e-3 * A_A * (now[1] - memory[4]) / dt
+            rows[1, n] = -6e-3 * A_B * (now[1] - memory[4]) / dt
+            for line in range(2):
+                if line == 0:
+                    V, before, after = geometry[3] + 1e-4 * A_A * x, pA, now[2]
+                    rows[0, n - 2] = -PER_LEAKAGE * drop
+                else:
+                    V, before, after = geometry[4] + 1e-4 * A_B * (stroke - x), pB, now[3]
+                    rows[1, n - 2] = PER_LEAKAGE * drop
+                taken = 60.0 * V * (after - before) / dt
+                absolute = 0.5 * (before + after) + ATMOSPHERE_BAR
+                rows[line, n - 3] = -PER_COMPLIANCE * taken
+                rows[line, n - 1] = -PER_AIR * taken * ATMOSPHERE_BAR / (absolute * absolute)
+            counts[0] += 1
+            is_row = counts[0] % stride == 0
+            if forget < 1.0 and counts[0] % _RENEWED == 0:
+                factor = forget**_RENEWED
+                for j in range(n):
+                    b[j] *= factor
+                    for k in range(j + 1):
+                        M[j, k] *= factor
+                        scores[j, k] *= factor
+                for k in range(3):
+                    squares[k] *= factor
+                for line in range(2):
+                    errors[line, 0] *= factor
+                    errors[line, 1] *= factor
+                    errors[line, 4] *= factor
+            for line in range(2):
+                row, first, second = rows[line], filtered[line, 0], filtered[line, 1]
+                for p in range(places.shape[1] + 1):
+                    j = places[line, p] if p < places.shape[1] else n
+                    first[j] += share * (row[j] - first[j])
+                    second[j] += share * (first[j] - second[j])
+                if not is_row:
+                    continue
+                _sum_row(M, b, squares, second, places[line], line)
+                e = second[n]
+                for p in range(places.shape[1]):
+                    e -= theta[places[line, p]] * second[places[line, p]]
+                residual[i, line] = e
+                for p in range(places.shape[1]):
+                    score[places[line, p]] += e * second[places[line, p]]
+                errors[line, 0] += e * e
+                errors[line, 2] += e
+                errors[line, 3] += 1.0
+                if errors[line, 3] >= settings[14]:
+                    errors[line, 1] += errors[line, 2] * errors[line, 2]
+                    errors[line, 4] += errors[line, 3]
+                    errors[line, 2] = 0.0
+                    errors[line, 3] = 0.0
+            if is_row:
+                squares[2] += 1.0
+                if errors[0, 3] == 0.0:
+                    for j in range(n):
+                        for k in range(j + 1):
+                            scores[j, k] += score[j] * score[k]
+                    score[:] = 0.0
+        status[i] = reason
+        counts[1 + reason] += 1
+        last[0] = t[i]
+        memory[9] = 1.0
+        for k in range(6):
+            memory[3 + k] = now[k]

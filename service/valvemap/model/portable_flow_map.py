@@ -1,0 +1,91 @@
+"""The map of `FlowMap` as a value: what a prediction needs, and nothing that an update needs."""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_memory as memory
+from valvemap.model.kernels import flow_path as paths
+from valvemap.model.kernels import flow_play as plays
+from valvemap.model.samples import Floats
+
+SCALARS: Final = fits.VARIANCE, fits.MISFIT, fits.SCALE, fits.PLAIN, fits.LEAST
+TEMPERATURES: Final = fits.FIRST_T, fits.NOW_T
+MOVING: Final = 2, 1 + drifts.STATES, drifts.STATES
+
+
+@dataclass(frozen=True)
+class GaussianMap:
+    """A map of `FlowMap`.
+
+    Attributes
+    ----------
+    U_range, dp_range
+        Of the valve, % and bar; they place the n sites of the splines.
+    theta, std : (n,)
+        Coefficients of the map, and its standard deviation at the sites, l/min.
+    moving : (2, 10, 9)
+        What moves in time on either side of U = 0: its mean, then its covariance.
+    scalars, temperatures : (5,), (2,)
+        See `SCALARS`; that of the first and of the last sample, °C, NaN where unknown.
+    operators, play : (13,), (2,)
+        Between the map and the samples; half the play, %, and the information about it.
+    """
+
+    U_range: Range
+    dp_range: Range
+    theta: Floats
+    std: Floats
+    moving: Floats
+    scalars: Floats
+    temperatures: Floats
+    operators: Floats
+    play: Floats
+
+    @classmethod
+    def of(cls, state: FlowMapState, U_range: Range, dp_range: Range) -> Self:
+        """Return the map of a state.
+
+        Raises
+        ------
+        ValueError
+            if it is not determined yet.
+        """
+        if not state.counters[memory.FITTED]:
+            raise ValueError("its map is not determined yet")
+        return cls(
+            U_range=U_range,
+            dp_range=dp_range,
+            theta=state.theta.copy(),
+            std=state.std.astype(np.float64),
+            moving=state.now.copy(),
+            scalars=state.scalars[list(SCALARS)],
+            temperatures=state.scalars[list(TEMPERATURES)],
+            operators=state.path[: paths.PARAMETERS].copy(),
+            play=state.play[[plays.HALF, plays.SLOPES]],
+        )
+
+    def state(self) -> FlowMapState:
+        """Return a state with this map, and nothing that an update needs.
+
+        Raises
+        ------
+        ValueError
+            if arrays do not have the sizes that the ranges ask for.
+        """
+        blank = empty(*axes(self.U_range, self.dp_range))
+        for name, wanted in (("theta", blank.theta), ("std", blank.std), ("moving", blank.now)):
+            given = getattr(self, name)
+            if given.shape != wanted.shape:
+                raise ValueError(f"{name}: {given.size} numbers; {wanted.size} are allowed")
+            wanted[:] = given
+        blank.scalars[list(SCALARS)] = self.scalars
+        blank.scalars[list(TEMPERATURES)] = self.temperatures
+        blank.path[: paths.PARAMETERS] = self.operators
+        blank.play[[plays.HALF, plays.SLOPES]] = self.play
+        blank.counters[memory.FITTED] = 1
+        return blank

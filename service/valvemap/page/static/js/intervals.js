@@ -1,0 +1,34 @@
+// From the changes of alarms to the spans in which they were active. Pure.
+
+/** Changes [{source, name, t, active, …}], any order → [{source, name, from, to, severity, text, raised}], the oldest first; `to` is null while active. */
+export function activeSpans(changes) {
+  const open = new Map(), found = [];
+  for (const change of [...changes].sort((a, b) => a.t - b.t)) {
+    const key = `${change.source}/${change.name}`, since = open.get(key);
+    if (change.active && !since) {
+      const begun = { source: change.source, name: change.name, from: change.t, to: null, severity: change.severity, text: change.text, raised: change };
+      open.set(key, begun);
+      found.push(begun);
+    } else if (!change.active && since) {
+      since.to = change.t;
+      open.delete(key);
+    } else if (!change.active && !since && !found.some((one) => one.source === change.source && one.name === change.name)) {
+      found.push({ source: change.source, name: change.name, from: -Infinity, to: change.t, severity: change.severity, text: change.text, raised: change });
+    }
+    if (change.active && since) since.severity = Math.max(since.severity, change.severity);
+  }
+  return found;
+}
+
+/** Past and present changes without doubles, by EventId. */
+export function merged(...lists) {
+  const found = new Map();
+  for (const change of lists.flat()) found.set(`${change.source}/${change.name}/${change.event}`, change);
+  return [...found.values()];
+}
+
+/** Text of an alarm → what was measured, since when, what it may be. */
+export function parts(text) {
+  const [measured, causes = ""] = text.split(" It may be: ");
+  return { measured, causes: causes.replace(/\.$/, "").split("; ").filter(Boolean) };
+}

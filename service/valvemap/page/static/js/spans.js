@@ -1,0 +1,26 @@
+// Spans of time: which intervals they are read in, and how they are kept in a URL. Pure.
+
+const S = 1000, MIN = 60 * S, HOUR = 60 * MIN, DAY = 24 * HOUR;
+export const SPANS = [[MIN, "1 min"], [10 * MIN, "10 min"], [HOUR, "1 h"], [8 * HOUR, "8 h"], [DAY, "1 d"], [7 * DAY, "7 d"], [30 * DAY, "30 d"]];
+export const SHORTEST = 10 * S, LONGEST = 30 * DAY;
+export const STEPS = [100, 200, 500, S, 2 * S, 5 * S, 10 * S, 30 * S, MIN, 2 * MIN, 5 * MIN, 10 * MIN, 30 * MIN, HOUR, 2 * HOUR, 4 * HOUR];
+const FEWEST = 360; // intervals of a picture: each is drawn with its least and largest value
+
+/** The longest interval that still gives a fine picture of a span, ms. */
+export const stepOf = (span) => STEPS.findLast((step) => span / step >= FEWEST) ?? STEPS[0];
+
+export const bounded = (span) => Math.min(Math.max(span, SHORTEST), LONGEST);
+
+/** {span, end (null: now), other, before} of a URL's query. */
+export function readSpan(query) {
+  const span = Number(query.get("span")), end = Number(query.get("end")), before = Number(query.get("before"));
+  return { span: span > 0 ? bounded(span * S) : 10 * MIN, end: end > 0 ? end * S : null, other: query.get("with") ?? "", before: before > 0 ? before * S : 0 };
+}
+
+export function writeSpan({ span, end, other, before }) {
+  const query = new URLSearchParams({ span: String(Math.round(span / S)) });
+  if (end !== null) query.set("end", String(Math.round(end / S)));
+  if (other) query.set("with", other);
+  if (before) query.set("before", String(before / S));
+  return query;
+}

@@ -1,0 +1,191 @@
+"""Steps of the source's clock, for valves without running number. Pure.
+
+A change of an OPC UA item is never sent before an earlier one. So a message whose times run back is
+a repetition, or the clock was set back: the contents decide. A message whose newest time is further
+ahead of our monotonic time than any before it is no late message: the clock was set forward.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Times
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.kernels.waiting import (
+    NEVER,
+    SEEN,
+    SET_BACK,
+    SET_FORWARD,
+    SIGNALS,
+    Waiting,
+)
+from valvemap.vocabulary.signals import MEASURED, PER_VALVE
+
+_KEPT: Final = 1024  # samples of each valve, as many as the alignment remembers
+_AHEAD_NS: Final = 400_000_000  # ns; less is jitter of the transmission
+_SHARE: Final = 0.5  # of the lead that a gap between two samples must have, else messages catch up
+_DRIFT: Final = 1e-4  # of two clocks; more than quartz has
+_FACTORS: Final = np.array(
+    [(2 * k + 1) * 0x9E3779B97F4A7C15 % 2**64 for k in range(SIGNALS)], np.uint64
+)
+
+
+class Step(NamedTuple):
+    """A step of one valve's clock: before which row of a batch, and the alignment's command."""
+
+    valve: int
+    row: int
+    command: int
+
+
+class ClockSteps:
+    """Finds the steps in batches of changes.
+
+    Parameters
+    ----------
+    required
+        (V, SIGNALS) mask of the signals that each sample has.
+    watched
+        (V,) mask of the valves to watch: those without running number.
+    reorder_ns
+        (V,) how much earlier than the newest a change may be, ns.
+    """
+
+    def __init__(
+        self, required: NDArray[np.bool_], watched: NDArray[np.bool_], reorder_ns: Times
+    ) -> None:
+        V = len(watched)
+        self._required, self._watched, self._reorder = required, watched, reorder_ns
+        self._row = np.cumsum(watched) - 1  # of a valve in the rings
+        rings = int(watched.sum())
+        self._times = np.full((rings, _KEPT), NEVER)
+        self._digests = np.zeros((rings, _KEPT), np.uint64)
+        self._written = np.zeros(rings, np.int64)
+        self._newest = np.full(V * PER_VALVE, NEVER)
+        self._lead = np.full(V, NEVER)  # largest time less our monotonic time, ns
+        self._at = np.zeros(V, np.int64)  # our monotonic time of the last change, ns
+
+    def find(self, changes: DataChanges, now_s: float, waiting: Waiting) -> list[Step]:
+        """Return the steps in changes received at ``now_s`` (monotonic), by ascending row.
+
+        ``waiting`` is the alignment's state, which knows more after a restart of the service.
+        """
+        valve = changes.item // PER_VALVE
+        rows = np.flatnonzero(self._watched[valve])
+        if not len(rows):
+            return []
+        item, time, now = changes.item[rows], changes.source_time[rows], round(now_s * 1e9)
+        seen = waiting.order[:, SEEN : SEEN + PER_VALVE].ravel()
+        before = np.where(self._newest == NEVER, seen, self._newest)
+        highest = before.copy()
+        np.maximum.at(highest, item, time)
+        order = np.argsort(item, kind="stable")
+        of, then = item[order], time[order]
+        first = np.diff(of, prepend=-1) != 0
+        previous = np.where(first, before[of], np.roll(then, 1))
+        falls = (previous != NEVER) & (then < previous - self._reorder[of // PER_VALVE])
+        present = np.unique(valve[rows])
+        back = np.zeros(len(self._watched), np.bool_)
+        back[of[falls] // PER_VALVE] = True
+        top = highest.reshape(-1, PER_VALVE).max(axis=1)
+        known = self._lead != NEVER
+        lead = self._lead - np.rint(_DRIFT * (now - self._at)).astype(np.int64)
+        excess = np.where(known, top - now - np.where(known, lead, 0), 0)
+        steps = []
+        for v in present[(back | (excess > _AHEAD_NS))[present]].tolist():
+            own = rows[valve[rows] == v]
+            found = (
+                self._set_back(v, changes, own, before, waiting.left[v])
+                if back[v]
+                else self._set_forward(v, changes, own, before, int(excess[v]))
+            )
+            if found is not None:
+                steps.append(found)
+                after = own[own >= found.row]
+                span = slice(v * PER_VALVE, (v + 1) * PER_VALVE)
+                if found.command == SET_BACK:
+                    highest[span] = NEVER
+                    np.maximum.at(highest, changes.item[after], changes.source_time[after])
+                    self._written[self._row[v]] = 0
+                    self._times[self._row[v]] = NEVER
+                lead[v] = NEVER
+        self._newest = highest
+        top = highest.reshape(-1, PER_VALVE).max(axis=1)
+        fresh = ~known | (lead == NEVER)
+        new = top[present] - now
+        self._lead[present] = np.where(fresh[present], new, np.maximum(lead[present], new))
+        self._at[present] = now
+        return sorted(steps, key=lambda step: step.row)
+
+    def remember(self, samples: ByValve) -> None:
+        """Remember emitted samples, to recognise repetitions."""
+        valves, starts, stops = samples.segments
+        mine = np.flatnonzero(self._watched[valves])
+        if not len(mine):
+            return
+        columns = np.stack([getattr(samples.samples, name) for name in MEASURED], axis=1)
+        for k in mine.tolist():
+            row, v = self._row[valves[k]], int(valves[k])
+            own = slice(max(starts[k], stops[k] - _KEPT), stops[k])
+            n = own.stop - own.start
+            at = (self._written[row] + np.arange(n)) % _KEPT
+            self._times[row, at] = samples.samples.t[own]
+            self._digests[row, at] = _digest(columns[own], self._required[v])
+            self._written[row] += n
+
+    def _set_back(
+        self, v: int, changes: DataChanges, own: NDArray[np.intp], before: Times, left: Times
+    ) -> Step | None:
+        """Return the step back at the first old time with new content.
+
+        ``left`` are the times of emitted samples, also of those from before a restart.
+        """
+        highest = before[v * PER_VALVE : (v + 1) * PER_VALVE].tolist()
+        signals, times = (changes.item[own] % PER_VALVE).tolist(), changes.source_time[own]
+        row = self._row[v]
+        known = dict(zip(self._times[row].tolist(), self._digests[row].tolist(), strict=True))
+        repeated: set[int] = set()
+        for k, (j, time) in enumerate(zip(signals, times.tolist(), strict=True)):
+            if time >= highest[j] - int(self._reorder[v]):
+                highest[j] = max(highest[j], time)
+            elif time not in repeated:
+                now = self._samples(v, changes, own[k:][times[k:] == time])
+                then = self._samples(v, changes, own[:k][times[:k] == time])
+                same = {time: known[time]} if time in known else then
+                if now and now != same and (same or time not in left):
+                    return Step(v, int(own[k]), SET_BACK)
+                repeated.add(time)
+        return None
+
+    def _samples(self, v: int, changes: DataChanges, rows: NDArray[np.intp]) -> dict[int, int]:
+        """Return the digest by time of the complete samples among these changes of one valve."""
+        times, place = np.unique(changes.source_time[rows], return_inverse=True)
+        values = np.full((len(times), SIGNALS), np.nan)
+        there = np.zeros((len(times), SIGNALS), np.bool_)
+        signal = changes.item[rows] % PER_VALVE
+        measured = signal < SIGNALS
+        values[place[measured], signal[measured]] = changes.value[rows][measured]
+        there[place[measured], signal[measured]] = True
+        whole = there[:, self._required[v]].all(axis=1)
+        digests = _digest(values[whole], self._required[v])
+        return dict(zip(times[whole].tolist(), digests.tolist(), strict=True))
+
+    def _set_forward(
+        self, v: int, changes: DataChanges, own: NDArray[np.intp], before: Times, excess: int
+    ) -> Step | None:
+        """Return the step forward at the largest gap, if that is no real time."""
+        time = changes.source_time[own]
+        highest = np.maximum.accumulate(time)
+        known = before[v * PER_VALVE : (v + 1) * PER_VALVE].max()
+        gaps = np.diff(np.maximum(highest, known), prepend=known)
+        k = int(np.argmax(gaps))
+        return Step(v, int(own[k]), SET_FORWARD) if gaps[k] > _SHARE * excess else None
+
+
+def _digest(values: NDArray[np.float64], required: NDArray[np.bool_]) -> NDArray[np.uint64]:
+    """Digest of each sample, (N, SIGNALS), over its required signals."""
+    bits = np.ascontiguousarray(values).view(np.uint64) * _FACTORS
+    bits ^= bits >> np.uint64(29)
+    return np.asarray(np.where(required, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64))
