@@ -25,7 +25,7 @@ from benchmarks.recordings import (
     settled_r2,
 )
 from valvemap.model import recursive_least_squares
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
     Adaptive,
     Directional,
@@ -60,7 +60,7 @@ MAPS = {
         structure=Polynomial(("1", "U", "U^2", "U^3", "U^4", "U^5"))
     ),
     "spline, 8 cells": RecursiveLeastSquares(structure=TensorSpline(U=BREAKS, s=(0.0, 1.0, 2.0))),
-    "Auto": Auto(),
+    "Auto": FlowMap(),
 }
 
 
@@ -110,7 +110,7 @@ def one_step(others: list[str]) -> Figures:
     circuit = measured_data.cooling_circuit()
     X, Q = cooling_circuit_regressors(circuit), circuit.Q
     found = {str(rule): one_step_ahead(circuit, rule) for rule in RULES}
-    _, trace = Auto().update(Auto().initial_state(), circuit)
+    _, trace = FlowMap().update(FlowMap().initial_state(), circuit)
     found["Auto"] = settled_r2(Q, trace.residual)
     for name in (name for name in others if name in peers.FOLLOWERS):
         found[f"{name}, λ = 0.999"] = settled_r2(Q, peers.FOLLOWERS[name](X, Q, 0.999))

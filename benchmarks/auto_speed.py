@@ -19,8 +19,8 @@ from benchmarks.measured_data import Floats
 from benchmarks.speed_page import AUTO
 from valvemap.app.replay import replay
 from valvemap.config.estimators import build_estimator, default_estimators
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator, State
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples
 from valvemap.storage.recordings import RecordingWriter
@@ -58,7 +58,7 @@ def recording(kind: str, seed: int, N: int) -> Samples:
 
 def alone(kind: str, valves: int, N: int) -> Figures:
     """Samples per second of CPU time, while a map is young and afterwards."""
-    auto, spent = Auto(), np.zeros(2)
+    auto, spent = FlowMap(), np.zeros(2)
     for seed in range(valves):
         samples, state = recording(kind, seed, N), auto.initial_state()
         for start in range(0, N, BATCH):

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.measured_data import Floats
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms, TensorSpline
@@ -35,7 +35,7 @@ ESTIMATORS: Final[Mapping[str, Estimator[Any]]] = {
     "RBF": RbfNetwork(),
     "spline, λ = 1": RecursiveLeastSquares(SPLINE, Exponential(1.0)),
     "spline, default": RecursiveLeastSquares(SPLINE, Adaptive()),
-    "Auto": Auto(),
+    "Auto": FlowMap(),
 }
 EXCITATIONS: Final[Mapping[str, tuple[Excitation, int]]] = {
     "scattered": (Scattered(), 6_000),

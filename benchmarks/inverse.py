@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import brentq
 
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import invert
 from valvemap.model.model_structures import TensorSpline
@@ -21,7 +21,7 @@ POINTS, PEER_POINTS, ROUNDS = 100_000, 300, 7
 MAPS = {
     "eq. (7)": RecursiveLeastSquares(),
     "spline, 63 parameters": RecursiveLeastSquares(TensorSpline.uniform(6, 4), Adaptive()),
-    "Auto": Auto(),
+    "Auto": FlowMap(),
 }
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
 from benchmarks.coverage import AUTO
-from valvemap.model.map_shapes import Shape
 
 N: Final = 20_000  # samples
 PAIRS: Final = (  # of U's effect, of the meter, s
@@ -79,5 +78,5 @@ def _learnt(
     said, std = AUTO.predict(state, at.U, at.dp, at.T)
     error = said - valve(at.U, at.dp)
     held = float(np.mean(np.abs(error) <= c.TWO_SIDED_95 * std))
-    loop = 2.0 * Shape.from_array(state.shapes[0]).play
+    loop = 2.0 * AUTO.half_play(state)
     return *AUTO.lags(state), c.rms(error) / c.SIGMA, held, loop

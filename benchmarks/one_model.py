@@ -1,32 +1,27 @@
-"""`FlowMap` beside `Auto`, row by row: ``python -m benchmarks.one_model --seeds N [--only ROW]``.
+"""`Auto`, row by row: ``python -m benchmarks.one_model --seeds N [--only ROW]``.
 
-A line per row and moment: RMSE of the map inside the data in σ, its ratio to `Auto`'s, the share of
-true flows inside the 95 % interval, and the least such share over the quarters of U and of Δp; each
-the mean over the seeds, RMSE the root mean square. *Named* is the share of the causes found,
-*names too many* the number of others, *play off* the error of its width, *delay* the number of
-samples of more than 5 % of the largest flow from a change until it was found. ``--report`` takes
-the seeds that nothing is tuned on. `Auto`'s figures are kept in benchmarks/results/one_model.json.
+A line per row and moment: RMSE of the map inside the data in σ, the share of true flows inside the
+95 % interval, and the least such share over the quarters of U and of Δp; each the mean over the
+seeds, RMSE the root mean square. *Named* is the share of the causes found, *names too many* the
+number of others, *play off* the error of its width, *delay* the number of samples of more than 5 %
+of the largest flow from a change until it was found. ``--report`` takes the seeds that nothing is
+tuned on.
 """
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from benchmarks import circumstances as c
-from benchmarks import results_file
 from benchmarks.one_model_rows import ROWS, Row, inside
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import FlowMapState
 
-RESULTS: Final = Path(__file__).parent / "results" / "one_model.json"
 REPORT: Final = 97_000  # the first seed of those that nothing is tuned on
 
 Figures = dict[str, list[float]]
@@ -83,21 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--only", default="")
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
-    parser.add_argument("--auto", action="store_true", help="measure Auto alone")
-    parser.add_argument("--alone", action="store_true", help="measure FlowMap alone")
     wanted = parser.parse_args(arguments)
     first = REPORT if wanted.report else 0
-    kept = json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else {}
-    ratios = []
     for name in (name for name in ROWS if wanted.only in name):
         seeds = range(first, first + wanted.seeds)
-        of_auto = [] if wanted.alone else [_of_auto(kept, name, seed) for seed in seeds]
-        if wanted.auto:
-            continue
         ours = [measured(_ours(ROWS[name](seed)), ROWS[name](seed)) for seed in seeds]
-        ratios += [_line(name, k, ours, of_auto) for k in range(len(ours[0]["rmse"]))]
-    if ratios and not wanted.alone:
-        print(f"geometric mean of the ratios {np.exp(np.mean(np.log(ratios))):.2f}")
+        for k in range(len(ours[0]["rmse"])):
+            print(_line(name, k, ours), flush=True)
     return 0
 
 
@@ -105,15 +92,7 @@ def _ours(row: Row) -> FlowMap:
     return FlowMap(U_range=row.U_range, dp_range=row.dp_range)
 
 
-def _of_auto(kept: dict[str, Any], name: str, seed: int) -> Figures:
-    of: dict[str, Figures] = kept.setdefault(name, {})
-    if str(seed) not in of:
-        of[str(seed)] = measured(Auto(), ROWS[name](seed))
-        results_file.keep(RESULTS, kept)
-    return of[str(seed)]
-
-
-def _line(name: str, k: int, ours: Sequence[Figures], of_auto: Sequence[Figures]) -> float:
+def _line(name: str, k: int, ours: Sequence[Figures]) -> str:
     one = _at(ours, k)
     text = (
         f"{name} [{k}]: {c.rms(one['rmse']):.3f} σ, held {one['held'].mean():.3f} "
@@ -124,16 +103,7 @@ def _line(name: str, k: int, ours: Sequence[Figures], of_auto: Sequence[Figures]
     for what, unit in (("play off", "%"), ("delay", "samples")):
         if np.isfinite(one[what]).any():
             text += f", {what} {np.nanmean(one[what]):.2f} {unit}"
-    ratio = np.nan
-    if of_auto:
-        auto = _at(of_auto, k)
-        ratio = c.rms(one["rmse"]) / c.rms(auto["rmse"])
-        text += (
-            f" | Auto {c.rms(auto['rmse']):.3f} σ, held {auto['held'].mean():.3f}, "
-            f"{auto['us'].mean():.1f} µs | ratio {ratio:.2f}"
-        )
-    print(text, flush=True)
-    return float(ratio)
+    return text
 
 
 def _at(found: Sequence[Figures], k: int) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from paper.evidence import Evidence
 from paper.learning import error_of, learnt
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.model_structures import TensorSpline
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 
@@ -31,7 +31,7 @@ def what_closes_the_open_points(evidence: Evidence) -> str:
     """Return the errors of maps with temperature and with hysteresis on the same recordings."""
     data = evidence.data
     warm = RecursiveLeastSquares(TensorSpline.uniform(T=(20.0, 40.0, 60.0)))
-    auto = Auto()
+    auto = FlowMap()
     _, trace = auto.update(learnt(auto, data.hysteretic), data.hysteretic)
     left = float(np.sqrt(np.nanmean(trace.residual**2)))
     return (

@@ -49,17 +49,17 @@ def asks(tree, classes):
 
 
 def test_the_search_finds_the_estimators_and_every_form_of_the_question():
-    assert {"RecursiveLeastSquares", "Auto", "RbfNetwork"} <= concrete_estimators()
+    assert {"RecursiveLeastSquares", "FlowMap", "RbfNetwork"} <= concrete_estimators()
     forms = [
-        "isinstance(x, Auto)",
-        "isinstance(x, int | model.Auto)",
-        "isinstance(x, (str, Auto))",
-        "match x:\n    case str() | Auto(): pass",
-        "type(x) is Auto",
+        "isinstance(x, FlowMap)",
+        "isinstance(x, int | model.FlowMap)",
+        "isinstance(x, (str, FlowMap))",
+        "match x:\n    case str() | FlowMap(): pass",
+        "type(x) is FlowMap",
     ]
     for form in forms:
-        assert list(asks(ast.parse(form), {"Auto"})), form
-    assert not list(asks(ast.parse("Auto(); isinstance(x, Other)"), {"Auto"}))
+        assert list(asks(ast.parse(form), {"FlowMap"})), form
+    assert not list(asks(ast.parse("FlowMap(); isinstance(x, Other)"), {"FlowMap"}))
 
 
 @pytest.mark.parametrize("room", sorted(p.name for p in SERVICE.iterdir() if p != MODEL))

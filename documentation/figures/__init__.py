@@ -15,7 +15,6 @@ FIGURES: Final[dict[str, Callable[[], Figure]]] = {
     "inverse_map": answers.inverse_map,
     "model_structures": estimators.model_structures,
     "models": answers.models,
-    "one_model": estimators.one_model,
     "rbf_network": estimators.rbf_network,
     "recommendation": use.recommendation,
     "recursive_least_squares": estimators.recursive_least_squares,

@@ -17,9 +17,9 @@ from documentation.figures.canvas import (
     panels,
 )
 from valvemap.model import recursive_least_squares as rls_of_rows
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
 from valvemap.model.extrapolation import trusted
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
 from valvemap.model.lookup_table import lookup_table
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
@@ -68,7 +68,7 @@ def extrapolation() -> Figure:
 
 def inverse_map() -> Figure:
     """Draw U over the flow at four pressure drops, its interval and the reach."""
-    auto = Auto()
+    auto = FlowMap()
     state, support = learnt(auto, valves.scattered(6_000, valves.dead_band))
     figure, (left, right) = panels()
     for color, dp in zip(CURVES, (10.0, 40.0, 100.0, 180.0), strict=True):
@@ -99,7 +99,7 @@ def inverse_map() -> Figure:
 
 def models() -> Figure:
     """Draw the points of an exported table, and the error of interpolation between them."""
-    auto = Auto()
+    auto = FlowMap()
     state, _ = learnt(auto, valves.scattered(4_000, valves.dead_band))
     table = lookup_table(auto, state)
     figure, (left, right) = panels()

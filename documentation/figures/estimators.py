@@ -19,7 +19,6 @@ from documentation.figures.canvas import (
 )
 from valvemap.model import recursive_least_squares as rls_of_rows
 from valvemap.model import recursive_maximum_likelihood as rml_of_rows
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential, Forgetting
@@ -154,7 +153,7 @@ def auto() -> Figure:
     figure, (left, right) = panels()
     names: dict[str, Estimator[Any]] = {
         "eq. (7), RLS": RecursiveLeastSquares(forgetting=Adaptive()),
-        "Auto": Auto(),
+        "Auto": FlowMap(),
     }
     for color, (name, estimator) in zip((SECOND, FIRST), names.items(), strict=True):
         state, errors, n = estimator.initial_state(), [], np.arange(200, len(samples) + 1, 200)
@@ -176,25 +175,5 @@ def auto() -> Figure:
     right.annotate(" −20 % flow", (60.0, right.get_ylim()[1]), va="top")
     label(left, "Maps after 60 s of sweeps", U_LABEL, Q_LABEL)
     label(right, "Error of the whole map", "time, s", "RMSE of the map, l/min")
-    legend(left, "upper left")
-    return figure
-
-
-def one_model() -> Figure:
-    """Draw the map of FlowMap, and its error with the 95 % interval."""
-    samples = valves.scattered(3_000, valves.dead_band)
-    model = FlowMap()
-    state, _ = model.update(model.initial_state(), samples)
-    figure, (left, right) = panels()
-    for k, dp in enumerate((20.0, 80.0, 180.0)):
-        drop = np.full_like(U, dp)
-        true = valves.dead_band(U, drop)
-        Q, std = model.predict(state, U, drop, valves.warm(U))
-        left.plot(U, Q, color=CURVES[k], label=f"Δp = {dp:.0f} bar")
-        left.plot(U, true, "--", color=TRUTH, label="valve" if dp == 180.0 else None, linewidth=0.9)
-        right.plot(U, Q - true, color=CURVES[k])
-        right.fill_between(U, -1.96 * std, 1.96 * std, color=CURVES[k], alpha=0.2, linewidth=0)
-    label(left, "Map of 3,000 scattered samples", U_LABEL, Q_LABEL)
-    label(right, "Its error, and its 95 % interval (shaded)", U_LABEL, ERROR_LABEL)
     legend(left, "upper left")
     return figure

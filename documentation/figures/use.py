@@ -16,8 +16,8 @@ from documentation.figures.canvas import (
     legend,
     panels,
 )
-from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Exponential
 from valvemap.model.inverse_map import invert
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
@@ -32,7 +32,7 @@ def recommendation() -> Figure:
     names: dict[str, Estimator[Any]] = {
         "RLS, λ = 0.95": RecursiveLeastSquares(forgetting=Exponential(0.95)),
         "RLS, λ = 1": RecursiveLeastSquares(),
-        "Auto": Auto(),
+        "Auto": FlowMap(),
     }
     samples = valves.sweeps(12_000, valves.s_shape)
     states = [estimator.initial_state() for estimator in names.values()]
@@ -95,7 +95,7 @@ def feedforward() -> Figure:
     left.plot(t, demand, "--", color=TRUTH, label="demand")
     rng = np.random.default_rng(6)
     for color, name, learns in ((SECOND, "fixed map", False), (FIRST, "Auto, learning", True)):
-        auto = Auto(lag_U=0.0, lag_Q=0.0)
+        auto = FlowMap()
         state, _ = auto.update(auto.initial_state(), commissioning)
         flow = np.empty(N)
         for begun in range(0, N, 10):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.samples import Samples
 
 SIGMA, FS = 0.4, 100.0
@@ -51,7 +51,7 @@ def drift(n, per_hour=-0.15):
 
 def covered(kind, seeds, n=20_000):
     """Share of true flows inside the data within their 95 % intervals, and the map's RMSE, σ."""
-    auto, within, errors = Auto(), [], []
+    auto, within, errors = FlowMap(), [], []
     for seed in seeds:
         factor = drift(n) if kind == "drift" else np.ones(n)
         samples = cycle(seed, n, rho=0.95 if kind == "coloured" else 0.0, factor=factor)
@@ -85,7 +85,7 @@ def test_the_true_flow_is_covered_on_forty_cycles(kind):
 @pytest.mark.parametrize("seed", range(3))
 def test_damage_is_found_soon_after_flow_passes(seed):
     n, at = 13_500, 12_000
-    auto, samples = Auto(), cycle(40 + seed, n, factor=1 - 0.1 * (np.arange(n) >= at))
+    auto, samples = FlowMap(), cycle(40 + seed, n, factor=1 - 0.1 * (np.arange(n) >= at))
     state, _ = auto.update(auto.initial_state(), samples[:at])
     assert auto.change_counts(state) == 0
     flowing = np.cumsum(bent(samples.U, samples.dp)[at:] * 0.9 > 10.0)
@@ -107,7 +107,7 @@ HEALTHY = {
 
 def alarms(kind, seed, n):
     how = {name: x(n) if name in {"T", "factor"} else x for name, x in HEALTHY[kind].items()}
-    auto = Auto()
+    auto = FlowMap()
     state, _ = auto.update(auto.initial_state(), cycle(seed, n, **how))
     return int(auto.change_counts(state))
 

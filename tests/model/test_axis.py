@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from valvemap.model.axis import EDGES, AxisGeometry, AxisRegression, AxisSamples, fit
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, fit
 from valvemap.model.axis_search import fitted, identify
+from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus
 from valvemap_rig.directional import DirectionalValve, true_edge_flow
 from valvemap_rig.machine import Cylinder, Machine

@@ -10,10 +10,11 @@ import pytest
 
 from support.structured_text import FunctionBlock
 from valvemap.errors import ConfigurationError
-from valvemap.model.axis import EDGES, AxisFit, AxisGeometry, AxisRegression
+from valvemap.model.axis import AxisFit, AxisGeometry, AxisRegression
 from valvemap.model.axis_inverse import axis_table, invert, line_weights
 from valvemap.storage.axis_tables import axis_block, checksum, write_axis_table
 from valvemap.storage.lookup_tables import literal
+from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import InverseStatus
 from valvemap_rig.directional import DirectionalValve, true_edge_flow
 

@@ -8,9 +8,10 @@ import pytest
 from valvemap.model.fleet import members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
+from valvemap.model.inverse_map import _search
 from valvemap.model.kernels import flow_memory
 from valvemap.model.samples import Samples
-from valvemap.vocabulary.statuses import Adaptation, Status
+from valvemap.vocabulary.statuses import Adaptation, InverseStatus, Status
 
 SIGMA = 0.4
 
@@ -240,3 +241,28 @@ def test_fits_are_due_by_the_count_of_samples():
     U, dp = scattered(12, 500)
     state, _ = learnt(U, dp, bent(U, dp))
     assert 500 < state.counters[flow_memory.NEXT_FIT] <= 600
+
+
+@pytest.mark.parametrize("low", [0.0, -100.0])
+def test_its_exact_inverse_is_what_a_search_finds(low):
+    rng, N = np.random.default_rng(1), 4000
+    flow_map = FlowMap(U_range=(low, 100.0))
+    U, dp, T = rng.uniform(low, 100, N), rng.uniform(1, 200, N), np.linspace(30, 50, N)
+    opened = np.where(U > 0, 2.6 * np.maximum(U - 8, 0), 2.0 * np.minimum(U + 3, 0))
+    Q = opened * np.sqrt(dp / 200) * (1 + 0.002 * (T - 40)) + SIGMA * rng.normal(size=N)
+    t = 10_000_000 * np.arange(N)
+    samples = Samples.of(t, U, dp, 0 * dp, Q, T)
+    state, _ = flow_map.update(flow_map.initial_state(), samples)
+    state.now[:, 0, :2] = (0.02, 0.7), (0.02, -0.4)  # gain and edge moved
+    Q, dp, T = rng.uniform(-250, 280, 500), rng.uniform(-50, 200, 500), rng.uniform(25, 60, 500)
+    with np.errstate(all="ignore"):
+        found, searched = flow_map.inverted(state, Q, dp, T), _search(flow_map, state, Q, dp, T)
+    np.testing.assert_array_equal(found[3], searched.status)
+    assert np.bincount(found[3]).min() > 10
+    ok = found[3] == InverseStatus.OK
+    np.testing.assert_allclose(found[0][ok], searched.U[ok], rtol=0.0, atol=1e-8)
+    steep = np.isfinite(searched.unclipped) & (searched.slope > 0.1)
+    np.testing.assert_allclose(found[1][steep], searched.unclipped[steep], rtol=1e-4)
+    forward, _ = flow_map.predict(state, found[0][ok], dp[ok], T[ok])
+    across = found[0][ok] == 0.0  # where the gains of both sides make the flow jump
+    np.testing.assert_allclose(forward[~across], Q[ok][~across], rtol=0.0, atol=1e-9)

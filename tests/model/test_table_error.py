@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap, LinearMapState
 from valvemap.model.lookup_table import lookup_table
@@ -25,7 +24,6 @@ ESTIMATORS = {
         TensorSpline((0, 30, 100), (0, 7, 15), (), 8.0, 91.0, at_rest="zero")
     ),
     "rising": Monotone(RecursiveLeastSquares(TensorSpline.uniform(6, 4))),
-    "auto": FlowMap(),
 }
 POINTS = 1_000_000
 N = 5000
@@ -83,7 +81,7 @@ def test_it_holds_for_any_polynomial_and_any_grid(parts, points, dp_min):
     assert error_Q <= table.error_Q
 
 
-@pytest.mark.parametrize("name", ["eq. (7)", "kinked spline", "auto"])
+@pytest.mark.parametrize("name", ["eq. (7)", "kinked spline"])
 def test_pieces_bound_the_map_and_its_slopes(name):
     estimator = ESTIMATORS[name]
     state = learnt(estimator)

@@ -381,7 +381,7 @@ def result_in_words(run: CommissionRun, files: RunFiles, valve: str) -> list[str
             f"{learnt.drops[0]:.0f} … {learnt.drops[1]:.0f} bar, which were seen"
         )
     lines.append(
-        f"recording  {files.recording}: `valvemap sheet {files.recording}` prints its sheet"
+        f"recording  {files.recording}: `valvemap replay {files.recording}` learns it"
     )
     lines.append(f"audit      {files.audit}")
     return lines

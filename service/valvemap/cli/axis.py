@@ -90,7 +90,7 @@ def axis(
 
 
 def _show(name: str, found: "AxisFit", left_out: dict[str, int]) -> None:
-    from valvemap.model.axis import EDGES
+    from valvemap.vocabulary.edges import EDGES
 
     table = Table(title=f"{name}: flow in l/min at {_RATED_BAR:g} bar over the edge")
     for heading in ("U, %", *EDGES):
@@ -115,8 +115,8 @@ def _show(name: str, found: "AxisFit", left_out: dict[str, int]) -> None:
 
 def _as_json(result: "AxisResult") -> dict[str, Any]:
     """Return what --json writes of an axis."""
-    from valvemap.model.axis import EDGES
     from valvemap.model.axis_inverse import axis_table
+    from valvemap.vocabulary.edges import EDGES
 
     told: dict[str, Any] = {
         "status": result.status.name,

@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike
 from valvemap.model.kernels import axis_rows as kernel
 from valvemap.model.kernels.flow_basis import axis as spline_axis
 from valvemap.model.samples import Codes, Floats, Times
+from valvemap.vocabulary.edges import EDGES
 
-EDGES: Final = ("PA", "AT", "PB", "BT")
 BREAKS: Final = np.array([0.0, *range(2, 14, 2), *range(15, 31, 3), *range(35, 101, 5)])
 """Breaks of the spool's position, %: fine where the edges open."""
 KNOTS: Final = len(BREAKS) + 2  # spline functions, and the departure from √Δp
@@ -37,7 +37,7 @@ _SETTLING_S: Final = 0.1  # s; after a gap, until the spool's course is known ag
 _BLOCK_S: Final = 1.0  # s; of the block sums that tell how far residuals hang together
 _ROW_S: Final = 0.04  # s; from row to row: a fraction of the filter's time
 _LONGEST: Final = 2.5  # sampling periods; a longer interval is a gap
-_CORNER: Final = 0.03  # share of the third difference; tuned on simulated axes
+_CORNER: Final = 0.015  # share of the third difference; tuned on simulated axes
 _ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 0.7 to 0.9 tried
 _LEAST_VARIANCE: Final = 1e-10  # (l/min)²
 _COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE = 10.0, 20.0, 1.0  # prior, in the coefficients' units

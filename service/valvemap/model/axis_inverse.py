@@ -18,9 +18,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valvemap.model.axis import EDGES, AxisFit, AxisGeometry
+from valvemap.model.axis import AxisFit, AxisGeometry
 from valvemap.model.kernels.axis_rows import ROOT
 from valvemap.model.samples import Codes, Flags, Floats
+from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import InverseStatus
 
 STEP_PERCENT: Final = 0.5  # of the table over the spool's position

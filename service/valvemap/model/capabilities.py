@@ -14,6 +14,7 @@ diagnostics and files by having the methods.
 | `Restarts` | may restart their map |
 | `ChoosesStructure` | select the structure of the map from the samples |
 | `PathDependent` | have hysteresis |
+| `Invertible` | have an exact inverse of their own |
 | `ResidualStd` | take their standard deviation from the residuals |
 | `FindsCauses` | weigh causes of what the samples show |
 | `Portable` | can write their map to a file |
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, runtim
 
 from valvemap.model.change import Change
 from valvemap.model.model_structures import Structure
-from valvemap.model.samples import Floats, Times
+from valvemap.model.samples import Codes, Floats, Times
 from valvemap.vocabulary.findings import Finding
 
 if TYPE_CHECKING:
@@ -155,6 +156,20 @@ class PathDependent(Protocol):
 
     def approached(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401
         """U (N,) that moves the valve from its present position to the one that ``U`` holds."""
+
+
+@runtime_checkable
+class Invertible(Protocol):
+    """An estimator with an exact inverse of its own."""
+
+    def inverted(
+        self,
+        state: Any,  # noqa: ANN401
+        Q: Floats,
+        dp: Floats,
+        T: Floats,
+    ) -> tuple[Floats, Floats, Floats, Codes]:
+        """Return U, U without its bounds, dQ/dU and the `InverseStatus`, all (N,)."""
 
 
 @runtime_checkable

@@ -121,6 +121,12 @@ class FlowMap:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
         return flow_map_looks.predict(state, axes(self.U_range, self.dp_range), U, dp, T)
 
+    def inverted(
+        self, state: FlowMapState, Q: Floats, dp: Floats, T: Floats
+    ) -> tuple[Floats, Floats, Floats, Codes]:
+        """U in the middle of the play, U without its bounds, dQ/dU and status, all (N,)."""
+        return flow_map_looks.invert(state, axes(self.U_range, self.dp_range), Q, dp, T)
+
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
         """Flows and physical quantities, see `flow_parameters`, and their standard deviations."""
         return flow_parameters.parameters(state, axes(self.U_range, self.dp_range))
@@ -202,7 +208,7 @@ class FlowMap:
         return [flow_words.describe(member(states, int(m))) for m in chosen]
 
     def structure_now(self, state: FlowMapState) -> Structure | None:
-        """Eq. (7), where it is as good as certain; None for a map known only where samples were."""
+        """Eq. (7), where it is likelier than not; None for a map known only where samples were."""
         return FiveTerms() if flow_words.is_plain(state) else None
 
     def lags(self, state: FlowMapState) -> tuple[float, float]:

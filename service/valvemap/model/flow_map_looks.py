@@ -12,6 +12,7 @@ from valvemap.model.kernels import (
     flow_cells,
     flow_drift,
     flow_fit,
+    flow_inverse,
     flow_look,
     flow_memory,
     flow_path,
@@ -21,7 +22,7 @@ from valvemap.model.kernels import (
 )
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis
-from valvemap.model.samples import Floats, Times
+from valvemap.model.samples import Codes, Floats, Times
 
 NANOSECONDS: Final = 1e9
 NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
@@ -68,6 +69,18 @@ def predict(
     Q, std = np.empty((2, len(U)))
     flow_look.evaluate(*both, bare_memory(state), U, dp, T, Q, std, new_room())
     return Q, std
+
+
+def invert(
+    state: FlowMapState, both: Both, Q: Floats, dp: Floats, T: Floats
+) -> tuple[Floats, Floats, Floats, Codes]:
+    """U, U without its bounds, dQ/dU and status, all (N,), see `kernels.flow_inverse`."""
+    U, unclipped, slope = np.empty((3, len(Q)))
+    status = np.empty(len(Q), np.uint8)
+    flow_inverse.invert(
+        *both, bare_memory(state), Q, dp, T, U, unclipped, slope, status, new_room()
+    )
+    return U, unclipped, slope, status
 
 
 def bare_memory(state: FlowMapState) -> flow_memory.Memory:

@@ -34,8 +34,8 @@ OPERATORS: Final = {
 
 
 def is_plain(state: FlowMapState) -> bool:
-    """Whether the map is that of eq. (7), as good as certainly."""
-    return bool(state.counters[memory.FITTED] and state.scalars[fits.PLAIN] > rules.CERTAIN)
+    """Whether the map is likelier than not that of eq. (7)."""
+    return bool(state.counters[memory.FITTED] and state.scalars[fits.PLAIN] > rules.WORTH_SAYING)
 
 
 def describe(state: FlowMapState) -> str:

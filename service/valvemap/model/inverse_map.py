@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valvemap.model.capabilities import PathDependent
+from valvemap.model.capabilities import Invertible, PathDependent
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.extrapolation import U_range_of, is_eq7, trusted
 from valvemap.model.inversion import Inversion
@@ -89,6 +89,8 @@ def invert(
                 theta = structure.coefficients(_theta_of(estimator, state, structure))
                 nodes = np.array(structure.T, np.float64)
                 found = _invert_spline(*structure.knots, nodes, theta, demand, drop, temperature)
+            case _ if isinstance(estimator, Invertible):
+                found = _Found(*estimator.inverted(state, demand, drop, temperature))
             case _:
                 found = _search(estimator, state, demand, drop, temperature)
         if isinstance(estimator, PathDependent):

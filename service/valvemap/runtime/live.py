@@ -318,10 +318,10 @@ class LiveService:
         ages, limit = self._ages(), self._settings.stale_after_s
         silent = self.identification.holds() & self._connected  # on-change signals at rest
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
-        await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         silent_now = np.flatnonzero(stale)
         overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
         self._note_new(overdue)
+        await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         await self._doubt_old(ages)
 
     async def _doubt_old(self, ages: Floats) -> None:

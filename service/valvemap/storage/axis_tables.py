@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 
 from valvemap.errors import ConfigurationError
-from valvemap.model.axis import EDGES
 from valvemap.model.axis_inverse import HALVES, AxisTable
 from valvemap.model.kernels.axis_rows import ROOT
 from valvemap.owned_files import write_whole
 from valvemap.storage.lookup_tables import FINITE, STATUSES, c_numbers, in_a_comment, literal
+from valvemap.vocabulary.edges import EDGES
 
 _SUFFIX: Final = ".st"
 _DIGITS: Final = 12  # of a literal

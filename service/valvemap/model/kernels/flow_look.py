@@ -63,7 +63,7 @@ def look(
     at[OF + drifts.GAIN] = flow
     at[SLOPE] = gain * slope
     at[OF + drifts.EDGE] = -gain * slope * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
-    _warm(axis_s, memory, flow, thinner, at)
+    by_temperature(axis_s, memory, flow, thinner, at)
     for k in range(drifts.RATES, drifts.STATES):
         at[WARM] += at[OF + k] * now[0, k]
     at[FLOW] = gain * flow + at[WARM]
@@ -76,7 +76,7 @@ def look(
 
 
 @inner
-def _warm(axis_s: Axis, memory: Memory, flow: float, thinner: float, at: Floats) -> None:
+def by_temperature(axis_s: Axis, memory: Memory, flow: float, thinner: float, at: Floats) -> None:
     """Derivatives by the effects of T: gain, laminar flow by √ν and ν, leakage by 1/ν."""
     top, s = axis_s.breaks[-1], at[PLACE_S]
     laminar = rules.STRONG * flow * rules.LAMINAR * top / (abs(s) + rules.LAMINAR * top)
@@ -100,7 +100,7 @@ def _law(axis_s: Axis, memory: Memory, side: int, T: float, at: Floats) -> float
     flow, warm, asked = at[OF + drifts.GAIN], at[WARM], 0.0
     for k in range(drifts.RATES, drifts.STATES):
         at[FLOWS + k] = at[OF + k]
-    _warm(axis_s, memory, flow, viscosity(memory, now), at)
+    by_temperature(axis_s, memory, flow, viscosity(memory, now), at)
     for k in range(drifts.RATES, drifts.STATES):
         step = (at[FLOWS + k] - at[OF + k]) * rules.OTHER_LAW * memory.now[side, 0, k]
         asked += step * step * abs(T - now)

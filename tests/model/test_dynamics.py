@@ -1,0 +1,87 @@
+"""Dynamics of spool and meter: recovered from steps, refused where nothing tells them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from valvemap.model.dynamics import Dynamics, fit_dynamics
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Status
+
+FINE, F, ZETA, LAG, SIGMA = 100, 12.0, 0.7, 0.02, 0.1
+
+
+def stepped(seconds=12.0, rate=100, seed=0):
+    """Steps of U behind a spool without a slew limit, and a meter; flow 0.1·x·√Δp."""
+    rng = np.random.default_rng(seed)
+    N, h = round(seconds * rate), 1.0 / (rate * FINE)
+    U = np.repeat(rng.uniform(5.0, 95.0, N // 25 + 1), 25)[:N]
+    dp = 60.0 + 40.0 * np.sin(np.arange(N) / rate)
+    w, x, v, y, Q = 2 * math.pi * F, U[0], 0.0, 0.1 * U[0] * math.sqrt(dp[0]), np.empty(N)
+    for k in range(N):
+        Q[k] = y
+        for i in range(FINE):
+            s = math.sqrt(60.0 + 40.0 * math.sin(k / rate + i * h))
+            v += h * (w * w * (U[k] - x) - 2 * ZETA * w * v)
+            x += h * v
+            y += h / LAG * (0.1 * x * s - y)
+    Q += rng.normal(0.0, SIGMA, N)
+    return Samples.of(np.arange(N) * (10**9 // rate), U, dp, 0 * U, Q)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """One fit for all checks, 3 s of processor time: five numbers are searched for."""
+    return fit_dynamics(stepped())
+
+
+def test_frequency_damping_and_meter_lag_are_found_within_their_intervals(found):
+    assert isinstance(found, Dynamics)
+    for one, truth, near in (
+        (found.natural_frequency, F, 0.03 * F),
+        (found.damping, ZETA, 0.05),
+        (found.meter_lag, LAG, 0.002),
+    ):
+        assert one.status is Status.OK
+        assert abs(one.value - truth) < near
+        assert abs(one.value - truth) < 4.0 * one.std + 0.01 * truth
+
+
+def test_a_slew_limit_that_is_never_reached_is_not_excited(found):
+    assert found.slew.status is Status.UNEXCITED
+    assert math.isnan(found.slew.value)
+
+
+def test_the_static_map_is_found_behind_the_dynamics(found):
+    U, dp = np.array([20.0, 50.0, 80.0]), np.array([40.0, 60.0, 90.0])
+    assert found.flow(U, dp) == pytest.approx(0.1 * U * np.sqrt(dp), abs=0.3)
+
+
+def test_t90_is_that_of_the_step_response(found):
+    w, damped = 2 * math.pi * F, 2 * math.pi * F * math.sqrt(1 - ZETA**2)
+    t = np.linspace(0.0, 0.2, 20_001)
+    x = 1 - np.exp(-ZETA * w * t) * (np.cos(damped * t) + ZETA * w / damped * np.sin(damped * t))
+    assert found.T90.value == pytest.approx(t[np.argmax(x >= 0.9)], abs=1e-3)
+    times, travel = found.step_response()
+    assert travel[-1] == pytest.approx(found.step_percent, rel=0.01)
+    assert np.all(np.diff(times) > 0)
+
+
+@pytest.mark.parametrize(
+    ("samples", "why"),
+    [
+        (stepped(2.0), "too few"),
+        (stepped(100.0, rate=10), "too seldom"),
+    ],
+)
+def test_what_cannot_tell_is_refused_with_a_sentence(samples, why):
+    assert why in str(fit_dynamics(samples))
+
+
+def test_a_valve_at_rest_is_refused():
+    N = 2_000
+    still = Samples.of(
+        np.arange(N) * 10**7, np.full(N, 30.0), np.full(N, 60.0), np.zeros(N), np.ones(N)
+    )
+    assert "U does not move" in str(fit_dynamics(still))
