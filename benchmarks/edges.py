@@ -24,10 +24,13 @@ from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
 from valvemap.vocabulary.edges import Edge
 from valvemap.vocabulary.statuses import InverseStatus
+from valvemap_rig.directional import true_edge_flow
+from valvemap_rig.scenario import load_scenario
+from valvemap_rig.simulation import advance, initial
 
 REPORT: Final = 97_000
 RATE_HZ: Final = 100.0
-ESTIMATOR: Final = "FlowMap"
+ESTIMATOR: Final = "Auto"
 NODES: Final = ("U", "pP", "pT", "pA", "pB", "QA", "QB", "T")
 TOML: Final = "[[valves]]\nname = 'V'\n[valves.ports]\n{}\n[[valves.estimators]]\nkind = '{}'\n"
 
@@ -100,6 +103,33 @@ def accuracy(seed: int) -> Iterator[str]:
             c, std = lane.estimator.parameters(lane.state)
             lost.append(f"{c[0] / valve.leakage - 1.0:+.1%} ± {std[0] / valve.leakage:.1%}")
         yield f"{end} s: {said}; leakage {', '.join(lost)}"
+        begin = end
+
+
+def rig(seed: int) -> Iterator[str]:
+    """The same on the virtual rig's scenario `directional`, whose meters have the same noise."""
+    scenario = load_scenario("directional").model_copy(update={"seed": seed})
+    (machine,) = scenario.machines
+    _, block = advance(scenario, initial(scenario, 0), round(600.0 * scenario.sample_rate_hz))
+    shown = block.machines[machine.name].shown
+    rows = {name: shown[name] for name in NODES} | {"t": block.machines[machine.name].t * 1e-9}
+    config = config_of()
+    identification, begin = build_identification(config), 0
+    for end in (200, 600):
+        some = {name: x[round(begin * RATE_HZ) : round(end * RATE_HZ)] for name, x in rows.items()}
+        feed(identification, config, some, 0.0)
+        said = []
+        for edge in Edge:
+            lane = identification.lane(f"V.{edge}", ESTIMATOR)
+            U, dp = cells({name: x[: round(end * RATE_HZ)] for name, x in rows.items()}, edge)
+            Q, std, _ = valve_state.predicted(lane, U, dp, np.full(len(U), 40.0))
+            error = Q - true_edge_flow(machine.valve, edge.name, U, dp)  # type: ignore[arg-type]
+            rmse, held = np.sqrt(np.mean(error**2)) / plant.SIGMA, np.abs(error) <= 1.96 * std
+            said.append(f"{edge} {rmse:.2f} σ ({held.mean():.2f})")
+        lanes = [identification.lane(f"V.Line{line}", "Leak") for line in "AB"]
+        lost = [lane.estimator.parameters(lane.state)[0][0] for lane in lanes]
+        shares = [c / machine.valve.leakage_l_min_bar - 1.0 for c in lost]
+        yield f"{end} s: {', '.join(said)}; leakage {', '.join(f'{x:+.1%}' for x in shares)}"
         begin = end
 
 
@@ -194,6 +224,7 @@ def _single(config: Config) -> Config:
 
 ROWS: Final[dict[str, Callable[[int], Iterator[str]]]] = {
     "accuracy": accuracy,
+    "rig": rig,
     "change": change,
     "inverse": inverse,
     "speed": speed,

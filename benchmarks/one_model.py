@@ -3,8 +3,9 @@
 A line per row and moment: RMSE of the map inside the data in σ, its ratio to `Auto`'s, the share of
 true flows inside the 95 % interval, and the least such share over the quarters of U and of Δp; each
 the mean over the seeds, RMSE the root mean square. *Named* is the share of the causes found,
-*names too many* the number of others. ``--report`` takes the seeds that nothing is
-tuned on. `Auto`'s figures are kept in benchmarks/results/one_model.json.
+*names too many* the number of others, *play off* the error of its width, *delay* the number of
+samples of more than 5 % of the largest flow from a change until it was found. ``--report`` takes
+the seeds that nothing is tuned on. `Auto`'s figures are kept in benchmarks/results/one_model.json.
 """
 
 import argparse
@@ -23,6 +24,7 @@ from benchmarks.one_model_rows import ROWS, Row, inside
 from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
+from valvemap.model.flow_map_state import FlowMapState
 
 RESULTS: Final = Path(__file__).parent / "results" / "one_model.json"
 REPORT: Final = 97_000  # the first seed of those that nothing is tuned on
@@ -34,7 +36,7 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
     """Error, share held, least share of a quarter, after each of the row's moments; µs a sample."""
     state, start, spent = estimator.initial_state(), 0, 0.0
     found: Figures = {"rmse": [], "held": [], "least": [], "width": [], "us": []}
-    found |= {"named": [], "misnamed": []}
+    found |= {"named": [], "misnamed": [], "play off": [], "delay": []}
     for end, truth in zip(row.ends, row.truths, strict=True):
         began = time.process_time()
         state, _ = estimator.update(state, row.samples[start:end])
@@ -55,7 +57,18 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
             codes = {one.code for one in estimator.findings(state)}
             found["named"].append(len(codes & row.causes) / max(len(row.causes), 1))
             found["misnamed"].append(float(len(codes - row.causes)))
+            found["play off"].append(abs(estimator.play(state) - row.play))
+            found["delay"].append(_delay(estimator, state, row))
     return found
+
+
+def _delay(estimator: FlowMap, state: FlowMapState, row: Row) -> float:
+    """Samples of a flow that tells something from the change until it was found."""
+    change = estimator.last_change(state)
+    if row.changed < 0 or change is None or change.sample < row.changed:
+        return np.nan
+    Q = np.abs(row.samples.Q)
+    return float(np.count_nonzero(Q[row.changed : change.sample] > 0.05 * Q.max()))
 
 
 def _quarters(x):
@@ -108,6 +121,9 @@ def _line(name: str, k: int, ours: Sequence[Figures], of_auto: Sequence[Figures]
         f"{one['us'].mean():.1f} µs, named {one['named'].mean():.2f}, "
         f"names too many {one['misnamed'].mean():.2f}"
     )
+    for what, unit in (("play off", "%"), ("delay", "samples")):
+        if np.isfinite(one[what]).any():
+            text += f", {what} {np.nanmean(one[what]):.2f} {unit}"
     ratio = np.nan
     if of_auto:
         auto = _at(of_auto, k)

@@ -41,6 +41,10 @@ class Row:
         Only smaller flows are asked, l/min.
     causes
         That there are.
+    play
+        Between U and the spool, %.
+    changed
+        Sample from which on the valve is another one, -1: never.
     """
 
     samples: Samples
@@ -52,6 +56,8 @@ class Row:
     sigma: float = c.SIGMA
     below: float = np.inf
     causes: frozenset[FindingCode] = frozenset()
+    play: float = np.nan
+    changed: int = -1
 
 
 def both_ways(U, dp, lap=(3.0, 5.0), gain=(14.0, 9.0)):
@@ -177,7 +183,8 @@ def damaged(name, seed, at=10_000, size=-0.1):
     Q = valve(U, dp) * (1.0 + size * (np.arange(N) >= at)) + c.white(seed, N)
     now = partial(_times, valve, 1.0 + size)
     causes = frozenset({FindingCode.GAIN_CHANGE})
-    return Row(c.samples_of(U, dp, Q), (at + 250, N), (now, now), causes=causes)
+    samples = c.samples_of(U, dp, Q)
+    return Row(samples, (at + 250, N), (now, now), causes=causes, changed=at)
 
 
 def behind(U, width):
@@ -194,7 +201,7 @@ def slack(name, width, seed, N=20_000):
     U, dp = c.cycle(seed, N)
     valve = c.VALVES[name]
     samples = c.samples_of(U, dp, valve(behind(U, width), dp) + c.white(seed, N))
-    return Row(samples, (N,), (valve,), causes=frozenset({FindingCode.PLAY}))
+    return Row(samples, (N,), (valve,), causes=frozenset({FindingCode.PLAY}), play=width)
 
 
 def averaged(Q, samples):
@@ -246,6 +253,24 @@ def choked(name, seed, N=20_000, share=0.7):
     Q = valve(U, np.minimum(dp, share * (dp + p2))) + c.white(seed, N)
     samples = replace(c.samples_of(U, dp, Q), p1=dp + p2, p2=p2)
     return Row(samples, (N,), (valve,), causes=frozenset({FindingCode.CHOKING}))
+
+
+def pumped(name, seed, N=20_000, most=70.0):
+    """A pump that delivers ``most`` l/min: beyond it the pressure drop collapses."""
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    at_most = np.minimum(1.0, most / np.maximum(valve(U, dp), 1e-9))
+    dp = dp * at_most**2
+    samples = c.samples_of(U, dp, valve(U, dp) + c.white(seed, N))
+    return Row(samples, (N,), (valve,), causes=frozenset({FindingCode.PUMP_LIMIT}))
+
+
+def hidden(name, how, seed, N=20_000):
+    """A flow that goes with something that is not measured, or that no operator describes."""
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    samples = c.samples_of(U, dp, how(valve, U, dp, seed) + c.white(seed, N))
+    return Row(samples, (N,), (valve,), causes=frozenset({FindingCode.MISFIT}))
 
 
 def scaled(name, flows, pressures, seed, N=20_000):
@@ -344,6 +369,20 @@ SHOWN: Final = {
 }
 
 
+HIDDEN: Final = {
+    "gain that swings": lambda valve, U, dp, _: (
+        valve(U, dp) * (1.0 + 0.05 * np.sin(np.arange(len(U)) / c.FS / 12.0))
+    ),
+    "offset that wanders": lambda valve, U, dp, seed: (
+        valve(U, dp) + c.ramps_and_holds(np.random.default_rng([seed, 8]), len(U), -3.0, 3.0)
+    ),
+    "flow by p2": lambda valve, U, dp, seed: (
+        valve(U, dp) + 0.1 * c.ramps_and_holds(np.random.default_rng([seed, 7]), len(U), 2.0, 60.0)
+    ),
+    "flow by dp's rate": lambda valve, U, dp, _: valve(U, dp) + 0.05 * np.gradient(dp) * c.FS,
+}
+
+
 ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
     **{
         f"{name}, {kind}, {N}": partial(plain, name, kind, N)
@@ -365,7 +404,7 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
     **{f"-15 %/h, ordinary, {fs} Hz": partial(fading, "ordinary", fs) for fs in RATES},
     **{f"overlap + 4 %/h, {fs} Hz": partial(growing, fs) for fs in RATES},
     "-10 %, ordinary, cycle": partial(damaged, "ordinary"),
-    **{f"oil 20-60-20 °C, asked at {T}": partial(warmed, float(T)) for T in (22, 40, 60)},
+    **{f"oil 20-60-20 °C, asked at {T}": partial(warmed, float(T)) for T in (22, 30, 40, 50, 60)},
     **{
         f"play {width} %, {name}, cycle, 20000": partial(slack, name, width)
         for name in ("ordinary", "saturating")
@@ -377,6 +416,8 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
         for name in ("ordinary", "S-shape")
     },
     "choked, ordinary": partial(choked, "ordinary"),
+    "pump limit, ordinary": partial(pumped, "ordinary"),
+    **{f"{what}, ordinary": partial(hidden, "ordinary", how) for what, how in HIDDEN.items()},
     "flows × .01, ordinary": partial(scaled, "ordinary", 0.01, 1.0),
     "flows × 10, ordinary": partial(scaled, "ordinary", 10.0, 1.0),
     "Δp × 2, ordinary": partial(scaled, "ordinary", 1.0, 2.0),

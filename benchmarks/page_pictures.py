@@ -54,6 +54,9 @@ PICTURES = (
     Picture("rig", "rig/Arm", "Injected"),
     Picture("overview", "overview", "valve changed"),
     Picture("timeline", "timeline", "Auto found an abrupt change"),
+    Picture("alarms", "alarms?alarm=Arm%2FChanged", "What to do", look_s=5.0),
+    Picture("trend", "trend/Arm?span=600", "Arm: trend", look_s=15.0),
+    Picture("trend", "trend/Arm?span=600", "Arm: trend", look_s=15.0, theme="dark"),
     Picture("map", "map/Boom", _ANSWERED, look_s=10.0),
     Picture("map", "map/Boom", _ANSWERED, look_s=10.0, theme="dark"),
     Picture("valve_tablet", "valve/Boom", _RESIDUALS, look_s=40.0, theme="dark", size=_TABLET),
@@ -94,6 +97,7 @@ async def _page(browser: Browser, picture: Picture) -> Page:
         viewport={"width": width, "height": height},
         color_scheme=picture.theme,  # type: ignore[arg-type]
     )
+    await context.add_init_script("localStorage.setItem('tour', 'closed')")
     return await context.new_page()
 
 

@@ -13,7 +13,9 @@ from valvemap.app.build import build_identification
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
 from valvemap.config.models import Config, ValveConfig
 from valvemap.config.nameplate import IdentificationConfig
+from valvemap.opcua_results.information_model import line_variables
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.ports import ValveDescription
 
 _HEAD = """# Address space
 
@@ -31,6 +33,14 @@ sample for `alignment.stale_after_s` (default 2 s), results are Bad.
 
 `Predict`, `PredictMeasurement`, `Invert` and `Compare` need the role Observer. All other methods
 and the writable variables need the role Operator.
+"""
+
+
+INVERSE_OF_A_VALVE = "<Valve>.Inverse"
+_OF_LINES = """## `<Valve>.LineA`, `<Valve>.LineB`
+
+A [valve with ports](../ports.md) has its edges as `<Valve>.PA`, `<Valve>.AT`, `<Valve>.PB` and
+`<Valve>.BT`, each with all nodes of a valve, and its lines with these beside them.
 """
 
 
@@ -84,7 +94,24 @@ def address_space_page() -> str:
             for name, row in rows.items()
         ]
         parts.append(table(["node", "type", "unit", "meaning"], shown) + "\n")
+        if owner == INVERSE_OF_A_VALVE:
+            parts += [_OF_LINES, _lines() + "\n"]
     return "\n".join(parts)
+
+
+def _lines() -> str:
+    """Return the variables that a line of a valve with ports has beside others."""
+    line = ValveDescription(name="V.LineA", estimators=(), is_line=True)
+    rows = [
+        [
+            f"`.{node.id.removeprefix('V.LineA.')}`",
+            f"`{node.kind.name}`",
+            "" if node.unit is None else str(node.unit.information.DisplayName.Text),
+            node.description,
+        ]
+        for node in line_variables(line)
+    ]
+    return table(["node", "type", "unit", "meaning"], rows)
 
 
 async def nodes(config: Config) -> list[Found]:

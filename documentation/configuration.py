@@ -80,7 +80,7 @@ def _rows(model: Schema) -> Iterator[list[str]]:
 def _models_in(field: Schema) -> list[str]:
     """Return the names of a field's models."""
     items = field.get("items", {})
-    parts = [field, items, *items.get("oneOf", [])]
+    parts = [field, items, *items.get("oneOf", []), *field.get("anyOf", [])]
     return [part["$ref"].rpartition("/")[2] for part in parts if "$ref" in part]
 
 

@@ -11,6 +11,7 @@ from valvemap.vocabulary.statuses import (
     Described,
     FeedForwardStatus,
     InverseStatus,
+    LineEdge,
     Status,
 )
 
@@ -25,6 +26,11 @@ _ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
         InverseStatus,
         "RequiredUStatus",
         "`s=<Valve>.Inverse.RequiredUStatus`, and the status that `Invert` returns.",
+    ),
+    (
+        LineEdge,
+        "Edge",
+        "`s=<Valve>.LineA.Inverse.Edge`: the edge of a line that passes a demanded flow.",
     ),
     (
         FeedForwardStatus,

@@ -80,6 +80,8 @@ async def test_edges_and_lines_are_served(config, open_server, tmp_path):
                 ):
                     await asyncio.sleep(0.1)
                 await asked(config)
+                for number in range(len(identification.plans)):
+                    assert identification.counters(number)["duplicates"] == 0
         finally:
             playing.cancel()
             stop.set()
@@ -95,12 +97,16 @@ async def asked(config):
         def node(name):
             return client.get_node(ua.NodeId(name, index))
 
+        async def value(name):
+            """Return a value, though it be old: a busy machine is late."""
+            return (await node(name).read_data_value(raise_on_bad_status=False)).Value.Value
+
         for edge in ports.GAINS:
-            assert await node(f"V.{edge}.RLS.SampleCount").read_value() > 500
-            assert await node(f"V.{edge}.Signals.U").read_value() >= 0.0
+            assert await value(f"V.{edge}.RLS.SampleCount") > 500
+            assert await value(f"V.{edge}.Signals.U") >= 0.0
         for line in ("A", "B"):
-            leakage = await node(f"V.Line{line}.Leakage").read_value()
-            std = await node(f"V.Line{line}.LeakageStd").read_value()
+            leakage = await value(f"V.Line{line}.Leakage")
+            std = await value(f"V.Line{line}.LeakageStd")
             assert leakage == pytest.approx(ports.LEAKAGE, rel=0.2)
             assert 0.0 < std < 0.2 * ports.LEAKAGE
         children = await node("V.LineA.Inverse").get_children()

@@ -1,5 +1,6 @@
 """Valves with ports: what is read of a file, and what is refused."""
 
+import numpy as np
 import pytest
 
 from support import ports
@@ -53,7 +54,7 @@ def test_chosen_edges_alone_are_learnt(tmp_path):
 
 
 def test_two_ports_are_one_valve_that_keeps_its_name(tmp_path):
-    text = without("pT", "pB", "QB").replace('kind = "RLS"', 'kind = "FlowMap"')
+    text = without("pT", "pB", "QB").replace('kind = "RLS"', 'kind = "Auto"')
     (valve,) = load(tmp_path, text).valves
     assert (valve.name, valve.U_range_percent) == ("V", (-100.0, 100.0))
 
@@ -114,3 +115,19 @@ def test_a_recording_by_port_is_replayed(tmp_path):
     alone = replay(recorded, load(tmp_path, ports.toml()), only={"V.PA"})
     assert list(alone) == ["V.LineA", "V.PA"]
     assert alone["V.PA"]["RLS"].parameters == report["V.PA"]["RLS"].parameters
+
+
+def test_what_record_writes_of_parts_is_replayed_as_its_twin_by_port(tmp_path):
+    config, recorded = load(tmp_path, ports.toml()), ports.recording(seconds=20.0)
+    plain = replay(recorded, config)
+    rows = {name: [] for name in ("t", "U", "p1", "p2", "Q", "T", "valve")}
+    for valve in config.valves:
+        for name in ("U", "p1", "p2", "Q", "T"):
+            node = valve.nodes.of(name).rpartition(".")[2]
+            rows[name].append(recorded[node])
+        rows["t"].append(recorded["t"])
+        rows["valve"].append(np.full(len(recorded["t"]), valve.name))
+    found = replay({name: np.concatenate(parts) for name, parts in rows.items()}, config)
+    for name in plain:
+        for estimator, own in plain[name].items():
+            assert found[name][estimator].parameters == own.parameters

@@ -6,6 +6,7 @@ import pytest
 from valvemap.model import flow_causes, flow_evidence
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
+from valvemap.model.kernels import flow_memory
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.samples import Samples
 
@@ -104,6 +105,13 @@ def test_two_lags_at_once_are_told_apart():
     assert found(U, dp, Q) == pytest.approx({paths.DEAD_U: 0.1, paths.LAG_Q: 0.3}, rel=0.1)
 
 
+def test_three_operators_are_found_together():
+    U, dp = cycle(2)
+    Q = averaged(valve(behind(late(U, 10), 1.5), dp), 40) + noise()
+    expected = {paths.DEAD_U: 0.1, paths.PLAY: 1.5, paths.AVERAGE: 0.4}
+    assert found(U, dp, Q) == pytest.approx(expected, rel=0.15)
+
+
 def test_choking_is_a_share_of_the_pressure_upstream():
     U, dp = cycle(30)
     p1 = dp + cycle(31)[0] * 0.5 + 2
@@ -143,6 +151,36 @@ def test_the_map_is_that_of_the_valve_not_of_the_meter(shown, highest):
     U, dp = (x[valve(U, dp) < highest] for x in (U, dp))
     Q, _ = FlowMap().predict(state, U, dp, np.full(len(U), 40.0))
     assert np.sqrt(np.mean((Q - valve(U, dp)) ** 2)) < 1.0 * 0.4
+
+
+def choked(seed, N):
+    U, dp = cycle(seed, N)
+    p1 = dp + cycle(seed + 1, N)[0] * 0.5 + 2
+    return U, dp, p1, valve(U, np.minimum(dp, 0.7 * p1)) + noise(N)
+
+
+def test_the_doubt_about_an_operator_is_its_laplace_approximation():
+    U, dp, p1, Q = choked(30, N)
+    rows = np.zeros((N, paths.COLUMNS))
+    rows[:, paths.STEP], rows[:, paths.LEFT_U], rows[:, paths.LEFT_DP] = 1 / FS, U, dp
+    rows[:, paths.LEFT_P1], rows[:, paths.LEFT_Q] = p1, Q
+    evidence = flow_evidence.Evidence(*BOTH, rows)
+    at, _ = flow_causes.search(evidence, np.zeros(paths.PARAMETERS))
+    std = flow_evidence.precision(evidence, at)[paths.CHOKE, paths.CHOKE] ** -0.5
+    off = flow_evidence.with_value(at, paths.CHOKE, at[paths.CHOKE] + 2.0 * std)
+    assert evidence.gain(at, off) == pytest.approx(2.0, rel=0.5)
+
+
+def test_later_rows_refine_an_operator_and_move_the_map_with_it():
+    U, dp, p1, Q = choked(30, 9000)
+    t = (1e9 / FS * np.arange(9000)).astype(np.int64)
+    samples, state = Samples.of(t, U, p1, p1 - dp, Q), FlowMap().initial_state()
+    state, _ = FlowMap().update(state, samples[:2000])
+    young, began = state.doubt.max(), state.counters[flow_memory.BEGAN]
+    state, _ = FlowMap().update(state, samples[2000:])
+    assert 0.0 < state.doubt.max() < young
+    assert state.counters[flow_memory.BEGAN] == began
+    assert state.path[paths.CHOKE] == pytest.approx(0.7, abs=0.005)
 
 
 def test_a_search_does_not_depend_on_how_samples_are_cut():

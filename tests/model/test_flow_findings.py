@@ -76,6 +76,17 @@ def test_a_cause_is_the_likeliest_finding_and_its_size_is_said(code):
     assert not others
 
 
+def test_a_pump_at_its_limit_is_told_from_a_meter_at_its_end():
+    U, dp = cycle(1)
+    dp = dp * np.minimum(1.0, 70.0 / np.maximum(valve(U, dp), 1e-9)) ** 2
+    Q = valve(U, dp) + SIGMA * np.random.default_rng(1).normal(size=N)
+    t = 1_700_000_000_000_000_000 + (1e9 / FS * np.arange(N)).astype(np.int64)
+    state, _ = FlowMap().update(FlowMap().initial_state(), Samples.of(t, U, dp, 0 * dp, Q))
+    (one,) = FlowMap().findings(state)
+    assert one.code is Code.PUMP_LIMIT
+    assert "70" in one.sentence
+
+
 def test_a_drift_has_a_rate_per_hour():
     found = FlowMap().findings(
         learnt(lambda U, dp, t, e: valve(U, dp) * (1 - 0.15 * t / 3600) + e, fs=10.0)

@@ -165,6 +165,16 @@ def test_the_map_is_that_of_the_temperature_that_is_asked():
     assert FlowMap().last_change(state) is None
 
 
+def test_a_flow_that_is_not_none_at_no_pressure_is_learnt_all_the_same():
+    rng, N = np.random.default_rng(5), 3000
+    dp = rng.uniform(0.03, 0.13, N)
+    Q = 8.5 + 4.0 * np.sqrt(dp)
+    state, _ = learnt(np.full(N, 100.0), dp, Q)
+    predicted, std = FlowMap().predict(state, np.array([100.0]), np.array([0.08]), np.array([40.0]))
+    assert abs(predicted[0] - 8.5 - 4.0 * np.sqrt(0.08)) < 3.0 * SIGMA
+    assert std[0] < 1.0
+
+
 def test_where_no_temperature_is_measured_none_is_missed():
     U, dp = scattered(16, 1000)
     state, _ = learnt(U, dp, bent(U, dp), T=np.full(1000, np.nan))

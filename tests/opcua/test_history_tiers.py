@@ -124,7 +124,7 @@ async def test_what_needs_deleted_values_is_bad_and_nothing_else(stored, aggrega
     gone = found.codes == ua.StatusCodes.BadDataUnavailable
     old = found.source < START + 1_600 * S
     assert gone[old].all()
-    assert not gone[found.source > START + 2_060 * S].any()
+    assert not gone[found.source > START + 2_160 * S].any()
     assert (expected.codes[gone] != ua.StatusCodes.BadDataUnavailable).all()
 
 

@@ -13,7 +13,9 @@ class SourceCase:
     """One source and its server; times in s, sizes in samples or messages.
 
     ``history`` is how many samples of each valve the server remembers; ``cuts`` are (start,
-    duration, noticed after), ``steps`` of its clock (time, by how much).
+    duration, noticed after), ``steps`` of its clock (time, by how much), ``restarts`` (time, time
+    without a server, by how much its clock is set): sessions, queues, messages and history are
+    gone, and the running number begins at 0.
     """
 
     valves: tuple[int, ...]
@@ -31,6 +33,7 @@ class SourceCase:
     bad: float
     cuts: tuple[tuple[float, float, float], ...]
     steps: tuple[tuple[float, float], ...]
+    restarts: tuple[tuple[float, float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,6 @@ def _source(rng, valves, quiet_from):
     numbered = rng.random() < 0.75
     messy = numbered and rng.random() < 0.5
     split = rng.choice((0.0, 0.1)) if messy else 0.0
-    may_step = numbered and not split  # half a sample before a step is dropped, and counted
     return SourceCase(
         valves=valves,
         period_s=rng.choice((0.7, 1.3, 2.1)),
@@ -113,12 +115,19 @@ def _source(rng, valves, quiet_from):
             (0, 1, 2),
             lambda: (rng.uniform(0.1, 20.0), rng.choice((0.0, 4.5))),
         ),
-        steps=_spread(rng, quiet_from, (0, 0, 1), lambda: (_step(rng),)) if may_step else (),
+        steps=_spread(rng, quiet_from, (0, 0, 1), lambda: (_step(rng),)),
+        restarts=_spread(
+            rng, quiet_from - 5.0, (0, 0, 0, 1), lambda: (rng.uniform(0.5, 9.0), _step_or_none(rng))
+        ),
     )
 
 
 def _step(rng):
     return rng.choice((-1.0, 1.0)) * rng.choice((1.0003, 60.0003, 3600.0003, 86_400.0003))
+
+
+def _step_or_none(rng):
+    return rng.choice((0.0, _step(rng)))
 
 
 def _pause(rng):

@@ -14,9 +14,12 @@ from typing import ClassVar
 import numpy as np
 
 from valvemap.errors import SourceLost
+from valvemap.model.samples import Samples, Segments
+from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import SourceCounters
-from valvemap.vocabulary.signals import PER_VALVE, Signal
+from valvemap.vocabulary.signals import MEASURED, PER_VALVE, Signal
+from valvemap.vocabulary.statuses import Quality
 
 BAD = 0x8000_0000
 _CONNECTING_S = 0.05
@@ -49,15 +52,21 @@ class Server:
         n = int(70.0 / case.period_s)
         self.at = (np.arange(n) + 1) * case.period_s  # s, when sample k is taken
         ahead = np.zeros(n)
+        numbers = (case.first_number + np.arange(n)) % 2**32
         for when, by in case.steps:
             ahead[self.at > when] += by
+        self.off = np.zeros(n, np.bool_)  # samples that a server being restarted does not take
+        for when, away, by in case.restarts:
+            ahead[self.at > when] += by
+            self.off |= (self.at > when) & (self.at <= when + away)
+            later = self.at > when + away
+            numbers[later] = np.arange(later.sum())
         self.t = start_ns + np.rint((self.at + ahead) * 1e9).astype(np.int64)
         self.values, self.bad = {}, {}
         noise = np.random.default_rng(rng.getrandbits(64))
         for valve in case.valves:
             U, dp = noise.uniform(0, 100, n), noise.uniform(0, 200, n)
             Q = 3 + 0.1 * U * np.sqrt(dp) - 0.02 * dp + noise.normal(0, 0.3, n)
-            numbers = (case.first_number + np.arange(n)) % 2**32
             T = np.full(n, 40.0)
             columns = (U, np.full(n, 200.0), 200.0 - dp, Q, T, numbers)
             self.values[valve] = np.stack(columns, axis=1)
@@ -67,18 +76,26 @@ class Server:
         self._subscriptions = {}
         self._sent = {}
         self._ids = 0
+        self._cuts = (*case.cuts, *((when, away, 0.0) for when, away, _ in case.restarts))
+        self._restarts = [when for when, *_ in case.restarts]
+        self._oldest = 0  # sample of the history
         self._sampled = 0
         self.longest = 0  # queue of a subscription
 
     def ahead_s(self):
-        return sum(by for when, by in self.case.steps if self._time.elapsed > when)
+        steps = (*self.case.steps, *((when, by) for when, _, by in self.case.restarts))
+        return sum(by for when, by in steps if self._time.elapsed > when)
+
+    @property
+    def started(self):
+        return 1 + sum(when + away <= self._time.elapsed for when, away, _ in self.case.restarts)
 
     def cut_at(self, now):
         """The cut under way, or None."""
-        return next((c for c in self.case.cuts if c[0] <= now < c[0] + c[1]), None)
+        return next((c for c in self._cuts if c[0] <= now < c[0] + c[1]), None)
 
     def next_cut(self, now):
-        return min((c[0] for c in self.case.cuts if c[0] > now), default=np.inf)
+        return min((c[0] for c in self._cuts if c[0] > now), default=np.inf)
 
     def advance(self):
         """Sample until now; end subscriptions that no client has used for their lifetime."""
@@ -86,9 +103,21 @@ class Server:
         for known in list(self._subscriptions.values()):
             if now - known.since > self.case.lifetime_s:
                 self._end(known)
+        while self._restarts and self._restarts[0] <= now:
+            self._sample(self._restarts.pop(0))
+            for known in list(self._subscriptions.values()):
+                self._end(known)
+            self._oldest = self._sampled
+        self._sample(now)
+
+    def _sample(self, now):
         first, self._sampled = self._sampled, int(np.searchsorted(self.at, now, side="right"))
+        taken = [k for k in range(first, self._sampled) if not self.off[k]]
+        self.excuse(
+            (v, k) for k in range(first, self._sampled) if self.off[k] for v in self.case.valves
+        )
         for known in self._subscriptions.values():
-            known.queue += range(first, self._sampled)
+            known.queue += taken
             too_many = len(known.queue) - self.case.queue
             if too_many > 0:
                 self.excuse(
@@ -184,8 +213,8 @@ class Server:
 
     def remembered(self, first, stop):
         """The samples of the history from ``first`` on, before ``stop``."""
-        oldest = max(first, self._sampled - self.case.history)
-        return range(oldest, min(stop, self._sampled))
+        oldest = max(first, self._sampled - self.case.history, self._oldest)
+        return [k for k in range(oldest, min(stop, self._sampled)) if not self.off[k]]
 
     def as_changes(self, parts, numbered_here):
         """The parts of samples as data changes; valves have their numbers at this source."""
@@ -204,6 +233,14 @@ class Server:
             np.array(status, np.uint32),
             np.array(t, np.int64),
         )
+
+    def as_samples(self, valve, rows):
+        """Samples of one valve, as aligned."""
+        k = np.array(rows)
+        columns = dict(zip(MEASURED, self.values[valve][k].T, strict=False))
+        quality = np.where(self.bad[valve][k], Quality.BAD, Quality.GOOD).astype(np.uint8)
+        ends = np.array([valve]), np.array([0]), np.array([len(k)])
+        return ByValve(Samples(t=self.t[k], quality=quality, **columns), Segments(*ends))
 
 
 class Client:
@@ -225,9 +262,12 @@ class Client:
         self.alive = True
         self._overflows = 0
 
-    started = 1
     is_held = True
     remarks: ClassVar = {}
+
+    @property
+    def started(self):
+        return self.server.started
 
     @property
     def counters(self):

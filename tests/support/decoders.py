@@ -70,7 +70,17 @@ from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
 from valvemap.sparkplug.schema import Payload
 from valvemap.sparkplug.sender import _asks_for_births
 from valvemap.storage import alarm_changes
-from valvemap.storage.history_blocks import checksum, examine, pack, unpack
+from valvemap.storage.history_blocks import (
+    checksum,
+    chosen,
+    examine,
+    missing_in,
+    pack,
+    pack_sealed,
+    rows_in,
+    unpack,
+)
+from valvemap.storage.history_cells import WIDTHS, cells_of
 from valvemap.storage.models import load_model, save_model
 from valvemap.storage.points import read_points
 from valvemap.storage.recordings import RecordingWriter, read_recording
@@ -192,6 +202,7 @@ def _of_history():
     """Columns of a block and alarms' changes, under the checksums that belong to them."""
     return {
         "history: blocks": Decoder(_block_of, lambda: [_block()]),
+        "history: sealed blocks": Decoder(_block_of, lambda: [_sealed_block(), _tier()]),
         "history: alarms": Decoder(_alarms_of(sqlite3.connect(":memory:")), lambda: [_alarm()]),
     }
 
@@ -454,18 +465,42 @@ def _models(folder):
     return found
 
 
-_COLUMNS = ("t", "codes", "U")
+_COLUMNS = ("t", "codes", "U", "p1", "p2", "dp", "Q")
 
 
 def _block():
-    """The packed columns of a block, each behind its length."""
+    """The columns of a loose block, each behind its length."""
     t, rows = START + np.arange(50) * 10_000_000, np.ones(50)
-    columns = (pack("t", t), pack("codes", rows.astype(np.uint32)), pack("U", rows))
-    return b"".join(struct.pack("<H", len(one)) + one for one in columns)
+    return _behind_lengths(
+        {"t": pack("t", t), "codes": pack("codes", rows.astype(np.uint32)), "U": pack("U", rows)}
+    )
+
+
+def _sealed_block():
+    """The columns of a sealed block in all forms: times, steps, bits, and following from others."""
+    rng, t = np.random.default_rng(1), START + np.arange(50) * 10_000_000
+    p1, p2 = np.round(rng.normal(200.0, 1.0, (2, 50)), 2)
+    single = np.round(rng.normal(size=50), 2).astype(np.float32).astype(float)
+    columns = {"t": t, "codes": np.zeros(50, np.uint32), "U": rng.normal(size=50)}
+    return _behind_lengths(pack_sealed({**columns, "p1": p1, "p2": p2, "dp": p1 - p2, "Q": single}))
+
+
+def _tier():
+    """The cells of a block under the names of columns."""
+    t, values = START + np.arange(500) * 10**9, np.arange(500.0)
+    cells = cells_of({"t": t, "codes": np.zeros(500, np.uint32), "Q": values}, WIDTHS[0])
+    some = dict(zip(_COLUMNS, cells.values(), strict=False))
+    return _behind_lengths(pack_sealed(some))
+
+
+def _behind_lengths(columns):
+    return b"".join(
+        struct.pack("<H", len(columns.get(name, b""))) + columns.get(name, b"") for name in _COLUMNS
+    )
 
 
 def _block_of(data):
-    """Examine and unpack columns whose checksums are right."""
+    """Examine columns whose checksums are right, and read them."""
     parts, at = {}, 0
     for name in _COLUMNS:
         (length,) = struct.unpack_from("<H", data.ljust(at + 2, b"\0"), at)
@@ -475,11 +510,16 @@ def _block_of(data):
         first = int(unpack("t", parts["t"])[0])
     except (zlib.error, ValueError, IndexError):
         first = 0
-    found = examine(
-        "V1.Signals", {n: (checksum(x, "V1.Signals", n, first), x) for n, x in parts.items()}
-    )
+    checked = {n: (checksum(x, "V1.Signals", n, first), x) for n, x in parts.items()}
+    missing_in(checked)
+    found = examine("V1.Signals", checked)
     for name, one in found.parts.items():
-        unpack(name, one)
+        rows_in(one)
+        assert len(found.columns[name]) == len(found.t)
+        assert len(unpack(name, one, found.columns)) == len(found.t)
+    if len(found.t) and len(found.columns) > 2:
+        cells_of(found.columns, WIDTHS[0])
+        chosen(found, np.arange(len(found.t)) % 2 == 0)
 
 
 def _alarm():

@@ -131,7 +131,12 @@ def build_layout(config: Config) -> Layout:
     """Return the columns of the valves' signals in recordings."""
     return Layout(
         valves=tuple(
-            ValveLayout(valve.name, _columns(valve), drop=_has_drop_column(valve))
+            ValveLayout(
+                valve.name,
+                _columns(valve),
+                drop=_has_drop_column(valve),
+                recorded=_part(valve) is not None,
+            )
             for valve in config.valves
         ),
         time=config.recording.time,

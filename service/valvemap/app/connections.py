@@ -12,6 +12,7 @@ from guarded_opcua import (
     load_certificate,
 )
 from valvemap.app.build import measures
+from valvemap.app.history_span import DAY_S
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PAGE_URI, PRODUCT, load_users
 from valvemap.config.models import Config, SourceConfig
 from valvemap.config.secret_files import read_secret
@@ -102,7 +103,14 @@ def build_history(config: Config) -> HistoryFile | None:
     given = config.history
     if given.file is None:
         return None
-    return HistoryFile(given.file, given.keep_days * 86_400.0, given.most_mb * 1_000_000)
+    results = given.keep_days if given.results_days is None else given.results_days
+    return HistoryFile(
+        given.file,
+        given.keep_days * DAY_S,
+        given.most_mb * 1_000_000,
+        results_s=results * DAY_S,
+        trend_s=given.trend_days * DAY_S,
+    )
 
 
 def build_live_settings(config: Config, certificate: OwnCertificate | None) -> LiveSettings:

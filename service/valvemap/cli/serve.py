@@ -13,7 +13,7 @@ from valvemap.cli.output import write_line
 from valvemap.cli.progress import working
 from valvemap.cli.without import without
 from valvemap.config.loading import load_config
-from valvemap.config.models import NamedSourceConfig
+from valvemap.config.models import EdgeConfig, LineConfig, NamedSourceConfig
 from valvemap.errors import RecordingError
 
 
@@ -108,9 +108,17 @@ def check_config(
 
         write_line(f"history  {loaded.history.file}: {span_in_words(loaded)}")
     for valve in loaded.valves:
+        if isinstance(valve, LineConfig):
+            for edge in valve.not_learnt:
+                write_line(f"valve    {valve.valve}: {edge}")
+            write_line(
+                f"line     {valve.name}: leakage where U is within ± {valve.closed_percent:g} %"
+            )
+            continue
         estimators = ", ".join(estimator.name for estimator in valve.estimators)
         at = "" if valve.source is None else f" at {valve.source}"
-        write_line(f"valve    {valve.name}{at}: {estimators}")
+        kind = "edge " if isinstance(valve, EdgeConfig) else "valve"
+        write_line(f"{kind}    {valve.name}{at}: {estimators}")
     write_line(f"{config}: good")
 
 

@@ -53,6 +53,7 @@ RESERVED_ESTIMATORS = (
 )
 RECOMMENDED = "recommended"  # value of ``inverse``
 _NOT_WITH_PORTS = {
+    "commission": "a sweep of one edge is not offered yet",
     "nodes": "leave out nodes, or ports",
     "signals": "its units and columns are in ports.signals",
     "feed_forward": "nothing is written to it",
@@ -164,13 +165,28 @@ class HistoryConfig(Section):
         None, description="SQLite file of the history; none: there is no history"
     )
     keep_days: float = Field(
-        7.0, gt=0.0, le=3_650.0, description="age at which rows are deleted, in days"
+        7.0,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which values, and their summaries of 10 s, are deleted, in days",
+    )
+    results_days: float | None = Field(
+        None,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which values of results are deleted, in days; none: keep_days",
+    )
+    trend_days: float = Field(
+        30.0,
+        gt=0.0,
+        le=3_650.0,
+        description="age at which summaries of 5 min are deleted, in days; at least keep_days",
     )
     most_mb: int = Field(
         2_000,
         ge=10,
         le=1_000_000,
-        description="size above which the oldest rows are deleted, in MB",
+        description="size above which the oldest values are deleted, in MB; results first",
     )
 
 
@@ -499,6 +515,7 @@ class LineConfig(ValveConfig):
     valve: str = ""
     line: str = "A"
     closed_percent: float = 3.0
+    not_learnt: tuple[str, ...] = ()  # which edges of the valve are not, and why
 
 
 def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
@@ -517,6 +534,7 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
         return (ValveConfig(**given, **_of_part(ports, signals)),)
     found: list[ValveConfig] = []
     edges = ports.learnt
+    left_out = tuple(f"{edge} is not learnt: {why}" for edge, why in ports.not_learnt())
     for line in ports.lines:
         if not any(edge.line == line for edge in edges):
             continue
@@ -535,6 +553,7 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
                 inverse=None,
                 insist=True,
                 closed_percent=ports.closed_percent,
+                not_learnt=left_out if not found else (),
             )
         )
     for edge in edges:

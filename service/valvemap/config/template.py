@@ -45,7 +45,8 @@ checkpoint_interval_s = 10
 
 [history] # what signals and results have been, for trends that reach back (HistoryRead)
 file = {quoted(data / "history.sqlite")}
-keep_days = 7
+keep_days = 7 # values, and their summaries of 10 s
+trend_days = 30 # summaries of 5 min
 most_mb = 2000
 
 # [mqtt] # where `valvemap mqtt` sends results, as Sparkplug B: docs/mqtt.md

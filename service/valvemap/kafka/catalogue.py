@@ -61,6 +61,12 @@ def catalogue_of(
     groups = {}
     for site, config in sites.items():
         plans = build_plans(config)
+        with_ports = next((plan.part.valve for plan in plans if plan.part is not None), None)
+        if with_ports is not None:
+            raise ConfigurationError(
+                f"site {site}: valve {with_ports} has ports; a fleet takes valves with nodes, one "
+                "for each edge"
+            )
         for number, first in enumerate(range(0, len(plans), valves_per_group)):
             name = group_name(site, number)
             groups[name] = GroupPlan(name, tuple(plans[first : first + valves_per_group]))

@@ -197,6 +197,28 @@ def least_shown(Q: Floats, noise: float) -> tuple[float, float]:
     return least, each * float(np.count_nonzero(up | down))
 
 
+def most_delivered(rows: Floats, noise: float) -> tuple[float, float]:
+    """Return the largest flow of readings in the order of time, and the evidence for a pump's end.
+
+    A pump at its limit holds the flow while the valve opens: the pressure drop falls instead. What
+    the flow would have fallen with √Δp, or risen with U, is compared with the noise.
+    """
+    Q, U = np.abs(rows[:, paths.LEFT_Q]), np.abs(rows[:, paths.LEFT_U])
+    s, width = np.sqrt(np.abs(rows[:, paths.LEFT_DP])), rules.MOST_STAY * noise
+    level = float(np.median(Q[np.quantile(Q, rules.NEAR_TOP) - width <= Q]))
+    is_there = np.concatenate([[False], np.abs(Q - level) < width, [False]])
+    begins, ends = np.flatnonzero(np.diff(is_there)).reshape(-1, 2).T
+    evidence = 0.0
+    for begin, end in zip(begins, ends, strict=True):
+        if end - begin >= rules.SEEN_BELOW:
+            high, low = begin + np.argmax(s[begin:end]), begin + np.argmin(s[begin:end])
+            fall = 1.0 - s[low] / max(s[high], 1e-9)
+            rise = 1.0 - U[high] / max(U[low], 1e-9)
+            size = level * min(fall, rise) / max(noise, 1e-9)
+            evidence += rules.MOST_OF_JUMP if size > rules.MOST_OF_JUMP else 0.0
+    return level, evidence
+
+
 def noise_of(Q: Floats) -> float:
     """Standard deviation of white noise in readings, from their second differences."""
     bends = np.abs(Q[2:] - 2.0 * Q[1:-1] + Q[:-2])

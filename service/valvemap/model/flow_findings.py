@@ -53,7 +53,7 @@ def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
     """Causes of a probability above `rules.WORTH_SAYING`, the likeliest first."""
     if not state.counters[memory.FITTED]:
         return ()
-    found = [*_operators(state), *_play(state), *_moving(state), *_changes(state)]
+    found = [*_operators(state), *_pump(state), *_play(state), *_moving(state), *_changes(state)]
     found += [*_compensator(state, both), *_misfit(state)]
     likely = (one for one in found if one.probability > rules.WORTH_SAYING)
     return tuple(sorted(likely, key=lambda one: (-one.probability, one.code)))
@@ -72,6 +72,13 @@ def _operators(state: FlowMapState) -> Iterator[Finding]:
             if k in (paths.TOP, paths.LEAST):
                 text = f"{text} {censored} samples there were not used."
             yield Finding(code, _probability(float(state.path[paths.GAINS + k])), text)
+
+
+def _pump(state: FlowMapState) -> Iterator[Finding]:
+    most, gain = (float(state.path[k]) for k in (paths.MOST, paths.MOST_GAIN))
+    if gain >= rules.CLEAR and not state.path[paths.TOP]:
+        text = f"The flow stays at {most:.3g} l/min while the valve opens and Δp falls."
+        yield Finding(FindingCode.PUMP_LIMIT, _probability(gain), text)
 
 
 def _play(state: FlowMapState) -> Iterator[Finding]:

@@ -176,8 +176,10 @@ def _watch(state: FlowMapState, both: Both) -> None:
     Q = rows[:, flow_path.LEFT_Q]
     if len(Q) < rules.SEEN_BELOW:
         return
+    noise = flow_causes.noise_of(Q)
+    _watch_pump(path, rows, noise)
     before, at = path[flow_path.LEAST_SEEN], flow_path.GAINS + flow_path.LEAST
-    least, gain = flow_causes.least_shown(Q, flow_causes.noise_of(Q))
+    least, gain = flow_causes.least_shown(Q, noise)
     if before > 0.0 and least < rules.SAME_LEAST * before:
         path[at] = 0.0  # refuted
     if before == 0.0 or least < before:
@@ -189,6 +191,16 @@ def _watch(state: FlowMapState, both: Both) -> None:
         _empty_bounds(state, both)
     elif there:
         path[flow_path.LEAST] = path[flow_path.LEAST_SEEN]
+
+
+def _watch_pump(path: Floats, rows: Floats, noise: float) -> None:
+    """Weigh whether the largest flow is that of the pump; a larger one refutes it."""
+    level, gain = flow_causes.most_delivered(rows, noise)
+    width = rules.MOST_STAY * noise
+    if level > path[flow_path.MOST] + width:
+        path[flow_path.MOST], path[flow_path.MOST_GAIN] = level, gain
+    elif level > path[flow_path.MOST] - width:
+        path[flow_path.MOST_GAIN] += gain
 
 
 def _differ(found: Floats, given: Floats, of_found: Floats, of_given: Floats) -> bool:

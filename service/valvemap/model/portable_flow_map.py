@@ -27,7 +27,8 @@ class GaussianMap:
     U_range, dp_range
         Of the valve, % and bar; they place the n sites of the splines.
     theta, std : (n,)
-        Coefficients of the map, and its standard deviation at the sites, l/min.
+        Coefficients of the map, and its standard deviation at the sites, with the doubt about
+        operators, l/min.
     moving : (2, 10, 9)
         What moves in time on either side of U = 0: its mean, then its covariance.
     scalars, temperatures : (5,), (2,)
@@ -61,7 +62,7 @@ class GaussianMap:
             U_range=U_range,
             dp_range=dp_range,
             theta=state.theta.copy(),
-            std=state.std.astype(np.float64),
+            std=np.sqrt(state.std.astype(np.float64) ** 2 + state.doubt.astype(np.float64) ** 2),
             moving=state.now.copy(),
             scalars=state.scalars[list(SCALARS)],
             temperatures=state.scalars[list(TEMPERATURES)],

@@ -67,7 +67,7 @@ class ResultsPast:
         found = self._store.cells(series, column, low, high, width)
         if found is None:
             return None
-        marks = [(found.marks & bit) > 0 for bit in (1, 2, 4, 8)]
+        marks = found.marks
         return Cells(
             width,
             found.t,
@@ -77,8 +77,11 @@ class ResultsPast:
             found.low,
             found.high,
             found.total,
-            *marks,
-            found.extent,
+            low_again=(marks & 1) > 0,
+            high_again=(marks & 2) > 0,
+            low_first=(marks & 4) > 0,
+            high_first=(marks & 8) > 0,
+            extent=found.extent,
         )
 
 

@@ -26,6 +26,7 @@ from valvemap.opcua_source.source_nodes import (
     MonitoredNode,
     ValveNodes,
     Wanted,
+    copies_of,
     look,
     wanted_nodes,
 )
@@ -64,7 +65,13 @@ class ItemWatch:
         self, settings: SourceSettings, valves: Sequence[ValveNodes], clock: Clock
     ) -> None:
         self._settings, self._clock = settings, clock
-        self._wanted = {node.item: node for node in wanted_nodes(valves) if node.item is not None}
+        self._copies = copies_of(valves)
+        copies = {item for items in self._copies.values() for item in items}
+        self._wanted = {
+            node.item: node
+            for node in wanted_nodes(valves)
+            if node.item is not None and node.item not in copies
+        }
         self.table = ItemTable(len(valves))
         self._accepted: dict[int, int] = {}  # first type of each item
         self._looked: dict[int, Looked] = {}
@@ -99,6 +106,8 @@ class ItemWatch:
                 self._accepted.setdefault(node.item, int(node.type))
             self.table.takes_booleans[node.item] = self._accepted.get(node.item) in {None, _BOOLEAN}
         for item, sentence in nodes.faults.items():
+            if item not in self._wanted:
+                continue  # its node is watched as that of another item
             fault = sentence.removeprefix(self._wanted[item].label + " ")
             self._looked[item] = Looked(None, fault, ItemState.GONE)
         self.judge({})
@@ -210,9 +219,9 @@ class ItemWatch:
         self._states = states
         remarks: dict[int, tuple[str, ...]] = {}
         for item, (_, words) in states.items():
-            valve = item // PER_VALVE
             said = f"{self._wanted[item].label} {words}"
-            remarks[valve] = (*remarks.get(valve, ()), said)
+            for valve in {one // PER_VALVE for one in (item, *self._copies.get(item, ()))}:
+                remarks[valve] = (*remarks.get(valve, ()), said)
         self._remarks = remarks
 
     def _found(

@@ -45,7 +45,8 @@ class Scales:
         self._dp_items = np.array(differences, np.int32) * PER_VALVE + Signal.P1
         copies = copies_of(valves)
         self._times = np.ones(n + 1, np.int64)  # items of an item's node; last: of an unknown item
-        self._times[list(copies)] += [len(items) for items in copies.values()]
+        for item, own in copies.items():
+            self._times[item] += len(own)
         self._of_node = {item: np.array([item, *own], np.int32) for item, own in copies.items()}
 
     def __call__(self, changes: DataChanges) -> DataChanges:

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 ROOT = "Identification"
 VERSION = f"{ROOT}.NodeVersion"  # changes when valves are added or removed
 NO_ESTIMATORS = frozenset(
-    {"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"}
+    {
+        *("Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"),
+        *("Commission", "Dynamics"),
+    }
 )
 PREFERRED = "Auto"
 

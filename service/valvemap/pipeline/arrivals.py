@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final
@@ -106,39 +106,49 @@ class Arrivals:
         bits = np.int64(1) << np.arange(slots.SIGNALS)
         required = (rules.required[:, np.newaxis] & bits) > 0
         self._steps = ClockSteps(required, ~rules.numbered, rules.reorder)
+        self._due: list[Step] = []
+        self._announced = 0  # changes taken of those announced
         self._may_step = not rules.numbered.all()
         self.failed = np.zeros(len(self.names), np.bool_)
         self._errors: list[tuple[int, Exception]] = []
 
-    def take(self, changes: DataChanges, now_s: float | None = None) -> ByValve:
-        """Process data changes; return the samples that they completed.
+    def announce(self, changes: DataChanges, now_s: float) -> None:
+        """Find the steps of the source's clock in changes that are going to be taken, in parts.
 
-        ``now_s`` is our monotonic time of their receipt, by which steps of the source's clock are
-        recognised; None: the changes are recorded ones.
+        ``now_s`` is our monotonic time of their receipt.
         """
+        self._announced = 0
+        self._due = []
+        if self._may_step:
+            steps = self._steps.find(changes, now_s, self._waiting)
+            self._due = [step for step in steps if self.timing.is_alike(step.valve)]
+
+    def take(self, changes: DataChanges) -> ByValve:
+        """Process data changes; return the samples that they completed."""
+        first, self._announced = self._announced, self._announced + len(changes)
+        due = [step for step in self._due if first <= step.row < self._announced]
+        after = np.zeros(len(changes), np.bool_)
+        for step in due:
+            after[step.row - first :] |= changes.item[step.row - first :] // PER_VALVE == step.valve
         if self.failed.any():
-            changes = changes[~self.failed[changes.item // PER_VALVE]]
-        changes = self.timing.take(changes, self._fail)
-        if now_s is None or not self._may_step:
-            return self._align(changes)
-        steps = self._steps.find(changes, now_s)
-        parts = self._over_steps(changes, steps) if steps else [self._align(changes)]
-        for part in parts:
-            self._steps.remember(part)
+            works = ~self.failed[changes.item // PER_VALVE]
+            changes, after = changes[works], after[works]
+        if not due:
+            parts = [self._align(self.timing.take(changes, self._fail))]
+        else:
+            parts = [self._align(self.timing.take(changes[~after], self._fail))]
+            parts += self._set_clocks(due)
+            parts.append(self._align(self.timing.take(changes[after], self._fail)))
+        if self._may_step:
+            for part in parts:
+                self._steps.remember(part)
         return parts[0] if len(parts) == 1 else in_turn(parts)
 
-    def _over_steps(self, changes: DataChanges, steps: Sequence[Step]) -> list[ByValve]:
-        """Align the changes of each valve before the step of its clock, then those after it."""
-        row_of = np.full(len(self.names), len(changes))
-        for step in steps:
-            row_of[step.valve] = step.row
-        after = np.arange(len(changes)) >= row_of[changes.item // PER_VALVE]
-        parts = [self._align(changes[~after])]
+    def _set_clocks(self, steps: Sequence[Step]) -> Iterator[ByValve]:
         for command in (SET_BACK, SET_FORWARD):
             own = np.array([step.valve for step in steps if step.command == command], np.int64)
             if len(own):
-                parts.append(self._isolated(own, partial(self._set, command)))
-        return [*parts, self._align(changes[after])]
+                yield self._isolated(own, partial(self._set, command))
 
     def _set(self, command: int, valves: Times) -> tuple[Waiting, ByValve]:
         return self.alignment.set_clock(self._waiting, valves, command)

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.kernels.waiting import NEVER, SET_BACK, SET_FORWARD, SIGNALS
+from valvemap.pipeline.kernels.waiting import (
+    NEVER,
+    SEEN,
+    SET_BACK,
+    SET_FORWARD,
+    SIGNALS,
+    Waiting,
+)
 from valvemap.vocabulary.signals import MEASURED, PER_VALVE
 
 _KEPT: Final = 1024  # samples of each valve, as many as the alignment remembers
@@ -60,31 +67,37 @@ class ClockSteps:
         self._lead = np.full(V, NEVER)  # largest time less our monotonic time, ns
         self._at = np.zeros(V, np.int64)  # our monotonic time of the last change, ns
 
-    def find(self, changes: DataChanges, now_s: float) -> list[Step]:
-        """Return the steps in changes received at ``now_s`` (monotonic), by ascending row."""
+    def find(self, changes: DataChanges, now_s: float, waiting: Waiting) -> list[Step]:
+        """Return the steps in changes received at ``now_s`` (monotonic), by ascending row.
+
+        ``waiting`` is the alignment's state, which knows more after a restart of the service.
+        """
         valve = changes.item // PER_VALVE
         rows = np.flatnonzero(self._watched[valve])
         if not len(rows):
             return []
         item, time, now = changes.item[rows], changes.source_time[rows], round(now_s * 1e9)
-        before = self._newest.copy()
+        seen = waiting.order[:, SEEN : SEEN + PER_VALVE].ravel()
+        before = np.where(self._newest == NEVER, seen, self._newest)
         highest = before.copy()
         np.maximum.at(highest, item, time)
-        last = np.full(len(highest), NEVER)
-        last[item] = time
-        heard = last != NEVER
-        behind = heard & (last < highest - np.repeat(self._reorder, PER_VALVE))
-        present = np.flatnonzero(heard.reshape(-1, PER_VALVE).any(axis=1))
-        back = (behind | ~heard).reshape(-1, PER_VALVE).all(axis=1)
+        order = np.argsort(item, kind="stable")
+        of, then = item[order], time[order]
+        first = np.diff(of, prepend=-1) != 0
+        previous = np.where(first, before[of], np.roll(then, 1))
+        falls = (previous != NEVER) & (then < previous - self._reorder[of // PER_VALVE])
+        present = np.unique(valve[rows])
+        back = np.zeros(len(self._watched), np.bool_)
+        back[of[falls] // PER_VALVE] = True
         top = highest.reshape(-1, PER_VALVE).max(axis=1)
-        known = before.reshape(-1, PER_VALVE).max(axis=1) != NEVER
+        known = self._lead != NEVER
         lead = self._lead - np.rint(_DRIFT * (now - self._at)).astype(np.int64)
         excess = np.where(known, top - now - np.where(known, lead, 0), 0)
         steps = []
         for v in present[(back | (excess > _AHEAD_NS))[present]].tolist():
             own = rows[valve[rows] == v]
             found = (
-                self._set_back(v, changes, own, before)
+                self._set_back(v, changes, own, before, waiting.left[v])
                 if back[v]
                 else self._set_forward(v, changes, own, before, int(excess[v]))
             )
@@ -123,23 +136,31 @@ class ClockSteps:
             self._written[row] += n
 
     def _set_back(
-        self, v: int, changes: DataChanges, own: NDArray[np.intp], before: Times
+        self, v: int, changes: DataChanges, own: NDArray[np.intp], before: Times, left: Times
     ) -> Step | None:
-        """Return the step back before the changes behind the last new time, if they are new."""
-        highest = before[v * PER_VALVE : (v + 1) * PER_VALVE].copy()
-        signal, start = changes.item[own] % PER_VALVE, 0
-        for k, (j, time) in enumerate(
-            zip(signal.tolist(), changes.source_time[own].tolist(), strict=True)
-        ):
-            if time > highest[j]:
-                highest[j], start = time, k + 1
-        rest = own[start:]
-        if not len(rest) or self._came_before(v, changes, rest):
-            return None
-        return Step(v, int(rest[0]), SET_BACK)
+        """Return the step back at the first old time with new content.
 
-    def _came_before(self, v: int, changes: DataChanges, rows: NDArray[np.intp]) -> bool:
-        """Whether the complete samples among these changes are those emitted at their times."""
+        ``left`` are the times of emitted samples, also of those from before a restart.
+        """
+        highest = before[v * PER_VALVE : (v + 1) * PER_VALVE].tolist()
+        signals, times = (changes.item[own] % PER_VALVE).tolist(), changes.source_time[own]
+        row = self._row[v]
+        known = dict(zip(self._times[row].tolist(), self._digests[row].tolist(), strict=True))
+        repeated: set[int] = set()
+        for k, (j, time) in enumerate(zip(signals, times.tolist(), strict=True)):
+            if time >= highest[j] - int(self._reorder[v]):
+                highest[j] = max(highest[j], time)
+            elif time not in repeated:
+                now = self._samples(v, changes, own[k:][times[k:] == time])
+                then = self._samples(v, changes, own[:k][times[:k] == time])
+                same = {time: known[time]} if time in known else then
+                if now and now != same and (same or time not in left):
+                    return Step(v, int(own[k]), SET_BACK)
+                repeated.add(time)
+        return None
+
+    def _samples(self, v: int, changes: DataChanges, rows: NDArray[np.intp]) -> dict[int, int]:
+        """Return the digest by time of the complete samples among these changes of one valve."""
         times, place = np.unique(changes.source_time[rows], return_inverse=True)
         values = np.full((len(times), SIGNALS), np.nan)
         there = np.zeros((len(times), SIGNALS), np.bool_)
@@ -148,12 +169,8 @@ class ClockSteps:
         values[place[measured], signal[measured]] = changes.value[rows][measured]
         there[place[measured], signal[measured]] = True
         whole = there[:, self._required[v]].all(axis=1)
-        row = self._row[v]
-        order = np.argsort(self._times[row], kind="stable")
-        kept, digests = self._times[row, order], self._digests[row, order]
-        at = np.minimum(np.searchsorted(kept, times), _KEPT - 1)
-        same = (kept[at] == times) & (digests[at] == _digest(values, self._required[v]))
-        return bool(same[whole].all())
+        digests = _digest(values[whole], self._required[v])
+        return dict(zip(times[whole].tolist(), digests.tolist(), strict=True))
 
     def _set_forward(
         self, v: int, changes: DataChanges, own: NDArray[np.intp], before: Times, excess: int

@@ -145,12 +145,17 @@ class Identification:
         return self._results.unknown(valve)
 
     @changes_state
-    def take(self, changes: DataChanges, now_s: float | None = None) -> ByValve:
-        """Align data changes and estimate; return the samples they completed, by valve.
+    def take(self, changes: DataChanges) -> ByValve:
+        """Align data changes and estimate; return the samples they completed, by valve."""
+        return self._intake.take(changes)
 
-        ``now_s`` is our monotonic time of their receipt; None: they are recorded ones.
+    @changes_state
+    def announce(self, changes: DataChanges, now_s: float) -> None:
+        """Find steps of the source's clock in changes received at ``now_s`` (monotonic), s.
+
+        Call it before `take` of these changes, whole or in parts; recordings need no call.
         """
-        return self._intake.take(changes, now_s)
+        self._arrivals.announce(changes, now_s)
 
     @changes_state
     def learn(self, arrived: ByValve) -> ByValve:

@@ -16,6 +16,8 @@ from valvemap.model.samples import Floats, Times
 
 STEP_S: Final = 1.5  # s; less may be the uncertainty of a reading: CurrentTime has steps of 1 s
 _LATE_S: Final = 1.0  # s; largest lateness that is assumed after a step
+_FUTURE_S: Final = 10.0  # s; a smaller lead may be a busy source's late CurrentTime
+_SILENT_S: Final = 5.0  # s; after a longer silence a sample may be as late as that
 _NO_SAMPLE: Final = 0
 
 
@@ -51,6 +53,7 @@ class SampleClocks:
         self._offset_s = np.full(valves, np.nan)
         self._newest = np.zeros(valves, np.int64)
         self._late_s = np.zeros(valves)  # L + S at the last arrival
+        self._heard_s = np.zeros(valves)
 
     def note_offset(self, offset_s: Floats) -> None:
         """Note o_r, (V,), s: a jump of it alone ages no sample."""
@@ -70,9 +73,15 @@ class SampleClocks:
         late = now_s + self._offset_s[valves] - newest * 1e-9
         corrected = late + self.correction_s[valves]
         set_back = (before != _NO_SAMPLE) & (newest < before)
-        stepped = set_back | (corrected < -STEP_S)
+        stepped = set_back | (corrected < -_FUTURE_S)
+        silent = now_s - self._heard_s[valves]
         kept = np.clip(self._late_s[valves], 0.0, _LATE_S)
-        correction = np.where(stepped, _small_is_0(kept - late), self.correction_s[valves])
+        delayed = (late >= -STEP_S) & (late <= kept + silent + STEP_S)  # no step is needed for it
+        assumed = kept + np.where(silent > _SILENT_S, silent, 0.0)
+        restored = np.where(delayed, 0.0, _small_is_0(assumed - late))
+        joined = (late >= -STEP_S) & (late <= kept + STEP_S)  # both clocks have made the step
+        correction = np.where(stepped, restored, np.where(joined, 0.0, self.correction_s[valves]))
+        self._heard_s[valves] = now_s
         self.correction_s[valves] = correction
         self._late_s[valves] = late + correction
         self._newest[valves] = newest

@@ -64,10 +64,10 @@ class SampleIntake:
             [plan.part for plan in valves.plans], [plan.name for plan in valves.plans]
         )
 
-    def take(self, changes: DataChanges, now_s: float | None = None) -> ByValve:
+    def take(self, changes: DataChanges) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
         self._start_again()
-        return self._learn_arrived(self._arrivals.take(changes, now_s))
+        return self._learn_arrived(self._arrivals.take(changes))
 
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""

@@ -78,6 +78,10 @@ class Timing:
             self._special[number] = self.valves[number].stands != ALIKE
         return DataChanges.concatenate(parts)
 
+    def is_alike(self, valve: int) -> bool:
+        """Whether the timestamps of a valve's signals are used as they are."""
+        return not self._special[valve]
+
     def flush(self, valves: Times, stop: Stop = raised) -> DataChanges:
         """Flush the changes buffered for scans; ``stop`` as in `take`."""
         parts = [

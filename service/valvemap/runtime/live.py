@@ -199,6 +199,7 @@ class LiveService:
         own = self._own(valves)
         self._connected[own] = True
         self._heard_at[own] = received = self._clock.monotonic()
+        self.identification.announce(changes, received)
         rest = changes
         while len(rest):
             await self._wait_if_behind(len(rest))
@@ -207,7 +208,7 @@ class LiveService:
                 return  # not acknowledged, so the source resends it
             some = max(FEWEST_AT_ONCE, int(LEARN_S * self._changes_per_s))
             piece, rest = rest[:some], rest[some:]
-            samples = self.identification.take(piece, received)
+            samples = self.identification.take(piece)
             took_s = self._clock.monotonic() - began
             self._note_pace(len(piece), took_s)
             if took_s > LEARN_S / 2.0:
@@ -317,10 +318,10 @@ class LiveService:
         ages, limit = self._ages(), self._settings.stale_after_s
         silent = self.identification.holds() & self._connected  # on-change signals at rest
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
-        await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         silent_now = np.flatnonzero(stale)
         overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
         self._note_new(overdue)
+        await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         await self._doubt_old(ages)
 
     async def _doubt_old(self, ages: Floats) -> None:

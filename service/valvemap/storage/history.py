@@ -399,8 +399,9 @@ class HistoryFile(Closing):
                 f"{damaged.name}: {kept:,} rows are copied; {lost:,} rows lack columns or all"
             )
             self._finished.append(marker)
-        block: int | None = -(2**63)
-        while (block := self._rows.seal_pending(block)) is not None:
+        sealed: int | None = -(2**63)
+        while sealed is not None:
+            sealed = self._rows.seal_pending(sealed)
             yield
         self._tiers_are_whole = True
 

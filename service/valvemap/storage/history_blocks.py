@@ -28,6 +28,7 @@ from valvemap.storage.packing import (
 T: Final = "t"
 CODES: Final = "codes"
 BYTES_OF_VALUE: Final = 8  # of columns that are not packed, except times and codes
+MOST_RELATED: Final = 12  # columns; all pairs of more are not tried, the time grows with the cube
 SEALED: Final = "#"  # ends the name of a series of sealed blocks
 
 _BLOCK = "INSERT INTO block (id, series, first, last, rows) VALUES (?, ?, ?, ?, ?)"
@@ -142,14 +143,15 @@ def pack(name: str, column: NDArray[Any]) -> bytes:
 
 
 def pack_sealed(columns: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
-    """Return the columns of a sealed block."""
+    """Return the columns of a sealed block; among few columns some may follow from others."""
     packed, alone = dict[str, bytes](), dict[str, NDArray[Any]]()
+    few = len(columns) <= MOST_RELATED
     for name, column in columns.items():
         if name in {T, CODES}:
             packed[name] = pack_integers(column.astype(np.int64))
             continue
         packed[name] = pack_doubles(column, alone)
-        if not others_of(packed[name]):
+        if few and not others_of(packed[name]):
             alone[name] = column
     return packed
 
@@ -213,20 +215,14 @@ def insert(
     t: Times,
     parts: Mapping[str, bytes],
     number: Callable[[str], int],
-    *,
-    id_: int | None = None,
+    id_: int,
 ) -> int:
-    """Write a block; return its number, by default the next one.
-
-    ``number`` returns the number of a name.
-    """
+    """Write a block under a number; return it. ``number`` returns the number of a name."""
     first, base = int(t[0]), base_of(series)
     row = id_, number(series), first, int(t[-1]), len(t)
-    block = connection.execute(_BLOCK, row).lastrowid
-    assert block is not None  # noqa: S101 - a row was inserted
+    connection.execute(_BLOCK, row)
     packed = [
-        (block, number(name), checksum(data, base, name, first), data)
-        for name, data in parts.items()
+        (id_, number(name), checksum(data, base, name, first), data) for name, data in parts.items()
     ]
     connection.executemany(_PART, packed)
-    return block
+    return id_

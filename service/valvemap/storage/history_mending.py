@@ -127,8 +127,8 @@ def _take_over(connection: sqlite3.Connection, block: Block, number: Callable[[s
     if not len(found.t):
         return Taken(lost=block.lost)
     (lowest,) = connection.execute("SELECT min(id) FROM block").fetchone()
-    before_all = None if lowest is None else lowest - 1  # blocks come newest first
-    insert(connection, block.series, found.t, found.parts, number, id_=before_all)
+    before_all = 0 if lowest is None else lowest - 1  # blocks come newest first
+    insert(connection, block.series, found.t, found.parts, number, before_all)
     return Taken(0 if width_of(block.series) else len(found.t), block.lost)
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Flags
+from valvemap.model.samples import Flags, Times
 from valvemap.pipeline.ports import Piece
 from valvemap.storage.history_blocks import (
     CODES,
@@ -32,6 +32,9 @@ MOST_LOOSE: Final = 64  # blocks of a series; beyond it they are joined
 MOST_SMALL: Final = 16  # blocks of a tier; beyond it they are joined
 _SMALL = "SELECT id, rows FROM block WHERE series = ? AND rows < ? ORDER BY id"
 _OVERLAPPING = "SELECT id FROM block WHERE series IN (?, ?) AND first <= ? AND last >= ?"
+_NEWEST = (
+    "SELECT ifnull((SELECT max(id) FROM block), 0), ifnull((SELECT max(block) FROM written), 0)"
+)
 _PENDING = "SELECT id, series FROM block WHERE id > ? AND rows >= ? AND series IN ({}) ORDER BY id"
 
 
@@ -76,6 +79,7 @@ class SeriesWriter:
         self.damaged_tiers = set[str]()
         self.names: dict[str, int] = {}
         self._series: dict[str, _Series] = {}
+        self._newest = 0
         self.reload()
 
     def reload(self) -> None:
@@ -85,6 +89,7 @@ class SeriesWriter:
 
     def reload_series(self) -> None:
         """Load the series from the file."""
+        self._newest = max(self._newest, *self._writer.execute(_NEWEST).fetchone())
         self._series = self._known_series()
 
     def append(self, piece: Piece) -> int:
@@ -143,7 +148,7 @@ class SeriesWriter:
                     continue
                 self._delete([block])
                 if len(kept.t):
-                    insert(self._writer, tier, kept.t, kept.parts, self.number, id_=block)
+                    self._add(tier, kept.t, kept.parts, block)
         self.reload_series()
 
     def reset_all_tiers(self) -> None:
@@ -164,13 +169,13 @@ class SeriesWriter:
         if not columns:
             return
         parts = pack_sealed(columns)
-        insert(self._writer, base_of(series) + SEALED, columns[T], parts, self.number, id_=id_)
+        self._add(base_of(series) + SEALED, columns[T], parts, id_)
         for width in WIDTHS:
             self._add_cells(tier_of(series, width), cells_of(columns, width))
 
     def _add_cells(self, tier: str, cells: Mapping[str, NDArray[Any]]) -> None:
         own = self._series.setdefault(tier, _Series())
-        block = insert(self._writer, tier, cells[T], pack_sealed(cells), self.number)
+        block = self._add(tier, cells[T], pack_sealed(cells))
         own.small[block] = len(cells[T])
         if own.rows < CELLS and len(own.small) <= MOST_SMALL:
             return
@@ -182,7 +187,7 @@ class SeriesWriter:
         if not whole:
             return
         joined = merged(whole)
-        block = insert(self._writer, tier, joined[T], pack_sealed(joined), self.number)
+        block = self._add(tier, joined[T], pack_sealed(joined))
         if len(joined[T]) < CELLS:
             own.small[block] = len(joined[T])
 
@@ -206,7 +211,16 @@ class SeriesWriter:
 
     def _insert(self, series: str, columns: Mapping[str, NDArray[Any]]) -> int:
         parts = {name: pack(name, column) for name, column in columns.items()}
-        return insert(self._writer, series, columns[T], parts, self.number)
+        return self._add(series, columns[T], parts)
+
+    def _add(
+        self, series: str, t: Times, parts: Mapping[str, bytes], id_: int | None = None
+    ) -> int:
+        """Write a block; numbers are not used again, since age goes by them."""
+        if id_ is None:
+            self._newest += 1
+            id_ = self._newest
+        return insert(self._writer, series, t, parts, self.number, id_)
 
     def _taken(self, name: str, series: _Series) -> dict[str, NDArray[Any]]:
         """Delete a series' loose blocks; return their rows, with NaN for columns they lack."""

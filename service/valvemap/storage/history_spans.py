@@ -9,7 +9,7 @@ from valvemap.storage.history_cells import WIDTHS, width_of
 from valvemap.storage.history_series import SeriesWriter
 
 SIGNALS: Final = ".Signals"  # ends the names of series of measured values; others are results
-LEAST_RESULTS: Final = 0.25  # of the size; results have at least this much of it, if they need it
+LEAST_RESULTS: Final = 0.125  # of the size; results have at least this much of it, if they need it
 LEAST_ROWS: Final = 0.5  # of the size; rows of signals and results have at least this much
 _MORE: Final = 0.01  # of the size; dropped beyond the excess, so that not each minute has to search
 

@@ -75,7 +75,8 @@ class TierReader:
                 part = self._rows.examined(self._reader, tier, block, wanted)
                 if not len(part.t) or part.damaged:
                     return series
-                found.append(_within(part.columns, span))
+                own = {name: part.columns[name] for name in wanted if name in part.columns}
+                found.append(_within(own, span))
         found += self._loose(series, column, span, width)
         extent = self._extent(series, width)
         some = [part for part in found if len(part[T])]

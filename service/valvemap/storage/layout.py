@@ -36,12 +36,14 @@ _BEHIND_A_LOW_LINE = re.compile(r"(?P<name>.*)_(?P<unit>[^\s_\d]{2,}[^\s_]*|[CFc
 class ValveLayout:
     """The columns of one valve's signals; others are found by the signals' names.
 
-    If ``drop``, the column of p1 holds p1 - p2, where one is configured, and p2 is 0.
+    If ``drop``, the column of p1 holds p1 - p2, where one is configured, and p2 is 0. ``recorded``:
+    a file with a column of valves, and without these, is one of `valvemap record`.
     """
 
     valve: str
     signals: Mapping[str, Measure] = field(default_factory=dict)
     drop: bool = False
+    recorded: bool = False
 
     @property
     def has_columns(self) -> bool:
@@ -169,7 +171,18 @@ class _Finder:
                     f"the file needs a column valve, or each valve columns of its own "
                     f"(valves.signals.U.column)"
                 )
-            yield self._part(own, own.valve, selects=valve is not None)
+            plain = valve is not None and own.recorded and not self._has_all_of(own)
+            layout = ValveLayout(own.valve) if plain else own
+            yield self._part(layout, own.valve, selects=valve is not None)
+
+    def _has_all_of(self, own: ValveLayout) -> bool:
+        columns = {measure.column for measure in own.signals.values()} - {None}
+        names = {
+            name.casefold()
+            for pair in zip(self._headings, self._header, strict=True)
+            for name in (pair[0][0], pair[1])
+        }
+        return all(str(column).strip().casefold() in names for column in columns)
 
     def _part(self, own: ValveLayout, valve: str | None, *, selects: bool = False) -> Part:
         found: dict[str, int | None] = {"t": self._time()}

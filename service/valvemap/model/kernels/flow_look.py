@@ -57,6 +57,7 @@ def look(
     if flow * along < least:  # flow does not run against Δp but for an offset of the meter
         flow, slope = least * along, 0.0
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
+    of_path = between_sites(axis_U, axis_s, memory.doubt, at[PLACE_U], at[PLACE_S])
     for k in range(drifts.STATES):
         at[OF + k] = 0.0
     at[OF + drifts.GAIN] = flow
@@ -66,7 +67,7 @@ def look(
     for k in range(drifts.RATES, drifts.STATES):
         at[WARM] += at[OF + k] * now[0, k]
     at[FLOW] = gain * flow + at[WARM]
-    at[SURE] = gain * gain * (spread * spread + memory.scalars[fits.MISFIT])
+    at[SURE] = gain * gain * (spread * spread + of_path * of_path + memory.scalars[fits.MISFIT])
     moved = 0.0
     for k in range(drifts.STATES):
         for j in range(drifts.STATES):
@@ -137,9 +138,7 @@ def evaluate(
         width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
         law = _law(axis_s, memory, side, T[i], at)
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
-        of_path = between_sites(axis_U, axis_s, memory.doubt, at[PLACE_U], at[PLACE_S])
-        total = at[TOTAL] + law + of_path * of_path + both * both
-        Q[i], spread[i] = at[FLOW], math.sqrt(total)
+        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + both * both)
 
 
 @lean_kernel

@@ -29,7 +29,8 @@ LAGGED, STUCK, SEEN = 2 * PARAMETERS, 2 * PARAMETERS + 1, 2 * PARAMETERS + 2  # 
 LEAST_SEEN = 2 * PARAMETERS + 3  # l/min
 HYSTERESIS = 2 * PARAMETERS + 4  # looks in which play left much, less the others
 FLOOR = 2 * PARAMETERS + 5  # (l/min)²; least variance of the noise behind a meter's filter
-PARTS = 2 * PARAMETERS + 6  # %; spools behind the relays, RELAY_COUNT places
+MOST, MOST_GAIN = 2 * PARAMETERS + 6, 2 * PARAMETERS + 7  # l/min a pump delivers; evidence of it
+PARTS = 2 * PARAMETERS + 8  # %; spools behind the relays, RELAY_COUNT places
 RELAY_COUNT = 8
 PLACES = PARTS + RELAY_COUNT
 

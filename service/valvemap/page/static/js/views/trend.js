@@ -30,8 +30,8 @@ export function trendView(root, { live, valve, query, keep }) {
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
   const button = (text, label, act) => h("button.quiet", { type: "button", "aria-label": label, title: label, onclick: act }, text);
-  const now = button("Now", "Follow the newest data (N)", () => go({ end: null }));
-  const moves = h("span.together", {}, button("◀", "Earlier (←)", () => pan(-0.5)), button("▶", "Later (→)", () => pan(0.5)), button("+", "Zoom in (+)", () => zoom(0.5)), button("−", "Zoom out (−)", () => zoom(2)), now);
+  const now = button("Now", "Now: follow the newest data (N)", () => go({ end: null }));
+  const moves = h("span.together", {}, button("◀", "◀ earlier (←)", () => pan(-0.5)), button("▶", "▶ later (→)", () => pan(0.5)), button("+", "+ zoom in", () => zoom(0.5)), button("−", "− zoom out", () => zoom(2)), now);
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name }) => name !== valve.name).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
@@ -242,7 +242,7 @@ export function trendView(root, { live, valve, query, keep }) {
     context.fillStyle = css("--ink");
     kinds.forEach((kind, k) => {
       const text = spaced(kind), wide_ = context.measureText(text).width;
-      context.fillStyle = css("--card"); context.fillRect(left + 2, k * LANE + 3, wide_ + 8, LANE - 6);
+      context.fillStyle = css("--card"); context.fillRect(left - 1, k * LANE + 2, wide_ + 12, LANE - 4);
       context.fillStyle = css("--ink"); context.fillText(text, left + 6, (k + 0.5) * LANE);
     });
   }

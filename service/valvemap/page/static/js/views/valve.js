@@ -282,7 +282,12 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
   closers.push(() => live.removeEventListener("values", take), onTheme(() => { drawnAt = 0; soon(); }));
   live.addEventListener("standing", standing);
   closers.push(() => live.removeEventListener("standing", standing), () => { filling = -1; });
-  const slow = setInterval(() => { standing(); table.show(live, selected, live.oldOf(valve.name)); }, 1000);
+  const slow = setInterval(() => {
+    const old = live.oldOf(valve.name);
+    standing();
+    table.show(live, selected, old);
+    if (old) showFacts(); // nothing else would write that they are not of now
+  }, 1000);
   closers.push(() => clearInterval(slow));
   fill();
   take();
