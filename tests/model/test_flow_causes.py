@@ -125,8 +125,9 @@ def test_a_least_flow_is_what_readings_jump_over():
     assert flow_causes.least_shown(Q, 0.2)[1] == 0.0
 
 
-def learnt(U, dp, Q, cuts=()):
-    t = 1_700_000_000_000_000_000 + (1e9 / FS * np.arange(len(U))).astype(np.int64)
+def learnt(U, dp, Q, cuts=(), t=None):
+    t = np.arange(len(U)) / FS if t is None else t
+    t = 1_700_000_000_000_000_000 + (1e9 * t).astype(np.int64)
     samples, state, start = Samples.of(t, U, dp, 0 * dp, Q), FlowMap().initial_state(), 0
     for stop in (*cuts, len(U)):
         state, _ = FlowMap().update(state, samples[start:stop])
@@ -181,6 +182,18 @@ def test_later_rows_refine_an_operator_and_move_the_map_with_it():
     assert 0.0 < state.doubt.max() < young
     assert state.counters[flow_memory.BEGAN] == began
     assert state.path[paths.CHOKE] == pytest.approx(0.7, abs=0.005)
+
+
+def test_a_fast_spool_is_found_though_samples_come_in_pieces():
+    U, dp = cycle(30, 2600)
+    Q = valve(lagging(U, 0.015), dp) + 0.25 * noise(2600)
+    t = np.arange(2600) / FS
+    shown = t % 2.0 < 1.0  # the rows kept span 25 s, 1700 times the lag
+    state = learnt(U[shown], dp[shown], Q[shown], t=t[shown])
+    assert state.path[paths.LAG_U] == pytest.approx(0.015, rel=0.2)
+    grid_U, grid_dp = (x.ravel() for x in np.meshgrid([30.0, 50.0, 70.0], [40.0, 80.0, 120.0]))
+    Q, _ = FlowMap().predict(state, grid_U, grid_dp, np.full(9, np.nan))
+    assert np.abs(Q - valve(grid_U, grid_dp)).max() < 0.4
 
 
 def test_a_search_does_not_depend_on_how_samples_are_cut():

@@ -58,7 +58,7 @@ def spool(U: float, step: float, fresh: bool, path: Floats) -> float:  # noqa: F
         path[LAGGED] = path[STUCK] = U
         for k in range(RELAY_COUNT):
             path[PARTS + k] = U
-    if path[LAG_U] > 0.0:
+    elif path[LAG_U] > 0.0:
         path[LAGGED] += (1.0 - math.exp(-step / path[LAG_U])) * (U - path[LAGGED])
     else:
         path[LAGGED] = U
