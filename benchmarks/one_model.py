@@ -52,7 +52,7 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
             codes = {one.code for one in estimator.findings(state)}
             found["named"].append(len(codes & row.causes) / max(len(row.causes), 1))
             found["misnamed"].append(float(len(codes - row.causes)))
-            found["play off"].append(abs(estimator.play(state) - row.play))
+            found["play off"].append(abs(2.0 * estimator.half_play(state) - row.play))
             found["delay"].append(_delay(estimator, state, row))
     return found
 
