@@ -69,13 +69,16 @@ def slipping(U, slip):
     return out
 
 
-def found(U, dp, Q, p1=None):
+def found(U, dp, Q, p1=None, given=None):
     rows = np.zeros((len(U), paths.COLUMNS))
     rows[:, paths.STEP] = 1 / FS
     rows[:, paths.LEFT_U], rows[:, paths.LEFT_DP], rows[:, paths.LEFT_Q] = U, dp, Q
     rows[:, paths.LEFT_P1] = dp + 5 if p1 is None else p1
     evidence = flow_evidence.Evidence(*BOTH, rows)
-    at, _ = flow_causes.search(evidence, np.zeros(paths.PARAMETERS))
+    start = np.zeros(paths.PARAMETERS)
+    for k, value in (given or {}).items():
+        start[k] = value
+    at, _ = flow_causes.search(evidence, start)
     return {int(k): float(at[k]) for k in np.flatnonzero(at)}
 
 
@@ -110,6 +113,19 @@ def test_three_operators_are_found_together():
     Q = averaged(valve(behind(late(U, 10), 1.5), dp), 40) + noise()
     expected = {paths.DEAD_U: 0.1, paths.PLAY: 1.5, paths.AVERAGE: 0.4}
     assert found(U, dp, Q) == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("rival", [paths.DEAD_U, paths.LAG_Q, paths.DEAD_Q])
+def test_an_operator_that_explains_the_rows_is_kept_against_one_that_hardly_gains(rival):
+    U, dp = cycle(30)
+    Q = valve(lagging(U, 0.02), dp) + 4.0 * noise()
+    assert found(U, dp, Q, given={rival: 0.02}).keys() == {rival}
+
+
+def test_an_operator_gives_way_to_one_that_is_clearly_likelier():
+    U, dp = cycle(30)
+    Q = lagging(valve(U, dp), 0.2) + noise()
+    assert found(U, dp, Q, given={paths.DEAD_U: 0.2}) == pytest.approx({paths.LAG_Q: 0.2}, rel=0.1)
 
 
 def test_choking_is_a_share_of_the_pressure_upstream():

@@ -55,11 +55,12 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
 
     Operators are added while the rows fit better as if residuals were white, since one of several
     that are missing whitens nothing alone. Those that gain too little in the end are dropped.
+    Operators that explain the rows give way only to others that are clearly likelier.
     """
-    at = given.copy()
-    beam = [at]
+    at = known = given.copy()
+    beam, is_explained = [at], False
     if np.count_nonzero(given):
-        at = jointly(evidence, at)
+        at = known = jointly(evidence, at)
         is_explained = evidence.of(at).square < rules.EXPLAINED * noise_of(evidence.Q) ** 2
         beam = [at] if is_explained else [at, np.zeros_like(at)]
     for _ in range(rules.MOST_OPERATORS):
@@ -70,6 +71,9 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
     if np.count_nonzero(at):
         at = _swapped(evidence, at)
     at = _needed(evidence, at, given)
+    is_other = ((at > 0.0) != (given > 0.0)).any()
+    if is_explained and is_other and evidence.gain(at, known) < rules.STILL_CLEAR:
+        at = known  # what is hardly likelier is not worth another map
     gains = np.zeros(paths.PARAMETERS)
     for k in np.flatnonzero(at):
         gains[k] = evidence.gain(at, with_value(at, int(k), 0.0))
