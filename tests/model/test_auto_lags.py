@@ -87,11 +87,17 @@ def test_lags_are_found_and_the_map_is_good_and_without_a_loop(tau_U, tau_Q):
     assert np.mean(errors) <= 0.6, errors
 
 
-def test_the_rate_of_the_samples_does_not_matter_to_a_lag():
+@pytest.mark.parametrize(
+    "fs",
+    [
+        *(50.0, 200.0),
+        pytest.param(1000.0, marks=missed("not found: the rows that are kept are 1.3 s")),
+    ],
+)
+def test_the_rate_of_the_samples_does_not_matter_to_a_lag(fs):
     auto = FlowMap()
-    for fs in (50.0, 200.0):  # missed at 1,000 Hz: the rows that are kept are 1.3 s
-        state, _ = auto.update(auto.initial_state(), machine(5, 0.0, 0.2, fs))
-        assert auto.lags(state)[1] == pytest.approx(0.2, rel=0.2)
+    state, _ = auto.update(auto.initial_state(), machine(5, 0.0, 0.2, fs))
+    assert auto.lags(state)[1] == pytest.approx(0.2, rel=0.2)
 
 
 @pytest.mark.parametrize("fs", [1.0, 5.0, 10.0, 20.0])

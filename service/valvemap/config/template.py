@@ -75,6 +75,11 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 # required_U = "nsu=urn:valvemap:rig;s=Valvistor.UCommand" # feed-forward: U for FlowDemand
 # heartbeat = "nsu=urn:valvemap:rig;s=Valvistor.Heartbeat" # UInt32 that counts meanwhile
 
+# [valves.ports] # in place of nodes: a valve with four edges, docs/ports.md
+# U = "ns=2;s=V.U" # -100 … 100 %
+# pP = "ns=2;s=V.pP" # and pT, pA, pB
+# QA = "ns=2;s=V.QA" # and QB
+
 # [valves.signals] # units and names of a plant's own, live and in recordings: docs/units.md
 # U = {{ raw = [4, 20], range = [0, 100], column = "FCV-101.cmd" }} # mA, or counts: raw -> %
 # p1 = {{ unit = "psi", accuracy = 15 }} # its sensor may be off by ± 15 psi

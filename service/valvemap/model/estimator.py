@@ -60,7 +60,7 @@ class State:
         except _UNREADABLE as error:
             raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
         if header != expected:
-            raise StateMismatchError(f"state of {header}, not of {expected}")
+            raise StateMismatchError(_difference(header, expected))
         return cls(**arrays)
 
     def contents(self) -> Mapping[str, Contents]:
@@ -89,6 +89,15 @@ def _npy_head(layout: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
     record, buffer = np.zeros((), list(layout)), io.BytesIO()
     np.save(buffer, record, allow_pickle=False)
     return buffer.getvalue()[: -record.nbytes]
+
+
+def _difference(header: tuple[str, ...], expected: tuple[str, str, str]) -> str:
+    """Say in what a state is another one: type, layout or hyper-parameters."""
+    if len(header) != len(expected) or header[1] != expected[1]:
+        return f"it is a state of {' '.join(header[1:2])}, not of {expected[1]}"
+    if header[0] != expected[0]:
+        return f"it is a state of version {header[0]}, version {expected[0]} is needed"
+    return f"it is a state of {header[2]}, not of {expected[2]}"
 
 
 def _record(data: bytes) -> Any:  # noqa: ANN401 - a record of named arrays
