@@ -44,7 +44,14 @@ NAMES = (
     *("file: points", "file: users", "file: configuration", "file: certificates"),
     *("file: trusted certificates", "file: revocation lists", "wire: certificates"),
     *("page: requests", "Sparkplug: states", "Sparkplug: commands"),
-    *("state: arrays", "file: models", "history: blocks", "history: alarms", "MQTT: packets"),
+    *(
+        "state: arrays",
+        "file: models",
+        "history: blocks",
+        "history: sealed blocks",
+        "history: alarms",
+        "MQTT: packets",
+    ),
     *(
         "MQTT: client",
         "Kafka: states",

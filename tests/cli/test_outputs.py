@@ -25,7 +25,11 @@ READ = {  # what a command reads, or its own folder of certificates, users and s
     "files",
     "ca",
 }
-READ_OF = {("invert", "file"), ("export", "file"), ("baseline", "file"), ("state import", "file")}
+READ_OF = {
+    *(("invert", "file"), ("export", "file"), ("baseline", "file"), ("state import", "file")),
+    ("axis", "file"),
+}
+AXIS = "axis r.csv --piston 63 --rod 45 --stroke 800 --dead 0.6"
 WRITTEN = {  # (command, parameter): the command line, {} is the path; and the file that is there
     ("invert", "out"): ("invert m.json --Q 1 --dp 2 --to {}", "answers.csv", ""),
     ("export", "out"): ("export m.json --to {}", "map.c", ""),
@@ -39,6 +43,8 @@ WRITTEN = {  # (command, parameter): the command line, {} is the path; and the f
     ("rig", "record"): ("rig --offline --duration 1 --record {}", "r.csv", ""),
     ("connect", "out"): ("connect opc.tcp://127.0.0.1:1 --out {}", "valvemap.toml", ""),
     ("connect", "sheet"): ("connect opc.tcp://127.0.0.1:1 --sheet {}", "sheet.html", ""),
+    ("axis", "out"): (f"{AXIS} --to {{}}", "axis.st", ""),
+    ("axis", "json_file"): (f"{AXIS} --json {{}}", "axis.json", ""),
     ("report", "out"): ("report --out {}", "reports", "paper.html"),
     ("history export", "file"): ("history export {}", "r.csv", ""),
     ("state export", "file"): ("state export {}", "states.sqlite", ""),

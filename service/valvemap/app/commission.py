@@ -380,8 +380,6 @@ def result_in_words(run: CommissionRun, files: RunFiles, valve: str) -> list[str
             f"map        ± {1.96 * learnt.error:.2g} l/min (95 %, mean over U), at Δp of "
             f"{learnt.drops[0]:.0f} … {learnt.drops[1]:.0f} bar, which were seen"
         )
-    lines.append(
-        f"recording  {files.recording}: `valvemap replay {files.recording}` learns it"
-    )
+    lines.append(f"recording  {files.recording}: `valvemap replay {files.recording}` learns it")
     lines.append(f"audit      {files.audit}")
     return lines

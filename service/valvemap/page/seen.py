@@ -23,10 +23,10 @@ class Seen:
     Examples
     --------
     >>> seen = Seen(("Signals.Q",), 1)
-    >>> for second in range(4):
+    >>> for second in range(2, 6):
     ...     seen.add(second * 1_000_000_000, {"Signals.Q": float(second)})
-    >>> seen.bucketed("Signals.Q", 0, 2_000_000_000, 2)[0].tolist()
-    [0.5, 2.5]
+    >>> seen.bucketed("Signals.Q", 2_000_000_000, 2_000_000_000, 2)[0].tolist()
+    [2.5, 4.5]
     """
 
     def __init__(self, names: Sequence[str], valves: int) -> None:
