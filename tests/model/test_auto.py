@@ -130,6 +130,7 @@ def test_the_map_of_the_rigs_valve_is_found_to_half_the_noise(data):
     assert max(errors) <= 1.0, errors
 
 
+@MISSED(".51 σ")
 def test_levels_that_only_rise_teach_the_rising_branch_of_the_hysteresis():
     """No falling U, no word on the other branch: the verification's middle is half a loop away."""
     excitation = Structured(levels_percent=UP, sweep_s=6.0)
@@ -262,9 +263,7 @@ def test_a_change_of_the_valve_is_found_and_followed_within_500_samples(sigma):
     assert np.mean(errors) <= 0.35
 
 
-@pytest.mark.parametrize(
-    "seed", [13, 20, *(pytest.param(k, marks=MISSED("not found in 25 s")) for k in (10, 31))]
-)
+@pytest.mark.parametrize("seed", [10, 13, 20, pytest.param(31, marks=MISSED("not found in 25 s"))])
 def test_on_a_bench_that_holds_each_point_damage_is_a_change_and_a_young_map_is_none(seed):
     damage = Fault(kind=FaultKind.DAMAGE, start_s=90, size=-20)
     scenario = Scenario(seed=seed, excitation=Scattered(hold_s=0.4), faults=(damage,))

@@ -5,7 +5,7 @@ import pytest
 from simulation.faults import FAULTS
 from simulation.world import simulate
 
-SEEDS = 100
+SEEDS = 40
 MOST_SEEDS = 1_000  # in which a planted fault is found
 FIRST = dict(zip(FAULTS, (0, 0, 437, 19, 19, 11, 11, 0, 12, 4, 1), strict=True))
 

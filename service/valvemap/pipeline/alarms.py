@@ -194,11 +194,14 @@ class Alarms:
         """Set which valves have on-change signals: their silence is no loss."""
         self._patient[chosen] = patient
 
-    def note_changes(self, chosen: Times, counts: Times, t: Times, size: Floats) -> None:
+    def note_changes(
+        self, chosen: Times, counts: Times, t: Times, size: Floats, *, weighed: bool = False
+    ) -> None:
         """Update with the number of detected flow changes of K valves, and the newest of each.
 
         A change while the map is new may be the map's convergence. A change that residuals do not
-        confirm is one of the estimate, not of the valve.
+        confirm is one of the estimate, not of the valve, unless the estimator has ``weighed`` it
+        against other causes: it may then follow before the residuals are large.
         """
         memory, detail = self._senses.memory, self._conditions.detail
         memory[chosen, kernel.CHANGES_SEEN] = np.minimum(
@@ -210,6 +213,7 @@ class Alarms:
         times = self._senses.times[chosen]
         shown = times[:, kernel.LARGE_UNTIL] >= t - SHOWN_BEFORE_NS
         shown &= times[:, kernel.LARGE_SINCE] <= t + SHOWN_WITHIN_NS
+        shown |= weighed
         shown &= size**2 >= CLEAR_CHANGE**2 * memory[chosen, kernel.USUAL_SQUARE]
         unseen &= shown | self._conditions.active[chosen, Alarm.CHANGED]
         detail[chosen, Alarm.CHANGED, 1] = counts

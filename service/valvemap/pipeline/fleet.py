@@ -367,7 +367,9 @@ class Fleet:
         """Update the alarms with the estimators' latest changes, lags and adaptation status."""
         if self._finder is not None:
             found = self._lanes[self._finder].states.newest_changes(chosen)
-            self.alarms.note_changes(chosen, found["count"], found["t"], found["size"])
+            changes = found["count"], found["t"], found["size"]
+            weighed = self._finder in self._finders
+            self.alarms.note_changes(chosen, *changes, weighed=weighed)
         if self._laggard is not None:
             self.alarms.note_lags(chosen, self._lanes[self._laggard].states.largest_lags(chosen))
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
