@@ -195,12 +195,12 @@ EDITS = {
     "another rule of forgetting": (
         estimator(0, forgetting="exponential"),
         {"RLS": RESET, "RML": KEPT, "RBF": KEPT},
-        "V1.RLS: state of",
+        "V1.RLS: it is a state of other hyper-parameters",
     ),
     "another estimator of that name": (
         estimator(1, kind="RBF", name="RML"),
         {"RLS": KEPT, "RML": RESET, "RBF": KEPT},
-        "V1.RML: state of",
+        "V1.RML: it is a state of",
     ),
     "estimator removed": (drop_estimator, {"RLS": KEPT, "RBF": KEPT}, "V1.RML: no such estimator"),
     "valve removed": (drop_valve, {}, "no such valve"),

@@ -92,12 +92,12 @@ def _npy_head(layout: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
 
 
 def _difference(header: tuple[str, ...], expected: tuple[str, str, str]) -> str:
-    """Say in what a state is another one: type, layout or hyper-parameters."""
+    """Say in what a state is another one: type, version or hyper-parameters."""
     if len(header) != len(expected) or header[1] != expected[1]:
         return f"it is a state of {' '.join(header[1:2])}, not of {expected[1]}"
     if header[0] != expected[0]:
         return f"it is a state of version {header[0]}, version {expected[0]} is needed"
-    return f"it is a state of {header[2]}, not of {expected[2]}"
+    return "it is a state of other hyper-parameters"
 
 
 def _record(data: bytes) -> Any:  # noqa: ANN401 - a record of named arrays
