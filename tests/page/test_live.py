@@ -11,6 +11,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import ShownService
+from valvemap.page.judgement import Reason, Severity
 
 pytestmark = pytest.mark.waits
 
@@ -206,7 +207,7 @@ async def test_a_failed_sensor_is_an_alarm_with_its_reason():
         await socket.send(json.dumps(WATCH))
         seen = Seen(socket)
         await seen.until(lambda s: 0 in s.rows)
-        assert seen.rows[0][:2] == (3.0, 10.0)
+        assert seen.rows[0][:2] == (Severity.ALARM, Reason.SENSOR_FAILURE)
 
 
 @pytest.mark.parametrize(
