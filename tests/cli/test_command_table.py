@@ -13,6 +13,7 @@ from valvemap.cli import run
 from valvemap.cli.command_table import COMMANDS, load_command
 
 MOST_HELP_S, MOST_INVERT_S = 0.3, 0.7
+SLOW_MACHINE = 3.5  # times the libraries: an absolute time on a slow machine proves nothing
 RUNS = 10
 
 _SERVERS = {
@@ -122,13 +123,15 @@ def test_a_mistyped_command_is_one_line_that_suggests_a_near_one(capsys):
 @pytest.mark.alone
 def test_help_and_invert_are_quick(files):
     model = next(file for file in files[1] if "Auto" in file.name)
-    assert median_s("--help") <= MOST_HELP_S
-    assert median_s("invert", model, "--Q", "20", "--dp", "70") <= MOST_INVERT_S
+    assert median_s("-m", "valvemap", "--help") <= MOST_HELP_S
+    libraries_s = median_s("-c", "import numba, pydantic, typer")  # what it cannot do without
+    invert_s = median_s("-m", "valvemap", "invert", model, "--Q", "20", "--dp", "70")
+    assert invert_s <= max(MOST_INVERT_S, SLOW_MACHINE * libraries_s)
 
 
 def median_s(*arguments):
-    """Processor time of a command, the median of some runs."""
-    asked = [sys.executable, "-m", "valvemap", *map(str, arguments)]
+    """Processor time of Python with arguments, the median of some runs."""
+    asked = [sys.executable, *map(str, arguments)]
     seconds = []
     for _ in range(RUNS):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
