@@ -89,7 +89,7 @@ class ConditionChange(Protocol):
 
     @property
     def text(self) -> str:
-        """What was measured, since when, and possible causes."""
+        """Measured values, since when, and possible causes."""
 
     @property
     def severity(self) -> int:
@@ -109,7 +109,7 @@ class ConditionChange(Protocol):
 
     @property
     def retain(self) -> bool:
-        """Whether it still needs somebody."""
+        """Whether it still waits for an operator."""
 
     @property
     def comment(self) -> str:

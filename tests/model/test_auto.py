@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import circumstances as honest
+from support.missed import missed
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.inverse_map import invert
@@ -21,11 +22,6 @@ from valvemap_rig.sensors import Sensor, Sensors
 from valvemap_rig.valvistor import Valvistor
 
 SIGMA = 0.4  # 0.2 % of 200 l/min
-
-
-def MISSED(figure):
-    """The bar stands; what is measured is said, and the mark goes once the bar is met."""
-    return pytest.mark.xfail(strict=True, reason=f"missed: {figure}")
 
 
 UP = tuple(5.0 * k for k in range(21))
@@ -116,7 +112,7 @@ def test_the_map_of_valves_unlike_eq_7_is_found_to_half_the_noise(valve, data, p
 
 
 @pytest.mark.parametrize(
-    "data", [pytest.param("structured", marks=MISSED("median .75 σ, worst 4.8 σ")), "scattered"]
+    "data", [pytest.param("structured", marks=missed("median .75 σ, worst 4.8 σ")), "scattered"]
 )
 def test_the_map_of_the_rigs_valve_is_found_to_half_the_noise(data):
     excitation = Structured(levels_percent=UP, sweep_s=6.0) if data == "structured" else Scattered()
@@ -130,7 +126,7 @@ def test_the_map_of_the_rigs_valve_is_found_to_half_the_noise(data):
     assert max(errors) <= 1.0, errors
 
 
-@MISSED(".51 σ")
+@missed(".51 σ")
 def test_levels_that_only_rise_teach_the_rising_branch_of_the_hysteresis():
     """No falling U, no word on the other branch: the verification's middle is half a loop away."""
     excitation = Structured(levels_percent=UP, sweep_s=6.0)
@@ -140,7 +136,7 @@ def test_levels_that_only_rise_teach_the_rising_branch_of_the_hysteresis():
     assert np.sqrt(np.mean(error[50:] ** 2)) / SIGMA <= 0.5
 
 
-@MISSED("no loop is found where U moves in steps of 5 %")
+@missed("no loop is found where U moves in steps of 5 %")
 @pytest.mark.parametrize("width", [pytest.param(0.4, marks=pytest.mark.soak), 2.0])
 def test_with_hysteresis_the_loop_is_found_and_the_map_along_it_to_less_than_the_noise(width):
     excitation = Structured(levels_percent=UP_AND_DOWN, sweep_s=6.0)
@@ -154,7 +150,7 @@ def test_with_hysteresis_the_loop_is_found_and_the_map_along_it_to_less_than_the
     assert np.sqrt(np.mean(middle**2)) / SIGMA <= 1.0
 
 
-@MISSED("12.8 σ in the middle between the levels")
+@missed("12.8 σ in the middle between the levels")
 def test_between_the_levels_of_u_the_map_does_not_fall_where_nothing_forbids_it():
     excitation = Structured(levels_percent=UP_AND_DOWN, sweep_s=6.0)
     samples, _, points = rig_block(excitation, 24_000, 0.4, pressure_noise=0.2)
@@ -216,7 +212,7 @@ def test_samples_that_are_no_numbers_or_bad_or_huge_leave_the_state_untouched():
         assert getattr(state, field.name).tobytes() == getattr(after, field.name).tobytes()
 
 
-@MISSED("WARMING_UP or OK, by what the point itself is known to")
+@missed("WARMING_UP or OK, by what the point itself is known to")
 @pytest.mark.parametrize("level", [0.0, 50.0])
 def test_a_constant_signal_is_unexcited_and_only_its_own_point_is_known(level):
     N = 5000
@@ -263,7 +259,7 @@ def test_a_change_of_the_valve_is_found_and_followed_within_500_samples(sigma):
     assert np.mean(errors) <= 0.35
 
 
-@pytest.mark.parametrize("seed", [10, 13, 20, pytest.param(31, marks=MISSED("not found in 25 s"))])
+@pytest.mark.parametrize("seed", [10, 13, 20, pytest.param(31, marks=missed("not found in 25 s"))])
 def test_on_a_bench_that_holds_each_point_damage_is_a_change_and_a_young_map_is_none(seed):
     damage = Fault(kind=FaultKind.DAMAGE, start_s=90, size=-20)
     scenario = Scenario(seed=seed, excitation=Scattered(hold_s=0.4), faults=(damage,))
@@ -332,7 +328,7 @@ def test_low_and_high_pressures_are_covered_alike():
         assert np.sqrt(np.mean((Q - valve(U, dp)[:500]) ** 2)) < 0.5 * SIGMA
 
 
-@MISSED("2.8 σ in the minute after")
+@missed("2.8 σ in the minute after")
 def test_an_edge_that_wore_leaves_the_rest_of_the_map_as_it_was():
     """1.3 σ off on average in the minute after, were all that was known as faint as at the edge."""
     worn, end = 20_000, 26_000

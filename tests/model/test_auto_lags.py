@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from support.missed import missed
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.samples import Samples
 from valvemap_rig.scenario import BUILTIN
@@ -10,11 +11,6 @@ from valvemap_rig.simulation import advance, initial
 
 SIGMA, N = 0.4, 20_000
 LOOKS = 2_100  # samples; after which lags were looked for twice
-
-
-def missed(figure):
-    """The bar stands; what is measured is said, and the mark goes once the bar is met."""
-    return pytest.mark.xfail(strict=True, reason=f"missed: {figure}")
 
 
 def valve(U, dp):

@@ -5,7 +5,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from support.browser import Visit, axe, chromium
+from support.browser import Visit, axe, chromium, serious
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import ShownService
@@ -241,13 +241,7 @@ async def test_axe_finds_nothing_serious_in_any_view(theme, request):
         for view in VIEWS:
             await visitor.open(view)
             await visitor.page.wait_for_timeout(1_500)
-            found = await visitor.page.evaluate(script + "; axe.run()")
-            serious = [
-                (view, v["id"], v["nodes"][0]["html"][:200], v["nodes"][0]["failureSummary"][:300])
-                for v in found["violations"]
-                if v["impact"] in {"serious", "critical"}
-            ]
-            assert serious == []
+            assert await serious(visitor, script) == []
         assert visitor.problems == []
 
 

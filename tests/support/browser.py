@@ -77,3 +77,13 @@ def axe(cache):
     folder = Path(__file__).parents[1] / "page" / "axe"
     package = installed(folder, Path(cache))
     return (package / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+
+
+async def serious(visitor, script):
+    """What axe finds serious or critical in the present view."""
+    found = await visitor.page.evaluate(script + "; axe.run()")
+    return [
+        (v["id"], v["nodes"][0]["html"][:200], v["nodes"][0]["failureSummary"][:300])
+        for v in found["violations"]
+        if v["impact"] in {"serious", "critical"}
+    ]

@@ -30,7 +30,7 @@ uncertain_quality and drop_out affect all signals by default.
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Final, Literal, NamedTuple, Self, get_args
+from typing import Final, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,6 @@ from valvemap_rig.randomness import uniform
 Signal = Literal["U", "p1", "p2", "Q", "T"]
 SIGNALS: tuple[Signal, ...] = ("U", "p1", "p2", "Q", "T")
 MachineSignal = Literal["U", "pP", "pS", "pT", "pA", "pB", "QA", "QB", "x", "T"]
-MACHINE_SIGNALS: tuple[MachineSignal, ...] = get_args(MachineSignal)
 EdgeName = Literal["PA", "AT", "PB", "BT"]
 EDGES: tuple[EdgeName, ...] = ("PA", "AT", "PB", "BT")
 

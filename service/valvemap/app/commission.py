@@ -19,7 +19,7 @@ from valvemap.app.connections import build_source, build_supervisor_settings
 from valvemap.app.page_access import Watched
 from valvemap.app.page_access import settings_of as settings_for_client
 from valvemap.clock import Clock, SystemClock
-from valvemap.config.estimators import SECTIONS, build_estimator
+from valvemap.config.estimators import AutoConfig, build_estimator
 from valvemap.config.models import Config, ValveConfig
 from valvemap.errors import (
     ConfigurationError,
@@ -58,7 +58,7 @@ PUBLISHED_MS: Final = 40.0  # longest publishing interval: samples must be young
 LEARN_S: Final = 1.0  # s between two fits of the map
 NOTE_S: Final = 1.0  # s between two lines of the audit record
 ASK_S: Final = 2.0  # s; timeout of the question to the service
-WRITE_S: Final = 0.3  # s; a write that takes longer counts as lost
+WRITE_S: Final = 0.3  # s; a write that takes longer is taken as lost
 _FIELDS: Final = ("most_s", "sweep_s", "period_s")
 
 log = structlog.get_logger(__name__)
@@ -120,7 +120,7 @@ def plan_in_words(valve: ValveConfig, settings: Settings) -> list[str]:
         f"heartbeat  {valve.nodes.heartbeat}: the source takes the valve back when it stops",
         f"checks     {settings.check_s:g} s of good samples; U still; feed-forward disarmed",
         f"sweep      {plan.sweep_s:g} s: U {low:g} … {high:g} % and back every {plan.period_s:g} s",
-        "load       is not written: the map covers the Δp that the plant shows meanwhile",
+        "load       is not written: the map covers the Δp that the plant shows during the run",
         f"refinement until {plan.most_s:g} s{ends}: moves of {pace.U:.3g} %/s to uncertain points",
         f"limits     U {low:g} … {high:g} %, {limits.slew_percent_per_s:g} %/s",
         f"retreat    p1 {_range(limits.p1_range)}, p2 {_range(limits.p2_range)} bar",
@@ -159,10 +159,9 @@ async def is_armed(config: Config, data: Path) -> bool:
 
 
 def estimator_for(valve: ValveConfig) -> Estimator[Any]:
-    """Return the Gaussian map, under the name by which the configuration offers it."""
-    section = SECTIONS.get("FlowMap", SECTIONS["Auto"])
+    """Return the estimator that a run learns with: `Auto`."""
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
-    return build_estimator(section(), *ranges)
+    return build_estimator(AutoConfig(), *ranges)
 
 
 class CommissionRun:
@@ -222,7 +221,7 @@ class CommissionRun:
         self._seen = replace(self._seen, abort=True)
 
     async def run(self) -> CommissionState:
-        """Run until the end; a source that is lost meanwhile pauses the run.
+        """Run until the end; a lost source pauses the run.
 
         Raises
         ------

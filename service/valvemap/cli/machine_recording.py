@@ -2,12 +2,11 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 import typer
 
+from valvemap.storage.closing import Closing
 from valvemap.storage.csv_recordings import PACKINGS, packed
 from valvemap_rig.machine import Machine
 from valvemap_rig.simulation import RigBlock
@@ -15,7 +14,7 @@ from valvemap_rig.simulation import RigBlock
 _BAD = 2
 
 
-class MachineWriter:
+class MachineWriter(Closing):
     """Writes the samples of machines: ``t`` (UTC ns), ``valve``, their signals, ``quality``.
 
     A signal that a machine does not have, and one that was not sent, is an empty cell.
@@ -54,17 +53,6 @@ class MachineWriter:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _write(self, text: str) -> None:
         self._file.write(packed(self._packing, text.encode()))

@@ -1,4 +1,4 @@
-"""Configuration of a valve with ports: its nodes by port, and what is learnt of them."""
+"""Configuration of a valve with ports: its nodes by port, edges and lines."""
 
 from collections.abc import Iterator
 from typing import Any, Final, Literal, Self
@@ -19,7 +19,7 @@ SIGNAL_OF: Final = {
     **{f"dp{edge}": "dp" for edge in Edge},
     "T": "T",
 }
-"""What each signal of a valve with ports is to a valve with one edge."""
+"""For each signal of a valve with ports, that of a valve with one edge."""
 
 _SENTENCES: Final = {
     "U": "control voltage, negative where PB and AT open",

@@ -1,4 +1,4 @@
-"""Events of conditions (Part 9): which fields are asked for, and what they say."""
+"""Events of conditions (Part 9): the selected fields and their meaning."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,11 +27,11 @@ class ConditionChange:
     source, name
         The valve (or ``Service``), and the alarm's name.
     text
-        What was measured, since when, possible causes.
+        Measured values, since when, possible causes.
     severity
         1 … 1,000.
     active, acked, confirmed, retain
-        The states of Part 9; a condition that is not retained needs nobody.
+        The states of Part 9; a condition that is not retained needs no action.
     comment, user
         The newest comment and its author; empty if there is none.
     event

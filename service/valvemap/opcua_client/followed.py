@@ -19,6 +19,7 @@ from valvemap.opcua_client.requests import in_chunks, operation_limits
 from valvemap.opcua_client.responses import decode_response
 
 _Name = TypeVar("_Name")
+_Item = TypeVar("_Item")
 
 _KEEP_ALIVES, _LIFETIME = 20, 120  # publishing intervals: of 0.5 s, 10 and 60 s
 _VALUES_PER_MESSAGE = 500
@@ -111,11 +112,7 @@ class Followed(Generic[_Name]):
         SourceLost, SourceRejected
             the failure that ended the subscription.
         """
-        if self._failure is not None:
-            raise self._failure
-        events = list(self._events)
-        self._events.clear()
-        return events
+        return self._emptied(self._events)
 
     async def follow(
         self, nodes: Mapping[_Name, ua.NodeId], every_s: float, sampling: Sampling = CLOSELY
@@ -152,11 +149,7 @@ class Followed(Generic[_Name]):
         SourceLost, SourceRejected
             the failure that ended the subscription.
         """
-        if self._failure is not None:
-            raise self._failure
-        changes = list(self._changes)
-        self._changes.clear()
-        return changes
+        return self._emptied(self._changes)
 
     async def stop(self) -> None:
         """Delete the subscription at the server.
@@ -185,6 +178,13 @@ class Followed(Generic[_Name]):
         if self._publishing is not None:
             self._publishing.cancel()
             await asyncio.gather(self._publishing, return_exceptions=True)
+
+    def _emptied(self, buffer: deque[_Item]) -> list[_Item]:
+        if self._failure is not None:
+            raise self._failure
+        found = list(buffer)
+        buffer.clear()
+        return found
 
     async def _end_values(self) -> None:
         """Monitor no values any more; the subscription stays for events."""

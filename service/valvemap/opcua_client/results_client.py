@@ -348,7 +348,7 @@ class ResultsClient:
         return [change for values in found if (change := condition_of(values)) is not None]
 
     async def listen(self, every_s: float) -> None:
-        """Subscribe to the changes of all alarms; those that need somebody are reported first.
+        """Subscribe to the changes of all alarms; those that wait for an operator come first.
 
         Raises
         ------

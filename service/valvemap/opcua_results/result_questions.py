@@ -16,6 +16,11 @@ from valvemap.vocabulary.statuses import InverseStatus, Status
 
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
+_FLOW = (
+    Argument("Q", "Flow; NaN if unknown", unit=Unit.LITRE_PER_MINUTE),
+    Argument("Std", "Its standard deviation", unit=Unit.LITRE_PER_MINUTE),
+    _STATUS,
+)
 _dp = Argument("dp", "Pressure drop p1 - p2", unit=Unit.BAR)
 _T = Argument(
     "T",
@@ -51,11 +56,7 @@ class ResultQuestions:
             f"{prefix}.Predict",
             partial(self._predict, *who),
             inputs=(_U, _dp, _T),
-            outputs=(
-                Argument("Q", "Flow; NaN if unknown", unit=flow),
-                Argument("Std", "Its standard deviation", unit=flow),
-                _STATUS,
-            ),
+            outputs=_FLOW,
             required=Role.OBSERVER,
             description=f"Flow at a point of the map. Status: {_numbered(Status)}.",
         )
@@ -128,11 +129,7 @@ class ResultQuestions:
             f"{valve}.{BASELINE}.Predict",
             partial(self._predict_approved, valve),
             inputs=(Argument("Estimator", "Whose map", type=ua.VariantType.String), _U, _dp, _T),
-            outputs=(
-                Argument("Q", "Flow; NaN if unknown", unit=flow),
-                Argument("Std", "Its standard deviation", unit=flow),
-                _STATUS,
-            ),
+            outputs=_FLOW,
             required=Role.OBSERVER,
             description=f"Flow at a point of the approved map. Status: {_numbered(Status)}.",
         )

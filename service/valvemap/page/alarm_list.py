@@ -1,4 +1,4 @@
-"""Alarms that need somebody: active, not acknowledged or not confirmed; changes of the others."""
+"""Alarms that wait for an operator: active, unacknowledged or unconfirmed; changes of others."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -33,7 +33,7 @@ class AlarmList:
     trouble: str = "the page has not asked for them yet"
 
     def forget(self, trouble: str) -> None:
-        """Drop all, before the service reports them anew."""
+        """Drop all, before the service reports them again."""
         self.present.clear()
         self.trouble = trouble
         self.revision += 1

@@ -110,11 +110,11 @@ class Metrics:
         yield from self._of_diagnostics()
 
     def _of_alarms(self) -> Iterator[Metric]:
-        """Yield the alarms that are active or need somebody; the others have no series."""
+        """Yield the alarms that are active or wait for an operator; the others have no series."""
         labels = ["source", "alarm"]
         severity = GaugeMetricFamily(
             "valvemap_alarm_severity",
-            "Severity of an alarm, 1 to 1,000 (OPC UA Part 9); 0 if it only needs somebody.",
+            "Severity of an alarm, 1 to 1,000 (OPC UA Part 9); 0 if it only waits for an operator.",
             labels=labels,
         )
         waiting = GaugeMetricFamily(

@@ -61,7 +61,7 @@ class Client(Protocol):
         """
 
     async def listen(self, every_s: float) -> None:
-        """Subscribe to the changes of all alarms; those that need somebody are reported first.
+        """Subscribe to the changes of all alarms; those that wait for an operator come first.
 
         SourceRejected: the server has no room for it.
         """

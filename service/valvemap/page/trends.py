@@ -2,7 +2,7 @@
 
 A trend is mean, least and largest value of equal intervals whose starts are multiples of their
 length. So a panned or zoomed trend consists of the same intervals, and what is past is read once.
-Where the service keeps no history, the page answers with what it has seen itself.
+Where the service keeps no history, the page answers with the values it has seen.
 """
 
 import asyncio
@@ -99,7 +99,7 @@ class Trends:
         self._turn = asyncio.Lock()
 
     def forget(self) -> None:
-        """Drop what was read, after a reconnect: the history may be another one."""
+        """Drop all values, after a reconnect: the history may be another one."""
         self._tiles.clear()
         self._keeps_none = self._is_connected = False
 

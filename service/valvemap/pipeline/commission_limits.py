@@ -7,7 +7,6 @@ from typing import Final, Self
 Range = tuple[float, float]
 
 MOST_STEP_S: Final = 0.2  # s; longest interval for which one command may slew
-LOAD_SHARE: Final = 0.5  # 1; of the range of the load, fastest change per second, if not configured
 
 
 @dataclass(frozen=True)

@@ -368,8 +368,7 @@ class Fleet:
         if self._finder is not None:
             found = self._lanes[self._finder].states.newest_changes(chosen)
             changes = found["count"], found["t"], found["size"]
-            weighed = self._finder in self._finders
-            self.alarms.note_changes(chosen, *changes, weighed=weighed)
+            self.alarms.note_changes(chosen, *changes, weighed=self._finder in self._finders)
         if self._laggard is not None:
             self.alarms.note_lags(chosen, self._lanes[self._laggard].states.largest_lags(chosen))
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]

@@ -87,7 +87,7 @@ class SampleClocks:
         self._newest[valves] = newest
 
     def forget(self, valves: Times) -> None:
-        """Forget the steps of these valves: their source was restarted, its clock read anew."""
+        """Drop the steps of these valves: their source was restarted, and its clock read again."""
         self.correction_s[valves] = 0.0
         self._newest[valves] = _NO_SAMPLE
 

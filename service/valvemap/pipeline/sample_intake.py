@@ -80,7 +80,7 @@ class SampleIntake:
     def learn(self, arrived: ByValve) -> ByValve:
         """Estimate from aligned samples; return them, with implausible samples marked BAD.
 
-        Of valves with ports, the lines come first: what they lose is not the edges' flow.
+        Of valves with ports, the lines come first: their leakage is not the edges' flow.
         """
         if not self.splitter:
             self._note_newest(arrived)

@@ -9,11 +9,11 @@ import re
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from valvemap.errors import StorageError
 from valvemap.model.samples import Samples
+from valvemap.storage.closing import Closing
 from valvemap.storage.csv_recordings import csv_header, csv_rows
 from valvemap.storage.recordings import read_recording
 
@@ -31,7 +31,7 @@ def last_run(folder: Path, valve: str) -> Path | None:
     return max((file for file in folder.iterdir() if form.fullmatch(file.name)), default=None)
 
 
-class RunFiles:
+class RunFiles(Closing):
     """The recording ``<Valve>.<time>.csv`` and the audit record ``<Valve>.<time>.audit.jsonl``.
 
     Parameters
@@ -63,12 +63,8 @@ class RunFiles:
             self._audit = self.audit.open("a", encoding="utf-8")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Close both files."""
         self._rows.close()
         self._audit.close()
 

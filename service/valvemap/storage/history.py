@@ -170,7 +170,7 @@ class HistoryFile(Closing):
         """Return the cells of a tier that begin from ``low`` to before ``high`` (UTC ns).
 
         Rows that are not sealed yet are included. None if there is no tier of that width, or while
-        the tiers are made anew, after damage or of an older file.
+        the tiers are computed again, after damage or of an older file.
         """
         if not self._tiers_are_whole:
             return None

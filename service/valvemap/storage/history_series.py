@@ -50,7 +50,7 @@ class _Series:
         return sum(self.small.values())
 
     def start_anew(self) -> dict[int, int]:
-        """Return the blocks to be joined, and forget them."""
+        """Return the blocks to be joined, and drop them from the list."""
         small, self.small = self.small, {}
         return small
 
@@ -70,7 +70,7 @@ class SeriesWriter:
     lost : int
         Rows left out because others of their time are stored, or found damaged when joined.
     damaged_tiers : set
-        Series whose tiers lost cells, to be made anew.
+        Series whose tiers lost cells, to be computed again.
     """
 
     def __init__(self, connection: sqlite3.Connection) -> None:
@@ -115,7 +115,7 @@ class SeriesWriter:
     def seal_pending(self, after: int) -> int | None:
         """Seal the next full block that is still loose; return its number, None if there is none.
 
-        Such blocks are those of older files, and those whose tiers are made anew.
+        Such blocks are those of older files, and those whose tiers are computed again.
         """
         loose = [self.names[name] for name in self._owners() if SEALED not in name]
         select = _PENDING.format(", ".join("?" * len(loose)))
@@ -132,7 +132,7 @@ class SeriesWriter:
         return int(block)
 
     def reset_tiers(self, series: str) -> None:
-        """Have the tiers of a series made anew: from its values, as far as these are there."""
+        """Have the tiers of a series computed again from the values that remain."""
         sealed, loose = self.number(base_of(series) + SEALED), self.number(base_of(series))
         self._writer.execute("UPDATE block SET series = ? WHERE series = ?", (loose, sealed))
         select = "SELECT first, last FROM block WHERE series = ? ORDER BY first"
@@ -152,7 +152,7 @@ class SeriesWriter:
         self.reload_series()
 
     def reset_all_tiers(self) -> None:
-        """Have the tiers of all series made anew, see `reset_tiers`."""
+        """Have the tiers of all series computed again, see `reset_tiers`."""
         for series in {name.partition(SEALED)[0] for name in self._owners()}:
             self.reset_tiers(series)
 

@@ -201,7 +201,7 @@ def _first(error: ValidationError) -> str:
     tags = {"linear", "network", "gaussian", "polynomial", "spline", "radial_basis"}
     field = ".".join(str(key) for key in details["loc"] if key not in tags)
     if details["type"] == "union_tag_invalid" and details["ctx"]["tag"] == "auto":
-        return f"{field}: it is of the former Auto; identify it anew: valvemap replay --save FILE"
+        return f"{field}: it is of the former Auto; identify it again: valvemap replay --save FILE"
     message = details["msg"].removeprefix("Value error, ").replace("\n", " ")
     if isinstance(details["input"], str | int | float):
         message += f", not {repr(details['input'])[:MOST_SHOWN]}"

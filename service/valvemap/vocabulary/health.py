@@ -14,6 +14,6 @@ class DeviceHealth(Described):
 
     NORMAL = 0, "normal", "No alarm says otherwise."
     FAILURE = 1, "failure", "The output cannot be used."
-    CHECK_FUNCTION = 2, "function check", "Somebody works on the device."
+    CHECK_FUNCTION = 2, "function check", "The device is being serviced."
     OFF_SPEC = 3, "out of specification", "The valve deviates from its map, or extrapolates."
     MAINTENANCE_REQUIRED = 4, "maintenance required", "It works, but needs inspection."

@@ -1,4 +1,4 @@
-// All valves, worst first: health, why, since when, what it did lately; and what needs somebody.
+// All valves, worst first: health, why, since when, what it did lately; and the alarms that wait for an operator.
 
 import { css, h, mark, pen, say } from "../dom.js";
 import { clock, count, counted, fixed, HEALTH, inUnit, NAN, REASONS, span, spaced, spreadInUnit } from "../format.js";
@@ -34,7 +34,7 @@ export function overviewView(root, { live }) {
   body.append(h("table", {}, h("thead", {}, h("tr", {}, heads)), table));
   table.append(top, bottom);
   root.append(h("div.head", {}, h("h1", {}, "All valves"), counts, h("span.fill"), h("label", {}, "Group ", grouping), search),
-    h("div.overview-grid", {}, body, h("aside.card.needs-card", { "aria-label": "What needs somebody" }, h("header", {}, h("h2", {}, "What needs somebody"), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), service, needs, needsNote)));
+    h("div.overview-grid", {}, body, h("aside.card.needs-card", { "aria-label": "Waiting for an operator" }, h("header", {}, h("h2", {}, "Waiting for an operator"), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), service, needs, needsNote)));
 
   const groupOf = {
     "": () => "", health: (row) => HEALTH[row.health]?.[0] ?? "health not known",
