@@ -20,7 +20,7 @@ from guarded_opcua.transport.shared import Shared
 
 _log = bounded_logger(__name__)
 _REAP_S = 1.0
-_BACKLOG = 100
+_BACKLOG = 4096  # connections that wait to be accepted: attackers must not fill the queue
 _ACCEPTED_AT_ONCE = 8  # asyncio accepts as many connections per loop iteration as the backlog
 
 

@@ -27,7 +27,7 @@ _MESSAGE_BYTES = 4 * 1024  # bytes; largest message of a viewer: a page sends so
 _VIEWER_BYTES_PER_S, _VIEWER_BURST_BYTES = 8_192.0, 32_768.0  # a page sends some 2 kB a second
 _MOST_FRAMES = 64  # frames of one message; browsers send one
 _FAREWELL_S = 1
-_BACKLOG = 64
+_BACKLOG = 4096  # connections that wait to be accepted: attackers must not fill the queue
 
 
 class PageError(ValvemapError):
