@@ -155,7 +155,6 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
         if last == NO_NUMBER or number > last + 1:
             _give_up(w, v, last, number, time)
         n = emit(w, v, k, rules, out, n)
-        keep_pace(order, w.counters[v], time, 0 if last == NO_NUMBER else number - last)
         if last == NO_NUMBER:
             order[FIRST], order[FIRST_TIME], order[BEFORE_FIRST] = number, time, NEVER
         else:
@@ -164,6 +163,7 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
             if step <= 0 or _is_jump(order, step, rules.max_wait, rules.reorder[v]):
                 order[FIRST], order[FIRST_TIME] = number, time
                 order[BEFORE_FIRST] = order[LAST_TIME]
+        keep_pace(order, w.counters[v], time, 0 if last == NO_NUMBER else number - last)
         order[LAST], order[LAST_TIME] = number, time
         order[HIGH] = max(order[HIGH], time)
         order[GIVEN_UP] = 0
