@@ -8,6 +8,8 @@ from support.foreign import PLANT, Foreign
 from valvemap.cli import run
 from valvemap.config.loading import load_config
 
+pytestmark = pytest.mark.waits
+
 
 @pytest.fixture
 def foreign():

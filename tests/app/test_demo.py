@@ -11,6 +11,8 @@ from asyncua import Client, ua
 from support.processes import free_port, is_open, rig_url, running, service_url, wait_for
 from valvemap.vocabulary.statuses import InverseStatus
 
+pytestmark = pytest.mark.waits
+
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):

@@ -1,6 +1,7 @@
 """A transmitter of the pressure drop in place of two pressures: connected, checked, and learnt."""
 
 import numpy as np
+import pytest
 
 from support.foreign import PLANT, Foreign
 from valvemap.cli import run
@@ -9,6 +10,8 @@ from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.opcua_source.source_units import Scales
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import Measure, unit_of
+
+pytestmark = pytest.mark.waits
 
 NAMES = {
     "Stellwert": PLANT["Stellwert"],

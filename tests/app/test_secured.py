@@ -13,6 +13,8 @@ from guarded_opcua import Pki, ensure_certificate
 from support.processes import free_port, run, service_url
 from support.services import PASSWORD, installation
 
+pytestmark = pytest.mark.waits
+
 POLICIES = [SecurityPolicyBasic256Sha256, SecurityPolicyAes256Sha256RsaPss]
 CLIENT_URI = "urn:test:client"
 

@@ -4,6 +4,10 @@ import os
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.minor  # compiles for half a minute
+
 KERNELS = """
 import sys
 from valvemap.model.kernels.compiled import inner, kernel

@@ -68,7 +68,10 @@ async def service(folder):
 
 
 @pytest_asyncio.fixture(
-    scope="module", loop_scope="module", params=[rig, service], ids=["rig", "service"]
+    scope="module",
+    loop_scope="module",
+    params=[pytest.param(rig, marks=pytest.mark.node), service],
+    ids=["rig", "service"],
 )
 async def url(request, tmp_path_factory):
     async with request.param(tmp_path_factory.mktemp("server")) as url:

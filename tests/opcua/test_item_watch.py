@@ -17,6 +17,8 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.item_states import ItemState
 from valvemap.vocabulary.signals import PER_VALVE, Signal
 
+pytestmark = pytest.mark.waits
+
 PLANT = "urn:plant"
 NAMES = ("U", "p1", "p2", "Q")
 NODES = ValveNodes("V1", *(f"nsu={PLANT};s=V1.{name}" for name in NAMES))
