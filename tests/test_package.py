@@ -183,3 +183,25 @@ def test_the_demo_runs_from_the_wheel_alone(built, tmp_path):
     with running("demo", env=env, log=log, python=python, cwd=tmp_path) as process:
         wait_for(log, "samples; RMSE", process, timeout=600.0)
     assert process.returncode == 0
+
+
+@pytest.mark.image
+def test_the_wheel_and_the_package_service_of_pypi_leave_each_other_alone(built, tmp_path):
+    home = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", home], check=True)
+    (packages,) = home.glob("lib/python*/site-packages")
+    pip = [home / "bin" / "python", "-m", "pip", "--quiet", "--disable-pip-version-check"]
+
+    def owned(name):
+        (record,) = packages.glob(f"{name}-*.dist-info/RECORD")
+        names = [line.split(",")[0] for line in record.read_text(encoding="utf-8").splitlines()]
+        files = [packages / each for each in names if each.endswith(".py")]
+        return {file: file.read_bytes() for file in files if file.exists()}
+
+    subprocess.run([*pip, "install", "--no-deps", built[0]], check=True)
+    ours = owned("valvemap")
+    subprocess.run([*pip, "install", "--no-deps", "service"], check=True)
+    assert owned("valvemap") == ours
+    assert not ours.keys() & owned("service").keys()
+    subprocess.run([*pip, "uninstall", "--yes", "service"], check=True)
+    assert owned("valvemap") == ours
