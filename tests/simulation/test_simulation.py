@@ -17,6 +17,13 @@ def test_no_seed_breaks_a_promise():
     assert min(happened[kind] for kind in ("kill", "power", "stop", "lost")) > 0
 
 
+# 272: a message from before a step back of the clock came again after it, and was learnt again.
+# 374: the first step of a clock after a start became the usual pace.
+@pytest.mark.parametrize("seed", [272, 374])
+def test_no_seed_that_found_a_defect_does_so_again(seed):
+    assert simulate(seed).violations == []
+
+
 def test_a_seed_replays_bit_for_bit():
     assert [simulate(seed).trace for seed in range(5)] == [simulate(s).trace for s in range(5)]
 

@@ -36,6 +36,8 @@ from valvemap.vocabulary.signals import COUNT, PER_VALVE
 _BY_SLOT: Final = ("slots", "values", "status")
 _DIGEST_BYTES: Final = 4
 _MISSING: Final = COUNTER_NAMES.index("missing")
+_DUPLICATES: Final = COUNTER_NAMES.index("duplicates")
+_NO_ROWS: Final = np.zeros(0, np.bool_)
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,7 @@ class Arrivals:
         required = (rules.required[:, np.newaxis] & bits) > 0
         self._steps = ClockSteps(required, ~rules.numbered, rules.reorder)
         self._due: list[Step] = []
+        self._repeated = _NO_ROWS
         self._announced = 0  # changes taken of those announced
         self._may_step = not rules.numbered.all()
         self.failed = np.zeros(len(self.names), np.bool_)
@@ -118,10 +121,11 @@ class Arrivals:
         ``now_s`` is our monotonic time of their receipt.
         """
         self._announced = 0
-        self._due = []
+        self._due, self._repeated = [], _NO_ROWS
         if self._may_step:
-            steps = self._steps.find(changes, now_s, self._waiting)
-            self._due = [step for step in steps if self.timing.is_alike(step.valve)]
+            found = self._steps.find(changes, now_s, self._waiting)
+            self._due = [step for step in found.steps if self.timing.is_alike(step.valve)]
+            self._repeated = found.repeated
 
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
@@ -130,6 +134,10 @@ class Arrivals:
         after = np.zeros(len(changes), np.bool_)
         for step in due:
             after[step.row - first :] |= changes.item[step.row - first :] // PER_VALVE == step.valve
+        repeated = self._repeated[first : self._announced]
+        if repeated.any():
+            self._count_duplicates(changes[repeated])
+            changes, after = changes[~repeated], after[~repeated]
         if self.failed.any():
             works = ~self.failed[changes.item // PER_VALVE]
             changes, after = changes[works], after[works]
@@ -143,6 +151,10 @@ class Arrivals:
             for part in parts:
                 self._steps.remember(part)
         return parts[0] if len(parts) == 1 else in_turn(parts)
+
+    def _count_duplicates(self, changes: DataChanges) -> None:
+        measured = changes.item % PER_VALVE < COUNT
+        np.add.at(self._waiting.counters[:, _DUPLICATES], changes.item[measured] // PER_VALVE, 1)
 
     def _set_clocks(self, steps: Sequence[Step]) -> Iterator[ByValve]:
         for command in (SET_BACK, SET_FORWARD):

@@ -1,8 +1,9 @@
 """Steps of the source's clock, for valves without running number. Pure.
 
 A change of an OPC UA item is never sent before an earlier one. So a message whose times run back is
-a repetition, or the clock was set back: the contents decide. A message whose newest time is further
-ahead of our monotonic time than any before it is no late message: the clock was set forward.
+a repetition, or the clock was set back: the contents decide. They also tell a repetition from
+before a step back, whose times lie in the future. A message whose newest time is further ahead of
+our monotonic time than any before it is no late message: the clock was set forward.
 """
 
 from typing import Final, NamedTuple
@@ -40,6 +41,13 @@ class Step(NamedTuple):
     command: int
 
 
+class Found(NamedTuple):
+    """Steps in a batch, by ascending row, and the mask of rows from before a step that repeat."""
+
+    steps: list[Step]
+    repeated: NDArray[np.bool_]
+
+
 class ClockSteps:
     """Finds the steps in batches of changes.
 
@@ -63,19 +71,25 @@ class ClockSteps:
         self._times = np.full((rings, _KEPT), NEVER)
         self._digests = np.zeros((rings, _KEPT), np.uint64)
         self._written = np.zeros(rings, np.int64)
+        self._former = np.full(rings, -1)  # samples written when the clock was set back, or -1
         self._newest = np.full(V * PER_VALVE, NEVER)
         self._lead = np.full(V, NEVER)  # largest time less our monotonic time, ns
         self._at = np.zeros(V, np.int64)  # our monotonic time of the last change, ns
 
-    def find(self, changes: DataChanges, now_s: float, waiting: Waiting) -> list[Step]:
-        """Return the steps in changes received at ``now_s`` (monotonic), by ascending row.
+    def find(self, changes: DataChanges, now_s: float, waiting: Waiting) -> Found:
+        """Return what is found in changes received at ``now_s`` (monotonic).
 
         ``waiting`` is the alignment's state, which knows more after a restart of the service.
         """
         valve = changes.item // PER_VALVE
+        repeated = np.zeros(len(changes), np.bool_)
         rows = np.flatnonzero(self._watched[valve])
+        for v in np.unique(valve[rows][self._was_set_back(valve[rows])]).tolist():
+            known = self._known(v)
+            self._mark_repeated(v, changes, rows[valve[rows] == v], known, repeated)
+        rows = rows[~repeated[rows]]
         if not len(rows):
-            return []
+            return Found([], repeated)
         item, time, now = changes.item[rows], changes.source_time[rows], round(now_s * 1e9)
         seen = waiting.order[:, SEEN : SEEN + PER_VALVE].ravel()
         before = np.where(self._newest == NEVER, seen, self._newest)
@@ -90,9 +104,9 @@ class ClockSteps:
         back = np.zeros(len(self._watched), np.bool_)
         back[of[falls] // PER_VALVE] = True
         top = highest.reshape(-1, PER_VALVE).max(axis=1)
-        known = self._lead != NEVER
+        known_lead = self._lead != NEVER
         lead = self._lead - np.rint(_DRIFT * (now - self._at)).astype(np.int64)
-        excess = np.where(known, top - now - np.where(known, lead, 0), 0)
+        excess = np.where(known_lead, top - now - np.where(known_lead, lead, 0), 0)
         steps = []
         for v in present[(back | (excess > _AHEAD_NS))[present]].tolist():
             own = rows[valve[rows] == v]
@@ -106,18 +120,20 @@ class ClockSteps:
                 after = own[own >= found.row]
                 span = slice(v * PER_VALVE, (v + 1) * PER_VALVE)
                 if found.command == SET_BACK:
+                    known = self._known(v) | self._samples(v, changes, own[own < found.row])
+                    self._mark_repeated(v, changes, after, known, repeated)
+                    after = after[~repeated[after]]
                     highest[span] = NEVER
                     np.maximum.at(highest, changes.item[after], changes.source_time[after])
-                    self._written[self._row[v]] = 0
-                    self._times[self._row[v]] = NEVER
+                    self._former[self._row[v]] = self._written[self._row[v]]
                 lead[v] = NEVER
         self._newest = highest
         top = highest.reshape(-1, PER_VALVE).max(axis=1)
-        fresh = ~known | (lead == NEVER)
+        fresh = ~known_lead | (lead == NEVER)
         new = top[present] - now
         self._lead[present] = np.where(fresh[present], new, np.maximum(lead[present], new))
         self._at[present] = now
-        return sorted(steps, key=lambda step: step.row)
+        return Found(sorted(steps, key=lambda step: step.row), repeated)
 
     def remember(self, samples: ByValve) -> None:
         """Remember emitted samples, to recognise repetitions."""
@@ -144,8 +160,7 @@ class ClockSteps:
         """
         highest = before[v * PER_VALVE : (v + 1) * PER_VALVE].tolist()
         signals, times = (changes.item[own] % PER_VALVE).tolist(), changes.source_time[own]
-        row = self._row[v]
-        known = dict(zip(self._times[row].tolist(), self._digests[row].tolist(), strict=True))
+        known = self._known(v)
         repeated: set[int] = set()
         for k, (j, time) in enumerate(zip(signals, times.tolist(), strict=True)):
             if time >= highest[j] - int(self._reorder[v]):
@@ -158,6 +173,32 @@ class ClockSteps:
                     return Step(v, int(own[k]), SET_BACK)
                 repeated.add(time)
         return None
+
+    def _was_set_back(self, valves: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Whether samples from before a step back of these watched valves' clocks are known."""
+        row = self._row[valves]
+        former = self._former[row]
+        return np.asarray((former >= 0) & (self._written[row] - former < _KEPT))
+
+    def _known(self, v: int) -> dict[int, int]:
+        """Return the digest by time of the samples that are remembered of one valve."""
+        row = self._row[v]
+        return dict(zip(self._times[row].tolist(), self._digests[row].tolist(), strict=True))
+
+    def _mark_repeated(
+        self,
+        v: int,
+        changes: DataChanges,
+        own: NDArray[np.intp],
+        known: dict[int, int],
+        repeated: NDArray[np.bool_],
+    ) -> None:
+        """Mark those rows of one valve whose samples are known, with the same content."""
+        times = changes.source_time[own]
+        for time in {time for time in times.tolist() if time in known}:
+            same = own[times == time]
+            if self._samples(v, changes, same).get(time) == known[time]:
+                repeated[same] = True
 
     def _samples(self, v: int, changes: DataChanges, rows: NDArray[np.intp]) -> dict[int, int]:
         """Return the digest by time of the complete samples among these changes of one valve."""
