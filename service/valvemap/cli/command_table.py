@@ -53,6 +53,10 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     "commission": Entry(
         "commission", "Drive a valve through its range until its map is known, within limits."
     ),
+    "sheet": Entry(
+        "sheet",
+        "Print a valve's sheet: rated flow, dead band, hysteresis and more, with intervals.",
+    ),
     "init": Entry("security", "Create certificates, users and a configuration."),
     "trust": Entry(
         "security", "Trust a certificate of an application or user, or list the rejected ones."

@@ -1,0 +1,94 @@
+"""Sheets of known valves: ``python -m benchmarks.sheet [--seeds N] [--report]``.
+
+*Guided*: 60 s, triangles of U of 12 s and of the load with a period 1.618 times as long. *Classic*:
+120 s at constant Δp, triangles of 60 s. For each figure: its spread over seeds (standard deviation,
+RMS over valves), the same of the classic sweep, their ratio, and how often the 95 % interval holds
+the truth. ``--report`` takes the seeds that nothing is tuned on.
+"""
+
+import argparse
+from collections import defaultdict
+from typing import Final
+
+import numpy as np
+
+from benchmarks.circumstances import SIGMA
+from benchmarks.commission_plant import VALVES, Valve
+from valvemap.model.samples import Samples
+from valvemap.model.sheet import Measured, make_sheet, true_figures
+from valvemap.model.sweep_fit import spool
+from valvemap.pipeline.commission_plan import GOLDEN, triangle
+
+REPORT: Final = 61_000
+RATED_BAR: Final = 70.0
+SUPPLY: Final = 200.0
+LOADS: Final = (197.0, 5.0)
+RATE_HZ: Final = 100
+
+
+def swept(
+    valve: Valve, seed: int, *, classic: bool = False, lag_s: float = 0.005, period_s: float = 12.0
+) -> Samples:
+    """Samples of a sweep of one valve."""
+    seconds, period_s = (120, 60.0) if classic else (60, period_s)
+    t = np.arange(seconds * RATE_HZ) / RATE_HZ
+    U = np.array([triangle(at, period_s, valve.U_range) for at in t.tolist()])
+    load = np.full(len(t), SUPPLY - RATED_BAR)
+    if not classic:
+        load = np.array([triangle(at, period_s / GOLDEN, LOADS) for at in t.tolist()])
+    rng = np.random.default_rng([seed, 3])
+    x = spool(U, np.full(len(t), 1.0 / RATE_HZ), valve.play, lag_s)
+    Q = valve.flow(x, SUPPLY - load) + rng.normal(0.0, SIGMA, len(t))
+    p1, p2 = (p + rng.normal(0.0, 0.05, len(t)) for p in (np.full(len(t), SUPPLY), load))
+    return Samples.of(t=np.rint(t * 1e9).astype(np.int64), U=U, p1=p1, p2=p2, Q=Q)
+
+
+def truth_of(valve: Valve) -> dict[tuple[str, str], float]:
+    """True figures of a valve."""
+    return true_figures(
+        lambda x: valve.flow(x, np.full(len(x), RATED_BAR)), valve.play, valve.U_range
+    )
+
+
+def main() -> None:
+    """Run the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.sheet")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--report", action="store_true")
+    chosen = parser.parse_args()
+    first = REPORT if chosen.report else 0
+    spread: dict[tuple[str, bool], list[float]] = defaultdict(list)
+    errors: dict[str, list[float]] = defaultdict(list)
+    held: dict[tuple[str, bool], list[bool]] = defaultdict(list)
+    for valve in VALVES.values():
+        truth = truth_of(valve)
+        for classic in (False, True):
+            found: dict[tuple[str, str], list[float]] = defaultdict(list)
+            for seed in range(first, first + chosen.seeds):
+                samples = swept(valve, seed, classic=classic)
+                sheet = make_sheet(samples, RATED_BAR, valve.U_range)
+                for figure in sheet.figures:
+                    true = truth.get((figure.key, figure.side), np.nan)
+                    if figure.measured is Measured.MEASURED and np.isfinite(true):
+                        found[figure.key, figure.side].append(figure.value)
+                        held[figure.key, classic].append(figure.lower <= true <= figure.upper)
+                        if not classic:
+                            errors[figure.key].append(figure.value - true)
+            for (key, _), values in found.items():
+                spread[key, classic].append(float(np.var(values)))
+    print("| figure | spread | classic's | ratio | error, RMS | interval holds | classic's |")
+    print("|---|---|---|---|---|---|---|")
+    for key, errors_of in errors.items():
+        own, classic_s = (float(np.sqrt(np.mean(spread[key, c]))) for c in (False, True))
+        rms = float(np.sqrt(np.mean(np.square(errors_of))))
+        hold = [float(np.mean(held[key, c])) for c in (False, True)]
+        print(
+            f"| {key} | {own:.3g} | {classic_s:.3g} | {own / classic_s:.2f} | {rms:.3g} "
+            f"| {hold[0]:.2f} | {hold[1]:.2f} |"
+        )
+    every = [np.mean([x for (_, c), row in held.items() if c is k for x in row]) for k in (0, 1)]
+    print(f"intervals hold over all figures: {every[0]:.3f}, classic {every[1]:.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""A valve's sheet from its recording, judged by a datasheet, compared with an approved map."""
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from valvemap.app.models import open_model
+from valvemap.config.datasheet import Datasheet
+from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.model.judged_sheet import Apart, Line, Verdict, compare, judge
+from valvemap.model.samples import Samples
+from valvemap.model.sheet import Figure, Sheet, SheetError, make_sheet
+from valvemap.storage.layout import Layout
+from valvemap.storage.recordings import read_recording
+
+_NOISE_PERCENT: Final = 1.0  # of a signal at 0
+
+
+@dataclass(frozen=True)
+class JudgedSheet:
+    """A sheet, what was expected of it, and another map beside it."""
+
+    valve: str
+    file: Path
+    sheet: Sheet
+    lines: tuple[Line, ...]
+    apart: Apart | None
+
+    @property
+    def fails(self) -> bool:
+        """Whether a figure is certainly out of its tolerance."""
+        return any(line.verdict is Verdict.FAIL for line in self.lines)
+
+
+def sheet_of(
+    valve: str,
+    file: Path,
+    layout: Layout | None,
+    datasheet: Datasheet,
+    dp_rated: float,
+    U_range: tuple[float, float] | None,
+    against: Path | None = None,
+) -> JudgedSheet:
+    """Make the sheet of a valve from a recording.
+
+    Parameters
+    ----------
+    U_range
+        Rated signal, %; None: 0 to 100 if U never is below 0, else the user is asked.
+    against
+        A saved model, with whose map the curve is compared.
+
+    Raises
+    ------
+    RecordingError
+        naming the file, and why it tells no sheet.
+    ConfigurationError, StorageError
+    """
+    parts, others = [], set()
+    with read_recording(file, layout=layout) as batches:
+        for name, samples in batches:
+            if name == valve:
+                parts.append(samples)
+            else:
+                others.add(name)
+    if not parts:
+        there = f"; there is {', '.join(sorted(others))}" if others else ""
+        raise ConfigurationError(f"VALVE {valve!r}: {file} has no such valve{there}")
+    samples = Samples.concatenate(parts)
+    if U_range is None:
+        lowest = float(np.nanmin(samples.U))
+        if lowest < -_NOISE_PERCENT:
+            raise ConfigurationError(
+                f"{file}: U falls to {lowest:.3g} %; say --both-ways if the valve works both ways, "
+                "--one-way if its range is 0 to 100 %"
+            )
+        U_range = 0.0, 100.0
+    try:
+        sheet = make_sheet(samples, dp_rated, U_range)
+    except SheetError as error:
+        raise RecordingError(f"{file}: {error}") from None
+    lines = tuple(_line(figure, datasheet) for figure in sheet.figures)
+    apart = None
+    if against is not None:
+        model = open_model(against, valve=valve)
+        name = f"{against.name} ({model.name})"
+        apart = compare(sheet, name, model.predict(sheet.fit.x, dp_rated))
+        if apart is None:
+            raise ConfigurationError(f"{against}: its map knows no flow at {dp_rated:g} bar")
+    return JudgedSheet(valve, file, sheet, lines, apart)
+
+
+def _line(figure: Figure, datasheet: Datasheet) -> Line:
+    expected = datasheet.figures.get(figure.key)
+    if expected is None:
+        return Line(figure)
+    if math.isinf(expected.min) and math.isinf(expected.max):
+        return Line(figure, expected.value)
+    return Line(figure, expected.value, judge(figure, expected.min, expected.max))
+
+
+def as_json(judged: JudgedSheet) -> dict[str, Any]:
+    """Return what ``--json`` writes; numbers that are not finite are null."""
+    sheet = judged.sheet
+    low, high = (np.quantile(sheet.fit.Q_draws, q, axis=0) for q in (0.025, 0.975))
+    apart = judged.apart
+    found: dict[str, Any] = {
+        "valve": judged.valve,
+        "recording": judged.file.name,
+        "is_a_test": not sheet.not_a_test,
+        "not_a_test": sheet.not_a_test,
+        "rated_dp_bar": sheet.dp_rated,
+        "conditions": asdict(sheet.conditions),
+        "figures": [
+            {**asdict(line.figure), "datasheet": line.datasheet, "verdict": line.verdict}
+            for line in judged.lines
+        ],
+        "curve": {
+            "x": sheet.fit.x.tolist(),
+            "Q": sheet.fit.Q.tolist(),
+            "lower": low.tolist(),
+            "upper": high.tolist(),
+            "known": sheet.fit.known.tolist(),
+        },
+        "compared_with": None
+        if apart is None
+        else {
+            "map": apart.name,
+            "mean": apart.mean,
+            "largest": apart.largest,
+            "at_U": apart.at_U,
+        },
+    }
+    return {key: _finite(value) for key, value in found.items()}
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

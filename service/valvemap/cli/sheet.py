@@ -1,0 +1,138 @@
+"""``valvemap sheet``: the figures of a valve, from a guided sweep."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+from rich.table import Table
+
+from valvemap.cli.options import ConfigOption, FolderOption, ForceOption, new_file
+from valvemap.cli.output import terminal, write_line
+from valvemap.cli.progress import working
+from valvemap.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from valvemap.app.valve_sheet import JudgedSheet
+    from valvemap.storage.layout import Layout
+
+_RATED_BAR: Final = 70.0  # 35 bar for each edge
+_HEADINGS: Final = ("figure", "value", "95 % interval", "unit", "datasheet", "verdict")
+
+
+def sheet(
+    valve: Annotated[str, typer.Argument(metavar="VALVE", help="Name of the valve.")],
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="Recording of a sweep.  [default: the valve's last `commission`]",
+        ),
+    ] = None,
+    config: ConfigOption = None,
+    dp: Annotated[
+        float | None,
+        typer.Option(
+            "--rated-dp", min=0.1, metavar="BAR", help="Δp of the figures.  [default: 70]"
+        ),
+    ] = None,
+    datasheet: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="Values of the datasheet, and tolerances."),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL.json", help="A saved map to compare the curve with."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Write the sheet as a page.", callback=new_file),
+    ] = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the sheet as JSON.", callback=new_file),
+    ] = None,
+    data: FolderOption = Path("data"),
+    *,
+    both_ways: Annotated[
+        bool | None,
+        typer.Option(
+            "--both-ways/--one-way", help="Whether U is -100 to 100 %; --config says so, too."
+        ),
+    ] = None,
+    force: ForceOption = False,
+) -> None:
+    """Print a valve's sheet: rated flow, dead band, hysteresis and more, with intervals."""
+    from valvemap.app.valve_sheet import sheet_of
+    from valvemap.cli.replay import write_json
+    from valvemap.config.datasheet import Datasheet, read_datasheet
+
+    expected = Datasheet() if datasheet is None else read_datasheet(datasheet)
+    file = recording or _last_commission(data, valve)
+    layout, U_range = _configured(config, valve)
+    if both_ways is not None:
+        U_range = (-100.0 if both_ways else 0.0), 100.0
+    rated = dp or expected.rated_dp_bar or _RATED_BAR
+    with working(f"{file.name}: fitting the curve"):
+        judged = sheet_of(valve, file, layout, expected, rated, U_range, against)
+    _show(judged)
+    if json_file is not None:
+        from valvemap.app.valve_sheet import as_json
+
+        write_json(json_file, as_json(judged))
+        write_line(f"written: {json_file}")
+    if out is not None:
+        from valvemap.report.sheet_page import write_sheet  # matplotlib is an extra
+
+        title = f"{valve}: sheet from {file.name}"
+        write_sheet(out, title, judged.sheet, judged.lines, judged.apart)
+        write_line(f"written: {out}")
+    if judged.fails:
+        raise typer.Exit(1)
+
+
+def _last_commission(data: Path, valve: str) -> Path:
+    from valvemap.storage.commission_files import last_run
+
+    found = last_run(data / "commission", valve)
+    if found is None:
+        raise ConfigurationError(
+            f"VALVE {valve!r}: {data / 'commission'} holds no run of it; "
+            "name a recording with --from, or run `valvemap commission`"
+        )
+    return found
+
+
+def _configured(
+    config: Path | None, valve: str
+) -> "tuple[Layout | None, tuple[float, float] | None]":
+    """Return how the recording is laid out, and the rated signal of the valve; None: not said."""
+    if config is None:
+        return None, None
+    from valvemap.app.build import build_layout
+    from valvemap.config.loading import load_config
+
+    loaded = load_config(config)
+    own = next((one for one in loaded.valves if one.name == valve), None)
+    if own is None:
+        there = ", ".join(one.name for one in loaded.valves)
+        raise ConfigurationError(f"VALVE {valve!r}: the configuration has {there}")
+    return build_layout(loaded), own.U_range_percent
+
+
+def _show(judged: "JudgedSheet") -> None:
+    from valvemap.report.sheet_words import cells, notes_of
+
+    sheet = judged.sheet
+    judges = any(line.datasheet is not None or line.verdict for line in judged.lines)
+    headings = _HEADINGS if judges else _HEADINGS[:4]
+    table = Table(title=f"{judged.valve} at {sheet.dp_rated:g} bar", title_justify="left")
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for line in judged.lines:
+        table.add_row(*cells(line)[: len(headings)])
+    terminal().print(table)
+    if sheet.not_a_test:
+        write_line(f"Not a test: {sheet.not_a_test}.")
+    for note in notes_of(sheet, judged.apart):
+        write_line(note)

@@ -1,0 +1,302 @@
+r"""The flow curve of a valve from a sweep of its signal: map, hysteresis and lag together.
+
+The spool's position x follows U through a play of width h and a lag of first order, and
+
+$$Q = \frac{s}{s_r} K(x) + \delta L(x) + \delta^2 M(x), \qquad \delta = \frac{s - s_r}{s_r},
+\qquad s = \operatorname{sign}(\Delta p)\sqrt{|\Delta p|},$$
+
+where K, a knot per 1 % of U, is the curve at the rated pressure drop s_r², and L and M, a knot per
+12 %, are what other pressure drops depart. Samples count the less, the further their Δp is from the
+rated one. All three are piecewise linear and smooth: the bends of each have a Student distribution,
+so that the edge of a dead band may bend sharply, of a scale that the marginal likelihood decides.
+
+Q is linear in the coefficients, which are eliminated at every step of the search for h and the lag
+(variable projection). Where U always moves at the same pace, play and lag look alike but for the
+turning points; so the lag has a prior, of a usual spool and meter. The covariance of all of them at
+the optimum, times what the residuals have in common from sample to sample, gives a Gaussian
+posterior; figures are computed of draws from it.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from scipy import linalg, optimize, sparse
+
+from valvemap.model.samples import Flags, Floats, Samples
+from valvemap.vocabulary.statuses import Quality
+
+FEWEST: Final = 500  # samples; less tell no curve
+KNOT_K, KNOT_L = 1.0, 12.0  # % of U; distances of knots
+SMOOTH: Final = tuple(10.0**k for k in range(-4, 5))  # weights of bends, per sample and knot
+PLAYS: Final = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)  # %; where the search begins
+LAGS: Final = (0.0, 0.02, 0.1)  # s; the same of the lag
+MOST_PLAY, MOST_LAG = 25.0, 1.0  # %, s; limits of the search
+USUAL_LAG: Final = 0.02  # s; standard deviation of the lag before anything is known
+NEAR: Final = 0.25  # of √Δp; standard deviation of the weight about the rated one
+STUDENT: Final = 1.0  # degrees of freedom of the bends
+ROUNDS: Final = 4  # of their weights
+DRAWS: Final = 600
+COMMON_LAGS: Final = 200  # samples; over which residuals may have something in common
+
+
+@dataclass(frozen=True)
+class SweepFit:
+    """What a sweep tells.
+
+    Attributes
+    ----------
+    x : float64
+        Positions of the spool, in % of U, (G,).
+    known : bool
+        Where the sweep has been, within a knot, (G,).
+    Q : float64
+        Flow at the rated pressure drop, l/min, (G,).
+    Q_draws : float64
+        Draws of ``Q`` from its posterior, (D, G).
+    play, lag : float
+        Width of the loop, % of U; time constant, s.
+    play_draws, lag_draws : float64
+        Draws of both, (D,).
+    noise : float
+        Standard deviation of a flow, l/min.
+    """
+
+    x: Floats
+    known: Flags
+    Q: Floats
+    Q_draws: Floats
+    play: float
+    lag: float
+    play_draws: Floats
+    lag_draws: Floats
+    noise: float
+
+
+def spool(U: Floats, dt: Floats, play: float, lag: float) -> Floats:
+    """Position of the spool (N,) behind play (%) and a lag (s); ``dt`` (N,) s since the last.
+
+    >>> spool(np.array([0.0, 4.0, 8.0, 6.0]), np.full(4, 0.1), 2.0, 0.0)
+    array([0., 3., 7., 7.])
+    """
+    half = 0.5 * play
+    x = np.empty(len(U))
+    at = follows = float(U[0])
+    shares = 1.0 - np.exp(-dt / lag) if lag > 0.0 else np.ones(len(U))
+    for n, (to, share) in enumerate(zip(U.tolist(), shares.tolist(), strict=True)):
+        at = min(max(at, to - half), to + half)
+        follows += share * (at - follows)
+        x[n] = follows
+    return x
+
+
+def fit_sweep(samples: Samples, dp_rated: float, U_grid: Floats, seed: int = 0) -> SweepFit | None:
+    """Fit the samples of one valve.
+
+    Parameters
+    ----------
+    samples
+        At least `FEWEST` good ones; others are left out.
+    dp_rated
+        Pressure drop for which the flow curve is given, bar.
+    U_grid
+        Positions of the spool for which it is given, %, (G,), ascending.
+    seed
+        Of the draws.
+
+    Returns
+    -------
+    SweepFit
+        None if there are too few samples, or their equations cannot be solved.
+
+    Examples
+    --------
+    >>> t = np.arange(2000)
+    >>> U = 100 * np.abs((t / 500) % 2 - 1)
+    >>> x, rng = spool(U, np.full(2000, 0.01), 2.0, 0.0), np.random.default_rng(0)
+    >>> Q = 0.1 * x * np.sqrt(70) + rng.normal(0, 0.2, 2000)
+    >>> samples = Samples.of(t=t * 10**7, U=U, p1=0 * U + 70, p2=0 * U, Q=Q)
+    >>> found = fit_sweep(samples, 70.0, np.array([20.0, 50.0, 80.0]))
+    >>> round(found.play, 1), found.Q.round(0)
+    (2.0, array([17., 42., 67.]))
+    """
+    good = (samples.quality != Quality.BAD) & np.isfinite(samples.Q * samples.U * samples.dp)
+    samples = samples[good]
+    if len(samples) < FEWEST:
+        return None
+    problem = _Problem(samples, dp_rated, U_grid)
+    at = min(((p, g) for p in PLAYS for g in LAGS), key=problem.cost)
+    at = _searched(problem, at)
+    for _ in range(ROUNDS):
+        problem.smooth = min(SMOOTH, key=lambda weight: problem.evidence(*at, weight))
+        problem.weigh_bends(*at)
+    return problem.posterior(*_searched(problem, at), dp_rated, U_grid, seed)
+
+
+def _searched(problem: "_Problem", start: tuple[float, float]) -> tuple[float, float]:
+    """Return play and lag of the least cost near ``start``."""
+    found = optimize.minimize(
+        problem.cost,
+        np.array(start),
+        method="Nelder-Mead",
+        bounds=((0.0, MOST_PLAY), (0.0, MOST_LAG)),
+        options={
+            "xatol": 1e-3,
+            "fatol": 1e-3,
+            "initial_simplex": np.array(start) + np.array([[0, 0], [0.3, 0], [0, 0.01]]),
+        },
+    )
+    return float(found.x[0]), float(found.x[1])
+
+
+class _Problem:
+    """The samples of a fit, and their equations for a play and a lag."""
+
+    def __init__(self, samples: Samples, dp_rated: float, U_grid: Floats) -> None:
+        self.U, self.dt = samples.U, np.diff(samples.t, prepend=samples.t[0]) * 1e-9
+        self.s = np.sign(samples.dp) * np.sqrt(np.abs(samples.dp))
+        self.s_rated = rated = math.sqrt(dp_rated)
+        self.weight = np.exp(-0.25 * ((self.s - rated) / (NEAR * rated)) ** 2)  # of a row
+        self.many = float(np.sum(self.weight**2))
+        self.Q = self.weight * samples.Q
+        low = min(float(self.U.min()), float(U_grid[0]))
+        high = max(float(self.U.max()), float(U_grid[-1]))
+        self.knots = [_knots(low, high, step) for step in (KNOT_K, KNOT_L, KNOT_L)]
+        sizes = [len(knots) for knots in self.knots]
+        self.smooth = SMOOTH[1]
+        self.D: Floats = linalg.block_diag(*(_bends(size) for size in sizes))
+        self.per_bend = np.concatenate(
+            [np.full(max(size - 2, 0), self.many / size) for size in sizes]
+        )
+        self.share = np.ones(len(self.D))  # weight of each bend
+        self.tiny = 1e-6 * np.eye(sum(sizes))
+
+    def prior(self, weight: float) -> Floats:
+        """Information of coefficients before anything is measured, (K, K)."""
+        by_bend = weight * self.per_bend * self.share
+        return np.add((self.D.T * by_bend) @ self.D, self.tiny)
+
+    def weigh_bends(self, play: float, lag: float) -> None:
+        """Weigh each bend by what is expected of it, its size being known."""
+        A = self._weighted(play, lag)
+        theta = np.linalg.solve(self._information(A, self.smooth), A.T @ self.Q)
+        variance = float(np.sum((self.Q - A @ theta) ** 2)) / self.many
+        size = self.smooth * self.per_bend * (self.D @ theta) ** 2 / variance
+        self.share = (STUDENT + 1.0) / (STUDENT + size)
+
+    def evidence(self, play: float, lag: float, weight: float) -> float:
+        """Minus twice the log marginal likelihood of a weight of bends."""
+        A = self._weighted(play, lag)
+        information = self._information(A, weight)
+        theta = np.linalg.solve(information, A.T @ self.Q)
+        left = float(np.sum((self.Q - A @ theta) ** 2) + theta @ self.prior(weight) @ theta)
+        determinant = float(np.linalg.slogdet(information)[1])
+        return self.many * math.log(left) + determinant - len(self.D) * math.log(weight)
+
+    def cost(self, at: Floats | tuple[float, float]) -> float:
+        """Minus twice the log posterior of play and lag, with the best coefficients."""
+        A = self._weighted(float(at[0]), float(at[1]))
+        theta = np.linalg.solve(self._information(A, self.smooth), A.T @ self.Q)
+        left = float(np.sum((self.Q - A @ theta) ** 2) + theta @ self.prior(self.smooth) @ theta)
+        return self.many * math.log(left / self.many) + float(at[1] / USUAL_LAG) ** 2
+
+    def _weighted(self, play: float, lag: float) -> sparse.csr_matrix:
+        rows = self.rows(spool(self.U, self.dt, play, lag), self.s)
+        return sparse.csr_matrix(sparse.diags(self.weight) @ rows)
+
+    def rows(self, x: Floats, s: Floats) -> sparse.csr_matrix:
+        """Regressors at positions and pressures, sparse (N, K)."""
+        apart = s / self.s_rated - 1.0
+        by = s / self.s_rated, apart, apart**2
+        parts = [
+            sparse.diags(each) @ _hats(knots, x) for each, knots in zip(by, self.knots, strict=True)
+        ]
+        return sparse.csr_matrix(sparse.hstack(parts))
+
+    def posterior(
+        self, play: float, lag: float, dp_rated: float, U_grid: Floats, seed: int
+    ) -> SweepFit | None:
+        """Evaluate the fit at its optimum."""
+        x = spool(self.U, self.dt, play, lag)
+        A = self._weighted(play, lag)
+        theta = np.linalg.solve(self._information(A, self.smooth), A.T @ self.Q)
+        left = self.Q - A @ theta
+        by = [
+            (self._weighted(play + d, lag + g) @ theta - A @ theta) / (d + g)
+            for d, g in ((0.05, 0.0), (0.0, 0.002))
+        ]
+        columns = np.column_stack([np.asarray(A.todense()), *by])
+        information = columns.T @ columns
+        size = len(theta)
+        information[:size, :size] += self.prior(self.smooth)
+        variance = float(left @ left) / max(self.many - size, 1.0) * _in_common(left)
+        information[size + 1, size + 1] += variance / USUAL_LAG**2
+        try:
+            factor = np.linalg.cholesky(information)
+        except np.linalg.LinAlgError:
+            return None
+        rng = np.random.default_rng(seed)
+        draws = linalg.solve_triangular(
+            factor.T, rng.standard_normal((size + 2, DRAWS)), lower=False
+        )
+        apart = math.sqrt(variance) * draws.T
+        moved = np.maximum.accumulate(self.U) - np.minimum.accumulate(self.U) > play
+        been = x[moved]  # before that it is not known where in its play the spool began
+        s = np.full(len(U_grid), math.sqrt(dp_rated))
+        at_grid = self.rows(U_grid, s)
+        Q = at_grid @ theta
+        return SweepFit(
+            x=U_grid,
+            known=(U_grid >= been.min() - KNOT_K) & (U_grid <= been.max() + KNOT_K),
+            Q=np.asarray(Q),
+            Q_draws=Q + np.asarray((at_grid @ apart[:, :size].T).T),
+            play=play,
+            lag=lag,
+            play_draws=play + apart[:, size],
+            lag_draws=lag + apart[:, size + 1],
+            noise=math.sqrt(float(left @ left) / self.many),
+        )
+
+    def _information(self, A: sparse.csr_matrix, weight: float) -> Floats:
+        both: Floats = np.asarray((A.T @ A).todense()) + self.prior(weight)
+        return both
+
+
+def _knots(low: float, high: float, step: float) -> Floats:
+    """Knots about ``step`` apart, with 0 among them where it lies between."""
+    inside = sorted({low, high, 0.0} if low < 0.0 < high else {low, high})
+    found: list[float] = []
+    for a, b in pairwise(inside):
+        found += np.linspace(a, b, max(math.ceil((b - a) / step), 1) + 1)[:-1].tolist()
+    return np.array([*found, inside[-1]])
+
+
+def _hats(knots: Floats, x: Floats) -> sparse.csr_matrix:
+    """Piecewise linear functions, 1 at a knot and 0 at the others, sparse (N, K)."""
+    n = len(x)
+    right = np.clip(np.searchsorted(knots, x, side="right"), 1, len(knots) - 1)
+    share = np.clip((x - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
+    rows = np.tile(np.arange(n), 2)
+    columns = np.concatenate([right - 1, right])
+    values = np.concatenate([1.0 - share, share])
+    return sparse.csr_matrix((values, (rows, columns)), shape=(n, len(knots)))
+
+
+def _bends(size: int) -> Floats:
+    """Second differences of coefficients, (size - 2, size)."""
+    return np.asarray(np.diff(np.eye(size), n=2, axis=0)) if size > 2 else np.zeros((0, size))
+
+
+def _in_common(left: Floats) -> float:
+    """By how much residuals that follow one another have less to say than independent ones."""
+    centred = left - left.mean()
+    power = float(centred @ centred)
+    total = 1.0
+    for lag in range(1, min(COMMON_LAGS, len(left) // 4)):
+        rho = float(centred[:-lag] @ centred[lag:]) / power if power > 0.0 else 0.0
+        if rho < 2.0 / math.sqrt(len(left)):
+            break
+        total += 2.0 * rho
+    return total

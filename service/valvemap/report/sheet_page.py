@@ -1,0 +1,113 @@
+"""A valve's sheet as one HTML page that stands alone, with its flow curve as a picture."""
+
+import io
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from string import Template
+
+import numpy as np
+from matplotlib.figure import Figure as Picture
+
+from valvemap.model.judged_sheet import Apart, Line
+from valvemap.model.sheet import Sheet
+from valvemap.owned_files import write_whole
+from valvemap.report.plots import COLOURS
+from valvemap.report.sheet_words import cells, notes_of
+
+_HEADINGS = ("figure", "value", "95 % interval", "unit", "datasheet", "verdict", "definition")
+
+
+def write_sheet(
+    file: Path, title: str, sheet: Sheet, lines: Sequence[Line], apart: Apart | None
+) -> None:
+    """Write the page.
+
+    Parameters
+    ----------
+    title
+        Whose sheet it is.
+    lines
+        The figures, with datasheet and verdicts.
+    apart
+        Another map, drawn beside the curve; None without one.
+
+    Raises
+    ------
+    StorageError
+        naming the file.
+    """
+    page = _PAGE.substitute(
+        title=escape(title),
+        what=escape(sheet.not_a_test and f"Not a test: {sheet.not_a_test}."),
+        head="".join(f"<th>{heading}</th>" for heading in _HEADINGS),
+        body="\n".join(map(_row, lines)),
+        notes="\n".join(f"<li>{escape(note)}</li>" for note in notes_of(sheet, apart)),
+        picture=_picture(sheet, apart),
+    )
+    write_whole(file, page)
+
+
+def _row(line: Line) -> str:
+    texts = (*cells(line), line.figure.definition)
+    kind = f' class="{line.verdict}"' if line.verdict else ""
+    return f"<tr{kind}>" + "".join(f"<td>{escape(text)}</td>" for text in texts) + "</tr>"
+
+
+def _picture(sheet: Sheet, apart: Apart | None) -> str:
+    fit = sheet.fit
+    figure = Picture(figsize=(8.0, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    half = 0.5 * fit.play
+    Q = np.where(fit.known, fit.Q, np.nan)
+    low, high = (np.quantile(fit.Q_draws, q, axis=0) for q in (0.025, 0.975))
+    axes.plot(fit.x + half, Q, color=COLOURS[0], linewidth=1.4, label="U rising")
+    axes.plot(fit.x - half, Q, color=COLOURS[1], linewidth=1.4, label="U falling")
+    for shift, colour in ((half, COLOURS[0]), (-half, COLOURS[1])):
+        axes.fill_between(
+            fit.x + shift, low, high, where=fit.known, color=colour, alpha=0.15, linewidth=0
+        )
+    if apart is not None:
+        axes.plot(fit.x, apart.Q, color="#555555", linewidth=1.2, linestyle="--", label=apart.name)
+    axes.grid(visible=True, color="#dddddd", linewidth=0.6)
+    axes.set(xlabel="U, %", ylabel=f"Q at {sheet.dp_rated:g} bar, l/min")
+    axes.legend(fontsize=9)
+    written = io.StringIO()
+    figure.savefig(written, format="svg", metadata={"Date": None})
+    text = written.getvalue()
+    return text[text.index("<svg") :]
+
+
+_PAGE = Template("""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>$title</title>
+<style>
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem;
+  color: #1c2329; background: #fff }
+table { border-collapse: collapse; margin: 1.5rem 0; font-variant-numeric: tabular-nums }
+th, td { text-align: left; padding: .25rem .8rem .25rem 0; border-bottom: 1px solid #d5dade;
+  vertical-align: top }
+td:last-child { color: #4d5963; font-size: .85rem; max-width: 26rem }
+.fail td:nth-child(6) { color: #a4001d; font-weight: 600 }
+.pass td:nth-child(6) { color: #00632b }
+.what { font-weight: 600; color: #a4001d }
+svg { max-width: 100%; height: auto }
+@media print { body { margin: 0; font-size: 12px } }
+</style>
+</head>
+<body>
+<h1>$title</h1>
+<p class="what">$what</p>
+<table><thead><tr>$head</tr></thead><tbody>
+$body
+</tbody></table>
+$picture
+<ul>
+$notes
+</ul>
+</body>
+</html>
+""")

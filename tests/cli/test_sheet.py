@@ -1,0 +1,105 @@
+"""`valvemap sheet`: a table, a page, JSON, verdicts, and one line where something is wrong."""
+
+import json
+import re
+
+import pytest
+
+from benchmarks.commission_plant import VALVES
+from benchmarks.sheet import swept
+from valvemap.cli import run
+from valvemap.storage.recordings import RecordingWriter
+
+DATASHEET = """
+rated_dp_bar = 70
+[figures.rated_flow]
+value = 105
+min = 95
+max = 115
+[figures.hysteresis]
+max = 1.5
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sheet")
+    one = {"one": "dead band 8 %, play 2 %", "both": "U of both signs, play 3 %"}
+    for file, name in one.items():
+        with RecordingWriter(folder / f"{file}.csv") as recording:
+            recording.append("V1", swept(VALVES[name], 5)[:: 1 if file == "one" else 2])
+    (folder / "datasheet.toml").write_text(DATASHEET, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+def test_a_sheet_is_printed_written_and_judged(folder, capsys):
+    outputs = ["--out", "one.html", "--json", "one.json"]
+    code = run(["sheet", "V1", "--from", "one.csv", "--datasheet", "datasheet.toml", *outputs])
+    shown = capsys.readouterr().out
+    assert code == 1  # the hysteresis is too wide
+    assert "rated flow" in shown
+    assert "fail" in shown
+    assert "Not a test" not in shown
+    told = json.loads((folder / "one.json").read_text(encoding="utf-8"))
+    figures = {figure["key"]: figure for figure in told["figures"]}
+    assert told["is_a_test"]
+    assert figures["rated_flow"]["verdict"] == "pass"
+    assert figures["hysteresis"]["verdict"] == "fail"
+    assert figures["threshold"]["value"] is None
+    assert figures["hysteresis"]["lower"] < 2.0 < figures["hysteresis"]["upper"]
+    page = (folder / "one.html").read_text(encoding="utf-8")
+    assert "<svg" in page
+    assert "ISO 10770-1" in page
+    assert not re.search(r"(src|href)=[\"']?http|url\(http|@import", page)
+
+
+def test_the_sheet_stands_beside_a_saved_map(capsys):
+    assert run(["replay", "one.csv", "--save", "one.model.json"]) == 0
+    assert run(["sheet", "V1", "--from", "one.csv", "--against", "one.model.json"]) == 0
+    assert "Curve less one.model.json (Auto): " in capsys.readouterr().out
+
+
+WRONG = {
+    "no run": ([], 2, "V1': data/commission holds no run of it; name a recording with --from"),
+    "both ways": (["--from", "both.csv"], 2, "say --both-ways if the valve works both ways"),
+    "no valve": (["--from", "one.csv", "V2"], 2, "one.csv has no such valve; there is V1"),
+    "Δp": (["--from", "one.csv", "--rated-dp", "300"], 1, "the rated Δp is 300 bar; the recordi"),
+    "no datasheet": (["--from", "one.csv", "--datasheet", "x.toml"], 2, "x.toml: no such file"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_named_in_one_line(name, capsys):
+    arguments, expected, said = WRONG[name]
+    valve = [] if "V2" in arguments else ["V1"]
+    assert run(["sheet", *valve, *arguments]) == expected
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert len(captured.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[figures.leak]\nmax = 1", "there is no figure 'leak'; allowed are rated_flow, dead_band"),
+        ("[figures.leakage]\nmin = 2\nmax = 1", "figures.leakage: min 2 is above max 1"),
+        ("rated_dp_bar = -1", "rated_dp_bar: Input should be greater than 0"),
+        ("x = [", "not TOML"),
+    ],
+)
+def test_a_wrong_datasheet_is_named_with_its_field(folder, text, said, capsys):
+    (folder / "wrong.toml").write_text(text, encoding="utf-8")
+    assert run(["sheet", "V1", "--from", "one.csv", "--datasheet", "wrong.toml"]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_valve_that_works_both_ways_has_figures_of_both_sides(capsys):
+    assert run(["sheet", "V1", "--from", "both.csv", "--both-ways"]) == 0
+    shown = capsys.readouterr().out
+    assert "rated flow, U < 0" in shown
+    assert "symmetry" in shown

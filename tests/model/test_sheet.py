@@ -1,0 +1,113 @@
+"""A valve's sheet: figures near the truth, intervals that hold it, words where there is none."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.commission_plant import VALVES
+from benchmarks.sheet import RATED_BAR, swept, truth_of
+from valvemap.model.judged_sheet import Verdict, judge
+from valvemap.model.samples import Samples
+from valvemap.model.sheet import KEYS, Figure, Measured, SheetError, make_sheet
+
+NEAR = {
+    "rated_flow": 0.5,
+    "dead_band": 0.6,
+    "flow_gain": 0.02,
+    "linearity": 0.6,
+    "leakage": 0.4,
+    "hysteresis": 0.3,
+    "saturation": 1.5,
+}
+
+
+def sheet_of(name, seed=7, **how):
+    valve = VALVES[name]
+    return make_sheet(swept(valve, seed, **how), RATED_BAR, valve.U_range), truth_of(valve)
+
+
+def test_figures_are_near_the_truth_and_their_intervals_hold_it():
+    held = []
+    for name in ("dead band 8 %, play 2 %", "saturating, play 3 %", "U of both signs, play 3 %"):
+        sheet, truth = sheet_of(name)
+        assert not sheet.not_a_test
+        for figure in sheet.figures:
+            true = truth.get((figure.key, figure.side), math.nan)
+            if not math.isfinite(true):
+                assert figure.reason or figure.key == "symmetry", figure
+                continue
+            assert figure.value == pytest.approx(true, abs=NEAR[figure.key]), figure
+            held.append(figure.lower <= true <= figure.upper)
+    assert len(held) >= 22
+    assert np.mean(held) >= 0.8
+
+
+@pytest.mark.soak
+def test_intervals_hold_and_the_spread_is_at_most_twice_that_of_a_classic_sweep():
+    held, guided, classic = [], {}, {}
+    for name in VALVES:
+        for seed in range(20):
+            for found, how in ((guided, {}), (classic, {"classic": True})):
+                sheet, truth = sheet_of(name, 300 + seed, **how)
+                for figure in sheet.figures:
+                    true = truth.get((figure.key, figure.side), math.nan)
+                    if figure.measured is Measured.MEASURED and math.isfinite(true):
+                        found.setdefault(figure.key, []).append(figure.value - true)
+                        if found is guided:
+                            held.append(figure.lower <= true <= figure.upper)
+    assert 0.90 <= np.mean(held) <= 0.98
+    for key, errors in guided.items():
+        assert np.std(errors) <= 2.0 * max(np.std(classic[key]), 0.1 * NEAR[key]), key
+
+
+def test_what_was_not_driven_is_not_measured():
+    valve = VALVES["ordinary, no play"]
+    whole = swept(valve, 1)
+    half = whole[np.flatnonzero(whole.U < 50.0)]
+    sheet = make_sheet(half, RATED_BAR)
+    by_key = {figure.key: figure for figure in sheet.figures}
+    assert by_key["rated_flow"].measured is Measured.NOT_MEASURED
+    assert "U was 49" in by_key["rated_flow"].reason
+    assert "0 times" in sheet.not_a_test
+    assert set(by_key) <= set(KEYS)
+
+
+def test_machine_work_is_no_test():
+    rng = np.random.default_rng(2)
+    n = 6000
+    U = np.clip(50 + np.cumsum(rng.normal(0, 2.0, n)), 0, 100)
+    dp = 70 + 20 * np.sin(np.arange(n) / 300)
+    Q = 0.1 * U * np.sqrt(dp) + rng.normal(0, 0.4, n)
+    samples = Samples.of(t=np.arange(n) * 10**7, U=U, p1=200 + 0 * dp, p2=200 - dp, Q=Q)
+    assert make_sheet(samples, 70.0).not_a_test
+
+
+def test_a_rated_pressure_drop_beyond_the_data_is_refused_with_what_is_there():
+    with pytest.raises(SheetError, match=r"rated Δp is 300 bar; the recording has 2\.\d+ to 195"):
+        make_sheet(swept(VALVES["ordinary, no play"], 1), 300.0)
+    with pytest.raises(SheetError, match="no samples"):
+        make_sheet(Samples.of(t=[], U=[], p1=[], p2=[], Q=[]))
+
+
+def test_missing_values_and_bad_samples_are_left_out():
+    whole = swept(VALVES["ordinary, no play"], 3)
+    Q = whole.Q.copy()
+    Q[::7] = np.nan
+    T = np.full(len(Q), np.nan)
+    holed = Samples.of(t=whole.t, U=whole.U, p1=whole.p1, p2=whole.p2, Q=Q, T=T)
+    (found,) = (f for f in make_sheet(holed, RATED_BAR).figures if f.key == "rated_flow")
+    (true,) = (
+        v for (key, _), v in truth_of(VALVES["ordinary, no play"]).items() if key == "rated_flow"
+    )
+    assert found.value == pytest.approx(true, abs=0.5)
+
+
+def test_a_verdict_needs_the_whole_interval():
+    def figure(measured=Measured.MEASURED):
+        return Figure("leakage", "", "leakage", "l/min", "", measured, 1.0, 0.9, 1.1)
+
+    assert judge(figure(), 0.0, 2.0) is Verdict.PASS
+    assert judge(figure(), 1.0, 2.0) is Verdict.UNDECIDED
+    assert judge(figure(), 1.2, 2.0) is Verdict.FAIL
+    assert judge(figure(Measured.NOT_MEASURED), 0.0, 2.0) is Verdict.UNDECIDED
