@@ -154,6 +154,9 @@ async def test_an_operator_demands_a_flow_and_gets_a_voltage(operator):
             if data.StatusCode.is_good() and 0 < data.Value.Value < 100:
                 break
             await asyncio.sleep(0.1)
+    ends = [await node(operator, f"Valvistor.Inverse.RequiredU{end}") for end in ("Lower", "Upper")]
+    lower, U, upper = await operator.read_values([ends[0], required, ends[1]])
+    assert lower < U < upper < lower + 20
 
 
 async def test_an_operator_freezes_resets_and_is_told_what_is_wrong(operator):

@@ -109,6 +109,13 @@ def test_results_that_cannot_be_shown_are_rejected_by_their_column(decoder, resu
     assert "V0 has the estimators RLS, RML, RBF" in decoder.published(KEY, wrong).reason
 
 
+def test_results_of_a_worker_that_knows_no_interval_are_read(decoder, results):
+    metadata, columns = hostile.opened(results)
+    del columns["inverse.lower"], columns["inverse.upper"]
+    found = decoder.published(KEY, hostile.closed(metadata, columns))
+    assert np.isnan(found.results.inverse.lower).all()
+
+
 def test_an_unexpected_exception_rejects_one_message_and_its_traceback_is_logged_once(
     known, plan, monkeypatch
 ):

@@ -165,7 +165,7 @@ def test_a_line_answers_with_the_edge_that_the_sign_selects(config):
             U = results.inverse.required_U[0]
             opens = 1.0 if edge in ("PA", "BT") else -1.0
             assert U * opens > 0
-            assert results.lines.lower[0] <= U <= results.lines.upper[0]
+            assert results.inverse.lower[0] <= U <= results.inverse.upper[0]
             (signals,) = identification.results([numbers[f"V.{edge}"]])
             dp = signals.signals.values[0][PUBLISHED.index("dp")]
             flow, std, _ = identification.predict(f"V.{edge}", "RLS", abs(U), dp, 40.0)

@@ -82,7 +82,8 @@ def results_of(valves, t, quality=GOOD):
         systematic_std=ones,
     )
     inverse = InverseResults(
-        np.full(M, t), codes, 50 * ones, codes, [np.ones((2, 2))] * M, np.zeros(M, bool), codes
+        *(np.full(M, t), codes, 50 * ones, codes, [np.ones((2, 2))] * M, np.zeros(M, bool), codes),
+        *(49 * ones, 51 * ones),
     )
     signals = SignalResults(np.full(M, t), codes, np.ones((M, 6)))
     return Results(

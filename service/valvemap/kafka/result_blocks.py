@@ -252,6 +252,19 @@ def _plain(kind: pa.DataType) -> _Form:
     )
 
 
+def _new(kind: pa.DataType, without: float) -> _Form:
+    """As `_plain`; ``without`` is the value in blocks of workers that do not know the column."""
+    plain = _plain(kind)
+    return _Form(
+        plain.column,
+        lambda batch, name: (
+            plain.values(batch, name)
+            if name in batch.schema.names
+            else np.full(batch.num_rows, without)
+        ),
+    )
+
+
 def _vectors() -> _Form:
     return _Form(
         lambda values: _rows(np.asarray(values, np.float64)),
@@ -305,6 +318,8 @@ _INVERSE: Final[Mapping[str, _Form]] = {
     "t": _plain(TIME),
     "quality": _plain(pa.uint8()),
     "required_U": _plain(pa.float64()),
+    "lower": _new(pa.float64(), np.nan),
+    "upper": _new(pa.float64(), np.nan),
     "status": _plain(pa.uint8()),
     "map_U": _Form(_table, lambda batch, name: _objects(batch, name, _FLOATS)),
     "armed": _plain(pa.bool_()),

@@ -470,9 +470,18 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             "Control voltage U, in % of its range, that passes FlowDemand at PressureDrop at the "
             "oil temperature measured last. The map is that of the estimator named by the setting "
             "inverse; by default the one that Recommended names, until then Auto or the first. "
-            "The method Invert returns the 95 % interval of this U.",
+            "RequiredULower and RequiredUUpper are the ends of its 95 % interval.",
             unit=Unit.PERCENT,
             range=valve.U_range,
+        ),
+        *(
+            VariableNode(
+                f"{prefix}.RequiredU{end}",
+                f"{end} end of the 95 % interval of RequiredU.",
+                unit=Unit.PERCENT,
+                range=valve.U_range,
+            )
+            for end in ("Lower", "Upper")
         ),
         VariableNode(
             f"{prefix}.RequiredUStatus",
@@ -526,15 +535,6 @@ def line_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             f"The edge that passes FlowDemand. {_sentences(LineEdge)}",
             ua.VariantType.Int32,
             statuses=LineEdge,
-        ),
-        *(
-            VariableNode(
-                f"{prefix}.RequiredU{end}",
-                f"{end} end of the 95 % interval of RequiredU.",
-                unit=Unit.PERCENT,
-                range=valve.U_range,
-            )
-            for end in ("Lower", "Upper")
         ),
     )
 

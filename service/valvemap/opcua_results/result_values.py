@@ -266,6 +266,8 @@ def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
     codes, t = inverse_codes(results), np.where(results.t, results.t, now)
     answers = worse(codes, _ANSWERS[results.status])
     yield Column(f"{INVERSE}.RequiredU", results.required_U, answers, t)
+    for end, values in (("Lower", results.lower), ("Upper", results.upper)):
+        yield Column(f"{INVERSE}.RequiredU{end}", values, answers, t)
     own = _of_inverses(_INVERSE_ITSELF, results)
     yield Column(f"{INVERSE}.RequiredUStatus", results.status, own, t)
 
@@ -275,9 +277,6 @@ def _line_columns(lines: LineResults, inverse: InverseResults, now: int) -> Iter
     for name, values in ((LEAKAGE, lines.leakage), (LEAKAGE_STD, lines.leakage_std)):
         known = np.where(np.isfinite(values), codes, worse(codes, _Codes.UncertainInitialValue))
         yield Column(name, values, known, t)
-    answers = worse(codes, _ANSWERS[inverse.status])
-    for name, values in (("Lower", lines.lower), ("Upper", lines.upper)):
-        yield Column(f"{INVERSE}.RequiredU{name}", values, answers, t)
     yield Column(f"{INVERSE}.Edge", lines.edge, _of_inverses(_INVERSE_ITSELF, inverse), t)
 
 

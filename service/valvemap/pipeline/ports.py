@@ -206,7 +206,8 @@ class EstimatorResult:
 class InverseResult:
     """Answer to the standing demand (FlowDemand, PressureDrop), and the map as a table.
 
-    ``map_U`` has shape (len(map_Q), len(map_dp)), %; NaN where the valve cannot deliver. ``armed``
+    ``required_U`` is between ``lower`` and ``upper`` with 95 % probability, all in %. ``map_U`` has
+    shape (len(map_Q), len(map_dp)), %; NaN where the valve cannot deliver. ``armed``
     and ``feed_forward`` give the state of feed-forward: whether the answer is written to the valve.
     """
 
@@ -217,6 +218,8 @@ class InverseResult:
     map_U: Floats
     armed: bool = False
     feed_forward: FeedForwardStatus = FeedForwardStatus.NOT_CONFIGURED
+    lower: float = np.nan
+    upper: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -267,6 +270,8 @@ class InverseResults:
     map_U: Sequence[Floats]
     armed: NDArray[np.bool_]
     feed_forward: Codes
+    lower: Floats
+    upper: Floats
 
 
 @dataclass(frozen=True)
@@ -274,14 +279,12 @@ class LineResults:
     """What M lines of valves with ports have beside other valves; all arrays (M,).
 
     ``leakage`` and ``leakage_std`` are in l/min/bar, NaN while unknown. ``edge`` (`LineEdge`)
-    passes the demanded flow, at a U between ``lower`` and ``upper`` with 95 % probability.
+    passes the demanded flow.
     """
 
     leakage: Floats
     leakage_std: Floats
     edge: Codes
-    lower: Floats
-    upper: Floats
 
 
 @dataclass(frozen=True)
@@ -492,6 +495,8 @@ class Results:
                 map_U=self.inverse.map_U[m],
                 armed=bool(self.inverse.armed[m]),
                 feed_forward=FeedForwardStatus(int(self.inverse.feed_forward[m])),
+                lower=float(self.inverse.lower[m]),
+                upper=float(self.inverse.upper[m]),
             ),
             counters=dict(zip(self.counter_names, self.counters[m].tolist(), strict=True)),
         )

@@ -168,6 +168,8 @@ class ResultTables:
                 map_U=[np.full((len(plan.map_Q), len(plan.map_dp)), np.nan)],
                 armed=self._armed.armed[one],
                 feed_forward=self._armed.status[one],
+                lower=nothing,
+                upper=nothing,
             ),
             counters=np.zeros((1, len(COUNTERS)), np.int64),
             counter_names=COUNTERS,
@@ -195,10 +197,9 @@ class ResultTables:
             np.array(x, np.float64) for x in zip(*answers, strict=True)
         )
         leakage, std = self._lines.leakages(valves.tolist())
-        inverse = replace(found.inverse, required_U=U, status=status.astype(np.uint8))
-        lines = LineResults(
-            np.array(leakage), np.array(std), edge.astype(np.uint8), lower=lower, upper=upper
-        )
+        codes = status.astype(np.uint8)
+        inverse = replace(found.inverse, required_U=U, status=codes, lower=lower, upper=upper)
+        lines = LineResults(np.array(leakage), np.array(std), edge.astype(np.uint8))
         return replace(found, inverse=inverse, lines=lines)
 
     def _line_answer(self, line: int) -> LineAnswer:
@@ -290,10 +291,11 @@ class ResultTables:
         for name, found in estimators.items():
             own = np.array([inverse == name for inverse in inverses])
             t[own], quality[own] = found.t[own], found.quality[own]
-        U, status = np.full(M, np.nan), np.full(M, np.uint8(InverseStatus.NOT_FINITE))
+        U, lower, upper = np.full((3, M), np.nan)
+        status = np.full(M, np.uint8(InverseStatus.NOT_FINITE))
         demanded = np.isfinite(fleet.demands(places)).all(axis=1)
         for k in np.flatnonzero(demanded):
-            (U[k], _, status[k]), _ = self._commands.required(int(valves[k]))
+            (U[k], lower[k], upper[k], status[k]), _ = self._commands.required(int(valves[k]))
             if not self._valves.runs(int(valves[k]), inverses[k]):
                 quality[k] = Quality.BAD
         guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
@@ -306,6 +308,8 @@ class ResultTables:
             map_U=[self._maps.tables[valve] for valve in valves],
             armed=self._armed.armed[valves],
             feed_forward=self._armed.status[valves],
+            lower=lower,
+            upper=upper,
         )
 
     def _counts(self, fleet: Fleet, valves: Times) -> Times:

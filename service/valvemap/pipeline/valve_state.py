@@ -168,14 +168,20 @@ def inverse_map(plan: ValvePlan, state: ValveState) -> Floats:
 
 
 class Required(NamedTuple):
-    """The answer to a standing demand: U and the width of its 95 % interval, %, and the status."""
+    """The answer to a standing demand: U and its 95 % interval, %, and the status."""
 
     U: float
-    width: float
+    lower: float
+    upper: float
     status: InverseStatus
 
+    @property
+    def width(self) -> float:
+        """Width of the interval, %."""
+        return self.upper - self.lower
 
-NOTHING_REQUIRED = Required(np.nan, np.nan, InverseStatus.NOT_FINITE)
+
+NOTHING_REQUIRED = Required(np.nan, np.nan, np.nan, InverseStatus.NOT_FINITE)
 
 
 def required(plan: ValvePlan, state: ValveState) -> Required:
@@ -187,8 +193,9 @@ def required(plan: ValvePlan, state: ValveState) -> Required:
     moving = answer.status[0] == InverseStatus.OK and not lane.frozen
     if moving and isinstance(lane.estimator, PathDependent):
         U = lane.estimator.approached(lane.state, U)
-    width = float(answer.upper[0] - answer.lower[0])
-    return Required(float(U[0]), width, InverseStatus(int(answer.status[0])))
+    shift = float(U[0] - answer.U[0])
+    lower, upper = float(answer.lower[0]) + shift, float(answer.upper[0]) + shift
+    return Required(float(U[0]), lower, upper, InverseStatus(int(answer.status[0])))
 
 
 def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) -> Inversion:
