@@ -115,6 +115,10 @@ def test_a_file_of_the_service_is_parsed_by_arrow_in_a_third_of_the_time(file, m
             pass
         return time.process_time() - started
 
-    fast = min(seconds() for _ in range(3))
-    monkeypatch.setattr(ArrowParser, "of", lambda *_, **__: None)
-    assert fast < min(seconds() for _ in range(2)) / 3.0
+    fast, slow = [], []
+    for _ in range(5):  # in turn: a machine's pace changes
+        fast.append(seconds())
+        with monkeypatch.context() as without:
+            without.setattr(ArrowParser, "of", lambda *_, **__: None)
+            slow.append(seconds())
+    assert min(fast) < min(slow) / 3.0
