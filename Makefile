@@ -16,7 +16,7 @@ marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test computes waits peers hardened lint format soak bench report simulate reference figures docs sbom wheel release verify-release lock clean
+.PHONY: install demo test waits peers hardened lint format soak bench report simulate reference figures docs sbom wheel release verify-release lock clean
 
 install: $(RUNTIME)
 
@@ -25,15 +25,11 @@ demo: $(RUNTIME)
 
 test: $(DEV)
 	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
-	$(MAKE) --no-print-directory --jobs 2 --output-sync=target computes waits
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or waits or $(PEERS))"
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint waits
 	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))" $(call marked,alone)
 
-# Tests that mostly compute, and lint: they give way to the tests that wait beside them.
-computes: $(DEV)
-	nice -n 5 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or waits or $(PEERS))"
-	nice -n 5 $(MAKE) --no-print-directory lint
-
-# Tests that mostly wait.
+# Tests that mostly wait: while they do, there is time for something else.
 waits: $(DEV)
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))" $(call marked,waits)
 
