@@ -19,6 +19,7 @@ NEAR = {
     "leakage": 0.4,
     "hysteresis": 0.3,
     "saturation": 1.5,
+    "symmetry": 0.5,
 }
 
 
@@ -35,7 +36,7 @@ def test_figures_are_near_the_truth_and_their_intervals_hold_it():
         for figure in sheet.figures:
             true = truth.get((figure.key, figure.side), math.nan)
             if not math.isfinite(true):
-                assert figure.reason or figure.key == "symmetry", figure
+                assert figure.reason, figure
                 continue
             assert figure.value == pytest.approx(true, abs=NEAR[figure.key]), figure
             held.append(figure.lower <= true <= figure.upper)
@@ -44,6 +45,7 @@ def test_figures_are_near_the_truth_and_their_intervals_hold_it():
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(3600)
 def test_intervals_hold_and_the_spread_is_at_most_twice_that_of_a_classic_sweep():
     held, guided, classic = [], {}, {}
     for name in VALVES:
@@ -53,12 +55,21 @@ def test_intervals_hold_and_the_spread_is_at_most_twice_that_of_a_classic_sweep(
                 for figure in sheet.figures:
                     true = truth.get((figure.key, figure.side), math.nan)
                     if figure.measured is Measured.MEASURED and math.isfinite(true):
-                        found.setdefault(figure.key, []).append(figure.value - true)
+                        found.setdefault((figure.key, figure.side, name), []).append(figure.value)
                         if found is guided:
                             held.append(figure.lower <= true <= figure.upper)
     assert 0.90 <= np.mean(held) <= 0.98
-    for key, errors in guided.items():
-        assert np.std(errors) <= 2.0 * max(np.std(classic[key]), 0.1 * NEAR[key]), key
+
+    def spread(found, key):
+        return np.sqrt(np.mean([np.var(v, ddof=1) for (k, *_), v in found.items() if k == key]))
+
+    ratios = {key: spread(guided, key) / spread(classic, key) for key, *_ in guided}
+    assert max(ratios.values()) <= 2.0, ratios
+
+
+def test_slow_samples_are_no_test():
+    slow = swept(VALVES["ordinary, no play"], 1)[::4]
+    assert "the samples come at 25 Hz" in make_sheet(slow, RATED_BAR).not_a_test
 
 
 def test_what_was_not_driven_is_not_measured():

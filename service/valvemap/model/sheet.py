@@ -1,8 +1,7 @@
-"""The figures of a valve's sheet, computed of a guided sweep; a row of `FIGURES` declares each.
+"""A valve's sheet, computed of a guided sweep: its figures, their intervals and the conditions.
 
-Names are those of ISO 10770-1 (four ports) and -2 (three ports), tests of flow over input signal at
-a constant pressure drop; what a definition here departs in is part of it. The standard holds Δp
-constant; here the flow curve of any Δp is converted to the rated one by the fit (`sweep_fit`).
+The standard holds Δp constant; here the flow curve of any Δp is converted to the rated one by the
+fit (`sweep_fit`).
 
 A figure is a function of a flow curve and a play. Its value is the median over draws of both, its
 95 % interval holds their quantiles and the same mirrored at the estimate: the largest departure of
@@ -13,21 +12,18 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from valvemap.model.samples import Floats, Samples
+from valvemap.model.sheet_figures import FIGURES, GRID, Row, Side
 from valvemap.model.sweep_fit import SweepFit, fit_sweep
 
-GRID: Final = 201  # points of a side's curve
-LEAVES_ZERO: Final = 0.01  # of the rated flow; from there on the valve is open
-LEVELS: Final = np.linspace(0.1, 0.9, 17)  # of the rated flow; points of the gain's line
-FLAT: Final = 0.5  # of the gain; a slope below that is saturation
-SLOPE_OVER: Final = 6.0  # %; over which a slope is taken
 TRAVERSES: Final = 2  # in each direction; fewer are no test
 WHOLE: Final = 0.95  # of the range of U; less is no traverse
 IN_TRAVERSES: Final = 0.8  # of the samples; fewer are no test
+SLOWEST_HZ: Final = 45.0  # of a test at 50 Hz, some samples of which are lost
 
 
 class Measured(StrEnum):
@@ -88,130 +84,6 @@ class Sheet:
 class SheetError(ValueError):
     """The samples tell no flow curve; one line says why."""
 
-
-class _Side(NamedTuple):
-    """Curves of one side over the spool's position |x|: one row is the estimate or a draw."""
-
-    x: Floats
-    Q: Floats  # (D, G), positive
-    play: Floats  # (D,)
-    lag: Floats  # (D,)
-    first: int  # point that the sweep has reached
-    top: int  # the last one
-
-    def closed(self) -> Floats:
-        """Flow at U = 0, reached from above: half a play short of the middle."""
-        return self._at(np.maximum(0.5 * np.maximum(self.play, 0.0), self.x[self.first]))
-
-    def rated(self) -> Floats:
-        """Flow where the rated signal is reached from below: half a play short of it."""
-        return self._at(self.x[-1] - 0.5 * np.maximum(self.play, 0.0))
-
-    def _at(self, x: Floats) -> Floats:
-        return np.array([np.interp(a, self.x, row) for a, row in zip(x, self.Q, strict=True)])
-
-    def line(self) -> tuple[Floats, Floats]:
-        """Slope and ordinate of the line through the curve's points at `LEVELS`."""
-        Q = np.outer(self.rated(), LEVELS)
-        x = np.array(
-            [
-                np.interp(level, np.maximum.accumulate(row), self.x)
-                for level, row in zip(Q, self.Q, strict=True)
-            ]
-        )
-        apart = x - x.mean(axis=1, keepdims=True)
-        slope = np.sum(apart * Q, axis=1) / np.sum(apart**2, axis=1)
-        return slope, Q.mean(axis=1) - slope * x.mean(axis=1)
-
-
-class _Row(NamedTuple):
-    """Declares a figure of a side; ``least`` bounds it from below."""
-
-    key: str
-    name: str
-    unit: str
-    definition: str
-    of: Callable[[_Side], Floats]
-    not_reached: str = ""
-    least: float = 0.0
-
-
-def _dead_band(side: _Side) -> Floats:
-    level = side.closed() + LEAVES_ZERO * side.rated()
-    x, Q = side.x[side.first :], side.Q[:, side.first :]
-    return np.array([_first_above(x, row, limit) for row, limit in zip(Q, level, strict=True)])
-
-
-def _first_above(x: Floats, Q: Floats, limit: float) -> float:
-    above = np.flatnonzero(limit <= Q)
-    if not len(above) or not above[0]:
-        return math.nan
-    k = int(above[0])
-    share = (limit - Q[k - 1]) / (Q[k] - Q[k - 1])
-    return float(x[k - 1] + share * (x[k] - x[k - 1]))
-
-
-def _linearity(side: _Side) -> Floats:
-    slope, ordinate = side.line()
-    least = LEVELS[0] * side.rated()
-    found = []
-    for row, flow, play, a, b in zip(side.Q, least, side.play, slope, ordinate, strict=True):
-        begin = np.interp(flow, np.maximum.accumulate(row), side.x)
-        x = np.linspace(begin, side.x[-1] - 0.5 * max(play, 0.0), GRID)
-        found.append(float(np.abs(np.interp(x, side.x, row) - a * x - b).max()))
-    return np.asarray(100.0 * np.array(found) / side.rated())
-
-
-def _saturation(side: _Side) -> Floats:
-    step = max(round(SLOPE_OVER / (side.x[1] - side.x[0])), 1)
-    slopes = (side.Q[:, step:] - side.Q[:, :-step]) / (side.x[step] - side.x[0])
-    middle = side.x[:-step] + 0.5 * (side.x[step] - side.x[0])
-    limit = FLAT * side.line()[0]
-    last = side.top - step
-    found = []
-    for row, least in zip(slopes, limit, strict=True):
-        steep = np.flatnonzero(row[: last + 1] >= least)
-        ends = int(steep[-1]) if len(steep) else last
-        found.append(math.nan if ends >= last else float(middle[ends]))
-    return np.array(found)
-
-
-FIGURES: Final = (
-    _Row(
-        *("rated_flow", "rated flow", "l/min"),
-        "Flow at the rated signal, reached from below, at the rated Δp.",
-        _Side.rated,
-    ),
-    _Row(
-        *("dead_band", "dead band", "% of U"),
-        "Spool position, in the middle of the loop, where the flow is 1 % of the rated one above "
-        "the leakage. The standard draws the overlap from the tangents.",
-        _dead_band,
-    ),
-    _Row(
-        *("flow_gain", "flow gain", "l/min per % of U"),
-        "Slope of the line through the curve from 10 to 90 % of the rated flow.",
-        lambda side: side.line()[0],
-    ),
-    _Row(
-        *("linearity", "linearity", "% of rated flow"),
-        "Largest departure of the curve from the flow gain's line, from 10 % of the rated flow on.",
-        _linearity,
-    ),
-    _Row(
-        *("saturation", "saturation", "% of U"),
-        "Signal beyond which the slope stays below half the flow gain.",
-        _saturation,
-        "the slope does not fall below half the flow gain",
-    ),
-    _Row(
-        *("leakage", "leakage", "l/min"),
-        "Flow at the rated Δp and U = 0, reached from an open valve.",
-        _Side.closed,
-        least=-math.inf,
-    ),
-)
-"""Figures of each side. Another one is another row."""
 
 HYSTERESIS: Final = (
     "Width of the loop between rising and falling signal, one for the whole range. The standard "
@@ -294,30 +166,33 @@ def true_figures(
 ) -> dict[tuple[str, str], float]:
     """Figures of a known flow curve at the rated Δp, by key and side: what tests compare with."""
     found: dict[tuple[str, str], float] = {}
+    gains = []
     sides = [end for end in U_range if end != 0.0]
     for end in sides:
         x = np.linspace(0.0, abs(end), GRID)
         Q = np.sign(end) * flow(np.sign(end) * x)
         first, top = (int(np.searchsorted(x, end)) for end in (0.5 * play, x[-1] - 0.5 * play))
-        side = _Side(x, Q[None, :], np.array([play]), np.zeros(1), first, top)
+        side = Side(x, Q[None, :], np.array([play]), first, top)
         name = "" if len(sides) == 1 else "U > 0" if end > 0.0 else "U < 0"
         found |= {(row.key, name): float(row.of(side)[0]) for row in FIGURES}
+        gains.append(side.line()[0])
+    if len(gains) > 1:
+        found["symmetry", ""] = float(_symmetry(gains)[0])
     return found | {("hysteresis", ""): play}
 
 
-def _side(fit: SweepFit, end: float) -> _Side:
+def _side(fit: SweepFit, end: float) -> Side:
     own = fit.x >= 0.0 if end > 0.0 else fit.x <= 0.0
     order = np.argsort(np.abs(fit.x[own]))
     sign = math.copysign(1.0, end)
     Q = sign * np.vstack([fit.Q, fit.Q_draws])[:, own][:, order]
     play = np.concatenate([[fit.play], fit.play_draws])
-    lag = np.concatenate([[fit.lag], fit.lag_draws])
     known = np.flatnonzero(fit.known[own][order])
     first, top = (int(known[0]), int(known[-1])) if len(known) else (0, 0)
-    return _Side(np.abs(fit.x[own][order]), Q, play, lag, first, top)
+    return Side(np.abs(fit.x[own][order]), Q, play, first, top)
 
 
-def _figure(row: _Row, side: _Side, name: str, end: float, conditions: Conditions) -> Figure:
+def _figure(row: Row, side: Side, name: str, end: float, conditions: Conditions) -> Figure:
     reached = conditions.U[1] if end > 0.0 else -conditions.U[0]
     if reached < WHOLE * abs(end):
         reason = f"U was {reached:.3g} % at most of {abs(end):g} %"
@@ -328,7 +203,7 @@ def _figure(row: _Row, side: _Side, name: str, end: float, conditions: Condition
     return _summed_up(row.key, name, row.name, row.unit, row.definition, found, row.least)
 
 
-def _without(row: _Row, side: str, measured: Measured, reason: str) -> Figure:
+def _without(row: Row, side: str, measured: Measured, reason: str) -> Figure:
     return Figure(row.key, side, row.name, row.unit, row.definition, measured, reason=reason)
 
 
@@ -350,11 +225,15 @@ def _of_the_whole(fit: SweepFit, gains: list[Floats]) -> list[Figure]:
     play = np.concatenate([[fit.play], fit.play_draws])
     figures = [_summed_up("hysteresis", "", "hysteresis", "% of U", HYSTERESIS, play)]
     if len(gains) > 1:
-        apart = 100.0 * np.abs(gains[0] - gains[1]) / np.maximum(gains[0], gains[1])
+        apart = _symmetry(gains)
         figures.append(_summed_up("symmetry", "", "symmetry", "% of flow gain", SYMMETRY, apart))
     for key, name, unit, reason in ELSEWHERE:
         figures.append(Figure(key, "", name, unit, "", Measured.NOT_MEASURED, reason=reason))
     return figures
+
+
+def _symmetry(gains: list[Floats]) -> Floats:
+    return np.asarray(100.0 * np.abs(gains[0] - gains[1]) / np.maximum(gains[0], gains[1]))
 
 
 def _conditions(samples: Samples, U_range: tuple[float, float]) -> Conditions:
@@ -397,6 +276,9 @@ def _traverses(U: Floats, U_range: tuple[float, float]) -> tuple[int, int]:
 
 def _not_a_test(samples: Samples, U_range: tuple[float, float]) -> str:
     traverses, inside = _traverses(samples.U, U_range)
+    rate = (len(samples) - 1) / max(1e-9 * float(samples.t[-1] - samples.t[0]), 1e-9)
+    if rate < SLOWEST_HZ:
+        return f"the samples come at {rate:.3g} Hz; a test has 50 Hz or more"
     if traverses < 2 * TRAVERSES:
         return f"U went through its range {traverses} times; a test does so {2 * TRAVERSES} times"
     if inside < IN_TRAVERSES * len(samples):
