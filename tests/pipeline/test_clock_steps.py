@@ -1,61 +1,90 @@
-"""Messages from before a step of the source's clock that come again after it."""
+"""A source whose clock is set loses no sample and invents no loss, with and without Sequence."""
 
 import numpy as np
 import pytest
 
-from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, AlignmentSettings
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.vocabulary.signals import PER_VALVE, Signal
 
-START, STEP, DAY = 1_800_000_000_000_000_000, 100_000_000, 86_400_000_000_000
-
-
-def samples(first, n, ahead=0):
-    """The changes of U, p1, p2, Q, T of n samples of one valve without running number."""
-    number = first + np.arange(n)
-    values = np.stack([number % 100 + 0.1 * k for k in range(5)], axis=1)
-    return DataChanges(
-        item=np.tile(np.arange(5, dtype=np.int32), n),
-        value=values.ravel(),
-        status=np.zeros(5 * n, np.uint32),
-        source_time=np.repeat(START + ahead + number * STEP, 5),
-    )
+START = 1_800_000_000_000_000_000
+DAY_S = 86_400.0
+STEPS = (-DAY_S, -3600.0, -60.0, -10.0, -3.0, -1.0, 1.0, 3.0, 10.0, 60.0, 3600.0, DAY_S)
+PERIOD_NS, AT = 10_000_000, 1003  # 100 Hz; the step lies within a message
+LOSSES = ("late", "missing", "duplicates", "gaps", "lost_by_time")
 
 
-def learnt(*messages):
-    """Times of all samples after messages, each half a second after the one before; counters."""
-    arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), optional=(("T",),)))
-    times = []
-    for number, changes in enumerate(messages):
-        arrivals.announce(changes, 1000.0 + 0.5 * number)
-        times += arrivals.take(changes).samples.t.tolist()
-    times += [t for part in arrivals.finish() for t in part.samples.t.tolist()]
-    return times, arrivals.counts(np.array([0]))[0].tolist()
+class Stream:
+    """Messages of one valve with a constant p1, each received as soon as it is complete."""
+
+    def __init__(self, step_s, numbered, message, n=2000):
+        rng = np.random.default_rng(1)
+        self.values = rng.normal(size=(n, PER_VALVE))
+        self.values[:, Signal.P1] = 200.0
+        self.values[:, Signal.SEQUENCE] = np.arange(n)
+        taken = np.arange(n) * PERIOD_NS
+        self.t = START + taken + np.where(np.arange(n) >= AT, round(step_s * 1e9), 0)
+        self.message, self.signals = message, PER_VALVE if numbered else PER_VALVE - 1
+        flags = (("T",),), (numbered,)
+        self.arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), *flags))
+        self.out = []
+
+    def send(self, rows, now_s):
+        k = np.asarray(rows, np.intp)
+        changes = DataChanges(
+            np.tile(np.arange(self.signals, dtype=np.int32), len(k)),
+            self.values[k, : self.signals].ravel(),
+            np.zeros(len(k) * self.signals, np.uint32),
+            np.repeat(self.t[k], self.signals),
+        )
+        self.arrivals.announce(changes, now_s)
+        for part in (changes[:7], changes[7:]):
+            self.out += self.arrivals.take(part).samples.Q.tolist()
+
+    def send_all(self, jitter_s=0.0, without=()):
+        rng = np.random.default_rng(2)
+        for first in range(0, len(self.t), self.message):
+            rows = [k for k in range(first, first + self.message) if k not in without]
+            at = (first + self.message) * PERIOD_NS * 1e-9
+            self.send(rows, 1000.0 + at + rng.uniform(0.0, jitter_s))
+
+    @property
+    def losses(self):
+        counted = self.arrivals.alignment.counters(self.arrivals.of(0), 0)
+        return {name: counted[name] for name in LOSSES if counted[name]}
 
 
-BEFORE, AFTER, LATER = samples(0, 5), samples(5, 5, -DAY), samples(10, 5, -DAY)
-JOINED = DataChanges.concatenate
+@pytest.mark.parametrize("message", [5, 50, 100])
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("step_s", STEPS)
+def test_no_sample_is_lost_and_no_loss_invented(step_s, numbered, message):
+    stream = Stream(step_s, numbered, message)
+    stream.send_all(jitter_s=0.05)
+    assert stream.out == stream.values[:, Signal.Q].tolist()
+    assert stream.losses == {}
 
 
-@pytest.mark.parametrize(
-    "messages",
-    [
-        (BEFORE, AFTER, BEFORE, LATER),
-        (BEFORE, JOINED([AFTER, samples(2, 1)]), LATER),
-        (JOINED([BEFORE, AFTER, samples(1, 2), LATER]),),
-        (BEFORE, BEFORE, AFTER, AFTER, BEFORE, LATER),
-    ],
-)
-def test_a_repetition_from_before_a_step_back_is_counted_and_not_learnt(messages):
-    times, counts = learnt(*messages)
-    once = np.unique(np.concatenate([part.source_time for part in (BEFORE, AFTER, LATER)]))
-    assert sorted(times) == once.tolist()
-    more = sum(map(len, messages)) - 5 * len(once)
-    assert counts[COUNTER_NAMES.index("duplicates")] == more
+def test_real_losses_are_still_counted_by_time():
+    stream = Stream(0.0, numbered=False, message=50)
+    stream.send_all(jitter_s=0.05, without=range(700, 900))
+    assert stream.losses == {"lost_by_time": 200}
 
 
-def test_other_samples_at_the_times_of_former_ones_are_learnt():
-    """The clock comes to the same times again, and the valve stands elsewhere."""
-    back, again = samples(50, 5, -50 * STEP), samples(55, 5, -55 * STEP + DAY)
-    times, _ = learnt(samples(0, 5, DAY), back, again)
-    assert len(times) == 15
+def test_what_is_sent_again_is_no_step():
+    stream = Stream(0.0, numbered=False, message=50, n=600)
+    stream.send_all()
+    stream.send(range(200, 600), 1010.0)
+    assert stream.out == stream.values[:, Signal.Q].tolist()
+    assert stream.losses == {"duplicates": 400 * (PER_VALVE - 1)}
+
+
+def test_messages_that_catch_up_after_an_outage_are_no_step():
+    stream = Stream(0.0, numbered=False, message=50, n=600)
+    for first in (0, 50, 100):
+        stream.send(range(first, first + 50), 1000.0 + 0.01 * first)
+    for first in (200, 250):  # 50 samples are lost
+        stream.send(range(first, first + 50), 1030.0)
+    for first in (300, 350):
+        stream.send(range(first, first + 50), 1030.1)
+    assert stream.losses == {"lost_by_time": 50}
