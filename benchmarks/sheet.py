@@ -17,7 +17,8 @@ import numpy as np
 from benchmarks.circumstances import SIGMA
 from benchmarks.commission_plant import VALVES, Valve
 from valvemap.model.samples import Samples
-from valvemap.model.sheet import Measured, make_sheet, true_figures
+from valvemap.model.sheet import Measured, make_sheet, name_of
+from valvemap.model.sheet_figures import GRID, OF_SIDES, OF_VALVE, Side
 from valvemap.model.sweep_fit import spool
 from valvemap.pipeline.commission_plan import GOLDEN, triangle
 
@@ -46,10 +47,28 @@ def swept(
 
 
 def truth_of(valve: Valve) -> dict[tuple[str, str], float]:
-    """True figures of a valve."""
-    return true_figures(
-        lambda x: valve.flow(x, np.full(len(x), RATED_BAR)), valve.play, valve.U_range
+    """Figures of the valve's true curve, by key and side."""
+    ends = sorted((end for end in valve.U_range if end != 0.0), reverse=True)
+    play, x = valve.play, np.linspace(0.0, max(map(abs, valve.U_range)), GRID)
+    first, top = (int(np.searchsorted(x, at)) for at in (0.5 * play, x[-1] - 0.5 * play))
+    sides = tuple(
+        Side(
+            x,
+            np.sign(end) * valve.flow(np.sign(end) * x, dp)[None, :],
+            np.array([play]),
+            first,
+            top,
+        )
+        for end in ends
+        for dp in [np.full(GRID, RATED_BAR)]
     )
+    found = {
+        (row.key, name_of(end, len(ends))): float(row.of((side,))[0])
+        for end, side in zip(ends, sides, strict=True)
+        for row in OF_SIDES
+    }
+    whole = {(row.key, ""): float(row.of(sides)[0]) for row in OF_VALVE if row.sides <= len(sides)}
+    return found | whole
 
 
 def main() -> None:

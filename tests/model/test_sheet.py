@@ -9,7 +9,8 @@ from benchmarks.commission_plant import VALVES
 from benchmarks.sheet import RATED_BAR, swept, truth_of
 from valvemap.model.judged_sheet import Verdict, judge
 from valvemap.model.samples import Samples
-from valvemap.model.sheet import KEYS, Figure, Measured, SheetError, make_sheet
+from valvemap.model.sheet import Figure, Measured, SheetError, make_sheet
+from valvemap.model.sheet_figures import KEYS
 
 NEAR = {
     "rated_flow": 0.5,
@@ -112,6 +113,26 @@ def test_missing_values_and_bad_samples_are_left_out():
         v for (key, _), v in truth_of(VALVES["ordinary, no play"]).items() if key == "rated_flow"
     )
     assert found.value == pytest.approx(true, abs=0.5)
+
+
+@pytest.mark.parametrize("U", [0.0, 50.0, 100.0])
+def test_a_valve_that_stands_still_has_no_curve(U):
+    n = 600
+    Q = np.random.default_rng(1).normal(0, 0.4, n)
+    still = Samples.of(t=np.arange(n) * 10**7, U=np.full(n, U), p1=Q * 0 + 70, p2=Q * 0, Q=Q)
+    with pytest.raises(SheetError, match="U and Q must change"):
+        make_sheet(still)
+
+
+def test_a_valve_without_flow_or_signal_has_no_curve():
+    whole = swept(VALVES["ordinary, no play"], 1)
+    none = np.zeros(len(whole))
+    closed = Samples.of(t=whole.t, U=whole.U, p1=70 + none, p2=none, Q=none)
+    with pytest.raises(SheetError, match="U and Q must change"):
+        make_sheet(closed)
+    gone = Samples.of(t=whole.t, U=none * np.nan, p1=70 + none, p2=none, Q=none)
+    with pytest.raises(SheetError, match="no samples"):
+        make_sheet(gone)
 
 
 def test_a_verdict_needs_the_whole_interval():

@@ -77,7 +77,7 @@ def quantity(tree):
 
 
 @pytest.fixture(scope="module")
-def status(tree, quantity):  # after it: kernels that name statuses are compiled anew
+def status(tree, quantity):  # after it: kernels that name statuses are compiled again
     assert quantity
     tree.touched.clear()
     tree.before(

@@ -21,7 +21,7 @@ _NOISE_PERCENT: Final = 1.0  # of a signal at 0
 
 @dataclass(frozen=True)
 class JudgedSheet:
-    """A sheet, what was expected of it, and another map beside it."""
+    """A sheet, its comparison with a datasheet, and with another map."""
 
     valve: str
     file: Path
@@ -71,7 +71,7 @@ def sheet_of(
         raise ConfigurationError(f"VALVE {valve!r}: {file} has no such valve{there}")
     samples = Samples.concatenate(parts)
     if U_range is None:
-        lowest = float(np.nanmin(samples.U))
+        lowest = float(samples.U[np.isfinite(samples.U)].min(initial=0.0))
         if lowest < -_NOISE_PERCENT:
             raise ConfigurationError(
                 f"{file}: U falls to {lowest:.3g} %; say --both-ways if the valve works both ways, "
@@ -105,7 +105,7 @@ def _line(figure: Figure, datasheet: Datasheet) -> Line:
 def as_json(judged: JudgedSheet) -> dict[str, Any]:
     """Return what ``--json`` writes; numbers that are not finite are null."""
     sheet = judged.sheet
-    low, high = (np.quantile(sheet.fit.Q_draws, q, axis=0) for q in (0.025, 0.975))
+    low, high = sheet.fit.interval()
     apart = judged.apart
     found: dict[str, Any] = {
         "valve": judged.valve,

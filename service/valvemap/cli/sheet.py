@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from valvemap.storage.layout import Layout
 
 _RATED_BAR: Final = 70.0  # 35 bar for each edge
-_HEADINGS: Final = ("figure", "value", "95 % interval", "unit", "datasheet", "verdict")
 
 
 def sheet(
@@ -106,7 +105,7 @@ def _last_commission(data: Path, valve: str) -> Path:
 def _configured(
     config: Path | None, valve: str
 ) -> "tuple[Layout | None, tuple[float, float] | None]":
-    """Return how the recording is laid out, and the rated signal of the valve; None: not said."""
+    """Return the recording's layout and the valve's rated signal; None without --config."""
     if config is None:
         return None, None
     from valvemap.app.build import build_layout
@@ -121,11 +120,11 @@ def _configured(
 
 
 def _show(judged: "JudgedSheet") -> None:
-    from valvemap.report.sheet_words import cells, notes_of
+    from valvemap.report.sheet_words import HEADINGS, cells, notes_of
 
     sheet = judged.sheet
     judges = any(line.datasheet is not None or line.verdict for line in judged.lines)
-    headings = _HEADINGS if judges else _HEADINGS[:4]
+    headings = HEADINGS if judges else HEADINGS[: HEADINGS.index("datasheet")]
     table = Table(title=f"{judged.valve} at {sheet.dp_rated:g} bar", title_justify="left")
     for heading in headings:
         table.add_column(heading, justify="right" if heading == "value" else "left")

@@ -1,17 +1,17 @@
 """A valve's datasheet and tolerances (TOML), with which a measured sheet is compared."""
 
 import math
-import tomllib
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from valvemap.config.loading import read_toml
 from valvemap.errors import ConfigurationError
-from valvemap.model.sheet import KEYS
+from valvemap.model.sheet_figures import KEYS
 
 
 class Expected(BaseModel):
-    """What is expected of one figure, in its unit: what the datasheet says, what is allowed."""
+    """Datasheet's value and tolerances of one figure, in its unit."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -27,7 +27,7 @@ class Expected(BaseModel):
 
 
 class Datasheet(BaseModel):
-    """The rated conditions, and what is expected of each figure, by its key."""
+    """Rated pressure drop, and the datasheet's values and tolerances by the figure's key."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -48,14 +48,9 @@ def read_datasheet(file: Path) -> Datasheet:
     Raises
     ------
     ConfigurationError
-        naming file, field and what is allowed.
+        naming file, field and the allowed values.
     """
-    try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError(f"{file}: {(error.strerror or str(error)).lower()}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{file}: not TOML: {error}") from None
+    content = read_toml(file)
     try:
         return Datasheet.model_validate(content)
     except ValidationError as error:

@@ -40,7 +40,8 @@ def load_settings(kind: type[S], file: Path | None) -> S:
         if a value is invalid; names file (or environment variable), field, value and the allowed
         values.
     """
-    given = {} if file is None else _read(file)
+    remedy = "; `valvemap init` makes a first configuration"
+    given = {} if file is None else read_toml(file, remedy)
     try:
         return kind(**given)
     except SettingsError as error:
@@ -49,6 +50,25 @@ def load_settings(kind: type[S], file: Path | None) -> S:
     except ValidationError as error:
         lines = [_line(kind, file, details) for details in error.errors()]
         raise ConfigurationError("\n".join(dict.fromkeys(lines))) from None
+
+
+def read_toml(file: Path, remedy: str = "") -> dict[str, Any]:
+    """Read a TOML file; ``remedy`` follows the sentence that there is none.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigurationError(f"{file}: no such file or directory{remedy}") from None
+    except OSError as error:
+        raise ConfigurationError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{file}: not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{file}: not valid TOML: {error}; text goes in quotes") from None
 
 
 def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
@@ -110,21 +130,6 @@ _SHAPES = {
     "model_attributes_type": "a section is needed, [name] with fields below it",
     "dict_type": "a table is needed, { name = value }",
 }
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigurationError(
-            f"{file}: no such file or directory; `valvemap init` makes a first configuration"
-        ) from None
-    except OSError as error:
-        raise ConfigurationError(f"{file}: {(error.strerror or str(error)).lower()}") from None
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"{file}: not a text file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{file}: not valid TOML: {error}; text goes in quotes") from None
 
 
 def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) -> str:

@@ -1,4 +1,4 @@
-"""The figures of one side of a valve's flow curve; a row of `FIGURES` declares each.
+"""The figures of a valve's flow curve; a row of `OF_SIDES` or `OF_VALVE` declares each.
 
 Names are those of ISO 10770-1 (four ports) and -2 (three ports), tests of flow over input signal at
 a constant pressure drop; what a definition here departs in is part of it.
@@ -54,15 +54,36 @@ class Side(NamedTuple):
 
 
 class Row(NamedTuple):
-    """Declares a figure of a side; ``least`` bounds it from below."""
+    """Declares a figure; ``of`` gives the estimate and its draws, (D,), ``least`` bounds it."""
 
     key: str
     name: str
     unit: str
     definition: str
-    of: Callable[[Side], Floats]
+    of: Callable[[tuple[Side, ...]], Floats]  # of one side, or of all of a valve
     not_reached: str = ""
     least: float = 0.0
+    sides: int = 1  # that a valve must have
+
+
+class Elsewhere(NamedTuple):
+    """Declares a figure that no sweep tells, and why."""
+
+    key: str
+    name: str
+    unit: str
+    reason: str
+
+
+def of_side(of: Callable[[Side], Floats]) -> Callable[[tuple[Side, ...]], Floats]:
+    """Return a figure's function for the one side that it is of."""
+    return lambda sides: of(*sides)
+
+
+def _symmetry(sides: tuple[Side, ...]) -> Floats:
+    """Difference of the flow gains of both sides over the larger one, %, (D,)."""
+    gains = np.array([side.line()[0] for side in sides])
+    return np.asarray(100.0 * np.ptp(gains, axis=0) / gains.max(axis=0))
 
 
 def _dead_band(side: Side) -> Floats:
@@ -105,39 +126,63 @@ def _saturation(side: Side) -> Floats:
     return np.array(found)
 
 
-FIGURES: Final = (
+OF_SIDES: Final = (
     Row(
         *("rated_flow", "rated flow", "l/min"),
         "Flow at the rated signal, reached from below, at the rated Δp.",
-        Side.rated,
+        of_side(Side.rated),
     ),
     Row(
         *("dead_band", "dead band", "% of U"),
         "Spool position, in the middle of the loop, where the flow is 1 % of the rated one above "
         "the leakage. The standard draws the overlap from the tangents.",
-        _dead_band,
+        of_side(_dead_band),
     ),
     Row(
         *("flow_gain", "flow gain", "l/min per % of U"),
         "Slope of the line through the curve from 10 to 90 % of the rated flow.",
-        lambda side: side.line()[0],
+        of_side(lambda side: side.line()[0]),
     ),
     Row(
         *("linearity", "linearity", "% of rated flow"),
         "Largest departure of the curve from the flow gain's line, from 10 % of the rated flow on.",
-        _linearity,
+        of_side(_linearity),
     ),
     Row(
         *("saturation", "saturation", "% of U"),
         "Signal beyond which the slope stays below half the flow gain.",
-        _saturation,
+        of_side(_saturation),
         "the slope does not fall below half the flow gain",
     ),
     Row(
         *("leakage", "leakage", "l/min"),
         "Flow at the rated Δp and U = 0, reached from an open valve.",
-        Side.closed,
+        of_side(Side.closed),
         least=-math.inf,
     ),
 )
 """Figures of each side. Another one is another row."""
+
+OF_VALVE: Final = (
+    Row(
+        *("hysteresis", "hysteresis", "% of U"),
+        "Width of the loop between rising and falling signal, one for the whole range. The "
+        "standard takes the largest width.",
+        lambda sides: sides[0].play,
+    ),
+    Row(
+        *("symmetry", "symmetry", "% of flow gain"),
+        "Difference of the flow gains of both sides over the larger one.",
+        _symmetry,
+        sides=2,
+    ),
+)
+"""Figures of a valve with all its sides."""
+
+ELSEWHERE: Final = (
+    Elsewhere(*("threshold", "threshold", "% of U"), "needs small steps of U about a standstill"),
+    Elsewhere(*("pressure_gain", "pressure gain", "bar per % of U"), "needs blocked service ports"),
+)
+
+KEYS: Final = tuple(row.key for row in (*OF_SIDES, *OF_VALVE, *ELSEWHERE))
+"""Keys of all figures."""

@@ -20,7 +20,7 @@ posterior; figures are computed of draws from it.
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy import linalg, optimize, sparse
@@ -38,6 +38,7 @@ USUAL_LAG: Final = 0.02  # s; standard deviation of the lag before anything is k
 NEAR: Final = 0.35  # of √Δp; standard deviation of the weight about the rated one
 STUDENT: Final = 1.0  # degrees of freedom of the bends
 ROUNDS: Final = 4  # of their weights
+EXACT: Final = 1e-6  # l/min; least residual: a recording without flow or noise has none
 DRAWS: Final = 600
 COMMON_LAGS: Final = 200  # samples; over which residuals may have something in common
 
@@ -58,8 +59,8 @@ class SweepFit:
         Draws of ``Q`` from its posterior, (D, G).
     play, lag : float
         Width of the loop, % of U; time constant, s.
-    play_draws, lag_draws : float64
-        Draws of both, (D,).
+    play_draws : float64
+        Draws of ``play``, (D,).
     noise : float
         Standard deviation of a flow, l/min.
     """
@@ -71,8 +72,12 @@ class SweepFit:
     play: float
     lag: float
     play_draws: Floats
-    lag_draws: Floats
     noise: float
+
+    def interval(self) -> tuple[Floats, Floats]:
+        """95 % interval of ``Q``, both (G,)."""
+        lower, upper = np.quantile(self.Q_draws, [0.025, 0.975], axis=0)
+        return lower, upper
 
 
 def spool(U: Floats, dt: Floats, play: float, lag: float) -> Floats:
@@ -92,13 +97,19 @@ def spool(U: Floats, dt: Floats, play: float, lag: float) -> Floats:
     return x
 
 
+def usable(samples: Samples) -> Samples:
+    """Return the samples that are not Bad and have U, Δp and Q."""
+    finite = np.isfinite(samples.Q) & np.isfinite(samples.U) & np.isfinite(samples.dp)
+    return samples[(samples.quality != Quality.BAD) & finite]
+
+
 def fit_sweep(samples: Samples, dp_rated: float, U_grid: Floats, seed: int = 0) -> SweepFit | None:
     """Fit the samples of one valve.
 
     Parameters
     ----------
     samples
-        At least `FEWEST` good ones; others are left out.
+        Those that are `usable`; at least `FEWEST`.
     dp_rated
         Pressure drop for which the flow curve is given, bar.
     U_grid
@@ -109,7 +120,7 @@ def fit_sweep(samples: Samples, dp_rated: float, U_grid: Floats, seed: int = 0) 
     Returns
     -------
     SweepFit
-        None if there are too few samples, or their equations cannot be solved.
+        None if there are too few samples, U does not move, or the equations cannot be solved.
 
     Examples
     --------
@@ -122,15 +133,12 @@ def fit_sweep(samples: Samples, dp_rated: float, U_grid: Floats, seed: int = 0) 
     >>> round(found.play, 1), found.Q.round(0)
     (2.0, array([17., 42., 67.]))
     """
-    good = (samples.quality != Quality.BAD) & np.isfinite(samples.Q * samples.U * samples.dp)
-    samples = samples[good]
     if len(samples) < FEWEST:
         return None
     problem = _Problem(samples, dp_rated, U_grid)
     at = min(((p, g) for p in PLAYS for g in LAGS), key=problem.cost)
     at = _searched(problem, at)
     for _ in range(ROUNDS):
-        problem.smooth = min(SMOOTH, key=lambda weight: problem.evidence(*at, weight))
         problem.weigh_bends(*at)
     return problem.posterior(*_searched(problem, at), dp_rated, U_grid, seed)
 
@@ -149,6 +157,14 @@ def _searched(problem: "_Problem", start: tuple[float, float]) -> tuple[float, f
         },
     )
     return float(found.x[0]), float(found.x[1])
+
+
+class _Equations(NamedTuple):
+    """Regressors A (N, K), sparse, with AᵀA and AᵀQ, of one play and lag."""
+
+    A: sparse.csr_matrix
+    AA: Floats
+    AQ: Floats
 
 
 class _Problem:
@@ -179,28 +195,36 @@ class _Problem:
         return np.add((self.D.T * by_bend) @ self.D, self.tiny)
 
     def weigh_bends(self, play: float, lag: float) -> None:
-        """Weigh each bend by what is expected of it, its size being known."""
-        A = self._weighted(play, lag)
-        theta = np.linalg.solve(self._information(A, self.smooth), A.T @ self.Q)
-        variance = float(np.sum((self.Q - A @ theta) ** 2)) / self.many
-        size = self.smooth * self.per_bend * (self.D @ theta) ** 2 / variance
+        """Choose the scale of bends by the evidence, then weigh each bend by its size."""
+        equations = self._equations(play, lag)
+        self.smooth = min(SMOOTH, key=lambda weight: self._evidence(equations, weight))
+        theta, squares = self._solved(equations, self.smooth)
+        size = self.smooth * self.per_bend * (self.D @ theta) ** 2 * self.many / squares
         self.share = (STUDENT + 1.0) / (STUDENT + size)
 
-    def evidence(self, play: float, lag: float, weight: float) -> float:
+    def _evidence(self, equations: "_Equations", weight: float) -> float:
         """Minus twice the log marginal likelihood of a weight of bends."""
-        A = self._weighted(play, lag)
-        information = self._information(A, weight)
-        theta = np.linalg.solve(information, A.T @ self.Q)
-        left = float(np.sum((self.Q - A @ theta) ** 2) + theta @ self.prior(weight) @ theta)
-        determinant = float(np.linalg.slogdet(information)[1])
+        theta, squares = self._solved(equations, weight)
+        left = squares + float(theta @ self.prior(weight) @ theta)
+        determinant = float(np.linalg.slogdet(equations.AA + self.prior(weight))[1])
         return self.many * math.log(left) + determinant - len(self.D) * math.log(weight)
 
     def cost(self, at: Floats | tuple[float, float]) -> float:
         """Minus twice the log posterior of play and lag, with the best coefficients."""
-        A = self._weighted(float(at[0]), float(at[1]))
-        theta = np.linalg.solve(self._information(A, self.smooth), A.T @ self.Q)
-        left = float(np.sum((self.Q - A @ theta) ** 2) + theta @ self.prior(self.smooth) @ theta)
+        theta, squares = self._solved(self._equations(float(at[0]), float(at[1])), self.smooth)
+        left = squares + float(theta @ self.prior(self.smooth) @ theta)
         return self.many * math.log(left / self.many) + float(at[1] / USUAL_LAG) ** 2
+
+    def _equations(self, play: float, lag: float) -> "_Equations":
+        A = self._weighted(play, lag)
+        return _Equations(A, np.asarray((A.T @ A).todense()), np.asarray(A.T @ self.Q))
+
+    def _solved(self, equations: "_Equations", weight: float) -> tuple[Floats, float]:
+        """Return the best coefficients (K,), and the sum of squared residuals, never 0."""
+        theta: Floats = np.asarray(
+            np.linalg.solve(equations.AA + self.prior(weight), equations.AQ), np.float64
+        )
+        return theta, float(np.sum((self.Q - equations.A @ theta) ** 2)) + self.many * EXACT**2
 
     def _weighted(self, play: float, lag: float) -> sparse.csr_matrix:
         rows = self.rows(spool(self.U, self.dt, play, lag), self.s)
@@ -219,9 +243,12 @@ class _Problem:
         self, play: float, lag: float, dp_rated: float, U_grid: Floats, seed: int
     ) -> SweepFit | None:
         """Evaluate the fit at its optimum."""
-        x = spool(self.U, self.dt, play, lag)
-        A = self._weighted(play, lag)
-        theta = np.linalg.solve(self._information(A, self.smooth), A.T @ self.Q)
+        moved = np.maximum.accumulate(self.U) - np.minimum.accumulate(self.U) > play
+        if not moved.any():
+            return None
+        equations = self._equations(play, lag)
+        A = equations.A
+        theta, _ = self._solved(equations, self.smooth)
         left = self.Q - A @ theta
         by = [
             (self._weighted(play + d, lag + g) @ theta - A @ theta) / (d + g)
@@ -231,7 +258,11 @@ class _Problem:
         information = columns.T @ columns
         size = len(theta)
         information[:size, :size] += self.prior(self.smooth)
-        variance = float(left @ left) / max(self.many - size, 1.0) * _in_common(left)
+        variance = (
+            max(float(left @ left), self.many * EXACT**2)
+            / max(self.many - size, 1.0)
+            * _in_common(left)
+        )
         information[size + 1, size + 1] += variance / USUAL_LAG**2
         try:
             factor = np.linalg.cholesky(information)
@@ -242,8 +273,9 @@ class _Problem:
             factor.T, rng.standard_normal((size + 2, DRAWS)), lower=False
         )
         apart = math.sqrt(variance) * draws.T
-        moved = np.maximum.accumulate(self.U) - np.minimum.accumulate(self.U) > play
-        been = x[moved]  # before that it is not known where in its play the spool began
+        been = spool(self.U, self.dt, play, lag)[
+            moved
+        ]  # before that it is not known where in its play the spool began
         s = np.full(len(U_grid), math.sqrt(dp_rated))
         at_grid = self.rows(U_grid, s)
         Q = at_grid @ theta
@@ -255,13 +287,8 @@ class _Problem:
             play=play,
             lag=lag,
             play_draws=play + apart[:, size],
-            lag_draws=lag + apart[:, size + 1],
             noise=math.sqrt(float(left @ left) / self.many),
         )
-
-    def _information(self, A: sparse.csr_matrix, weight: float) -> Floats:
-        both: Floats = np.asarray((A.T @ A).todense()) + self.prior(weight)
-        return both
 
 
 def _knots(low: float, high: float, step: float) -> Floats:

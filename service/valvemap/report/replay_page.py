@@ -10,6 +10,7 @@ from rich.table import Table
 
 from valvemap.errors import StorageError
 from valvemap.owned_files import write_whole
+from valvemap.report.page_style import STYLE
 
 PAGE = "index.html"
 _KINDS = {
@@ -59,6 +60,7 @@ def write_page(
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     page = _PAGE.substitute(
         title=escape(title),
+        style=STYLE,
         tables="\n".join(map(_table, tables)),
         notes="\n".join(f"<li>{escape(note)}</li>" for note in notes),
         figures=figures,
@@ -109,12 +111,9 @@ _PAGE = Template("""<!doctype html>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>$title</title>
 <style>
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem;
-  color: #1c2329; background: #fff }
-table { border-collapse: collapse; margin: 1.5rem 0; font-variant-numeric: tabular-nums }
+$style
 caption { text-align: left; font-weight: 600; padding-bottom: .4rem }
-th, td { text-align: left; padding: .25rem .8rem .25rem 0; border-bottom: 1px solid #d5dade;
-  vertical-align: bottom; white-space: pre-line }
+th, td { vertical-align: bottom; white-space: pre-line }
 .number { text-align: right }
 figure { margin: 2rem 0 }
 figcaption { color: #4d5963 }

@@ -12,10 +12,9 @@ from matplotlib.figure import Figure as Picture
 from valvemap.model.judged_sheet import Apart, Line
 from valvemap.model.sheet import Sheet
 from valvemap.owned_files import write_whole
+from valvemap.report.page_style import STYLE
 from valvemap.report.plots import COLOURS
-from valvemap.report.sheet_words import cells, notes_of
-
-_HEADINGS = ("figure", "value", "95 % interval", "unit", "datasheet", "verdict", "definition")
+from valvemap.report.sheet_words import HEADINGS, cells, notes_of
 
 
 def write_sheet(
@@ -39,8 +38,9 @@ def write_sheet(
     """
     page = _PAGE.substitute(
         title=escape(title),
+        style=STYLE,
         what=escape(sheet.not_a_test and f"Not a test: {sheet.not_a_test}."),
-        head="".join(f"<th>{heading}</th>" for heading in _HEADINGS),
+        head="".join(f"<th>{heading}</th>" for heading in (*HEADINGS, "definition")),
         body="\n".join(map(_row, lines)),
         notes="\n".join(f"<li>{escape(note)}</li>" for note in notes_of(sheet, apart)),
         picture=_picture(sheet, apart),
@@ -60,7 +60,7 @@ def _picture(sheet: Sheet, apart: Apart | None) -> str:
     axes = figure.add_subplot()
     half = 0.5 * fit.play
     Q = np.where(fit.known, fit.Q, np.nan)
-    low, high = (np.quantile(fit.Q_draws, q, axis=0) for q in (0.025, 0.975))
+    low, high = fit.interval()
     axes.plot(fit.x + half, Q, color=COLOURS[0], linewidth=1.4, label="U rising")
     axes.plot(fit.x - half, Q, color=COLOURS[1], linewidth=1.4, label="U falling")
     for shift, colour in ((half, COLOURS[0]), (-half, COLOURS[1])):
@@ -85,11 +85,8 @@ _PAGE = Template("""<!doctype html>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>$title</title>
 <style>
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem;
-  color: #1c2329; background: #fff }
-table { border-collapse: collapse; margin: 1.5rem 0; font-variant-numeric: tabular-nums }
-th, td { text-align: left; padding: .25rem .8rem .25rem 0; border-bottom: 1px solid #d5dade;
-  vertical-align: top }
+$style
+th, td { vertical-align: top }
 td:last-child { color: #4d5963; font-size: .85rem; max-width: 26rem }
 .fail td:nth-child(6) { color: #a4001d; font-weight: 600 }
 .pass td:nth-child(6) { color: #00632b }

@@ -1,9 +1,13 @@
 """The texts of a valve's sheet, for terminal and page."""
 
 import math
+from typing import Final
 
 from valvemap.model.judged_sheet import Apart, Line
 from valvemap.model.sheet import Measured, Sheet
+
+HEADINGS: Final = ("figure", "value", "95 % interval", "unit", "datasheet", "verdict")
+"""Of what `cells` returns."""
 
 
 def notes_of(sheet: Sheet, apart: Apart | None) -> list[str]:
