@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import structlog
 
 from support.plant import as_changes, plant
 from valvemap.app.record import _Recorder
 from valvemap.config.loading import load_config
+from valvemap.pipeline.alignment import Alignment
 
 
 class Writer:
@@ -32,6 +34,24 @@ async def test_what_waits_behind_a_hole_is_written_at_the_end(recorder, writer):
     await recorder.take(changes[np.repeat(np.arange(40) != 20, 6)])
     recorder.finish()
     assert writer.t == np.delete(samples.t, 20).tolist()
+
+
+async def test_the_samples_of_a_valve_that_is_left_out_are_counted(recorder, writer, monkeypatch):
+    samples = plant(40)
+    changes = as_changes(samples)
+    await recorder.take(changes[: 6 * 10])
+    with monkeypatch.context() as patch, structlog.testing.capture_logs() as said:
+        patch.setattr(Alignment, "take", raising)
+        await recorder.take(changes[6 * 10 : 6 * 20])
+        await recorder.take(changes[6 * 20 :])
+        recorder.finish()
+    assert writer.t == samples.t[:10].tolist()
+    (end,) = [entry for entry in said if "missing" in entry["event"]]
+    assert end["samples"] == {"Valvistor": 30}
+
+
+def raising(*_args):
+    raise RuntimeError("injected")
 
 
 async def test_a_restarted_source_counts_its_samples_anew(recorder, writer):

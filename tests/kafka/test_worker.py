@@ -20,6 +20,7 @@ from valvemap.kafka.memory import read_memory, write_memory
 from valvemap.kafka.result_blocks import read_results
 from valvemap.kafka.settings import TopicsConfig
 from valvemap.kafka.worker import MEMORY, Worker
+from valvemap.pipeline.baseline import Baseline
 from valvemap.pipeline.lane_failures import Step
 from valvemap.vocabulary.statuses import Status
 
@@ -264,6 +265,38 @@ def test_an_error_in_any_step_of_one_valve_costs_a_worker_nothing_else(step, mon
     assert again[step.stops[0]][1] == 20
     assert [again[estimator][0] for estimator in LANES].count(int(Status.FAILED)) == 0
     assert not lane_alarm(out, name).active
+
+
+def test_an_approved_map_that_cannot_be_packed_costs_the_others_nothing(monkeypatch):
+    known = catalogue(valves=VALVES, per_group=VALVES)
+    plan = known.groups["north.0"]
+    worker, store = Worker(known, RHYTHM), Dictionary()
+    for number in range(1, 4):
+        worker.samples(b"north.0", marked(plan, number), store)
+    for v in (CULPRIT, CULPRIT + 1):
+        command = Command(f"a{v}", "north.0", f"V{v}", "approve")
+        out = worker.command(b"north.0", write_message(command), store)
+        assert all(read_reply(m).done for m in out if is_reply(m))
+    worker.keep()
+    before = read_memory(store.get_bytes(MEMORY)).baselines
+    whole, culprit = Baseline.to_bytes, before[f"V{CULPRIT}"]
+
+    def raising(found):
+        if whole(found) == culprit:
+            raise RuntimeError("injected")
+        return whole(found)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Baseline, "to_bytes", raising)
+        worker.samples(b"north.0", marked(plan, 4), store)
+        worker.keep()
+    assert read_memory(store.get_bytes(MEMORY)).baselines == before
+    out = worker.samples(b"north.0", marked(plan, 5), store)
+    shown = newest(out, [f"V{CULPRIT}", f"V{CULPRIT + 1}"])
+    statuses = {v: {one[0] for one in shown[v].values()} for v in shown}
+    assert statuses[f"V{CULPRIT}"] == {int(Status.FAILED)}
+    assert int(Status.FAILED) not in statuses[f"V{CULPRIT + 1}"]
+    assert "checkpoint: RuntimeError: injected" in lane_alarm(out, f"V{CULPRIT}").text
 
 
 def marked(plan, number):

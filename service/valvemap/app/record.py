@@ -18,7 +18,7 @@ from valvemap.owned_files import write_whole
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.runtime.failure_log import log_left_out
+from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.supervisor import supervise
 from valvemap.storage.recordings import RecordingWriter
 
@@ -116,6 +116,7 @@ class _Recorder:
         """Write the pending samples."""
         for samples in self._arrivals.finish():
             self._append(samples)
+        log_missing(self._arrivals.left_out())
 
     def write_timing(self, file: Path) -> None:
         """Write the timing of the signals to a file beside the recording.

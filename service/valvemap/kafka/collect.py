@@ -25,7 +25,7 @@ from valvemap.model.samples import Samples, Segments, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.runtime.failure_log import log_left_out
+from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.sources import Sources, supervise_all
 
 _LONGEST_TICK_S: Final = 0.5  # s; the time by which a tick is longer does not count as waiting
@@ -197,6 +197,7 @@ class Collector:
         ------
         StorageError
         """
+        log_missing(self._arrivals.left_out())
         if self._saving is not None:
             await self._saving
         await self._save(self._taken())
@@ -209,6 +210,8 @@ class Collector:
     def _use(self, samples: ByValve) -> None:
         for valve, error in self._arrivals.new_failures():
             log_left_out(self._arrivals.names[valve], error)
+        if left_out := self._arrivals.left_out():
+            self._say("valves are left out, their samples are missing", samples=left_out)
         self._held_s[samples.segments.members] = 0.0
         if len(samples):
             self._parts.append(samples)

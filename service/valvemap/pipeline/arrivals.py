@@ -71,8 +71,8 @@ class Arrivals:
     """Converts data changes into samples; its state can be packed and restored bitwise.
 
     If that raises at a valve, the alignment's writes are undone, and the timing of the valve is
-    detected again. Its changes are dropped until `start_again`, or until its source restarts. The
-    others get the same bits as without the error.
+    detected again. Its changes are dropped until `start_again`, or until its source restarts; their
+    samples are counted as missing. The others get the same bits as without the error.
 
     Parameters
     ----------
@@ -129,6 +129,12 @@ class Arrivals:
 
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
+        parts = self._taken(changes)
+        if self.failed.any():
+            self._count_dropped(changes)
+        return parts[0] if len(parts) == 1 else in_turn(parts)
+
+    def _taken(self, changes: DataChanges) -> list[ByValve]:
         first, self._announced = self._announced, self._announced + len(changes)
         due = [step for step in self._due if first <= step.row < self._announced]
         after = np.zeros(len(changes), np.bool_)
@@ -150,11 +156,19 @@ class Arrivals:
         if self._may_step:
             for part in parts:
                 self._steps.remember(part)
-        return parts[0] if len(parts) == 1 else in_turn(parts)
+        return parts
 
     def _count_duplicates(self, changes: DataChanges) -> None:
         measured = changes.item % PER_VALVE < COUNT
         np.add.at(self._waiting.counters[:, _DUPLICATES], changes.item[measured] // PER_VALVE, 1)
+
+    def _count_dropped(self, changes: DataChanges) -> None:
+        """Count the samples of failed valves as missing: as many as their most frequent signal."""
+        valve, signal = np.divmod(changes.item, PER_VALVE)
+        for failed in np.flatnonzero(self.failed).tolist():
+            own = signal[(valve == failed) & (signal < COUNT)]
+            if len(own):
+                self._waiting.counters[failed, _MISSING] += np.bincount(own).max()
 
     def _set_clocks(self, steps: Sequence[Step]) -> Iterator[ByValve]:
         for command in (SET_BACK, SET_FORWARD):
@@ -169,6 +183,12 @@ class Arrivals:
         """Return the valves at which an error was raised since the last call, with the error."""
         new, self._errors = self._errors, []
         return new
+
+    def left_out(self) -> dict[str, int]:
+        """Return the samples missing so far of each valve whose changes are dropped, by name."""
+        rows = np.flatnonzero(self.failed)
+        missing = self.counts(rows)[:, _MISSING].tolist()
+        return dict(zip((self.names[row] for row in rows), missing, strict=True))
 
     def start_again(self, valve: int) -> None:
         """Process a valve's changes again after an error."""

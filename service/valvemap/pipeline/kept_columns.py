@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.baseline import Baseline
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.valve_columns import Columns, copy_rows
 
@@ -29,6 +30,7 @@ class KeptColumns:
         self._valves = valves
         self._intake = intake
         self._approved = approved
+        self._packed: dict[int, bytes] = {}
 
     def columns(self) -> list[Columns]:
         """Return the state of all valves as columns, without baselines."""
@@ -55,11 +57,18 @@ class KeptColumns:
         return afresh
 
     def baselines(self) -> dict[str, bytes]:
-        """The approved maps, packed, by valve."""
-        return {
-            self._valves.plans[number].name: found.to_bytes()
-            for number, found in self._approved.baselines.items()
-        }
+        """Return the approved maps, packed, by valve.
+
+        A valve whose map cannot be packed is stopped, and keeps the bytes of the last time.
+        """
+        packed = {}
+        for number, found in self._approved.baselines.items():
+            with self._valves.bulkhead(number, Step.CHECKPOINT):
+                packed[number] = found.to_bytes()
+            if number not in packed and number in self._packed:
+                packed[number] = self._packed[number]
+        self._packed = packed
+        return {self._valves.plans[number].name: found for number, found in packed.items()}
 
     def _of_signals(self) -> Columns:
         names = tuple(plan.name for plan in self._valves.plans)

@@ -1,5 +1,7 @@
 """Logging of failures at one valve, once each, with the traceback."""
 
+from collections.abc import Mapping
+
 import structlog
 
 from valvemap.pipeline.lane_failures import LaneFailure
@@ -27,3 +29,9 @@ def log_left_out(valve: str, error: Exception) -> None:
         remedy="a restart of the source, or of this program, starts it again",
         exc_info=error,
     )
+
+
+def log_missing(samples: Mapping[str, int]) -> None:
+    """Log the samples missing of each valve that is left out, if there is one."""
+    if samples:
+        log.warning("valves are left out, their samples are missing", samples=dict(samples))
