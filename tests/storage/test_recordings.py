@@ -187,6 +187,10 @@ HEADER = "t,U,p1,p2,Q\n"
             "r.csv, line 2: 7 cells separated by comma where the header has 5",
         ),
         (
+            "t,U<p1,p2,Q,T\n0,0.5,1,2,3\n1,4.5_2,1,2,3\n",
+            "r.csv, line 1: column U, p1 is missing",
+        ),
+        (
             "t;U;p1;p2;Q\n0;1.000,5;2;3;4\n",
             "r.csv, line 2: U is '1.000.5', allowed is a number",
         ),

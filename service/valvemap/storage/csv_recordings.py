@@ -426,7 +426,7 @@ def _is_number(cell: str) -> bool:
         float(cell.replace(",", "."))
     except ValueError:
         return False
-    return True
+    return "_" not in cell  # which `float` takes, and `columns.numbers` refuses
 
 
 def csv_rows(valve: str, samples: Samples) -> bytes:
