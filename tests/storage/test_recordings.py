@@ -187,6 +187,10 @@ HEADER = "t,U,p1,p2,Q\n"
             "r.csv, line 2: 7 cells separated by comma where the header has 5",
         ),
         (
+            "t,E,p1@1,5,200,1e1,40\n1,1.5,200,99,1e1,40\n2,2.5,200,98,1e1,40\n",
+            "r.csv, line 1: column U, p1, p2, Q is missing",
+        ),
+        (
             "t,U<p1,p2,Q,T\n0,0.5,1,2,3\n1,4.5_2,1,2,3\n",
             "r.csv, line 1: column U, p1 is missing",
         ),

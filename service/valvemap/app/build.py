@@ -64,6 +64,14 @@ def build_preview(config: Config) -> Identification:
 
 def build_alignment(config: Config) -> Alignment:
     """Return the alignment of the signals of all valves."""
+    has_sequence = tuple(valve.nodes.sequence is not None for valve in config.valves)
+    return alignment_of(config, _optional(config), has_sequence)
+
+
+def alignment_of(
+    config: Config, optional: tuple[tuple[str, ...], ...], has_sequence: tuple[bool, ...]
+) -> Alignment:
+    """Return the alignment of rows of signals with these optional ones."""
     given, reorder_ns = config.alignment, round(config.alignment.reorder_ms * 1e6)
     settings = AlignmentSettings(
         tolerance_ns=round(given.tolerance_ms * 1e6),
@@ -73,11 +81,7 @@ def build_alignment(config: Config) -> Alignment:
         reorder_by_time_ns=reorder_ns if "reorder_ms" in given.model_fields_set else 0,
         hold_ns={Signal.of(name): round(s * 1e9) for name, s in given.hold_s.items()},
     )
-    return Alignment(
-        settings,
-        optional=_optional(config),
-        has_sequence=tuple(valve.nodes.sequence is not None for valve in config.valves),
-    )
+    return Alignment(settings, optional=optional, has_sequence=has_sequence)
 
 
 def _optional(config: Config) -> tuple[tuple[str, ...], ...]:
@@ -89,6 +93,14 @@ def _optional(config: Config) -> tuple[tuple[str, ...], ...]:
 
 def build_timing(config: Config) -> Timing | None:
     """Return the detection of the signals' timing; None if the timing is configured."""
+    has_sequence = tuple(valve.nodes.sequence is not None for valve in config.valves)
+    return timing_of(config, _optional(config), has_sequence)
+
+
+def timing_of(
+    config: Config, optional: tuple[tuple[str, ...], ...], has_sequence: tuple[bool, ...]
+) -> Timing | None:
+    """Return the detection of the timing of rows of signals; None if it is configured."""
     given = config.alignment
     if not given.finds_timing:
         return None
@@ -96,8 +108,8 @@ def build_timing(config: Config) -> Timing | None:
     horizon_s = max(given.reorder_ms, 2.0 * slowest_ms) * 1e-3
     return Timing(
         TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
-        optional=_optional(config),
-        has_sequence=[valve.nodes.sequence is not None for valve in config.valves],
+        optional=optional,
+        has_sequence=has_sequence,
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from typing import Final
 
 from guarded_opcua import (
     Limits,
@@ -14,6 +15,7 @@ from guarded_opcua import (
 from valvemap.app.build import measures
 from valvemap.app.history_span import DAY_S
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PAGE_URI, PRODUCT, load_users
+from valvemap.config.axes import AxisConfig
 from valvemap.config.models import Config, SourceConfig
 from valvemap.config.secret_files import read_secret
 from valvemap.errors import ConfigurationError
@@ -29,15 +31,14 @@ _HEARTBEAT_TICK_S = 0.1  # at least five heartbeats per second
 
 def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> Sources:
     """Return the clients of all source servers; ``ready`` is awaited before the first samples."""
-    if not config.sources:
-        every = tuple(range(len(config.valves)))
-        return Sources([Part(None, build_source(config, ready), every)])
-    parts = []
-    for source in config.sources:
-        own = [n for n, valve in enumerate(config.valves) if valve.source == source.name]
-        client = build_source(config.only(source.name), ready)
-        parts.append(Part(source.name, client, tuple(own)))
-    return Sources(parts)
+    return _sources(config, _of_valves, ready)
+
+
+def build_axis_sources(
+    config: Config, ready: Callable[[], Awaitable[None]] | None = None
+) -> Sources:
+    """Return the clients of the servers of all axes: two rows of signals each, lines A and B."""
+    return _sources(config, _of_axes, ready)
 
 
 def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> OpcUaSource:
@@ -51,6 +52,64 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
     if config.sources:
         names = ", ".join(source.name for source in config.sources)
         raise ConfigurationError(f"there are several sources; name one with --source NAME: {names}")
+    return _client(config, [nodes for _, nodes in _of_valves(config)], ready)
+
+
+_Rows = list[tuple[str | None, ValveNodes]]  # the name of its source, and its nodes
+_Ready = Callable[[], Awaitable[None]] | None
+
+
+def _sources(config: Config, rows_of: Callable[[Config], _Rows], ready: _Ready) -> Sources:
+    rows = rows_of(config)
+    if not config.sources:
+        every = tuple(range(len(rows)))
+        client = _client(config, [nodes for _, nodes in rows], ready)
+        return Sources([Part(None, client, every)] if rows else [])
+    parts = []
+    for source in config.sources:
+        own = [n for n, (name, _) in enumerate(rows) if name == source.name]
+        if own:
+            client = _client(config.only(source.name), [rows[n][1] for n in own], ready)
+            parts.append(Part(source.name, client, tuple(own)))
+    return Sources(parts)
+
+
+def _of_valves(config: Config) -> _Rows:
+    return [
+        (
+            valve.source,
+            ValveNodes(
+                valve=valve.name,
+                **valve.nodes.model_dump(),
+                measures=measures(valve, QUANTITY_OF),
+                insist=valve.insist,
+            ),
+        )
+        for valve in config.valves
+    ]
+
+
+def _of_axes(config: Config) -> _Rows:
+    return [(axis.source, _of_line(axis, *line)) for axis in config.axes for line in _LINES]
+
+
+_LINES: Final = (("pS", "pA"), ("pB", "pT"))  # before and behind the edge that extends
+
+
+def _of_line(axis: AxisConfig, p1: str, p2: str) -> ValveNodes:
+    words = {"U": "U", "p1": p1, "p2": p2, "Q": "position", "T": "T"}
+    return ValveNodes(
+        valve=axis.name,
+        **{signal: getattr(axis.nodes, word) for signal, word in words.items()},
+        sequence=axis.nodes.sequence,
+        measures={signal: axis.signals.measure(word) for signal, word in words.items()},
+        insist=axis.insist,
+        kind="axis",
+        words=words,
+    )
+
+
+def _client(config: Config, nodes: list[ValveNodes], ready: _Ready) -> OpcUaSource:
     own = None if config.source.security == "None" else own_certificate(config)
     settings = SourceSettings(
         url=config.source.url,
@@ -68,15 +127,6 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         warm_start_s=config.source.warm_start_s,
         timeout_s=config.source.timeout_s,
     )
-    nodes = [
-        ValveNodes(
-            valve=valve.name,
-            **valve.nodes.model_dump(),
-            measures=measures(valve, QUANTITY_OF),
-            insist=valve.insist,
-        )
-        for valve in config.valves
-    ]
     return OpcUaSource(settings, nodes, ready=ready)
 
 

@@ -1,14 +1,17 @@
 """Runs the live service."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from typing import Any
 
 import structlog
 
 from guarded_opcua import HardenedError, ServerSettings
+from valvemap.app.axes import run_axes
 from valvemap.app.connections import (
+    build_axis_sources,
     build_history,
     build_live_settings,
     build_server_settings,
@@ -162,7 +165,11 @@ async def _live(
     try:
         supervision = build_supervisor_settings(config)
         supervision = replace(supervision, connected_before=plan.after_another)
-        await supervise_all(plan.source, pulse, clock, ended, supervision)
+        await _together(
+            ended,
+            supervise_all(plan.source, pulse, clock, ended, supervision),
+            run_axes(config, server, clock, ended, plan.compiled.ended),
+        )
     finally:
         server.take_no_commands()
         plan.compiled.stop()
@@ -185,6 +192,19 @@ async def _live(
     except StorageError as error:
         log.warning("checkpoint not kept", reason=str(error))
     return following.result(), states
+
+
+async def _together(ended: asyncio.Event, *lives: Coroutine[Any, Any, None]) -> None:
+    """Run valves and axes until ``ended``; an error of one ends the others, and is raised."""
+    tasks = [asyncio.create_task(life) for life in lives]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
+    finally:
+        ended.set()
+        outcomes = await asyncio.gather(*tasks, return_exceptions=True)
+    for outcome in outcomes:
+        if isinstance(outcome, BaseException):
+            raise outcome
 
 
 async def _complete(plan: Plan, live: LiveService, ended: asyncio.Event) -> None:
@@ -247,4 +267,5 @@ async def _checked(plan: Plan, reload: Reload) -> Plan | None:
     following = make_plan(config, plan.given_settings, after_another=True)
     await following.compiled.ended()
     await following.source.check()
+    await build_axis_sources(config).check()
     return following

@@ -16,9 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from valvemap.app.build import build_alignment, build_identification, build_plans
+from valvemap.app.build import alignment_of, build_identification, build_plans
 from valvemap.config.models import Config, ValveConfig
 from valvemap.model import flow_map_warm_up
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.capabilities import ChoosesStructure, FindsChanges
 from valvemap.model.estimator import Estimator, key_of
 from valvemap.model.kernels.compiled import note_warm_up, take_shortcuts, was_warmed_up
@@ -28,6 +29,7 @@ from valvemap.model.support import Support
 from valvemap.numba_version import are_shortcuts_asked_for
 from valvemap.opcua_source.decoding import decode_data_changes
 from valvemap.pipeline.alarms import RULES, Alarms
+from valvemap.pipeline.axes import Axis, AxisPlan
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels import lanes
 from valvemap.pipeline.places import Places
@@ -210,7 +212,20 @@ def _parts(config: Config) -> list[Callable[[], None]]:
         _compare,
         partial(_first_maps, config),
         *((flow_map_warm_up.look, flow_map_warm_up.begin_again) if finds_structure else ()),
+        *((_learn_axis,) if config.axes else ()),
     ]
+
+
+def _learn_axis() -> None:
+    """Compile the regression of axes."""
+    regression, line = AxisRegression(AxisGeometry(63.0, 45.0, 800.0, 1.2, 1.2)), _samples()
+    samples = AxisSamples.of(
+        line.t, U=line.U, x=line.Q, pA=line.p2, pB=line.p2, pS=line.p1, pT=line.T
+    )
+    regression.update(regression.initial_state(), samples)
+    axis = Axis(AxisPlan("", regression.geometry))
+    axis.take_line(0, line)
+    axis.take_line(1, line)
 
 
 def _learn(estimator: Estimator[Any]) -> None:
@@ -222,7 +237,7 @@ def _learn(estimator: Estimator[Any]) -> None:
 def compile_alignment(config: Config) -> None:
     """Compile decoding and alignment, all that `record` needs."""
     decode_data_changes(_NO_CHANGES)
-    alignment = build_alignment(config)
+    alignment = alignment_of(config, ((),), (False,))
     waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)
     alignment.waits(waiting)
     make_one_scan()
@@ -273,8 +288,11 @@ def _watch() -> None:
 def compile_here(config: Config) -> None:
     """Run every kind of pipeline once on synthetic samples; the results are discarded."""
     compile_alignment(config)  # by itself: at first the timing holds changes back
+    if config.axes:
+        _learn_axis()
     identification = build_identification(config)
-    identification.take(_ONE_CHANGE)
+    if config.valves:
+        identification.take(_ONE_CHANGE)
     identification.waits()
     for valve in identification.one_of_each_kind():
         plan = identification.plans[valve]

@@ -119,6 +119,9 @@ def check_config(
         at = "" if valve.source is None else f" at {valve.source}"
         kind = "edge " if isinstance(valve, EdgeConfig) else "valve"
         write_line(f"{kind}    {valve.name}{at}: {estimators}")
+    for axis in loaded.axes:
+        at = "" if axis.source is None else f" at {axis.source}"
+        write_line(f"axis     {axis.name}{at}: four edges, bulk modulus and leakage")
     write_line(f"{config}: good")
 
 

@@ -14,6 +14,7 @@ from pydantic import (
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
+from valvemap.config.axes import AxisConfig
 from valvemap.config.commission import CommissionConfig
 from valvemap.config.estimators import (
     SECTIONS,
@@ -606,14 +607,28 @@ class Config(SettingsFile):
     recording: RecordingConfig = RecordingConfig()
     alarms: ServiceAlarmsConfig = ServiceAlarmsConfig()
     mqtt: MqttConfig = MqttConfig()
+    axes: tuple[AxisConfig, ...] = Field((), description="cylinders as flow meters of their valves")
     valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _axes_need_no_valve(cls, given: Any) -> Any:  # noqa: ANN401 - pydantic's raw input
+        if isinstance(given, dict) and given.get("axes") and "valves" not in given:
+            return {**given, "valves": ()}
+        return given
 
     @field_validator("valves")
     @classmethod
-    def _valve_names_differ(cls, valves: tuple[ValveConfig, ...]) -> tuple[ValveConfig, ...]:
-        if not valves:
+    def _valve_names_differ(
+        cls, valves: tuple[ValveConfig, ...], info: ValidationInfo
+    ) -> tuple[ValveConfig, ...]:
+        axes: tuple[AxisConfig, ...] = info.data.get("axes", ())
+        if not valves and not axes:
             raise ValueError("at least one valve is needed")
-        _unique("valve", [valve.name for valve in valves])
+        _not_reserved("axis", [axis.name for axis in axes], RESERVED_VALVES)
+        names = [valve.name for valve in valves]
+        _unique("valve", names)
+        _unique("axis", names + [axis.name for axis in axes])
         _not_reserved("valve", [valve.name for valve in valves], RESERVED_VALVES)
         return tuple(part for valve in valves for part in parts_of(valve))
 
@@ -623,14 +638,15 @@ class Config(SettingsFile):
         _unique("source", names)
         if names and "source" in self.model_fields_set:
             raise ValueError("[source] and [[sources]]: only one of both is allowed")
-        for number, valve in enumerate(self.valves):
-            where = f"valves[{number}].source"
-            if not names and valve.source is not None:
-                raise ValueError(f"{where} = {valve.source!r}: there are no [[sources]]")
-            if names and valve.source not in names:
-                given = "is missing" if valve.source is None else f"= {valve.source!r}"
+        of_valves = [(f"valves[{n}].source", valve.source) for n, valve in enumerate(self.valves)]
+        of_axes = [(f"axes[{n}].source", axis.source) for n, axis in enumerate(self.axes)]
+        for where, source in (*of_valves, *of_axes):
+            if not names and source is not None:
+                raise ValueError(f"{where} = {source!r}: there are no [[sources]]")
+            if names and source not in names:
+                given = "is missing" if source is None else f"= {source!r}"
                 raise ValueError(f"{where} {given}: allowed is one of {', '.join(names)}")
-        idle = sorted(set(names) - {valve.source for valve in self.valves})
+        idle = sorted(set(names) - {source for _, source in (*of_valves, *of_axes)})
         if idle:
             raise ValueError(f"source {idle[0]!r} is named by no valve")
         return self
@@ -648,14 +664,13 @@ class Config(SettingsFile):
         """Return the configuration of one of [[sources]] as [source], with its valves only."""
         (own,) = (s for s in self.sources if s.name == source)
         given = {name: getattr(own, name) for name in own.model_fields_set - {"name"}}
-        valves = tuple(
-            valve.model_copy(update={"source": None})
-            for valve in self.valves
-            if valve.source == source
-        )
-        return self.model_copy(
-            update={"source": SourceConfig(**given), "sources": (), "valves": valves}
-        )
+        mine = {
+            kind: tuple(
+                one.model_copy(update={"source": None}) for one in every if one.source == source
+            )
+            for kind, every in (("valves", self.valves), ("axes", self.axes))
+        }
+        return self.model_copy(update={"source": SourceConfig(**given), "sources": (), **mine})
 
     @model_validator(mode="after")
     def _samples_come_often_enough(self) -> Self:

@@ -26,9 +26,9 @@ from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.failure_log import log_left_out, log_missing
+from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.runtime.sources import Sources, supervise_all
 
-_LONGEST_TICK_S: Final = 0.5  # s; the time by which a tick is longer does not count as waiting
 _UNSAVED: Final = 64_000_000  # bytes; limit of the buffer while the disk fails; drops the oldest
 
 log = structlog.get_logger(__name__)
@@ -130,7 +130,6 @@ class Collector:
             build_alignment(site_config),
             build_timing(site_config),
         )
-        self._reorder_s = site_config.alignment.reorder_ms * 1e-3
         self._numbers = {group.name: 0 for group in self._groups}
         self._given_up = 0  # samples dropped since the first start
         self._parts: list[ByValve] = []
@@ -138,11 +137,11 @@ class Collector:
         self._unsaved: list[Packed] = []
         self._saving: asyncio.Task[None] | None = None
         now = self._clock.monotonic()
-        self._due = self._held_until = now
+        self._due = now
+        self._held = ReorderWait(len(valves), site_config.alignment.reorder_ms * 1e-3, now)
         self._said = now - SAID_AGAIN_S
         self._started = np.zeros(len(valves), np.int64)
         self._connected = np.zeros(len(valves), np.bool_)
-        self._held_s = np.zeros(len(valves))
 
     def resume(self) -> None:
         """Resume from the saved state, as far as the configuration is unchanged."""
@@ -205,31 +204,23 @@ class Collector:
             raise StorageError(f"{self._spool.path}: {self._lost_samples()} samples are lost")
 
     def _own(self, valves: Times | None) -> Times:
-        return np.arange(len(self._held_s)) if valves is None else valves
+        return np.arange(len(self._connected)) if valves is None else valves
 
     def _use(self, samples: ByValve) -> None:
         for valve, error in self._arrivals.new_failures():
             log_left_out(self._arrivals.names[valve], error)
         if left_out := self._arrivals.left_out():
             self._say("valves are left out, their samples are missing", samples=left_out)
-        self._held_s[samples.segments.members] = 0.0
+        self._held.heard(samples.segments.members)
         if len(samples):
             self._parts.append(samples)
 
     def _wait_no_longer(self, now: float) -> None:
-        """Flush the reorder buffer of valves without a sample for longer than ``reorder_ms``.
-
-        Time counts only while the source is connected, and at most ``_LONGEST_TICK_S`` a tick.
-        """
-        passed, self._held_until = now - self._held_until, now
-        if not self._connected.any():
-            return
-        self._held_s[self._connected] += min(passed, _LONGEST_TICK_S)
-        self._held_s[~self._arrivals.waits()] = 0.0
-        due = self._connected & (self._held_s > self._reorder_s)
-        if due.any():
+        """Flush the reorder buffer of valves without a sample for longer than ``reorder_ms``."""
+        due = self._held.due(now, self._connected, self._arrivals.waits())
+        if len(due):
             self._has_new_data = True
-            self._use(self._arrivals.wait_no_longer(np.flatnonzero(due)))
+            self._use(self._arrivals.wait_no_longer(due))
 
     def _save_in_time(self) -> None:
         under_way = self._saving is not None and not self._saving.done()

@@ -38,16 +38,25 @@ class AxisResult:
     """Result of :func:`identify`: a fit, or the reason why there is none.
 
     ``status`` other than OK: ``fit`` must not be used, and ``sentence`` says why and what to do.
-    ``left_out`` has the number of intervals by reason.
+    ``left_out`` has the number of intervals by reason. ``state`` continues the fit sample by
+    sample; ``of_shape`` (n, n) is the part of its covariance that is due to play and spool.
     """
 
     status: AxisStatus
     sentence: str
     fit: AxisFit | None
     left_out: dict[str, int]
+    state: AxisState | None = None
+    of_shape: Floats | None = None
 
 
-def identify(samples: AxisSamples, geometry: AxisGeometry, *, searched: bool = True) -> AxisResult:
+def identify(
+    samples: AxisSamples,
+    geometry: AxisGeometry,
+    *,
+    searched: bool = True,
+    memory_s: float = math.inf,
+) -> AxisResult:
     """Identify an axis from a recording.
 
     Parameters
@@ -56,6 +65,8 @@ def identify(samples: AxisSamples, geometry: AxisGeometry, *, searched: bool = T
     geometry : AxisGeometry
     searched
         Whether play and spool are found by the residual; else neither is assumed.
+    memory_s
+        Time constant of forgetting, s of use.
 
     Examples
     --------
@@ -70,9 +81,9 @@ def identify(samples: AxisSamples, geometry: AxisGeometry, *, searched: bool = T
     regression = AxisRegression(geometry, period_s)
     if searched:
         regression = _searched(regression, samples[:_SEARCHED])
-    state, found = fitted(regression, samples)
-    if searched:
-        found = _widened(found, state, samples)
+    state, found = fitted(replace(regression, memory_s=memory_s), samples)
+    of_shape = _of_shape(found, state, samples) if searched else np.zeros_like(found.covariance)
+    found = replace(found, covariance=found.covariance + of_shape)
     left_out = state.reasons()
     use_s = state.rows * period_s
     status, detail = AxisStatus.OK, ""
@@ -88,7 +99,7 @@ def identify(samples: AxisSamples, geometry: AxisGeometry, *, searched: bool = T
     elif not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
         status, detail = AxisStatus.BULK_MODULUS, f"{found.bulk_modulus[0]:.2f} GPa"
     sentence = f"{status.sentence} ({detail})" if detail else status.sentence
-    return AxisResult(status, sentence, found, left_out)
+    return AxisResult(status, sentence, found, left_out, state, of_shape)
 
 
 def fitted(regression: AxisRegression, samples: AxisSamples) -> tuple[AxisState, AxisFit]:
@@ -162,8 +173,8 @@ def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegressio
     return _with(regression, best)
 
 
-def _widened(found: AxisFit, state: AxisState, samples: AxisSamples) -> AxisFit:
-    """Return the fit with the uncertainty of play and spool in its covariance.
+def _of_shape(found: AxisFit, state: AxisState, samples: AxisSamples) -> Floats:
+    """Return the covariance (n, n) of the coefficients that is due to play and spool.
 
     The coefficients' slopes over play and lag come from fits beside the best; how well both are
     known, from the loss there and from the smallest step of the search.
@@ -186,7 +197,7 @@ def _widened(found: AxisFit, state: AxisState, samples: AxisSamples) -> AxisFit:
     rises = np.array([scale * (rms**2 - here[1] ** 2) for _, rms in ahead])
     known = steps**2 / np.maximum(rises, 1e-3)  # where the loss, in its units, has risen by 1
     spread = np.minimum(known, (4.0 * steps) ** 2) + least**2 / 3.0
-    return replace(found, covariance=found.covariance + (slopes * spread) @ slopes.T)
+    return np.asarray((slopes * spread) @ slopes.T)
 
 
 def _with(regression: AxisRegression, at: tuple[float, float]) -> AxisRegression:

@@ -15,6 +15,9 @@ The identifiers and paths are a contract with every client and never change::
                                                      s=<Valve>.DeviceHealth: names of Devices (DI)
     Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 
+    Objects/Identification/<Axis>/…                  s=<Axis>.<Variable>, s=<Axis>.<Edge>.Flow,
+                                                     s=<Axis>.Inverse.<Variable>
+
 An edge of a valve with ports has the place of a valve under the name ``<Valve>.PA``, a line under
 ``<Valve>.LineA``: ``s=<Valve>.PA.<Estimator>.<Variable>``, ``s=<Valve>.LineA.Leakage``.
 """
@@ -29,6 +32,7 @@ from asyncua import ua
 from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
+from valvemap.pipeline.axis_ports import AxisDescription
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.edges import PARTS, split_id
 from valvemap.vocabulary.findings import FindingCode
@@ -109,6 +113,11 @@ def check_names(valves: Sequence[ValveDescription]) -> None:
     for valve in valves:
         names = [estimator.name for estimator in valve.estimators]
         _check_unique(f"valve {valve.name}: estimator", names, _TAKEN)
+
+
+def check_axis_names(axes: Sequence[AxisDescription]) -> None:
+    """Check the names of axes, as `check_names` does those of valves."""
+    _check_unique("axis", [axis.name for axis in axes], {ROOT, SERVICE, TYPES})
 
 
 def estimator_variables(

@@ -17,12 +17,14 @@ from guarded_opcua import (
     many_nodes,
 )
 from valvemap.model.samples import Times
+from valvemap.opcua_results.axis_nodes import AxisNodes
 from valvemap.opcua_results.companions import add_companions
 from valvemap.opcua_results.information_model import (
     NAMESPACE,
     NODE_VERSION,
     ROOT,
     SERVICE,
+    check_axis_names,
     check_names,
 )
 from valvemap.opcua_results.model_changes import model_change, version_of_root
@@ -42,6 +44,7 @@ from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_types import VALVE, add_types, type_of
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
+from valvemap.pipeline.axis_ports import AxisDescription, AxisOperator, AxisResults
 from valvemap.pipeline.ports import (
     AlarmChange,
     Health,
@@ -116,6 +119,7 @@ class ResultsServer(Startable):
         self._publishing: ResultPublishing
         self._nodes: ResultNodes
         self._service: ResultService
+        self._axes: AxisNodes
 
     @property
     def url(self) -> str:
@@ -195,6 +199,25 @@ class ResultsServer(Startable):
                 await self._nodes.add(valve)
         await self._demands.repeat()
         self._say_what_changed(server, change.before, change.after)
+
+    async def follow_axes(
+        self, axes: Sequence[AxisDescription], operator: AxisOperator | None
+    ) -> None:
+        """Show these axes, in place of those before; ``operator`` is None if there are none.
+
+        Raises
+        ------
+        ConfigurationError
+            if a name is invalid.
+        """
+        check_axis_names(axes)
+        with many_nodes():
+            await self._axes.follow(axes, operator)
+
+    def show_axis(self, axis: str, results: AxisResults) -> None:
+        """Publish the results of one axis; fulfils `AxisSink`."""
+        if self._server is not None:
+            self._axes.show(axis, results)
 
     def take_no_commands(self) -> None:
         """Reject commands until another operator follows; queries are still answered."""
@@ -276,6 +299,7 @@ class ResultsServer(Startable):
             server, companions, variables, alarms, health, self._on_reload
         )
         self._variables, self._alarms, self._demands = variables, alarms, demands
+        self._axes = AxisNodes(server, clock)
         return parts
 
     def _keep_events(self, server: HardenedServer, *emitters: ua.NodeId) -> None:

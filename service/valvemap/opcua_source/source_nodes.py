@@ -45,7 +45,7 @@ class ValveNodes:
     ``required_U`` (to which the feed-forward voltage is written) and ``heartbeat`` (UInt32,
     incremented while feed-forward is active). ``measures`` holds by name the units of the signals
     and of the command; ``insist`` accepts them even if the source's EngineeringUnits or EURange
-    differ.
+    differ. ``kind`` and ``words`` say in messages what it is, and how its signals are called there.
     """
 
     valve: str
@@ -60,6 +60,8 @@ class ValveNodes:
     measures: Mapping[str, Measure] = field(default_factory=dict)
     insist: bool = False
     dp: str | None = None
+    kind: str = "valve"
+    words: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the form of the NodeIds.
@@ -75,6 +77,10 @@ class ValveNodes:
     def measure(self, name: str) -> Measure:
         """Return the configured unit and scaling of a signal or of the command."""
         return self.measures.get(name, Measure())
+
+    def word(self, name: str) -> str:
+        """Return what a signal is called in messages."""
+        return self.words.get(name, name)
 
     def source_of(self, name: str) -> str:
         """Return the node field that a signal comes from: dp for p1, where there is dp."""
@@ -327,7 +333,7 @@ def _resolved(text: str, namespaces: Sequence[str], before: Sequence[str]) -> ua
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[Wanted]:
     def wanted(item: int | None, text: str, role: str) -> Wanted:
-        label = f"node '{text}' ({role} of valve {nodes.valve})"
+        label = f"node '{text}' ({nodes.word(role)} of {nodes.kind} {nodes.valve})"
         return Wanted(item, number, text, role, label)
 
     for signal, name, text in nodes.signals():

@@ -114,7 +114,8 @@ async def check_units(
         fault = contradiction(name, valves[valve].measure(name), of_node)
         if fault is not None and not valves[valve].insist:
             faults.append(
-                f"{label} {fault} (signals.{name} of valve {valves[valve].valve}; "
+                f"{label} {fault} (signals.{valves[valve].word(name)} of "
+                f"{valves[valve].kind} {valves[valve].valve}; "
                 "insist = true takes it as it is)"
             )
     if faults:
@@ -132,8 +133,8 @@ def contradiction(name: str, measure: Measure, said: SaidOfNode) -> str | None:
 
 
 def _of_unit(name: str, measure: Measure, said: Unit | None) -> str | None:
-    quantity = QUANTITY_OF[name]
-    unit = measure.unit or inside(quantity)
+    unit = measure.unit or inside(QUANTITY_OF[name])
+    quantity = unit.quantity
     if said is None:
         return None
     if measure.raw is not None:

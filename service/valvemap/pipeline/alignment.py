@@ -296,7 +296,8 @@ def presence(optional: Sequence[tuple[str, ...]]) -> NDArray[np.bool_]:
     >>> presence([("T",), ()])[:, -1]
     array([ True, False])
     """
-    return np.array([[name in REQUIRED or name in own for name in MEASURED] for own in optional])
+    there = [[name in REQUIRED or name in own for name in MEASURED] for own in optional]
+    return np.array(there, np.bool_).reshape(-1, len(MEASURED))
 
 
 def optional_in_keys(optional: tuple[str, ...]) -> bool | tuple[str, ...]:

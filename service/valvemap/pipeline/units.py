@@ -25,6 +25,7 @@ class Quantity(Enum):
     PRESSURE = "bar"
     FLOW = "l/min"
     TEMPERATURE = "°C"
+    LENGTH = "mm"
     ELECTRICAL = "electrical"
 
     @property
@@ -117,6 +118,9 @@ UNITS: Final = (
         names=("f", "degf", "deg f", "fahrenheit"),
     ),
     Unit("K", "KEL", _T, Fraction(1), -_KELVIN, names=("kelvin", "degk")),
+    Unit("mm", "MMT", Quantity.LENGTH, names=("millimeter", "millimetre")),
+    Unit("cm", "CMT", Quantity.LENGTH, Fraction(10), names=("centimeter", "centimetre")),
+    Unit("m", "MTR", Quantity.LENGTH, Fraction(1000), names=("meter", "metre")),
     Unit("mA", "4K", Quantity.ELECTRICAL, names=("milliampere",)),
     Unit("V", "VLT", Quantity.ELECTRICAL, names=("volt", "vdc", "v dc")),
     Unit("mV", "2Z", Quantity.ELECTRICAL, names=("millivolt",)),

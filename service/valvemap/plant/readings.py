@@ -198,6 +198,8 @@ def _by_labels(
             [(role, scale) for scale in _scales_of(role, node, record, given)]
             for role, node in nodes.items()
         ]
+        if not all(options):
+            continue  # a signal that no unit makes plausible
         best = sum(max(scale.prior for _, scale in own) for own in options)
         likely = (
             chosen

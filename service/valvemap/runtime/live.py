@@ -305,7 +305,7 @@ class LiveService:
         await self._feed_forward.write(own[self._feed_forward.are_due(own, now)])
         await self._publish_in_turn()
         if now >= self._map_due:
-            parts = math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO)
+            parts = max(1, math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO))
             self._map_due = now + self._settings.map_interval_s / parts
             self.identification.refresh_maps(1.0 / parts)
         self._keeper.keep_in_turn(now)

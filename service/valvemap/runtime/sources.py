@@ -4,6 +4,7 @@ import asyncio
 import base64
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from typing import Any, Final, Protocol
@@ -101,6 +102,8 @@ class Sources:
 
     def resume_at(self, position: bytes) -> bool:
         """As `Source.resume_at`; True if every source with a stored position accepted it."""
+        if not self.parts:
+            return False
         if self.parts[0].name is None:
             return bool(self.parts[0].source.resume_at(position))
         try:
@@ -211,6 +214,9 @@ async def supervise_all(
         the first error that ends the run.
     """
     one_at_a_time = asyncio.Lock()
+    if not sources.parts:
+        await _tick_alone(consumer, stop, settings.tick_s)
+        return
     lives = [
         asyncio.create_task(
             supervise(
@@ -233,6 +239,14 @@ async def supervise_all(
     for outcome in outcomes:
         if isinstance(outcome, Exception):
             raise outcome
+
+
+async def _tick_alone(consumer: Consumer, stop: asyncio.Event, tick_s: float) -> None:
+    """Without a source, have the consumer do what is due until ``stop`` is set."""
+    while not stop.is_set():
+        await consumer.tick()
+        with suppress(TimeoutError):
+            await asyncio.wait_for(stop.wait(), tick_s)
 
 
 class _OfPart:

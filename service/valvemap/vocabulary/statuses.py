@@ -251,6 +251,11 @@ class AxisStatus(Described):
         "not excited",
         "U does not open all edges. Move the axis in both directions.",
     )
+    FAILED = (
+        10,
+        "failed",
+        "An error stopped the identification of this axis; the log has it. A restart starts it.",
+    )
 
 
 class LineEdge(Described):

@@ -1,0 +1,108 @@
+"""Runs the axes of a configuration, beside its valves."""
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from valvemap.app.build import alignment_of, timing_of
+from valvemap.app.connections import build_axis_sources, build_supervisor_settings
+from valvemap.clock import Clock
+from valvemap.config.axes import AxisConfig
+from valvemap.config.models import Config
+from valvemap.model.axis import AxisGeometry
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.axes import AxisPlan
+from valvemap.pipeline.axis_ports import AxisDescription, AxisOperator, AxisResults
+from valvemap.runtime.axes import LINES, LiveAxes
+from valvemap.runtime.sources import supervise_all
+from valvemap.storage.checkpoints import CheckpointFile
+
+
+class AxisServer(Protocol):
+    """Shows axes."""
+
+    async def follow_axes(
+        self, axes: Sequence[AxisDescription], operator: AxisOperator | None
+    ) -> None:
+        """Show these axes, in place of those before."""
+
+    def show_axis(self, axis: str, results: AxisResults) -> None:
+        """Show the newest results of one axis."""
+
+
+async def run_axes(
+    config: Config,
+    server: AxisServer,
+    clock: Clock,
+    stop: asyncio.Event,
+    ready: Callable[[], Awaitable[None]],
+) -> None:
+    """Identify the axes of a configuration until ``stop`` is set; without axes, show none.
+
+    ``ready`` is awaited before the first samples.
+
+    Raises
+    ------
+    SourceError, StorageError
+        at the start; a source that is lost later is retried.
+    """
+    if not config.axes:
+        await server.follow_axes([], None)
+        return
+    with CheckpointFile(axes_file(config)) as store:
+        live = build_live_axes(config, server, store, clock)
+        await server.follow_axes(live.descriptions, live)
+        live.start()
+        supervision = build_supervisor_settings(config)
+        try:
+            await supervise_all(build_axis_sources(config, ready), live, clock, stop, supervision)
+        finally:
+            await live.finish()
+
+
+def build_live_axes(
+    config: Config, server: AxisServer, store: CheckpointFile, clock: Clock
+) -> LiveAxes:
+    """Return the axes of a configuration, before the first sample."""
+    names = [axis.name for axis in config.axes for _ in range(LINES)]
+    optional = tuple(
+        ("T",) if axis.nodes.T is not None else () for axis in config.axes for _ in range(LINES)
+    )
+    has_sequence = tuple(
+        axis.nodes.sequence is not None for axis in config.axes for _ in range(LINES)
+    )
+    arrivals = Arrivals(
+        names,
+        alignment_of(config, optional, has_sequence),
+        timing_of(config, optional, has_sequence),
+    )
+    return LiveAxes(
+        [plan_of(axis) for axis in config.axes],
+        arrivals,
+        server,
+        store,
+        clock,
+        reorder_s=config.alignment.reorder_ms * 1e-3,
+        stale_after_s=config.alignment.stale_after_s,
+        checkpoint_interval_s=config.state.checkpoint_interval_s,
+    )
+
+
+def plan_of(axis: AxisConfig) -> AxisPlan:
+    """Return the plan of one axis."""
+    dead_B_l = axis.dead_A_l if axis.dead_B_l is None else axis.dead_B_l
+    meaning = axis.model_dump(mode="json", include={"source", "nodes", "signals"})
+    return AxisPlan(
+        axis.name,
+        AxisGeometry(axis.piston_mm, axis.rod_mm, axis.stroke_mm, axis.dead_A_l, dead_B_l),
+        axis.memory_s,
+        json.dumps(meaning, sort_keys=True),
+    )
+
+
+def axes_file(config: Config) -> Path:
+    """Return the file of the axes' states, beside that of the valves'."""
+    file = config.state.file
+    return file.with_name(f"{file.stem}.axes{file.suffix}")

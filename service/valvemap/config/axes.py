@@ -1,0 +1,136 @@
+"""Configuration of an axis: a cylinder that is the flow meter of its valve."""
+
+from typing import Annotated, Any, Final, Self
+
+from pydantic import Field, create_model, field_validator, model_validator
+
+from valvemap.config.ports import node_id
+from valvemap.config.sections import Section
+from valvemap.config.signals import SignalConfig
+from valvemap.pipeline.units import Measure, Quantity, inside
+
+_QUANTITIES: Final = {
+    "U": Quantity.OPENING,
+    "position": Quantity.LENGTH,
+    **dict.fromkeys(("pA", "pB", "pS", "pT"), Quantity.PRESSURE),
+    "T": Quantity.TEMPERATURE,
+}
+"""The signals of an axis."""
+_SENTENCES: Final = {
+    "U": "control voltage; above 0 extends",
+    "position": "position of the piston, 0 where it is retracted",
+    "pA": "pressure in the line of the piston's side",
+    "pB": "pressure in the line of the rod's side",
+    "pS": "supply pressure at the valve",
+    "pT": "pressure in the tank line at the valve",
+    "T": "oil temperature, where there is a sensor",
+}
+_PRESSURES: Final = ("pA", "pB", "pS", "pT")
+_ALONE: Final = (
+    "position and command do not tell the flows: the same command gives another speed at another "
+    "load"
+)
+
+Millimetres = Annotated[float, Field(gt=0.0, le=20_000.0)]
+_OF_SIGNALS: dict[str, Any] = {
+    name: (SignalConfig, Field(SignalConfig(), description=sentence))
+    for name, sentence in _SENTENCES.items()
+}
+
+
+class AxisNodesConfig(Section):
+    """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
+
+    U: str = Field(description=_SENTENCES["U"])
+    position: str = Field(description=_SENTENCES["position"])
+    pA: str | None = Field(None, description=_SENTENCES["pA"])
+    pB: str | None = Field(None, description=_SENTENCES["pB"])
+    pS: str | None = Field(None, description=_SENTENCES["pS"])
+    pT: str | None = Field(None, description=_SENTENCES["pT"])
+    T: str | None = Field(None, description=_SENTENCES["T"])
+    sequence: str | None = Field(None, description="running number of the sample")
+
+    @field_validator("*")
+    @classmethod
+    def _is_node_id(cls, text: str | None) -> str | None:
+        return None if text is None else node_id(text)
+
+    @model_validator(mode="after")
+    def _has_every_pressure(self) -> Self:
+        missing = [name for name in _PRESSURES if getattr(self, name) is None]
+        if len(missing) == len(_PRESSURES):
+            raise ValueError(f"pA, pB, pS and pT are missing: {_ALONE}")
+        if missing:
+            raise ValueError(
+                f"{', '.join(missing)} missing: each edge needs the pressures on both its sides"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        names: dict[str, str] = {}
+        for name in type(self).model_fields:
+            node = getattr(self, name)
+            if node is not None and names.setdefault(node, name) != name:
+                raise ValueError(f"{names[node]} and {name} are the same node, '{node}'")
+        return self
+
+
+class AxisSignalsConfig(
+    create_model("AxisSignals", __base__=Section, __doc__="", **_OF_SIGNALS)  # type: ignore[misc]
+):
+    """The signals of an axis: their units; position is in mm, unless a unit is given."""
+
+    @model_validator(mode="after")
+    def _quantities_fit(self) -> Self:
+        for name, quantity in _QUANTITIES.items():
+            given: SignalConfig = getattr(self, name)
+            unit = given.known_unit
+            if unit is not None and unit.quantity not in (quantity, Quantity.ELECTRICAL):
+                raise ValueError(
+                    f"{name}.unit = {given.unit!r} is a unit of {unit.quantity.noun}; "
+                    f"a unit of {quantity.noun} is needed, such as {quantity.value}"
+                )
+        return self
+
+    def measure(self, name: str) -> Measure:
+        """Return unit and scaling of a signal."""
+        given: SignalConfig = getattr(self, name)
+        unit = given.known_unit
+        if unit is None or unit.quantity is Quantity.ELECTRICAL:
+            unit = inside(_QUANTITIES[name])  # that of raw is electrical
+        return Measure(None, unit, given.raw, given.range)
+
+
+class AxisConfig(Section):
+    """A cylinder on a 4/3 valve: its position and four pressures take the place of a flow meter."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")] = Field(
+        description="its name in each node id"
+    )
+    source: str | None = Field(
+        None, description="which of [[sources]] publishes its signals; none with [source]"
+    )
+    nodes: AxisNodesConfig
+    signals: AxisSignalsConfig = AxisSignalsConfig()
+    piston_mm: Millimetres = Field(description="diameter of the piston")
+    rod_mm: float = Field(ge=0.0, le=20_000.0, description="diameter of the rod, on side B")
+    stroke_mm: Millimetres = Field(description="way between the end stops")
+    dead_A_l: float = Field(
+        gt=0.0, le=10_000.0, description="oil in hose and chamber A with the piston retracted, l"
+    )
+    dead_B_l: float | None = Field(
+        None, gt=0.0, le=10_000.0, description="the same of B, extended; none: as dead_A_l"
+    )
+    memory_s: float = Field(
+        1_800.0, ge=60.0, le=1e9, description="time constant of forgetting, s of movement"
+    )
+    insist: bool = Field(
+        default=False, description="take the source's units as they are, though they differ"
+    )
+
+    @model_validator(mode="after")
+    def _rod_fits(self) -> Self:
+        if self.rod_mm >= self.piston_mm:
+            raise ValueError(f"rod_mm = {self.rod_mm:g}: must be less than {self.piston_mm:g}")
+        return self

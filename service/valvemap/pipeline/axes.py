@@ -1,0 +1,346 @@
+"""Axes that are identified while they work: samples in, a search for play and spool when due. Pure.
+
+An axis is read as two rows of signals, one for each of its lines: U, the pressures on both sides of
+the line's edges, and the position. A search over the newest minutes finds play and spool, and takes
+seconds: the caller runs it beside everything else, as it does the solution of the sums. Between
+two searches the sums go on sample by sample.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from valvemap.model.axis import (
+    SIZE,
+    AxisGeometry,
+    AxisRegression,
+    AxisSamples,
+    AxisState,
+    fit,
+)
+from valvemap.model.axis_inverse import AxisTable, axis_table, invert
+from valvemap.model.axis_search import AxisResult, identify
+from valvemap.model.contents import Contents
+from valvemap.model.estimator import State, StateMismatchError, key_of
+from valvemap.model.samples import Floats, Samples, Times
+from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.pipeline.kernels.edges import meet
+from valvemap.vocabulary.edges import EDGES
+from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
+
+WINDOW_S: Final = 200.0  # s; what a search looks at: more does not move play and spool
+MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
+MOST_UNMET: Final = 4_096  # samples of one line that wait for those of the other
+SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of samples until the first searches
+AGAIN_S: Final = 600.0  # s of samples between two later searches
+REFUSED_AGAIN_S: Final = 30.0  # s; after a search that found nothing
+REFIT_S: Final = 5.0  # s of samples between two fits of the sums
+SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # what a search may differ by, and the sums go on
+_RATED_BAR: Final = 70.0
+_NO_TIME: Final = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True)
+class AxisPlan:
+    """Configuration of one axis; ``meaning`` are its nodes, units and scalings."""
+
+    name: str
+    geometry: AxisGeometry
+    memory_s: float = 1_800.0
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class _Kept(State):
+    """What is stored of an axis."""
+
+    period_s: Any
+    play_percent: Any
+    lag_s: Any
+    of_shape: Any
+    last: Any
+    memory: Any
+    filtered: Any
+    M: Any
+    b: Any
+    squares: Any
+    counts: Any
+    theta: Any
+    errors: Any
+    score: Any
+    scores: Any
+
+    def contents(self) -> Mapping[str, Contents]:
+        """Return the permitted content."""
+        return {
+            "period_s": Contents(self.period_s).within(1e-6, 1.0),
+            "play_percent": Contents(self.play_percent).within(0.0, 100.0),
+            "lag_s": Contents(self.lag_s).within(0.0, 10.0),
+            "last": Contents(self.last).any_time(),
+            "memory": Contents(self.memory).or_nan(),
+        }
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What follows from the sums: the table that is searched, and the map that is shown."""
+
+    table: AxisTable
+    map: AxisMap
+
+
+Outcome = AxisResult | _Known
+Job = Callable[[], Outcome]
+
+
+class Axis:
+    """One axis; `take` its samples, do the `job` that is due, and `accept` what it has found.
+
+    Parameters
+    ----------
+    plan
+        Its geometry and memory.
+    """
+
+    def __init__(self, plan: AxisPlan) -> None:
+        self.plan = plan
+        self._unmet: list[tuple[Times, Floats]] = [(_NO_TIME, np.empty((5, 0)))] * 2
+        self._window: list[AxisSamples] = []
+        self._since: list[AxisSamples] | None = None  # while a search runs
+        self._works = False
+        self._searches = 0
+        self._to_search_s, self._to_refit_s = SEARCHES_S[0], REFIT_S
+        self._refused: AxisResult | None = None
+        self._state: AxisState | None = None
+        self._regression = AxisRegression(plan.geometry)
+        self._of_shape: Floats = np.zeros((SIZE, SIZE))
+        self._known: _Known | None = None
+        self._newest: tuple[float, ...] = (np.nan,) * 5  # x, pA, pB, pS, pT
+        self.t = 0  # of the newest sample, UTC ns
+        self._demand = np.nan
+        self._held_U = np.nan
+
+    def take_line(self, line: int, samples: Samples) -> None:
+        """Take samples of line A (0) or B (1); they count once the other line's have come."""
+        t, values = self._unmet[line]
+        good = samples.quality == Quality.GOOD
+        columns = (samples.U, samples.p1, samples.p2, samples.Q, samples.T)
+        new = np.where(good, np.stack(columns), np.nan)
+        self._unmet[line] = np.concatenate([t, samples.t]), np.concatenate([values, new], axis=1)
+        self._meet()
+
+    def _meet(self) -> None:
+        (t_A, of_A), (t_B, of_B) = self._unmet
+        rows, of = np.empty((2, min(len(t_A), len(t_B))), np.int64)
+        n, used_A, used_B = meet(t_A, t_B, rows, of)
+        used_A = max(used_A, len(t_A) - MOST_UNMET)
+        used_B = max(used_B, len(t_B) - MOST_UNMET)
+        self._unmet = [(t_A[used_A:], of_A[:, used_A:]), (t_B[used_B:], of_B[:, used_B:])]
+        if n:
+            U, pS, pA, x, T = of_A[:, rows[:n]]
+            _, pB, pT, *_ = of_B[:, of[:n]]
+            self.take(AxisSamples.of(t_A[rows[:n]], U=U, x=x, pA=pA, pB=pB, pS=pS, pT=pT, T=T))
+
+    def take(self, samples: AxisSamples) -> None:
+        """Take whole samples."""
+        span_s = 1e-9 * float(samples.t[-1] - (self.t or samples.t[0]))
+        self.t = int(samples.t[-1])
+        newest = (getattr(samples, name)[-1] for name in ("x", "pA", "pB", "pS", "pT"))
+        self._newest = tuple(float(value) for value in newest)
+        self._window.append(samples)
+        self._trim()
+        passed_s = min(max(span_s, 0.0), WINDOW_S)
+        self._to_search_s -= passed_s
+        if self._since is not None:
+            self._since.append(samples)
+        if self._state is not None:
+            self._state, _ = self._regression.update(self._state, samples)
+            self._to_refit_s -= passed_s
+
+    def _trim(self) -> None:
+        """Drop what is older than the window, batch by batch."""
+        since = self.t - round(WINDOW_S * 1e9)
+        n = sum(map(len, self._window))
+        while len(self._window) > 1 and (self._window[0].t[-1] < since or n > MOST_SAMPLES):
+            n -= len(self._window.pop(0))
+
+    def job(self) -> Job | None:
+        """Return the work that is due, for another thread; None: there is none, or one is done.
+
+        It changes nothing here: `accept` its outcome, or `abandon` it.
+        """
+        if self._works:
+            return None
+        if self._to_search_s <= 0.0 and self._window:
+            self._works, self._since = True, []
+            plan, window = self.plan, joined(self._window)
+            return partial(identify, window, plan.geometry, memory_s=plan.memory_s)
+        if self._to_refit_s <= 0.0 and self._state is not None:
+            self._works, self._to_refit_s = True, REFIT_S
+            return partial(_solved, self._regression, self._state, self._of_shape)
+        return None
+
+    def accept(self, outcome: Outcome) -> None:
+        """Take over what a job has found; a refusal changes no map that there is."""
+        self._works = False
+        if isinstance(outcome, _Known):
+            self._known = outcome
+            return
+        since, self._since = self._since or [], None
+        if outcome.status or outcome.fit is None or outcome.state is None:
+            self._to_search_s, self._refused = REFUSED_AGAIN_S, outcome
+            return
+        self._searches, self._refused = self._searches + 1, None
+        k = self._searches
+        self._to_search_s = SEARCHES_S[k] - SEARCHES_S[k - 1] if k < len(SEARCHES_S) else AGAIN_S
+        if outcome.of_shape is not None:
+            self._of_shape = outcome.of_shape
+        if self._state is None or not _are_alike(self._regression, outcome.fit.regression):
+            self._regression, self._state = outcome.fit.regression, outcome.state
+            for samples in since:
+                self._state, _ = self._regression.update(self._state, samples)
+        self._to_refit_s = 0.0
+
+    def abandon(self) -> None:
+        """Note that a job ended without an outcome."""
+        self._works, self._since, self._to_search_s = False, None, AGAIN_S
+
+    def demand(self, v: float) -> None:
+        """Demand a speed, mm/s; NaN withdraws the demand."""
+        self._demand = v
+
+    def required(self) -> RequiredU:
+        """Return the signal for the demanded speed at the newest sample's pressures.
+
+        Half the play is added on the side from which U is approached.
+        """
+        answer = self.invert(self._demand)
+        if not np.isfinite(answer.U) or self._known is None:
+            self._held_U = np.nan
+            return answer
+        half = 0.5 * self._known.table.play_percent
+        held = answer.U if np.isnan(self._held_U) else self._held_U
+        self._held_U = float(np.clip(held, answer.U - half, answer.U + half))
+        shift = answer.U - self._held_U
+        U, lower, upper = (x + shift for x in (answer.U, answer.lower, answer.upper))
+        return RequiredU(float(np.clip(U, -100.0, 100.0)), lower, upper, answer.status)
+
+    def invert(
+        self,
+        v: float,
+        pA: float = np.nan,
+        pB: float = np.nan,
+        pS: float = np.nan,
+        pT: float = np.nan,
+    ) -> RequiredU:
+        """Return the signal for a speed, in the middle of its loop; NaN: the newest pressure."""
+        if self._known is None:
+            return RequiredU()
+        x, *newest = self._newest
+        asked = zip((pA, pB, pS, pT), newest, strict=True)
+        p_A, p_B, p_S, p_T = (there if np.isnan(one) else one for one, there in asked)
+        place = None if np.isnan(x) else x
+        found = invert(self._known.table, v, p_A, p_B, p_S, p_T, place)
+        U, lower, upper = (float(column[0]) for column in (found.U, found.lower, found.upper))
+        return RequiredU(U, lower, upper, InverseStatus(int(found.status[0])))
+
+    def results(self) -> AxisResults:
+        """Return what is known now."""
+        used_s, left_out = 0.0, dict[str, int]()
+        if self._state is not None:
+            left_out = self._state.reasons()
+            used_s = left_out.pop("used") * self._regression.period_s
+        status, sentence = AxisStatus.OK, AxisStatus.OK.sentence
+        known = None if self._known is None else self._known.map
+        if known is None:
+            status = AxisStatus.TOO_SHORT
+            sentence = status.sentence
+            if self._refused is not None:
+                status, sentence = self._refused.status, self._refused.sentence
+                left_out = {k: n for k, n in self._refused.left_out.items() if k != "used"}
+        return AxisResults(status, sentence, self.t, used_s, left_out, known, self.required())
+
+    @property
+    def key(self) -> str:
+        """What a stored state is bound to."""
+        return key_of(self.plan)
+
+    def to_bytes(self) -> bytes | None:
+        """Return what is learnt; None: nothing yet."""
+        if self._state is None:
+            return None
+        one = self._regression
+        return _Kept(
+            period_s=np.array(one.period_s),
+            play_percent=np.array(one.play_percent),
+            lag_s=np.array(1.0 / one.spool_hz),
+            of_shape=self._of_shape,
+            **vars(self._state),
+        ).to_bytes(self.key)
+
+    def resume(self, packed: bytes) -> None:
+        """Go on from a stored state.
+
+        Raises
+        ------
+        StateMismatchError
+            if it is damaged, or of another geometry, memory, node or unit.
+        """
+        kept = _Kept.from_bytes(packed, self.key)
+        fresh = vars(AxisRegression(self.plan.geometry).initial_state())
+        zero = np.array(0.0)
+        kept.check(_Kept(zero, zero, zero, np.zeros((SIZE, SIZE)), **fresh))
+        lag_s = float(kept.lag_s)
+        self._regression = AxisRegression(
+            self.plan.geometry,
+            float(kept.period_s),
+            float(kept.play_percent),
+            1.0 / lag_s if lag_s > 0.0 else np.inf,
+            memory_s=self.plan.memory_s,
+        )
+        state = AxisState(**{name: getattr(kept, name) for name in fresh})
+        try:
+            self._known = _solved(self._regression, state, kept.of_shape)
+        except np.linalg.LinAlgError as error:
+            raise StateMismatchError(f"its sums cannot be solved: {error}") from None
+        self._state, self._of_shape = state, kept.of_shape
+
+
+def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _Known:
+    found = fit(regression, state)
+    found = replace(found, covariance=found.covariance + of_shape)
+    table = axis_table(found)
+    return _Known(
+        table,
+        AxisMap(
+            bulk_modulus=found.bulk_modulus,
+            leakage=found.leakage,
+            air=found.air,
+            play_percent=regression.play_percent,
+            spool_hz=regression.spool_hz,
+            U=table.y,
+            flow=np.stack([found.flow(edge, table.y, _RATED_BAR) for edge in EDGES]),
+            flow_std=table.spread * np.sqrt(_RATED_BAR),
+            known=table.known,
+        ),
+    )
+
+
+def joined(batches: list[AxisSamples]) -> AxisSamples:
+    """Return batches as one."""
+    names = [name for name in vars(batches[0]) if name != "t"]
+    return AxisSamples.of(
+        np.concatenate([batch.t for batch in batches]),
+        **{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names},
+    )
+
+
+def _are_alike(one: AxisRegression, other: AxisRegression) -> bool:
+    return (
+        abs(one.play_percent - other.play_percent) <= SAME_PLAY_PERCENT
+        and abs(1.0 / one.spool_hz - 1.0 / other.spool_hz) <= SAME_LAG_S
+        and abs(one.period_s - other.period_s) < 0.01 * one.period_s
+    )

@@ -1,0 +1,94 @@
+"""What axes show to the outside, and what is asked of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from valvemap.model.samples import Floats
+from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
+
+
+@dataclass(frozen=True)
+class AxisDescription:
+    """What is shown of an axis: its name, and the highest speed that can be demanded, mm/s."""
+
+    name: str
+    fastest_mm_s: float = 5_000.0
+
+
+@dataclass(frozen=True)
+class RequiredU:
+    """The signal for a speed: U and its 95 % interval, %, and the status."""
+
+    U: float = np.nan
+    lower: float = np.nan
+    upper: float = np.nan
+    status: InverseStatus = InverseStatus.UNIDENTIFIED
+
+
+@dataclass(frozen=True)
+class AxisMap:
+    """What is identified of an axis.
+
+    Attributes
+    ----------
+    bulk_modulus, leakage, air
+        Value and standard deviation: GPa, l/min/bar, % of free air at atmospheric pressure.
+    play_percent, spool_hz
+        Width of the loop of U; natural frequency of the spool, inf: it follows at once.
+    U
+        Positions of the spool (n,), %.
+    flow, flow_std
+        Each edge's flow at 70 bar over it and its standard deviation, (4, n), l/min.
+    known
+        Position up to which each edge is identified, (4,), %.
+    """
+
+    bulk_modulus: tuple[float, float]
+    leakage: tuple[float, float]
+    air: tuple[float, float]
+    play_percent: float
+    spool_hz: float
+    U: Floats
+    flow: Floats
+    flow_std: Floats
+    known: Floats
+
+
+@dataclass(frozen=True)
+class AxisResults:
+    """The state of one axis; ``t`` is the time of its newest sample, UTC ns; 0: there is none.
+
+    ``left_out`` has the number of intervals by reason; ``used_s`` is what was learnt from, s.
+    ``is_stale``: no sample has come for long.
+    """
+
+    status: AxisStatus
+    sentence: str
+    t: int
+    used_s: float
+    left_out: Mapping[str, int]
+    map: AxisMap | None
+    required: RequiredU
+    is_stale: bool = False
+
+
+class AxisOperator(Protocol):
+    """Answers for axes; all speeds in mm/s, > 0 extends."""
+
+    def demand_speed(self, axis: str, v: float) -> None:
+        """Demand a speed; NaN withdraws the demand."""
+
+    def invert_speed(
+        self, axis: str, v: float, pA: float, pB: float, pS: float, pT: float
+    ) -> RequiredU:
+        """Return the signal for a speed at these pressures, bar; NaN: at the newest sample's."""
+
+
+class AxisSink(Protocol):
+    """Shows the results of axes."""
+
+    def show_axis(self, axis: str, results: AxisResults) -> None:
+        """Show the newest results of one axis."""

@@ -1,0 +1,238 @@
+"""The live axes: data changes in, maps and the inverse for speed out, states kept."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import structlog
+
+from valvemap.clock import Clock
+from valvemap.errors import CommandRejected, SourceError, StorageError
+from valvemap.model.estimator import StateMismatchError
+from valvemap.model.samples import Times
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.axes import Axis, AxisPlan, Job
+from valvemap.pipeline.axis_ports import AxisDescription, AxisResults, AxisSink, RequiredU
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.ports import Checkpoint, CheckpointStore
+from valvemap.runtime.daemon_thread import in_daemon_thread
+from valvemap.runtime.failure_log import log_left_out
+from valvemap.runtime.reorder_wait import ReorderWait
+from valvemap.vocabulary.statuses import AxisStatus
+
+LINES = 2  # rows of signals of an axis
+SHOWN_S = 0.1  # s; shortest time between two results of an axis
+ESTIMATOR = "Axis"  # under which a state is stored
+
+log = structlog.get_logger(__name__)
+
+
+class LiveAxes:
+    """Implements `Consumer` of the supervisor, and `AxisOperator`.
+
+    Rows 2k and 2k + 1 of the source are the lines A and B of axis k. An error at one axis stops
+    that axis alone.
+
+    Parameters
+    ----------
+    plans
+        The axes.
+    arrivals
+        Converts the changes of all rows into samples.
+    sink
+        Shows the results.
+    store
+        Keeps the states.
+    reorder_s, stale_after_s, checkpoint_interval_s
+        Longest wait in the reorder buffer; without a sample for this long, results are stale;
+        interval at which the states are saved.
+    """
+
+    def __init__(
+        self,
+        plans: Sequence[AxisPlan],
+        arrivals: Arrivals,
+        sink: AxisSink,
+        store: CheckpointStore,
+        clock: Clock,
+        *,
+        reorder_s: float,
+        stale_after_s: float,
+        checkpoint_interval_s: float,
+    ) -> None:
+        now = clock.monotonic()
+        self.axes = [Axis(plan) for plan in plans]
+        self._numbers = {plan.name: number for number, plan in enumerate(plans)}
+        self._arrivals, self._sink, self._store, self._clock = arrivals, sink, store, clock
+        self._stale_after_s, self._interval_s = stale_after_s, checkpoint_interval_s
+        self._held = ReorderWait(LINES * len(plans), reorder_s, now)
+        self._connected = np.zeros(LINES * len(plans), np.bool_)
+        self._heard_at = np.full(len(plans), -np.inf)
+        self._shown_at = np.full(len(plans), -np.inf)
+        self._failed: dict[int, str] = {}
+        self._started = np.zeros(LINES * len(plans), np.int64)
+        self._jobs: dict[int, asyncio.Task[None]] = {}
+        self._one_at_a_time = asyncio.Semaphore(1)
+        self._save_due = now + checkpoint_interval_s
+
+    @property
+    def descriptions(self) -> list[AxisDescription]:
+        """What is shown of the axes."""
+        return [AxisDescription(axis.plan.name) for axis in self.axes]
+
+    def start(self) -> None:
+        """Resume from the stored states, and show every axis."""
+        stored = {one.valve: one for one in self._store.load() if one.estimator == ESTIMATOR}
+        for number, axis in enumerate(self.axes):
+            if axis.plan.name in stored:
+                try:
+                    axis.resume(stored[axis.plan.name].state)
+                except StateMismatchError as error:
+                    log.warning("axis starts afresh", axis=axis.plan.name, why=str(error))
+            self._show(number)
+
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+        """Note the connection; if the source was restarted, count its samples anew."""
+        rows = self._rows(valves)
+        before = self._started[rows]
+        self._started[rows] = source_started
+        if source_started and ((before != 0) & (before != source_started)).any():
+            self._use(self._arrivals.begin_source_anew(rows))
+
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
+        """Identify and show."""
+        self._connected[self._rows(valves)] = True
+        self._arrivals.announce(changes, self._clock.monotonic())
+        self._use(self._arrivals.take(changes))
+
+    async def tick(self, valves: Times | None = None) -> None:  # noqa: ARG002 - all are looked at
+        """Flush overdue samples, begin the jobs that are due, mark stale results, save states."""
+        now = self._clock.monotonic()
+        due = self._held.due(now, self._connected, self._arrivals.waits())
+        if len(due):
+            self._use(self._arrivals.wait_no_longer(due))
+        for number in range(len(self.axes)):
+            self._begin_job(number)
+            if now - self._shown_at[number] > self._stale_after_s:
+                self._show(number)
+        if now >= self._save_due:
+            self._save_due = now + self._interval_s
+            await asyncio.to_thread(self._save)
+
+    async def lost(
+        self,
+        reason: SourceError,  # noqa: ARG002 - the supervisor logs it
+        valves: Times | None = None,
+    ) -> None:
+        """Mark the rows' source as disconnected."""
+        self._connected[self._rows(valves)] = False
+
+    async def finish(self) -> None:
+        """Save all states; a job under way is left."""
+        for task in self._jobs.values():
+            task.cancel()
+        await asyncio.gather(*self._jobs.values(), return_exceptions=True)
+        await asyncio.to_thread(self._save)
+
+    def demand_speed(self, axis: str, v: float) -> None:
+        """Demand a speed, mm/s; NaN withdraws the demand."""
+        number = self._number(axis)
+        self.axes[number].demand(v)
+        self._show(number)
+
+    def invert_speed(
+        self, axis: str, v: float, pA: float, pB: float, pS: float, pT: float
+    ) -> RequiredU:
+        """Return the signal for a speed at these pressures; NaN: those of the newest sample."""
+        return self.axes[self._number(axis)].invert(v, pA, pB, pS, pT)
+
+    def _number(self, axis: str) -> int:
+        if axis not in self._numbers:
+            raise CommandRejected(f"{axis}: there is no such axis any more")
+        return self._numbers[axis]
+
+    def _rows(self, valves: Times | None) -> Times:
+        return np.arange(len(self._connected)) if valves is None else valves
+
+    def _use(self, samples: ByValve) -> None:
+        for row, error in self._arrivals.new_failures():
+            log_left_out(self._arrivals.names[row], error)
+        self._held.heard(samples.segments.members)
+        now = self._clock.monotonic()
+        for row, batch in samples.items():
+            number, line = divmod(row, LINES)
+            if number in self._failed:
+                continue
+            try:
+                self.axes[number].take_line(line, batch)
+            except Exception as error:  # noqa: BLE001 - a bulkhead: the other axes go on
+                self._fail(number, error)
+            self._heard_at[number] = now
+        for number in {row // LINES for row in samples.segments.members.tolist()}:
+            self._begin_job(number)
+            if now - self._shown_at[number] >= SHOWN_S:
+                self._show(number)
+
+    def _begin_job(self, number: int) -> None:
+        job = None if number in self._failed else self.axes[number].job()
+        if job is not None:
+            self._jobs[number] = asyncio.create_task(self._work(number, job))
+
+    async def _work(self, number: int, job: Job) -> None:
+        axis, before = self.axes[number], self.axes[number].results()
+        async with self._one_at_a_time:
+            try:
+                axis.accept(await in_daemon_thread(job))
+            except asyncio.CancelledError:
+                axis.abandon()
+                raise
+            except Exception as error:  # noqa: BLE001 - a bulkhead: the other axes go on
+                axis.abandon()
+                self._fail(number, error)
+        self._show(number)
+        after = axis.results()
+        if (before.status, before.map is None) != (after.status, after.map is None):
+            log.info("axis", axis=axis.plan.name, status=after.status.label, why=after.sentence)
+
+    def _fail(self, number: int, error: Exception) -> None:
+        self._failed[number] = f"{AxisStatus.FAILED.sentence} ({type(error).__name__}: {error})"
+        name = self.axes[number].plan.name
+        log.error("axis failed", axis=name, why=str(error), exc_info=error)
+
+    def _show(self, number: int) -> None:
+        now, axis = self._clock.monotonic(), self.axes[number]
+        self._shown_at[number] = now
+        self._sink.show_axis(axis.plan.name, self._results(number, now))
+
+    def _results(self, number: int, now: float) -> AxisResults:
+        found = self.axes[number].results()
+        if number in self._failed:
+            sentence = self._failed[number]
+            found = replace(found, status=AxisStatus.FAILED, sentence=sentence, is_stale=True)
+        elif now - self._heard_at[number] > self._stale_after_s:
+            found = replace(found, is_stale=True)
+        return found if not found.is_stale else replace(found, required=RequiredU())
+
+    def _save(self) -> None:
+        """Save the states; an error is logged, and the next save tries again."""
+        kept = []
+        for axis in self.axes:
+            packed = axis.to_bytes()
+            if packed is not None:
+                kept.append(
+                    Checkpoint(
+                        axis.plan.name,
+                        ESTIMATOR,
+                        axis.key,
+                        axis.t,
+                        packed,
+                        lam=None,
+                        frozen=False,
+                    )
+                )
+        try:
+            self._store.save(kept)
+        except StorageError as error:
+            log.warning("states of axes not kept", reason=str(error))

@@ -1,0 +1,221 @@
+"""An axis over OPC UA: edges from position and pressures of a cylinder, and the inverse."""
+
+import asyncio
+import dataclasses
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from asyncua import Client, ua
+
+from guarded_opcua import Role
+from guarded_opcua.security.users import UserStore
+from support.processes import free_port, rig_url
+from valvemap.app.axes import axes_file, plan_of
+from valvemap.app.serve import serve
+from valvemap.config.loading import load_config
+from valvemap.pipeline.axes import Axis
+from valvemap.runtime import axes as live_axes
+from valvemap.storage.checkpoints import CheckpointFile
+from valvemap.vocabulary.edges import EDGES
+from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
+from valvemap_rig.directional import DirectionalValve, true_edge_flow
+
+pytestmark = pytest.mark.waits
+
+
+PASSWORD = "correct horse"
+SIGMA = 0.4  # l/min
+AXIS = """
+[[axes]]
+name = "Press"
+piston_mm = 63
+rod_mm = 45
+stroke_mm = 800
+dead_A_l = 1.2
+[axes.nodes]
+U = "nsu=urn:valvemap:rig;s=Axis.U"
+position = "nsu=urn:valvemap:rig;s=Axis.x"
+pA = "nsu=urn:valvemap:rig;s=Axis.pA"
+pB = "nsu=urn:valvemap:rig;s=Axis.pB"
+pS = "nsu=urn:valvemap:rig;s=Axis.pS"
+pT = "nsu=urn:valvemap:rig;s=Axis.pT"
+T = "nsu=urn:valvemap:rig;s=Axis.T"
+sequence = "nsu=urn:valvemap:rig;s=Axis.Sequence"
+"""
+SCENARIO = """
+name = "press"
+
+valves = []
+[[machines]]
+name = "Axis"
+measures = "position"
+[machines.valve]
+leakage_l_min_bar = 0.0
+play_percent = 2.0
+"""
+
+
+@pytest.fixture
+def settings(open_server):
+    users = UserStore()
+    users.add("operator", Role.OPERATOR, PASSWORD)
+    return dataclasses.replace(open_server, users=users)
+
+
+@pytest.fixture
+def axis_config(config, tmp_path):
+    file = tmp_path / "axis.toml"
+    file.write_text(AXIS)
+    loaded = load_config(file)
+    return config.model_copy(update={"axes": loaded.axes, "valves": loaded.valves})
+
+
+class Seen:
+    """What a client sees of the axis."""
+
+    def __init__(self, client, index):
+        self.client, self.index = client, index
+
+    def node(self, name):
+        return self.client.get_node(ua.NodeId(f"Press.{name}", self.index))
+
+    async def value(self, name):
+        """A value, though it be old: a busy machine is late."""
+        return (await self.node(name).read_data_value(raise_on_bad_status=False)).Value.Value
+
+    async def until(self, name, is_so):
+        while not is_so(await self.value(name)):  # noqa: ASYNC110 - no event
+            await asyncio.sleep(0.1)
+
+    async def invert(self, v, *pressures):
+        return await self.node("Inverse").call_method(
+            ua.NodeId("Press.Inverse.Invert", self.index), v, *pressures, 40.0
+        )
+
+
+async def test_an_axis_is_served_and_its_map_survives_a_restart(
+    axis_config, settings, start_rig, tmp_path
+):
+    scenario = tmp_path / "axis-scenario.toml"
+    scenario.write_text(SCENARIO)
+    port = free_port()
+    config = axis_config.model_copy(
+        update={"source": axis_config.source.model_copy(update={"url": rig_url(port)})}
+    )
+    with start_rig(port, "--scenario", str(scenario)):
+        async with serving(config, settings) as seen:
+            async with asyncio.timeout(200):
+                assert await seen.value("Status") == AxisStatus.TOO_SHORT
+                assert (await seen.invert(100.0, *[np.nan] * 4))[3] == InverseStatus.UNIDENTIFIED
+                await seen.until("PA.KnownTo", lambda found: found is not None)
+                await check_map(seen)
+                await check_inverse(seen)
+        with CheckpointFile(axes_file(config)) as store:
+            (kept,) = store.load()
+        assert (kept.valve, kept.estimator) == ("Press", live_axes.ESTIMATOR)
+        async with serving(config, settings) as seen:
+            assert await seen.value("Status") == AxisStatus.OK
+            await check_map(seen)
+
+
+async def check_map(seen):
+    assert await seen.value("Status") == AxisStatus.OK
+    assert await seen.value("BulkModulus") == pytest.approx(0.9, rel=0.05)
+    assert 0.0 < await seen.value("BulkModulusStd") < 0.1
+    assert await seen.value("Play") == pytest.approx(2.0, abs=0.5)
+    assert await seen.value("Leakage") == pytest.approx(0.002, rel=0.4)
+    U, valve = np.array(await seen.value("U")), DirectionalValve(leakage_l_min_bar=0.0)
+    for edge in EDGES:
+        rows = (U >= 12.0) & (U <= 45.0)
+        off = np.array(await seen.value(f"{edge}.Flow")) - true_edge_flow(valve, edge, U, 70.0, 1.0)
+        assert np.sqrt(np.mean(np.square(off[rows]))) < SIGMA, edge
+        assert await seen.value(f"{edge}.KnownTo") > 20.0
+
+
+async def check_inverse(seen):
+    pressures = 90.0, 60.0, 175.0, 3.0
+    for v in (150.0, -150.0):
+        U, lower, upper, status = await seen.invert(v, *pressures)
+        assert status == InverseStatus.OK
+        assert lower < U < upper
+        assert np.sign(U) == np.sign(v)
+        assert 10.0 < abs(U) < 60.0
+    await seen.node("Inverse.SpeedDemand").write_value(200.0)
+    await seen.until("Inverse.RequiredUStatus", lambda status: status == InverseStatus.OK)
+    assert await seen.value("Inverse.RequiredULower") < await seen.value("Inverse.RequiredUUpper")
+    await seen.node("Inverse.SpeedDemand").write_value(np.nan)
+    await seen.until("Inverse.RequiredUStatus", lambda status: status == InverseStatus.NOT_FINITE)
+
+
+async def test_a_node_that_is_missing_is_named_at_the_start(axis_config, open_server, start_rig):
+    port = free_port()
+    with start_rig(port, "--scenario", "axis"):
+        (axis,) = axis_config.axes
+        nodes = axis.nodes.model_copy(update={"pB": "nsu=urn:valvemap:rig;s=Axis.pZ"})
+        config = axis_config.model_copy(
+            update={
+                "source": axis_config.source.model_copy(update={"url": rig_url(port)}),
+                "axes": (axis.model_copy(update={"nodes": nodes}),),
+            }
+        )
+        with pytest.raises(Exception, match=r"Axis\.pZ' \(pB of axis Press\) does not exist"):
+            async with asyncio.timeout(60):
+                await serve(config, asyncio.Event(), open_server)
+
+
+async def test_a_unit_that_contradicts_the_source_is_refused(axis_config, open_server, start_rig):
+    port = free_port()
+    with start_rig(port, "--scenario", "axis"):
+        (axis,) = axis_config.axes
+        given = axis.signals.model_copy(
+            update={"position": axis.signals.position.model_copy(update={"unit": "m"})}
+        )
+        config = axis_config.model_copy(
+            update={
+                "source": axis_config.source.model_copy(update={"url": rig_url(port)}),
+                "axes": (axis.model_copy(update={"signals": given}),),
+            }
+        )
+        with pytest.raises(
+            Exception, match=r"comes in mm, configured is m.*signals\.position of axis"
+        ):
+            async with asyncio.timeout(60):
+                await serve(config, asyncio.Event(), open_server)
+
+
+def test_a_state_of_another_geometry_is_not_resumed(axis_config):
+    (axis,) = axis_config.axes
+    other = axis.model_copy(update={"piston_mm": 64.0})
+    assert Axis(plan_of(axis)).key != Axis(plan_of(other)).key
+
+
+class serving:  # noqa: N801 - a context
+    """The service in this process, and a client of it."""
+
+    def __init__(self, config, settings):
+        self.config, self.settings, self.stop = config, settings, asyncio.Event()
+
+    async def __aenter__(self):
+        self.task = asyncio.ensure_future(serve(self.config, self.stop, self.settings))
+        async with asyncio.timeout(60):
+            while True:
+                if self.task.done():
+                    self.task.result()
+                with suppress(OSError, ua.UaError, asyncio.TimeoutError):
+                    self.client = Client(self.config.server.url)
+                    self.client.set_user("operator")
+                    self.client.set_password(PASSWORD)
+                    await self.client.connect()
+                    index = await self.client.get_namespace_index("urn:valvemap:service")
+                    seen = Seen(self.client, index)
+                    if await seen.value("Status") is not None:
+                        return seen
+                    await self.client.disconnect()
+                await asyncio.sleep(0.2)
+
+    async def __aexit__(self, *_):
+        with suppress(Exception):
+            await self.client.disconnect()
+        self.stop.set()
+        await self.task

@@ -1,0 +1,65 @@
+"""Axes: what is read of a file, and what is refused."""
+
+import pytest
+
+from valvemap.app.axes import plan_of
+from valvemap.config.loading import load_config
+from valvemap.errors import ConfigurationError
+
+NODES = {name: f"ns=2;s=X.{name}" for name in ("U", "position", "pA", "pB", "pS", "pT")}
+
+
+def toml(*, nodes=NODES, own="", more=""):
+    lines = "\n".join(f'{name} = "{node}"' for name, node in nodes.items())
+    sizes = "piston_mm = 63\nrod_mm = 45\nstroke_mm = 800\ndead_A_l = 1.2"
+    return f'[[axes]]\nname = "Press"\n{sizes}\n{own}\n[axes.nodes]\n{lines}\n{more}\n'
+
+
+def load(tmp_path, text):
+    file = tmp_path / "service.toml"
+    file.write_text(text, encoding="utf-8")
+    return load_config(file)
+
+
+def test_an_axis_alone_needs_no_valve(tmp_path):
+    config = load(tmp_path, toml())
+    assert (len(config.valves), config.axes[0].name) == (0, "Press")
+    geometry = plan_of(config.axes[0]).geometry
+    assert (geometry.dead_A_l, geometry.dead_B_l) == (1.2, 1.2)
+
+
+def test_axes_and_valves_stand_beside_each_other(tmp_path):
+    config = load(tmp_path, toml() + '[[valves]]\nname = "V1"\n')
+    assert [one.name for one in (*config.valves, *config.axes)] == ["V1", "Press"]
+
+
+def test_position_is_in_mm_unless_a_unit_is_given(tmp_path):
+    (axis,) = load(tmp_path, toml()).axes
+    assert axis.signals.measure("position").unit.symbol == "mm"
+    (axis,) = load(tmp_path, toml(more='[axes.signals.position]\nunit = "m"')).axes
+    assert axis.signals.measure("position").scaling("Q").gain == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            toml(nodes={k: v for k, v in NODES.items() if k != "pB"}),
+            "pB missing: each edge needs the pressures on both its sides",
+        ),
+        (
+            toml(nodes={k: NODES[k] for k in ("U", "position")}),
+            "pA, pB, pS and pT are missing: position and command do not tell the flows",
+        ),
+        (toml(nodes=NODES | {"pB": NODES["pA"]}), "pA and pB are the same node"),
+        (toml(own="rod_mm = 70").replace("rod_mm = 45\n", ""), "rod_mm = 70: must be less than 63"),
+        (toml(more='[axes.signals.position]\nunit = "bar"'), "a unit of length is needed"),
+        (toml() + '[[valves]]\nname = "Press"\n', "axis name 'Press' is taken twice"),
+        (toml(own='source = "north"'), "axes[0].source = 'north': there are no [[sources]]"),
+        (toml().replace("Press", "Service"), "axis name 'Service' is taken"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, words):
+    with pytest.raises(ConfigurationError) as caught:
+        load(tmp_path, text)
+    assert words in str(caught.value)

@@ -1,0 +1,181 @@
+"""One axis: lines meet, jobs are due, a refusal harms no map, and a state goes on bit for bit."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
+from valvemap.model.axis_search import AxisResult, fitted
+from valvemap.model.estimator import StateMismatchError
+from valvemap.model.samples import Samples
+from valvemap.pipeline import axes
+from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
+from valvemap_rig.directional import DirectionalValve
+from valvemap_rig.machine import Machine
+from valvemap_rig.scenario import Scenario
+from valvemap_rig.simulation import Commands, advance, initial
+
+GEOMETRY = AxisGeometry(63, 45, 800, 1.2, 1.2)
+PLAN = AxisPlan("Press", GEOMETRY, 600.0)
+KNOWN = AxisRegression(GEOMETRY, play_percent=2.0, spool_hz=40.0, memory_s=PLAN.memory_s)
+SIGNALS = ("U", "x", "pA", "pB", "pS", "pT", "T")
+
+
+@pytest.fixture(scope="module")
+def samples():
+    valve = DirectionalValve(leakage_l_min_bar=0.0, play_percent=2.0)
+    machine = Machine(name="Axis", measures="position", valve=valve)
+    scenario = Scenario(valves=(), machines=(machine,))
+    _, block = advance(scenario, initial(scenario, 0), 12_000, Commands())
+    shown = block.machines["Axis"].shown
+    return AxisSamples.of(block.t, **{name: shown[name] for name in SIGNALS})
+
+
+@pytest.fixture(scope="module")
+def found(samples):
+    """The outcome of a search, with the rig's play and spool."""
+    state, fit = fitted(KNOWN, samples[:7_000])
+    return AxisResult(AxisStatus.OK, "", fit, {}, state, np.zeros_like(fit.covariance))
+
+
+@pytest.fixture
+def axis(samples, found, monkeypatch):
+    monkeypatch.setattr(axes, "identify", lambda *_, **__: found)
+    one = Axis(PLAN)
+    for start in range(0, 7_100, 100):
+        one.take(samples[start : start + 100])
+    return one
+
+
+def lines_of(samples, quality=None):
+    n = len(samples)
+    quality = np.zeros(n, np.uint8) if quality is None else quality
+    for p1, p2 in ((samples.pS, samples.pA), (samples.pB, samples.pT)):
+        yield Samples(
+            t=samples.t, U=samples.U, p1=p1, p2=p2, Q=samples.x, T=samples.T, quality=quality
+        )
+
+
+def done(axis):
+    names = []
+    while (job := axis.job()) is not None:
+        outcome = job()
+        axis.accept(outcome)
+        names.append(type(outcome).__name__)
+    return names
+
+
+def test_a_search_is_due_after_seventy_seconds_and_then_the_map_is_solved(samples, axis):
+    early = Axis(PLAN)
+    early.take(samples[:6_900])
+    assert early.job() is None
+    assert early.results().status is AxisStatus.TOO_SHORT
+    assert done(axis) == ["AxisResult", "_Known"]
+    results = axis.results()
+    assert results.status is AxisStatus.OK
+    assert results.map.bulk_modulus[0] == pytest.approx(0.9, rel=0.1)
+    assert results.used_s > 60.0
+
+
+def test_one_job_at_a_time_and_its_samples_are_not_lost(samples, axis, found):
+    job = axis.job()
+    assert axis.job() is None
+    axis.take(samples[7_100:9_000])
+    axis.accept(job())
+    done(axis)
+    whole, _ = KNOWN.update(found.state, samples[7_100:9_000])
+    assert whole.M.tobytes() == axis._state.M.tobytes()
+
+
+def test_a_refused_search_keeps_the_map_that_there_is(samples, axis, found, monkeypatch):
+    done(axis)
+    refused = dataclasses.replace(found, status=AxisStatus.TOO_SHORT, sentence="too short")
+    monkeypatch.setattr(axes, "identify", lambda *_, **__: refused)
+    before = axis.results().map
+    for start in range(7_100, 12_000, 100):
+        axis.take(samples[start : start + 100])
+        axis._to_search_s = min(axis._to_search_s, 0.0)
+        done(axis)
+    assert axis.results().status is AxisStatus.OK
+    assert axis.results().map.U.tolist() == before.U.tolist()
+    afresh = Axis(PLAN)
+    afresh.take(samples[:100])
+    afresh._to_search_s = 0.0
+    done(afresh)
+    assert (afresh.results().status, afresh.results().sentence) == (
+        AxisStatus.TOO_SHORT,
+        "too short",
+    )
+
+
+def test_lines_meet_however_they_are_cut_and_bad_samples_are_left_out(samples):
+    quality = np.zeros(600, np.uint8)
+    quality[200:210] = Quality.BAD
+    part = samples[:600]
+    line_A, line_B = lines_of(part, quality)
+    one = Axis(PLAN)
+    for start, end in ((0, 100), (100, 450), (450, 600)):
+        one.take_line(0, line_A[start:end])
+    for start, end in ((0, 250), (250, 260), (270, 600)):  # ten never come
+        one.take_line(1, line_B[start:end])
+    whole = axes.joined(one._window)
+    assert len(whole) == 590
+    assert np.isnan(whole.pA[200:210]).all()
+    good = np.delete(np.arange(600), np.r_[200:210, 260:270])
+    for name in SIGNALS[:-1]:
+        shown = np.delete(getattr(whole, name), slice(200, 210))
+        assert shown.tolist() == getattr(part, name)[good].tolist(), name
+
+
+def test_samples_of_one_line_alone_do_not_pile_up(samples):
+    one = Axis(PLAN)
+    line_A, _ = lines_of(samples)
+    for start in range(0, 12_000, 1_000):
+        one.take_line(0, line_A[start : start + 1_000])
+    assert len(one._unmet[0][0]) == axes.MOST_UNMET
+    assert one.job() is None
+
+
+def test_the_window_is_bounded(samples, monkeypatch):
+    monkeypatch.setattr(axes, "WINDOW_S", 20.0)
+    one = Axis(PLAN)
+    for start in range(0, 12_000, 100):
+        one.take(samples[start : start + 100])
+    assert len(axes.joined(one._window)) <= 2_100
+
+
+def test_a_state_goes_on_with_the_same_bits(samples, axis):
+    done(axis)
+    packed, again = axis.to_bytes(), Axis(PLAN)
+    again.resume(packed)
+    assert again.results().status is AxisStatus.OK
+    for one in (axis, again):
+        one.take(samples[7_100:9_000])
+    for name, array in vars(axis._state).items():
+        assert array.tobytes() == getattr(again._state, name).tobytes(), name
+    with pytest.raises(StateMismatchError, match="other hyper-parameters"):
+        Axis(dataclasses.replace(PLAN, meaning="other nodes")).resume(packed)
+    with pytest.raises(StateMismatchError):
+        Axis(PLAN).resume(packed[:-100])
+
+
+def test_u_is_approached_from_the_side_of_the_demand(axis):
+    done(axis)
+    table = dataclasses.replace(axis._known.table, play_percent=4.0)
+    axis._known = dataclasses.replace(axis._known, table=table)
+    axis.demand(50.0)
+    axis.required()
+    middle = axis.invert(100.0).U
+    axis.demand(100.0)
+    rising = axis.required()
+    axis.demand(20.0)
+    axis.required()
+    axis.demand(10.0)
+    falling = axis.required()
+    assert abs(rising.U - middle - 2.0) < 1e-9
+    assert rising.status is InverseStatus.OK
+    assert abs(falling.U - axis.invert(10.0).U + 2.0) < 1e-9
+    axis.demand(np.nan)
+    assert axis.required().status is InverseStatus.NOT_FINITE
