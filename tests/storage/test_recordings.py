@@ -349,6 +349,27 @@ def test_parquet_pages_that_are_damaged_are_said(tmp_path):
         read(path)
 
 
+def test_a_damaged_cell_of_parquet_is_said(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet as pq
+
+    from valvemap.storage.layout import Layout
+    from valvemap.storage.parquet_recordings import open_parquet
+
+    path = tmp_path / "r.parquet"
+    table = {name: [1.0, 2.0] for name in ("t", "U", "p1", "p2", "Q")} | {"valve": ["a", "b"]}
+    pq.write_table(pa.table(table), path)
+    reader = open_parquet(path, 100, Layout())
+    (batch,) = reader._batches
+    names = pa.DictionaryArray.from_arrays(pa.array([0, 144]), pa.array(["a"]), safe=False)
+    place = batch.schema.names.index("valve")
+    columns = [names if k == place else batch.column(k) for k in range(batch.num_columns)]
+    reader._batches = [pa.RecordBatch.from_arrays(columns, names=batch.schema.names)]
+    with pytest.raises(RecordingError, match="is not a recording: Index 144 out of bounds"):
+        list(reader.chunks())
+    reader.close()
+
+
 def test_without_pyarrow_parquet_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.delitem(sys.modules, "valvemap.storage.parquet_recordings", raising=False)

@@ -104,7 +104,7 @@ class ArrowReader:
                     own = samples[index == valves.index(part.valve)]
                     if len(own):
                         yield part.valve, own
-        except UnicodeDecodeError as error:  # a text in a cell
+        except (UnicodeDecodeError, pa.ArrowException) as error:  # in a cell
             raise _damaged(self._path, error, before) from error
         except CellError as error:
             row = before + error.row + 1
