@@ -2,9 +2,12 @@
 
 import pytest
 
+from support.processes import run
 from valvemap.app.axes import plan_of
+from valvemap.app.replay import replay
 from valvemap.config.loading import load_config
 from valvemap.errors import ConfigurationError
+from valvemap.kafka.catalogue import catalogue_of
 
 NODES = {name: f"ns=2;s=X.{name}" for name in ("U", "position", "pA", "pB", "pS", "pT")}
 
@@ -63,3 +66,18 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, words):
     with pytest.raises(ConfigurationError) as caught:
         load(tmp_path, text)
     assert words in str(caught.value)
+
+
+def test_what_is_of_valves_alone_says_so(tmp_path):
+    config = load(tmp_path, toml())
+    with pytest.raises(ConfigurationError, match="there are axes and no valve: a replay is of"):
+        replay([], config)
+    with pytest.raises(ConfigurationError, match="site north: axis Press: a fleet takes valves"):
+        catalogue_of({"north": config})
+
+
+def test_check_config_names_the_axis(tmp_path):
+    load(tmp_path, toml())
+    said = run("check-config", str(tmp_path / "service.toml"))
+    assert said.returncode == 0, said.stderr
+    assert "axis     Press: four edges, bulk modulus and leakage" in said.stdout

@@ -11,6 +11,7 @@ import structlog
 from valvemap.app.build import build_alignment, build_timing
 from valvemap.app.connections import build_source, build_supervisor_settings
 from valvemap.clock import SystemClock
+from valvemap.config.loading import check_has_valves
 from valvemap.config.models import Config
 from valvemap.errors import SourceError
 from valvemap.model.samples import Times
@@ -46,6 +47,7 @@ async def record(
     ------
     SourceError, StorageError, RecordingError
     """
+    check_has_valves(config, "recording")
     clock = SystemClock()
     with RecordingWriter(file) as writer:
         recorder = _Recorder(config, writer, progress)
@@ -79,6 +81,7 @@ async def record_history(
     ------
     SourceError, StorageError, RecordingError
     """
+    check_has_valves(config, "recording")
     with RecordingWriter(file) as writer:
         recorder = _Recorder(config, writer, progress)
         async for changes in build_source(config).recall(start, stop):

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from valvemap.app.build import build_layout, build_plans
 from valvemap.app.given import layout_of, recordings_in
+from valvemap.config.loading import check_has_valves
 from valvemap.config.models import Config, ValveConfig
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.forgetting import Exponential
@@ -495,6 +496,7 @@ def _layout(
         return layout_of(units, columns)
     if units or columns:
         raise ConfigurationError("with a config, units and columns are its valves.signals")
+    check_has_valves(config, "a replay")
     return build_layout(config)
 
 

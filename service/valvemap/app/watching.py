@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvemap.app.connections import build_source
+from valvemap.app.connections import build_axis_sources, build_source
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.errors import SourceRejected
@@ -45,6 +45,9 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
     SourceLost, SourceRejected
         also if a signal sent no Good value; names signal, node and valve.
     """
+    await build_axis_sources(config).check()
+    if not config.valves:
+        return []
     changes = await changes_of(build_source(config), watch_s)
     lines: list[str] = []
     silent: list[str] = []

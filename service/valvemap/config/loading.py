@@ -52,6 +52,21 @@ def load_settings(kind: type[S], file: Path | None) -> S:
         raise ConfigurationError("\n".join(dict.fromkeys(lines))) from None
 
 
+def check_has_valves(config: Config, what: str) -> None:
+    """Refuse a configuration of axes alone; ``what`` is the work that is of valves.
+
+    Raises
+    ------
+    ConfigurationError
+        if there is no valve.
+    """
+    if not config.valves:
+        raise ConfigurationError(
+            f"there are axes and no valve: {what} is of valves; `valvemap serve` identifies axes, "
+            "`valvemap axis FILE` a recording of one"
+        )
+
+
 def read_toml(file: Path, remedy: str = "") -> dict[str, Any]:
     """Read a TOML file; ``remedy`` follows the sentence that there is none.
 

@@ -67,6 +67,11 @@ def catalogue_of(
                 f"site {site}: valve {with_ports} has ports; a fleet takes valves with nodes, one "
                 "for each edge"
             )
+        if config.axes:
+            raise ConfigurationError(
+                f"site {site}: axis {config.axes[0].name}: a fleet takes valves alone; `valvemap "
+                "serve` takes axes"
+            )
         for number, first in enumerate(range(0, len(plans), valves_per_group)):
             name = group_name(site, number)
             groups[name] = GroupPlan(name, tuple(plans[first : first + valves_per_group]))
