@@ -111,6 +111,8 @@ async def test_an_axis_is_served_and_its_map_survives_a_restart(
                 await seen.until("PA.KnownTo", lambda found: found is not None)
                 await check_map(seen)
                 await check_inverse(seen)
+                alarm = ua.NodeId("Service.Alarms.Checkpoint.Active", seen.index)
+                assert not await seen.client.get_node(alarm).read_value()
         with CheckpointFile(axes_file(config)) as store:
             (kept,) = store.load()
         assert (kept.valve, kept.estimator) == ("Press", live_axes.ESTIMATOR)

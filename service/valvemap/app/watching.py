@@ -46,10 +46,10 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
         also if a signal sent no Good value; names signal, node and valve.
     """
     await build_axis_sources(config).check()
+    lines = [f"{axis.name}: every node is there, in its unit" for axis in config.axes]
     if not config.valves:
-        return []
+        return lines
     changes = await changes_of(build_source(config), watch_s)
-    lines: list[str] = []
     silent: list[str] = []
     for number, valve in enumerate(config.valves):
         sources = {role: valve.nodes.source_of(role) for role in MEASURED}

@@ -80,9 +80,9 @@ class StateKeeper:
     def age_s(self, now: float) -> float:
         """Time since the last save, s; before the first, since the start; ∞: the file is lost.
 
-        0 in a preview.
+        0 in a preview, and without valves.
         """
-        if self._is_preview:
+        if self._is_preview or not self._valves:
             return 0.0
         if self.file_lost:
             return math.inf
