@@ -1,6 +1,7 @@
 import errno
 import gzip
 import lzma
+import os
 import signal
 import subprocess
 import sys
@@ -15,6 +16,8 @@ from hypothesis.extra import numpy as hnp
 import valvemap.storage
 from valvemap.errors import RecordingError, StorageError
 from valvemap.model.samples import Samples
+from valvemap.storage.csv_recordings import CsvReader
+from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import RecordingWriter, read_recording
 
 FORMS = ["csv", "csv.gz", "csv.xz", "parquet"]
@@ -353,7 +356,6 @@ def test_a_damaged_cell_of_parquet_is_said(tmp_path):
     pa = pytest.importorskip("pyarrow")
     from pyarrow import parquet as pq
 
-    from valvemap.storage.layout import Layout
     from valvemap.storage.parquet_recordings import open_parquet
 
     path = tmp_path / "r.parquet"
@@ -397,6 +399,14 @@ def test_progress_runs_from_nothing_to_one(tmp_path, form):
     assert 0 < seen[0] < 0.6
     assert seen[-1] == 1.0
     assert all(0 <= fraction <= 1 for fraction in seen)
+
+
+def test_progress_bears_a_file_that_is_closed_while_it_is_asked(csv_file):
+    reader = CsvReader(csv_file(HEADER + "0,1,2,3,4\n"), "", 100, Layout())
+    os.close(reader._raw.fileno())  # as another thread does, between a look and a question
+    assert reader.fraction == 1.0
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        reader._raw.close()
 
 
 def test_a_reader_that_is_closed_early_has_ended(csv_file):

@@ -98,7 +98,9 @@ class CsvReader:
     @property
     def fraction(self) -> float:
         """The fraction of the file's bytes read, 0 to 1."""
-        return 1.0 if self._raw.closed else min(self._raw.tell() / self._size, 1.0)
+        with suppress(OSError, ValueError):  # a thread that reads ahead may close it meanwhile
+            return min(self._raw.tell() / self._size, 1.0)
+        return 1.0
 
     def close(self) -> None:
         """Close the file."""
