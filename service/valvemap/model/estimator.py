@@ -94,7 +94,7 @@ def _npy_head(layout: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
 def _difference(header: tuple[str, ...], expected: tuple[str, str, str]) -> str:
     """Say in what a state is another one: type, version or hyper-parameters."""
     if len(header) != len(expected) or header[1] != expected[1]:
-        return f"it is a state of {' '.join(header[1:2])}, not of {expected[1]}"
+        return f"it is a state of {' '.join(map(str, header[1:2]))}, not of {expected[1]}"
     if header[0] != expected[0]:
         return f"it is a state of version {header[0]}, version {expected[0]} is needed"
     return "it is a state of other hyper-parameters"

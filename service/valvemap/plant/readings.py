@@ -153,17 +153,19 @@ def readings(group: Group, record: Record, given: Given, rating: Rating) -> list
     ]
     best = max(found[0].score, *(r.score for r in varied)) if varied else found[0].score
     kept = [r for r in (*found, *varied) if r is found[0] or r.score > best - _NEGLIGIBLE]
-    total = sum(exp(r.score - best) for r in kept)
+    others: list[float] = []
     if not (given.nodes or given.scales):
         first = found[0]
         prior = _label_score(first)
         none = _logsum(prior + NONE_RIGHT, _without_weakest(first))
         none += evidence.of_no_law(first.fit)
         unknown = first.score - sum(first.contradictions.values()) + UNKNOWN
-        total += exp(none - best) + exp(unknown - best)
+        others = [none, unknown]
+    top = max(best, *others) if others else best
+    total = sum(exp(score - top) for score in (*(r.score for r in kept), *others))
     merged: dict[tuple[object, ...], Reading] = {}
     for r in sorted(kept, key=lambda r: -r.score):
-        p = exp(r.score - best) / total
+        p = exp(r.score - top) / total
         same = merged.get(r.key, replace(r, probability=0.0))
         merged[r.key] = replace(same, probability=same.probability + p)
     return sorted(merged.values(), key=lambda r: -r.probability)

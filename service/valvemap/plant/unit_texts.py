@@ -4,7 +4,7 @@ import re
 import unicodedata
 from typing import Final
 
-from valvemap.pipeline.units import Unit, unit_of
+from valvemap.pipeline.units import QUANTITY_OF, Quantity, Unit, unit_of
 
 _IN_BRACKETS = re.compile(
     r"(?P<name>.*?)\s*[\[(<{【](?P<unit>[^\[\]()]*(?:\([^()]*\))?)[\])>}】]\s*"
@@ -37,6 +37,7 @@ _OTHERS = """
 mm cm m µm um inch in mm/s m/s m/min cm/s in/s rpm 1/min u/min min-1 r/min tr/min n kn mn nm knm
 kw w hz khz s ms h kg t deg rad v/s cst mm2/s ppm db g m/s2 kwh a
 """
+_OURS: Final = {*QUANTITY_OF.values(), Quantity.ELECTRICAL}
 OF_OTHERS: Final = frozenset(_OTHERS.split())
 """Units of quantities that no signal of a valve has."""
 _ALSO_WORDS: Final = frozenset({"in", "deg", "a", "n", "t", "s", "h", "m", "g", "w"})
@@ -69,9 +70,10 @@ def split_unit(text: str) -> tuple[str, Unit | None, str]:
 
 
 def known_unit(text: str) -> Unit | None:
-    """Return the unit of a text in any spelling."""
+    """Return the unit of a text in any spelling; None if no signal of a valve has it."""
     plain = unicodedata.normalize("NFKC", text).strip().casefold()
-    return unit_of(_ALSO.get(plain, plain)) or unit_of(plain.replace("_", "/"))
+    unit = unit_of(_ALSO.get(plain, plain)) or unit_of(plain.replace("_", "/"))
+    return unit if unit is not None and unit.quantity in _OURS else None
 
 
 def is_of_others(text: str) -> bool:

@@ -146,15 +146,20 @@ def _find(path: Path, file: pq.ParquetFile, headings: Sequence[str], layout: Lay
         time = time_column(headings, [_is_number(field.type) for field in file.schema_arrow])
         if not layout.recognises or time is None:
             raise
-        batch = next(file.iter_batches(batch_size=_RECOGNISED), None)
-        if batch is None:
-            raise
-        numbers = {
-            place: _numbers(batch.column(place))
-            for place, field in enumerate(file.schema_arrow)
-            if place != time and _is_number(field.type)
-        }
-        times = _times(batch.column(time), seconds_per_unit(headings[time]))
+        try:
+            batch = next(file.iter_batches(batch_size=_RECOGNISED), None)
+            if batch is None:
+                raise missing from None
+            numbers = {
+                place: _numbers(batch.column(place))
+                for place, field in enumerate(file.schema_arrow)
+                if place != time and _is_number(field.type)
+            }
+            times = _times(batch.column(time), seconds_per_unit(headings[time]))
+        except _UNREADABLE as error:
+            raise _damaged(path, error, 0) from error
+        except CellError:
+            raise missing from None
         return recognise(Beginning(path, headings, numbers, time, times), layout, missing)
 
 
