@@ -226,10 +226,11 @@ def _of_files(folder):
     pki.make_folders()
     csv = of_file("r.csv", _rows, lambda: [_CSV, _DATES], RecordingError)
     packed = of_file("r.csv.gz", _rows, lambda: [gzip.compress(_CSV)], RecordingError)
+    parquet = of_file("r.parquet", _rows, lambda: [_parquet(folder)], RecordingError)
     return {
         "file: CSV": replace(csv, longest_s=_FOREIGN_HEADINGS_S),
         "file: CSV.gz": replace(packed, longest_s=_FOREIGN_HEADINGS_S),
-        "file: Parquet": of_file("r.parquet", _rows, lambda: [_parquet(folder)], RecordingError),
+        "file: Parquet": replace(parquet, longest_s=_FOREIGN_HEADINGS_S),
         "file: points": of_file("p.csv", read_points, lambda: [_POINTS], StorageError),
         "file: models": of_file("m.json", load_model, lambda: _models(folder), StorageError),
         "file: users": of_file(
