@@ -46,6 +46,7 @@ NAMES = (
     *("page: requests", "Sparkplug: states", "Sparkplug: commands"),
     *(
         "state: arrays",
+        "state: axes",
         "file: models",
         "history: blocks",
         "history: sealed blocks",

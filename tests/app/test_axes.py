@@ -117,7 +117,8 @@ async def test_an_axis_is_served_and_its_map_survives_a_restart(
             (kept,) = store.load()
         assert (kept.valve, kept.estimator) == ("Press", live_axes.ESTIMATOR)
         async with serving(config, settings) as seen:
-            assert await seen.value("Status") == AxisStatus.OK
+            async with asyncio.timeout(30):
+                await seen.until("Status", lambda status: status == AxisStatus.OK)
             await check_map(seen)
 
 

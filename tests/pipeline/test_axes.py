@@ -150,6 +150,7 @@ def test_a_state_goes_on_with_the_same_bits(samples, axis):
     done(axis)
     packed, again = axis.to_bytes(), Axis(PLAN)
     again.resume(packed)
+    assert done(again) == ["_Known"]
     assert again.results().status is AxisStatus.OK
     for one in (axis, again):
         one.take(samples[7_100:9_000])

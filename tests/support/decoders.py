@@ -43,6 +43,7 @@ from valvemap.kafka.blocks import SamplesBlock, read_samples, write_samples
 from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
 from valvemap.kafka.memory import Columns, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
+from valvemap.model.axis import SIZE, AxisGeometry, AxisRegression
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.maximum_likelihood import MaximumLikelihood
@@ -55,9 +56,10 @@ from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.page.viewers import Senseless as SenselessRequest
 from valvemap.page.viewers import _request
-from valvemap.pipeline import ports
+from valvemap.pipeline import kept_axes, ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.axes import Axis, AxisPlan
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import AlarmReport
 from valvemap.pipeline.quality_gate import QualityGate
@@ -192,11 +194,24 @@ def _of_states():
         )
     arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), optional=(("T",),)))
     arrivals.take(as_changes(plant(20)))
+    found["state: axes"] = Decoder(
+        Axis(_AXIS).resume, lambda: [_packed_axis()], (StateMismatchError,)
+    )
     found["state: arrays"] = Decoder(_arrays_of, _arrays, (StateMismatchError,))
     found["state: arrivals"] = Decoder(
         arrivals.resume, lambda: [arrivals.to_bytes()], (StateMismatchError,), _with_crc
     )
     return found
+
+
+_AXIS = AxisPlan("Press", AxisGeometry(63.0, 45.0, 800.0, 1.2, 1.2))
+
+
+def _packed_axis():
+    regression = AxisRegression(_AXIS.geometry, play_percent=2.0, spool_hz=40.0)
+    of_shape = np.zeros((SIZE, SIZE))
+    learnt = kept_axes.Learnt(regression, regression.initial_state(), of_shape)
+    return kept_axes.pack(learnt, Axis(_AXIS).key)
 
 
 def _of_history():

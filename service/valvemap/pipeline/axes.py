@@ -6,10 +6,10 @@ seconds: the caller runs it beside everything else, as it does the solution of t
 two searches the sums go on sample by sample.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,10 +23,10 @@ from valvemap.model.axis import (
 )
 from valvemap.model.axis_inverse import AxisTable, axis_table, invert
 from valvemap.model.axis_search import AxisResult, identify
-from valvemap.model.contents import Contents
-from valvemap.model.estimator import State, StateMismatchError, key_of
+from valvemap.model.estimator import key_of
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.pipeline.kernels.edges import meet
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
@@ -51,37 +51,6 @@ class AxisPlan:
     geometry: AxisGeometry
     memory_s: float = 1_800.0
     meaning: str = ""
-
-
-@dataclass(frozen=True)
-class _Kept(State):
-    """What is stored of an axis."""
-
-    period_s: Any
-    play_percent: Any
-    lag_s: Any
-    of_shape: Any
-    last: Any
-    memory: Any
-    filtered: Any
-    M: Any
-    b: Any
-    squares: Any
-    counts: Any
-    theta: Any
-    errors: Any
-    score: Any
-    scores: Any
-
-    def contents(self) -> Mapping[str, Contents]:
-        """Return the permitted content."""
-        return {
-            "period_s": Contents(self.period_s).within(1e-6, 1.0),
-            "play_percent": Contents(self.play_percent).within(0.0, 100.0),
-            "lag_s": Contents(self.lag_s).within(0.0, 10.0),
-            "last": Contents(self.last).any_time(),
-            "memory": Contents(self.memory).or_nan(),
-        }
 
 
 @dataclass(frozen=True)
@@ -272,41 +241,20 @@ class Axis:
         """Return what is learnt; None: nothing yet."""
         if self._state is None:
             return None
-        one = self._regression
-        return _Kept(
-            period_s=np.array(one.period_s),
-            play_percent=np.array(one.play_percent),
-            lag_s=np.array(1.0 / one.spool_hz),
-            of_shape=self._of_shape,
-            **vars(self._state),
-        ).to_bytes(self.key)
+        return pack(Learnt(self._regression, self._state, self._of_shape), self.key)
 
     def resume(self, packed: bytes) -> None:
-        """Go on from a stored state.
+        """Go on from a stored state; the next `job` gives its map.
 
         Raises
         ------
         StateMismatchError
             if it is damaged, or of another geometry, memory, node or unit.
         """
-        kept = _Kept.from_bytes(packed, self.key)
-        fresh = vars(AxisRegression(self.plan.geometry).initial_state())
-        zero = np.array(0.0)
-        kept.check(_Kept(zero, zero, zero, np.zeros((SIZE, SIZE)), **fresh))
-        lag_s = float(kept.lag_s)
-        self._regression = AxisRegression(
-            self.plan.geometry,
-            float(kept.period_s),
-            float(kept.play_percent),
-            1.0 / lag_s if lag_s > 0.0 else np.inf,
-            memory_s=self.plan.memory_s,
-        )
-        state = AxisState(**{name: getattr(kept, name) for name in fresh})
-        try:
-            self._known = _solved(self._regression, state, kept.of_shape)
-        except np.linalg.LinAlgError as error:
-            raise StateMismatchError(f"its sums cannot be solved: {error}") from None
-        self._state, self._of_shape = state, kept.of_shape
+        regression = AxisRegression(self.plan.geometry, memory_s=self.plan.memory_s)
+        learnt = unpack(packed, self.key, regression)
+        self._regression, self._state = learnt.regression, learnt.state
+        self._of_shape, self._to_refit_s = learnt.of_shape, 0.0
 
 
 def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _Known:
