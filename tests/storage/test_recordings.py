@@ -352,6 +352,18 @@ def test_parquet_pages_that_are_damaged_are_said(tmp_path):
         read(path)
 
 
+def test_a_time_beyond_every_calendar_is_refused_in_one_line(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet as pq
+
+    path = tmp_path / "r.parquet"
+    table = {name: [1.0] for name in ("U", "p1", "p2", "Q")}
+    table["t"] = pa.array([2**62], pa.timestamp("us", "UTC"))
+    pq.write_table(pa.table(table), path)
+    with pytest.raises(RecordingError, match=r"row 1: t is '4611686018427387904', allowed is"):
+        read(path)
+
+
 def test_a_damaged_cell_of_parquet_is_said(tmp_path):
     pa = pytest.importorskip("pyarrow")
     from pyarrow import parquet as pq

@@ -309,12 +309,19 @@ def _times(column: pa.Array, seconds: float = 1.0) -> Times:
         try:
             return _array(pc.cast(pc.cast(column, pa.timestamp("ns", kind.tz)), pa.int64()))
         except pa.ArrowInvalid:
-            raise CellError(0, "t", column[0], columns.ALLOWED_TIME) from None
+            raise CellError(0, "t", _as_text(column[0]), columns.ALLOWED_TIME) from None
     if _is_text(kind):
         return columns.times(column.to_pylist())
     if pa.types.is_integer(kind):
         return columns.times_of_integers(_array(pc.cast(column, pa.int64())))
     return columns.times_of_floats(_numbers(column))
+
+
+def _as_text(time: pa.Scalar) -> str:
+    try:
+        return str(time)
+    except (OverflowError, ValueError):  # a year that Python does not know
+        return str(time.value)
 
 
 def _qualities(column: pa.Array) -> Codes:
