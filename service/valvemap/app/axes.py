@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from valvemap.app.build import alignment_of, timing_of
-from valvemap.app.connections import build_axis_sources, build_supervisor_settings
+from valvemap.app.connections import build_axis_sources
 from valvemap.clock import Clock
 from valvemap.config.axes import AxisConfig
 from valvemap.config.models import Config
@@ -17,6 +17,7 @@ from valvemap.pipeline.axes import AxisPlan
 from valvemap.pipeline.axis_ports import AxisDescription, AxisOperator, AxisResults
 from valvemap.runtime.axes import LINES, LiveAxes
 from valvemap.runtime.sources import supervise_all
+from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.storage.checkpoints import CheckpointFile
 
 
@@ -38,6 +39,7 @@ async def run_axes(
     clock: Clock,
     stop: asyncio.Event,
     ready: Callable[[], Awaitable[None]],
+    supervision: SupervisorSettings,
 ) -> None:
     """Identify the axes of a configuration until ``stop`` is set; without axes, show none.
 
@@ -55,7 +57,6 @@ async def run_axes(
         live = build_live_axes(config, server, store, clock)
         await server.follow_axes(live.descriptions, live)
         live.start()
-        supervision = build_supervisor_settings(config)
         try:
             await supervise_all(build_axis_sources(config, ready), live, clock, stop, supervision)
         finally:

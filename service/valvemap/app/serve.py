@@ -168,7 +168,7 @@ async def _live(
         await _together(
             ended,
             supervise_all(plan.source, pulse, clock, ended, supervision),
-            run_axes(config, server, clock, ended, plan.compiled.ended),
+            run_axes(config, server, clock, ended, plan.compiled.ended, supervision),
         )
     finally:
         server.take_no_commands()

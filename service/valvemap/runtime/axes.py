@@ -18,7 +18,7 @@ from valvemap.pipeline.axis_ports import AxisDescription, AxisResults, AxisSink,
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import Checkpoint, CheckpointStore
 from valvemap.runtime.daemon_thread import in_daemon_thread
-from valvemap.runtime.failure_log import log_left_out
+from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.vocabulary.statuses import AxisStatus
 
@@ -119,7 +119,7 @@ class LiveAxes:
                 self._show(number)
         if now >= self._save_due:
             self._save_due = now + self._interval_s
-            await asyncio.to_thread(self._save)
+            await self._save()
 
     async def lost(
         self,
@@ -134,7 +134,8 @@ class LiveAxes:
         for task in self._jobs.values():
             task.cancel()
         await asyncio.gather(*self._jobs.values(), return_exceptions=True)
-        await asyncio.to_thread(self._save)
+        log_missing(self._arrivals.left_out())
+        await self._save()
 
     def demand_speed(self, axis: str, v: float) -> None:
         """Demand a speed, mm/s; NaN withdraws the demand."""
@@ -215,8 +216,11 @@ class LiveAxes:
             found = replace(found, is_stale=True)
         return found if not found.is_stale else replace(found, required=RequiredU())
 
-    def _save(self) -> None:
-        """Save the states; an error is logged, and the next save tries again."""
+    async def _save(self) -> None:
+        """Save the states; an error is logged, and the next save tries again.
+
+        They are packed here: a job's outcome must not change one halfway.
+        """
         kept = []
         for axis in self.axes:
             packed = axis.to_bytes()
@@ -233,6 +237,6 @@ class LiveAxes:
                     )
                 )
         try:
-            self._store.save(kept)
+            await asyncio.to_thread(self._store.save, kept)
         except StorageError as error:
             log.warning("states of axes not kept", reason=str(error))
