@@ -14,7 +14,7 @@ from valvemap.config.models import Config
 from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import AxisPlan
-from valvemap.pipeline.axis_ports import AxisDescription, AxisOperator, AxisResults
+from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.runtime.axes import LINES, LiveAxes
 from valvemap.runtime.sources import supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
@@ -24,9 +24,7 @@ from valvemap.storage.checkpoints import CheckpointFile
 class AxisServer(Protocol):
     """Shows axes."""
 
-    async def follow_axes(
-        self, axes: Sequence[AxisDescription], operator: AxisOperator | None
-    ) -> None:
+    async def follow_axes(self, axes: Sequence[str], operator: AxisOperator | None) -> None:
         """Show these axes, in place of those before."""
 
     def show_axis(self, axis: str, results: AxisResults) -> None:
@@ -55,7 +53,7 @@ async def run_axes(
         return
     with CheckpointFile(axes_file(config)) as store:
         live = build_live_axes(config, server, store, clock)
-        await server.follow_axes(live.descriptions, live)
+        await server.follow_axes(live.names, live)
         live.start()
         try:
             await supervise_all(build_axis_sources(config, ready), live, clock, stop, supervision)

@@ -1,10 +1,11 @@
 """Configuration of an axis: a cylinder that is the flow meter of its valve."""
 
+from dataclasses import replace
 from typing import Annotated, Any, Final, Self
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from valvemap.config.ports import node_id
+from valvemap.config.ports import check_each_once, node_id
 from valvemap.config.sections import Section
 from valvemap.config.signals import SignalConfig
 from valvemap.pipeline.units import Measure, Quantity, inside
@@ -68,11 +69,7 @@ class AxisNodesConfig(Section):
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
-        names: dict[str, str] = {}
-        for name in type(self).model_fields:
-            node = getattr(self, name)
-            if node is not None and names.setdefault(node, name) != name:
-                raise ValueError(f"{names[node]} and {name} are the same node, '{node}'")
+        check_each_once({name: getattr(self, name) for name in type(self).model_fields})
         return self
 
 
@@ -85,21 +82,15 @@ class AxisSignalsConfig(
     def _quantities_fit(self) -> Self:
         for name, quantity in _QUANTITIES.items():
             given: SignalConfig = getattr(self, name)
-            unit = given.known_unit
-            if unit is not None and unit.quantity not in (quantity, Quantity.ELECTRICAL):
-                raise ValueError(
-                    f"{name}.unit = {given.unit!r} is a unit of {unit.quantity.noun}; "
-                    f"a unit of {quantity.noun} is needed, such as {quantity.value}"
-                )
+            given.check_quantity(name, quantity)
         return self
 
     def measure(self, name: str) -> Measure:
         """Return unit and scaling of a signal."""
         given: SignalConfig = getattr(self, name)
-        unit = given.known_unit
-        if unit is None or unit.quantity is Quantity.ELECTRICAL:
-            unit = inside(_QUANTITIES[name])  # that of raw is electrical
-        return Measure(None, unit, given.raw, given.range)
+        quantity = _QUANTITIES[name]
+        measure = given.measure_of(quantity)
+        return replace(measure, unit=measure.unit or inside(quantity))
 
 
 class AxisConfig(Section):

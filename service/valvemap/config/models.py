@@ -25,7 +25,7 @@ from valvemap.config.estimators import (
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
-from valvemap.config.ports import PortsConfig, node_id
+from valvemap.config.ports import PortsConfig, check_each_once, node_id
 from valvemap.config.sections import Section, SettingsFile, per_signal
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.extrapolation import ONE_EDGE
@@ -315,11 +315,7 @@ class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: i
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
-        names: dict[str, str] = {}
-        for name in type(self).model_fields:
-            node = self.of(name)
-            if node is not None and names.setdefault(node, name) != name:
-                raise ValueError(f"{names[node]} and {name} are the same node, '{node}'")
+        check_each_once({name: self.of(name) for name in type(self).model_fields})
         return self
 
     @field_validator("*")

@@ -1,6 +1,6 @@
 """Configuration of a valve with ports: its nodes by port, edges and lines."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, Literal, Self
 
 from pydantic import Field, create_model, field_validator, model_validator
@@ -99,11 +99,7 @@ class PortsConfig(
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
-        names: dict[str, str] = {}
-        for name in (*SIGNAL_OF, "sequence"):
-            node = self.node(name)
-            if node is not None and names.setdefault(node, name) != name:
-                raise ValueError(f"{names[node]} and {name} are the same node, '{node}'")
+        check_each_once({name: self.node(name) for name in (*SIGNAL_OF, "sequence")})
         return self
 
     @model_validator(mode="after")
@@ -187,6 +183,20 @@ class PortsConfig(
     def _missing(self, edge: Edge) -> str:
         names = [f"Q{edge.line}", *self.drop(edge).values()]
         return ", ".join(name for name in names if self.node(name) is None)
+
+
+def check_each_once(nodes: Mapping[str, str | None]) -> None:
+    """Refuse two signals with the same node.
+
+    Raises
+    ------
+    ValueError
+        naming both.
+    """
+    names: dict[str, str] = {}
+    for name, node in nodes.items():
+        if node is not None and names.setdefault(node, name) != name:
+            raise ValueError(f"{names[node]} and {name} are the same node, '{node}'")
 
 
 def node_id(text: str) -> str:

@@ -67,10 +67,29 @@ class SignalConfig(Section):
 
     def measure(self, signal: str) -> Measure:
         """Return the configured unit and scaling of the signal."""
+        return self.measure_of(QUANTITY_OF[signal])
+
+    def measure_of(self, quantity: Quantity) -> Measure:
+        """Return the configured unit and scaling of a signal of this quantity."""
         unit = self.known_unit
         if unit is not None and unit.quantity is Quantity.ELECTRICAL:
-            unit = inside(QUANTITY_OF[signal])  # the configured unit is that of raw
+            unit = inside(quantity)  # the configured unit is that of raw
         return Measure(self.column, unit, self.raw, self.range)
+
+    def check_quantity(self, name: str, quantity: Quantity) -> None:
+        """Refuse a unit of another quantity.
+
+        Raises
+        ------
+        ValueError
+            naming the signal, its unit and a unit that fits.
+        """
+        unit = self.measure_of(quantity).unit
+        if unit is not None and unit.quantity is not quantity:
+            raise ValueError(
+                f"{name}.unit = {self.unit!r} is a unit of {unit.quantity.noun}; "
+                f"a unit of {quantity.noun} is needed, such as {quantity.value}"
+            )
 
     def in_words(self, signal: str) -> str:
         """Return unit and scaling in words.
@@ -102,12 +121,7 @@ class SignalsConfig(per_signal("Signals", lambda _: (SignalConfig, SignalConfig(
 
     @model_validator(mode="after")
     def _quantities_fit(self) -> Self:
-        for name in QUANTITY_OF:
+        for name, quantity in QUANTITY_OF.items():
             signal: SignalConfig = getattr(self, name)
-            unit, quantity = signal.measure(name).unit, QUANTITY_OF[name]
-            if unit is not None and unit.quantity is not quantity:
-                raise ValueError(
-                    f"{name}.unit = {signal.unit!r} is a unit of {unit.quantity.noun}; "
-                    f"a unit of {quantity.noun} is needed, such as {quantity.value}"
-                )
+            signal.check_quantity(name, quantity)
         return self

@@ -52,6 +52,11 @@ class AxisTable:
     leakage: float
     play_percent: float
 
+    def flow(self, dp: float) -> Floats:
+        """Return each edge's flow at a drop of dp > 0 (bar) over it, (4, n), l/min."""
+        s = np.sqrt(dp)
+        return np.asarray(s * (self.K + self.departure * (s / ROOT - 1.0)))
+
 
 class AxisAnswer(NamedTuple):
     """Answers of :func:`invert`, (N,): U and its interval (%), status, metering edge (0 … 3)."""

@@ -1,4 +1,4 @@
-"""The nodes of axes: what is identified of a cylinder's valve, and the inverse for speed."""
+"""The nodes of axes: parameters and edges of a cylinder's valve, and the inverse for speed."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -14,16 +14,17 @@ from guarded_opcua import (
     Variable,
     add_method,
     add_object,
-    add_variable,
 )
 from valvemap.clock import Clock
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import INVERSE, ROOT, VariableNode
-from valvemap.pipeline.axis_ports import AxisDescription, AxisOperator, AxisResults, RequiredU
+from valvemap.opcua_results.result_variables import add_described
+from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, RequiredU
 from valvemap.pipeline.ports import Answer
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 
+_SPEEDS: Final = (-5_000.0, 5_000.0)  # mm/s; faster than any cylinder
 _PERCENT: Final = (-100.0, 100.0)
 _PRESSURES: Final = (0.0, 1_000.0)
 _DOUBLE, _TEXT = ua.VariantType.Double, ua.VariantType.String
@@ -47,7 +48,7 @@ class AxisNodes:
         self._variables: dict[str, Variable] = {}
         self._names: tuple[str, ...] = ()
 
-    async def follow(self, axes: Sequence[AxisDescription], operator: AxisOperator | None) -> None:
+    async def follow(self, axes: Sequence[str], operator: AxisOperator | None) -> None:
         """Show these axes, in place of those before; ``operator`` is None if there are none."""
         server = self._server
         root = ua.NodeId(ROOT, server.namespace_index)
@@ -55,13 +56,13 @@ class AxisNodes:
         if gone:
             server.remove(gone, (root,))
         self._variables.clear()
-        self._names = tuple(axis.name for axis in axes)
+        self._names = tuple(axes)
         if operator is not None:
             for axis in axes:
                 await self._add(root, axis, operator)
 
-    async def _add(self, root: ua.NodeId, axis: AxisDescription, operator: AxisOperator) -> None:
-        server, name = self._server, axis.name
+    async def _add(self, root: ua.NodeId, name: str, operator: AxisOperator) -> None:
+        server = self._server
         words = f"The axis {name}: the edges of its valve, from position and pressures."
         folder = await add_object(server, root, name, description=words)
         for node in axis_variables(name):
@@ -76,9 +77,9 @@ class AxisNodes:
             server, folder, f"{name}.{INVERSE}", description="The control voltage for a speed."
         )
         demand = partial(_demand, operator, name)
-        for node in inverse_variables(axis):
+        for node in inverse_variables(name):
             await self._add_variable(parent, node, demand if node.writable else None)
-        await _add_invert(server, parent, axis, operator)
+        await _add_invert(server, parent, name, operator)
 
     async def _add_variable(
         self,
@@ -86,21 +87,8 @@ class AxisNodes:
         node: VariableNode,
         on_write: Callable[[float], Answer[None]] | None = None,
     ) -> None:
-        self._variables[node.id] = await add_variable(
-            self._server,
-            parent,
-            node.id,
-            None,
-            description=node.description,
-            type=node.kind,
-            unit=node.unit,
-            value_range=node.range,
-            dimensions=node.dimensions,
-            enum_strings=node.enum_strings,
-            writable_by=Role.OPERATOR if node.writable else None,
-            on_write=on_write,
-            or_nan=node.writable,  # NaN withdraws a demand
-        )
+        variable = await add_described(self._server, parent, node, None, on_write)
+        self._variables[node.id] = variable
 
     def show(self, axis: str, results: AxisResults) -> None:
         """Write the newest results of one axis."""
@@ -123,7 +111,7 @@ def axis_variables(axis: str) -> tuple[VariableNode, ...]:
         of(
             "Status", f"How the axis stands. {sentences}", ua.VariantType.Int32, statuses=AxisStatus
         ),
-        of("Reason", "Status in words, with what was found.", _TEXT),
+        of("Reason", "Status in words, with the figures behind it.", _TEXT),
         of("BulkModulus", "Bulk modulus of oil and hoses, GPa."),
         of("BulkModulusStd", "Standard deviation of BulkModulus, GPa."),
         of("Leakage", "Leakage between the lines A and B, in (l/min)/bar."),
@@ -152,9 +140,9 @@ def edge_variables(axis: str, edge: str) -> tuple[VariableNode, ...]:
     )
 
 
-def inverse_variables(axis: AxisDescription) -> tuple[VariableNode, ...]:
+def inverse_variables(axis: str) -> tuple[VariableNode, ...]:
     """Return the variables of the inverse for speed."""
-    prefix, fastest = f"{axis.name}.{INVERSE}", axis.fastest_mm_s
+    prefix = f"{axis}.{INVERSE}"
     sentences = " ".join(f"{one.value} {one.name}: {one.sentence}" for one in InverseStatus)
     end = "end of the 95 % interval of RequiredU"
     return (
@@ -162,7 +150,7 @@ def inverse_variables(axis: AxisDescription) -> tuple[VariableNode, ...]:
             f"{prefix}.SpeedDemand",
             "Speed of the piston that is demanded; above 0 extends, NaN withdraws the demand.",
             unit=Unit.MILLIMETRE_PER_SECOND,
-            range=(-fastest, fastest),
+            range=_SPEEDS,
             writable=True,
         ),
         VariableNode(
@@ -211,9 +199,8 @@ def values_of(results: AxisResults) -> Iterator[tuple[str, Any, int]]:
 
 
 async def _add_invert(
-    server: HardenedServer, parent: ua.NodeId, axis: AxisDescription, operator: AxisOperator
+    server: HardenedServer, parent: ua.NodeId, axis: str, operator: AxisOperator
 ) -> None:
-    fastest = axis.fastest_mm_s
     pressures = tuple(
         Argument(
             name,
@@ -224,7 +211,7 @@ async def _add_invert(
         )
         for name in ("pA", "pB", "pS", "pT")
     )
-    speed = Argument("v", "Speed", unit=Unit.MILLIMETRE_PER_SECOND, value_range=(-fastest, fastest))
+    speed = Argument("v", "Speed", unit=Unit.MILLIMETRE_PER_SECOND, value_range=_SPEEDS)
     temperature = Argument(
         "T", "Oil temperature; the map has none yet", unit=Unit.DEGREE_CELSIUS, or_nan=True
     )
@@ -232,8 +219,8 @@ async def _add_invert(
     await add_method(
         server,
         parent,
-        f"{axis.name}.{INVERSE}.Invert",
-        partial(_invert, operator, axis.name),
+        f"{axis}.{INVERSE}.Invert",
+        partial(_invert, operator, axis),
         inputs=(speed, *pressures, temperature),
         outputs=(
             Argument("U", "Control voltage; NaN if none can be trusted", unit=Unit.PERCENT),

@@ -32,7 +32,6 @@ from asyncua import ua
 from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
-from valvemap.pipeline.axis_ports import AxisDescription
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.edges import PARTS, split_id
 from valvemap.vocabulary.findings import FindingCode
@@ -115,9 +114,9 @@ def check_names(valves: Sequence[ValveDescription]) -> None:
         _check_unique(f"valve {valve.name}: estimator", names, _TAKEN)
 
 
-def check_axis_names(axes: Sequence[AxisDescription]) -> None:
+def check_axis_names(axes: Sequence[str]) -> None:
     """Check the names of axes, as `check_names` does those of valves."""
-    _check_unique("axis", [axis.name for axis in axes], {ROOT, SERVICE, TYPES})
+    _check_unique("axis", list(axes), {ROOT, SERVICE, TYPES})
 
 
 def estimator_variables(

@@ -69,22 +69,7 @@ class ResultVariables:
         type_definition
             None: BaseDataVariableType.
         """
-        variable = await add_variable(
-            place,
-            parent,
-            node.id,
-            value,
-            description=node.description,
-            type=node.kind,
-            unit=node.unit,
-            value_range=node.range,
-            dimensions=node.dimensions,
-            enum_strings=node.enum_strings,
-            writable_by=Role.OPERATOR if node.writable else None,
-            on_write=on_write,
-            or_nan=node.writable,  # NaN withdraws a demand
-            type_definition=type_definition,
-        )
+        variable = await add_described(place, parent, node, value, on_write, type_definition)
         self._added[node.id] = variable
         if self._past is not None and has_past(node.id):
             place.add_history([variable], self._past)
@@ -122,3 +107,30 @@ class ResultVariables:
         for known in (self._added, self._waiting):
             for id_ in [id_ for id_ in known if split_id(id_)[0] in valves]:
                 del known[id_]
+
+
+async def add_described(
+    place: Place,
+    parent: ua.NodeId,
+    node: VariableNode,
+    value: Any,  # noqa: ANN401 - as the variable's type says
+    on_write: Callable[[float], Answer[None]] | None = None,
+    type_definition: ua.NodeId | None = None,
+) -> Variable:
+    """Add a variable as its description says; arguments as those of `ResultVariables.add`."""
+    return await add_variable(
+        place,
+        parent,
+        node.id,
+        value,
+        description=node.description,
+        type=node.kind,
+        unit=node.unit,
+        value_range=node.range,
+        dimensions=node.dimensions,
+        enum_strings=node.enum_strings,
+        writable_by=Role.OPERATOR if node.writable else None,
+        on_write=on_write,
+        or_nan=node.writable,  # NaN withdraws a demand
+        type_definition=type_definition,
+    )

@@ -44,7 +44,7 @@ from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_types import VALVE, add_types, type_of
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
-from valvemap.pipeline.axis_ports import AxisDescription, AxisOperator, AxisResults
+from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.ports import (
     AlarmChange,
     Health,
@@ -200,9 +200,7 @@ class ResultsServer(Startable):
         await self._demands.repeat()
         self._say_what_changed(server, change.before, change.after)
 
-    async def follow_axes(
-        self, axes: Sequence[AxisDescription], operator: AxisOperator | None
-    ) -> None:
+    async def follow_axes(self, axes: Sequence[str], operator: AxisOperator | None) -> None:
         """Show these axes, in place of those before; ``operator`` is None if there are none.
 
         Raises

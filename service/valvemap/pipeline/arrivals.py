@@ -185,7 +185,7 @@ class Arrivals:
         return new
 
     def left_out(self) -> dict[str, int]:
-        """Return the samples missing so far of each valve whose changes are dropped, by name."""
+        """Return the number of missing samples of each valve whose changes are dropped, by name."""
         rows = np.flatnonzero(self.failed)
         missing = self.counts(rows)[:, _MISSING].tolist()
         return dict(zip((self.names[row] for row in rows), missing, strict=True))

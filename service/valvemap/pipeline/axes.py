@@ -3,7 +3,7 @@
 An axis is read as two rows of signals, one for each of its lines: U, the pressures on both sides of
 the line's edges, and the position. A search over the newest minutes finds play and spool, and takes
 seconds: the caller runs it beside everything else, as it does the solution of the sums. Between
-two searches the sums go on sample by sample.
+two searches the sums continue sample by sample.
 """
 
 from collections.abc import Callable
@@ -26,19 +26,17 @@ from valvemap.model.axis_search import AxisResult, identify
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.pipeline.edges import MOST_WAITING, paired
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
-from valvemap.pipeline.kernels.edges import meet
-from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
 
-WINDOW_S: Final = 200.0  # s; what a search looks at: more does not move play and spool
+WINDOW_S: Final = 200.0  # s; length of a search: more does not move play and spool
 MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
-MOST_UNMET: Final = 4_096  # samples of one line that wait for those of the other
 SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of samples until the first searches
 AGAIN_S: Final = 600.0  # s of samples between two later searches
 REFUSED_AGAIN_S: Final = 30.0  # s; after a search that found nothing
 REFIT_S: Final = 5.0  # s of samples between two fits of the sums
-SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # what a search may differ by, and the sums go on
+SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # up to these differences the sums continue
 _RATED_BAR: Final = 70.0
 _NO_TIME: Final = np.empty(0, np.int64)
 
@@ -55,7 +53,7 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class _Known:
-    """What follows from the sums: the table that is searched, and the map that is shown."""
+    """The solution of the sums: the table that is searched, and the map that is shown."""
 
     table: AxisTable
     map: AxisMap
@@ -103,15 +101,12 @@ class Axis:
 
     def _meet(self) -> None:
         (t_A, of_A), (t_B, of_B) = self._unmet
-        rows, of = np.empty((2, min(len(t_A), len(t_B))), np.int64)
-        n, used_A, used_B = meet(t_A, t_B, rows, of)
-        used_A = max(used_A, len(t_A) - MOST_UNMET)
-        used_B = max(used_B, len(t_B) - MOST_UNMET)
-        self._unmet = [(t_A[used_A:], of_A[:, used_A:]), (t_B[used_B:], of_B[:, used_B:])]
-        if n:
-            U, pS, pA, x, T = of_A[:, rows[:n]]
-            _, pB, pT, *_ = of_B[:, of[:n]]
-            self.take(AxisSamples.of(t_A[rows[:n]], U=U, x=x, pA=pA, pB=pB, pS=pS, pT=pT, T=T))
+        rows, of, past_A, past_B = paired(t_A, t_B, MOST_WAITING)
+        self._unmet = [(t_A[past_A:], of_A[:, past_A:]), (t_B[past_B:], of_B[:, past_B:])]
+        if len(rows):
+            U, pS, pA, x, T = of_A[:, rows]
+            _, pB, pT, *_ = of_B[:, of]
+            self.take(AxisSamples.of(t_A[rows], U=U, x=x, pA=pA, pB=pB, pS=pS, pT=pT, T=T))
 
     def take(self, samples: AxisSamples) -> None:
         """Take whole samples."""
@@ -153,7 +148,7 @@ class Axis:
         return None
 
     def accept(self, outcome: Outcome) -> None:
-        """Take over what a job has found; a refusal changes no map that there is."""
+        """Apply the outcome of a job; a refusal changes no map that there is."""
         self._works = False
         if isinstance(outcome, _Known):
             self._known = outcome
@@ -217,7 +212,7 @@ class Axis:
         return RequiredU(U, lower, upper, InverseStatus(int(found.status[0])))
 
     def results(self) -> AxisResults:
-        """Return what is known now."""
+        """Return the present results."""
         used_s, left_out = 0.0, dict[str, int]()
         if self._state is not None:
             left_out = self._state.reasons()
@@ -234,17 +229,17 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """What a stored state is bound to."""
+        """The hash that a stored state is bound to."""
         return key_of(self.plan)
 
     def to_bytes(self) -> bytes | None:
-        """Return what is learnt; None: nothing yet."""
+        """Return the learnt state; None before the first search."""
         if self._state is None:
             return None
         return pack(Learnt(self._regression, self._state, self._of_shape), self.key)
 
     def resume(self, packed: bytes) -> None:
-        """Go on from a stored state; the next `job` gives its map.
+        """Resume a stored state; the next `job` gives its map.
 
         Raises
         ------
@@ -270,7 +265,7 @@ def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _
             play_percent=regression.play_percent,
             spool_hz=regression.spool_hz,
             U=table.y,
-            flow=np.stack([found.flow(edge, table.y, _RATED_BAR) for edge in EDGES]),
+            flow=table.flow(_RATED_BAR),
             flow_std=table.spread * np.sqrt(_RATED_BAR),
             known=table.known,
         ),

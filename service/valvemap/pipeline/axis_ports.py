@@ -1,4 +1,4 @@
-"""What axes show to the outside, and what is asked of them."""
+"""The results of axes, and the ports that show and demand them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,14 +8,6 @@ import numpy as np
 
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
-
-
-@dataclass(frozen=True)
-class AxisDescription:
-    """What is shown of an axis: its name, and the highest speed that can be demanded, mm/s."""
-
-    name: str
-    fastest_mm_s: float = 5_000.0
 
 
 @dataclass(frozen=True)
@@ -30,7 +22,7 @@ class RequiredU:
 
 @dataclass(frozen=True)
 class AxisMap:
-    """What is identified of an axis.
+    """The map of an axis and its parameters.
 
     Attributes
     ----------
@@ -61,7 +53,7 @@ class AxisMap:
 class AxisResults:
     """The state of one axis; ``t`` is the time of its newest sample, UTC ns; 0: there is none.
 
-    ``left_out`` has the number of intervals by reason; ``used_s`` is what was learnt from, s.
+    ``left_out`` has the number of intervals by reason; ``used_s`` is the movement learnt from, s.
     ``is_stale``: no sample has come for long.
     """
 

@@ -72,16 +72,11 @@ class _Waiting:
 
     def meet(self, most: int) -> tuple[Samples, Floats, int]:
         """Return the samples that have met the line's, its leakage, and the number dropped."""
-        size = min(len(self.own), len(self.line_t))
-        rows, of = np.empty((2, size), np.int64)
-        n, used_own, used_line = kernel.meet(self.own.t, self.line_t, rows, of)
-        samples, leakage = self.own[rows[:n]], self.leakage[of[:n]]
-        dropped = used_own - n
-        too_many = max(len(self.own) - used_own - most, 0)
-        self.own = self.own[slice(used_own + too_many, None)]
-        used_line = max(used_line, len(self.line_t) - most)
-        self.line_t, self.leakage = self.line_t[used_line:], self.leakage[used_line:]
-        return samples, leakage, dropped + too_many
+        rows, of, past_own, past_line = paired(self.own.t, self.line_t, most)
+        samples, leakage = self.own[rows], self.leakage[of]
+        self.own = self.own[slice(past_own, None)]
+        self.line_t, self.leakage = self.line_t[past_line:], self.leakage[past_line:]
+        return samples, leakage, past_own - len(rows)
 
 
 class Splitter:
@@ -211,6 +206,26 @@ class Splitter:
         columns = dict(zip(MEASURED, np.ascontiguousarray(kept.values.T), strict=True))
         waiting.own = Samples(t=kept.t, quality=kept.quality, **columns)
         waiting.line_t, waiting.leakage = kept.line_t, kept.leakage
+
+
+def paired(own: Times, other: Times, most: int) -> tuple[Times, Times, int, int]:
+    """Pair the samples of two rows of signals by their times; ``most`` of either may wait.
+
+    Returns
+    -------
+    rows, of
+        The rows (n,) of the pairs.
+    past_own, past_other
+        Where the samples begin that wait on; those before are paired or dropped.
+
+    Examples
+    --------
+    >>> paired(np.array([1, 2, 4]), np.array([2, 3]), 10)
+    (array([1]), array([0]), 2, 2)
+    """
+    rows, of = np.empty((2, min(len(own), len(other))), np.int64)
+    n, past_own, past_other = kernel.meet(own, other, rows, of)
+    return rows[:n], of[:n], max(past_own, len(own) - most), max(past_other, len(other) - most)
 
 
 def gathered(parts: Mapping[int, Samples]) -> ByValve:

@@ -1,4 +1,4 @@
-"""What is stored of an axis, as bytes. Pure."""
+"""The state of an axis as bytes. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -53,7 +53,7 @@ class _Kept(State):
 
 
 def pack(learnt: Learnt, key: str) -> bytes:
-    """Return what is learnt as bytes; ``key`` is what they are bound to."""
+    """Return the state as bytes, bound to ``key``."""
     one = learnt.regression
     return _Kept(
         period_s=np.array(one.period_s),
@@ -65,7 +65,7 @@ def pack(learnt: Learnt, key: str) -> bytes:
 
 
 def unpack(packed: bytes, key: str, regression: AxisRegression) -> Learnt:
-    """Return what `pack` has packed; ``regression`` has the geometry and the memory.
+    """Return the state that `pack` has packed; ``regression`` has the geometry and the memory.
 
     Raises
     ------

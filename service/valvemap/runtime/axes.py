@@ -14,7 +14,7 @@ from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis, AxisPlan, Job
-from valvemap.pipeline.axis_ports import AxisDescription, AxisResults, AxisSink, RequiredU
+from valvemap.pipeline.axis_ports import AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import Checkpoint, CheckpointStore
 from valvemap.runtime.daemon_thread import in_daemon_thread
@@ -78,9 +78,9 @@ class LiveAxes:
         self._save_due = now + checkpoint_interval_s
 
     @property
-    def descriptions(self) -> list[AxisDescription]:
-        """What is shown of the axes."""
-        return [AxisDescription(axis.plan.name) for axis in self.axes]
+    def names(self) -> list[str]:
+        """Names of the axes."""
+        return list(self._numbers)
 
     def start(self) -> None:
         """Resume from the stored states, and show every axis."""
