@@ -1,7 +1,7 @@
 """Dynamics of spool and meter on simulated valves: ``python -m benchmarks.dynamics [--seeds N]``.
 
 Random steps of U for 60 s at a slowly swept Δp; spool of second order with slew limit, play-free,
-integrated at 20 kHz; σ = .4 l/min. Rows: f ≤ 25 Hz at 100 Hz, 8 … 60 Hz at 1 kHz; slew reached or
+integrated at 100 kHz; σ = .4 l/min. Rows: f ≤ 25 Hz at 100 Hz, 8 … 60 Hz at 1 kHz; slew reached or
 not. ``--report`` takes the seeds that nothing is tuned on.
 """
 
@@ -20,7 +20,7 @@ from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Status
 
 REPORT: Final = 97_000
-FINE_HZ: Final = 20_000
+FINE_HZ: Final = 100_000
 SECONDS: Final = 60.0
 NEVER: Final = 1e9
 
@@ -83,7 +83,9 @@ def plant(seed: int, rate: float, *, limited: bool) -> tuple[Samples, dict[str, 
     from_zero = spool_of(
         np.concatenate([[0.0], np.full(2 * FINE_HZ, step)]), f, zeta, slew, 1.0 / FINE_HZ
     )
-    truth["T90"] = float(np.flatnonzero(from_zero >= 0.9 * step)[0]) / FINE_HZ + dead
+    k = int(np.flatnonzero(from_zero >= 0.9 * step)[0])
+    part = (0.9 * step - from_zero[k - 1]) / (from_zero[k] - from_zero[k - 1])
+    truth["T90"] = (k - 1 + part) / FINE_HZ + dead
     return samples, truth, valve
 
 

@@ -4,8 +4,8 @@
 
 Nonlinear in ω = 2πf, ζ, slew, d and τ; the map is linear inside and eliminated by variable
 projection (Golub and Pereyra 1973, doi 10.1137/0710036). Between samples U is either constant, as a
-controller's output is, or a line, as a slow signal is: the better of both is taken, because the
-wrong one biases f. Δp is a line.
+controller's output is, or a line, as a slow signal is. The wrong one biases f, and both fit nearly
+as well: a line is taken only if it is significantly better. Δp is a line.
 """
 
 import math
@@ -22,20 +22,23 @@ from valvemap.vocabulary.statuses import Quality, Status
 NAMES: Final = ("NaturalFrequency", "Damping", "Slew", "DeadTime", "MeterLag")
 UNITS: Final = {"NaturalFrequency": "Hz", "Damping": "1", "Slew": "%/s"}  # the others: s
 STEP_S: Final = 2.5e-4  # s; of the integration
-PARTS: Final = 14  # intervals of the map's B-splines along U
+PARTS: Final = 20  # intervals of the map's B-splines along U
+COLUMNS: Final = 3 * (PARTS + 2)  # of the map: B-splines times s, s·|s| and s³
 BEYOND: Final = 0.2  # share of the range of U by which the spool may overshoot it
 RIDGE: Final = 1e-9  # of the largest diagonal: columns without samples
 LEAST_HZ: Final = 90.0  # Hz; slower samples do not show a spool
 SLOWEST, FASTEST = 0.5, 200.0  # Hz; bounds of f
-STARTS_HZ: Final = (6.0, 12.0, 20.0, 32.0, 50.0)
-STARTS_LAG_S: Final = (0.003, 0.015, 0.04)
-STARTS_SLEW: Final = (math.inf, 1000.0, 300.0)  # %/s
+STARTS_HZ: Final = (4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 100.0)
+STARTS_LAG_S: Final = (0.003, 0.012, 0.035)
+STARTS_SLEW: Final = (math.inf, 0.5, 0.25, 0.12)  # of the fastest that a full step reaches
+FASTEST_STEP: Final = 240.0  # %/s per Hz of f: a full step of a spool without a limit
 START_S: Final = 8.0  # s of samples on which starts are compared
-KEPT: Final = 2  # starts that are continued
+KEPT: Final = 4  # starts that are continued
 FLAT: Final = 8.0  # 2·log likelihood, below which a parameter is not excited
 UNSURE: Final = 0.3  # relative standard deviation above which f or ζ is not determined
 UNSURE_S: Final = 0.02  # s; the same for times
 NO_SLEW: Final = 1e6  # %/s; no limit
+COLOUR_S: Final = 0.1  # s; over which residuals of a misfit hang together
 ITERATIONS: Final = 15
 DONE: Final = 1e-5  # relative decrease of the sum of squares
 
@@ -92,7 +95,7 @@ class Dynamics:
         """Static flow at (U, Δp), both (N,), l/min."""
         low, width, top = self.axis
         s = np.sign(dp) * np.sqrt(np.abs(dp)) / top
-        X = np.zeros((len(U), 2 * (PARTS + 2)))
+        X = np.zeros((len(U), COLUMNS))
         for n in range(len(U)):  # a row at rest each
             row = X[n : n + 1]
             at = np.array([U[n]], np.float64)
@@ -191,17 +194,18 @@ def _fitted(samples: Samples, period: float) -> Dynamics:
     data = _data(samples, period, Hold.CONSTANT)
     short = _first(data, START_S)
     starts = [
-        _Point(f, 0.8, min(slew, NO_SLEW), 0.0, lag)
+        _Point(f, 0.7, min(slew * FASTEST_STEP * f, NO_SLEW), 0.0, lag)
         for f in STARTS_HZ if f < 0.45 / period
         for lag in STARTS_LAG_S
         for slew in STARTS_SLEW
     ]  # fmt: skip
     best = sorted(starts, key=lambda p: _residual(short, p)[1])[:KEPT]
-    point, S = min((_descend(short, p) for p in best), key=lambda end: end[1])
-    line, S_line = _descend(replace(short, hold=Hold.LINE), point)
-    if S_line < S:
-        point, data = line, replace(data, hold=Hold.LINE)
-    point, _ = _descend(data, point)
+    point, _ = min((_descend(short, p) for p in best), key=lambda end: end[1])
+    point, S = _descend(data, point)
+    as_lines = replace(data, hold=Hold.LINE)
+    line, S_line = _descend(as_lines, replace(point, dead=point.dead + 0.5 * period))
+    if len(data.t) * math.log(S / S_line) > FLAT:
+        point, data = line, as_lines
     return _judged(data, point)
 
 
@@ -211,9 +215,9 @@ def _first(data: _Data, seconds: float) -> _Data:
 
 
 def _columns(data: _Data, p: _Point) -> Floats:
-    """Return the map's columns behind spool and meter, (N, 2·(PARTS + 2))."""
+    """Return the map's columns behind spool and meter, (N, COLUMNS)."""
     h = data.h
-    X = np.zeros((len(data.t), 2 * (PARTS + 2)))
+    X = np.zeros((len(data.t), COLUMNS))
     left = math.exp(-h / p.lag) if p.lag > 1e-5 else 0.0
     low, width, _ = data.axis
     kernels.regressors(
@@ -298,20 +302,18 @@ def _descend(data: _Data, p: _Point, fixed: tuple[int, ...] = ()) -> tuple[_Poin
 
 def _judged(data: _Data, p: _Point) -> Dynamics:
     """Judge by profile likelihood what the samples tell, and give standard deviations."""
-    r, S, theta = _residual(data, p)
-    noise2 = S / max(len(r) - len(theta) - len(NAMES), 1)
     unlimited, S_unlimited = _descend(data, replace(p, slew=NO_SLEW), fixed=(2,))
-    slew_told = (S_unlimited - S) / noise2 > FLAT
+    r, S, _ = _residual(data, p)
+    noise2 = S / max(len(r) - COLUMNS - len(NAMES), 1)
+    P = _covariance(_jacobian(data, p.free, r), r, noise2, data.period)
+    slew_told = math.sqrt(P[2, 2]) < UNSURE and S_unlimited - S > FLAT * noise2 * _colour(r, data)
     if not slew_told:
         p = unlimited
-        r, S, theta = _residual(data, p)
+    r, S, theta = _residual(data, p)
     free = [0, 1, 2, 3, 4] if slew_told else [0, 1, 3, 4]
-    x = p.free
-    J = _jacobian(data, x, r)[:, free]
-    H = J.T @ J / noise2
-    H[np.diag_indices_from(H)] += 1e-12 * H.diagonal().max() + 1e-30
+    J = _jacobian(data, p.free, r)[:, free]
     P = np.zeros((5, 5))
-    P[np.ix_(free, free)] = np.linalg.inv(H)
+    P[np.ix_(free, free)] = _covariance(J, r, noise2, data.period)
     std = np.sqrt(np.maximum(P.diagonal(), 0.0))
     step = float(np.abs(np.diff(data.U)).max()) if data.hold is Hold.CONSTANT else 0.0
     step = max(step, 0.1 * float(np.ptp(data.U)))
@@ -320,7 +322,7 @@ def _judged(data: _Data, p: _Point) -> Dynamics:
     return Dynamics(
         natural_frequency=f,
         damping=zeta,
-        slew=_quantity(p.slew, p.slew * std[2], told=slew_told and std[2] < UNSURE),
+        slew=_quantity(p.slew, p.slew * std[2], told=slew_told),
         dead_time=_quantity(p.dead, 1e-3 * std[3], told=1e-3 * std[3] < UNSURE_S),
         meter_lag=_quantity(p.lag, 1e-3 * std[4], told=1e-3 * std[4] < UNSURE_S),
         T90=_rise(p, P, step, told=f.status is Status.OK),
@@ -330,6 +332,33 @@ def _judged(data: _Data, p: _Point) -> Dynamics:
         theta=theta,
         axis=data.axis,
     )
+
+
+def _covariance(J: Floats, r: Floats, noise2: float, period: float) -> Floats:
+    """Return the free numbers' covariance (n, n); coloured residuals widen it.
+
+    A misfit of the map leaves residuals of one sign for a while. The sum over their neighbours
+    (Newey and West 1987, doi 10.2307/1913610) replaces their variance where it is larger.
+    """
+    H = J.T @ J
+    H[np.diag_indices_from(H)] += 1e-12 * H.diagonal().max() + 1e-30
+    inverse = np.linalg.inv(H)
+    many = max(round(COLOUR_S / period), 1)
+    g = J * r[:, None]
+    middle = g.T @ g
+    for k in range(1, many):
+        across = g[k:].T @ g[:-k]
+        middle += (1.0 - k / many) * (across + across.T)
+    white, coloured = noise2 * inverse, inverse @ middle @ inverse
+    wider = np.sqrt(np.maximum(coloured.diagonal() / white.diagonal(), 1.0))
+    return np.asarray(white * np.outer(wider, wider), np.float64)
+
+
+def _colour(r: Floats, data: _Data) -> float:
+    """Return by how much neighbours add to the variance of a mean of residuals, 1 at least."""
+    many = max(round(COLOUR_S / data.period), 1)
+    means = np.add.reduceat(r, np.arange(0, len(r), many))
+    return max(float(means @ means / (r @ r)), 1.0)
 
 
 def _quantity(value: float, std: float, *, told: bool) -> Quantity:

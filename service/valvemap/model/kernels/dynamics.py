@@ -17,15 +17,17 @@ from valvemap.model.samples import Floats
 def _add(
     X: Floats, k: int, x: float, s: float, weight: float, low: float, width: float, parts: int
 ) -> None:
-    """Add the products of the B-splines of x with s and s·|s|, which belong to one step."""
+    """Add the products of the B-splines of x with s, s·|s| and s³, which belong to one step."""
     place = min(max((x - low) / width, 0.0), parts - 1e-9)
     j = int(place)
     z = place - j
     many = parts + 2
     first, last = 0.5 * (1.0 - z) ** 2, 0.5 * z * z
     for i, b in enumerate((first, 1.0 - first - last, last)):
-        X[k, j + i] += weight * b * s
-        X[k, many + j + i] += weight * b * s * abs(s)
+        share = weight * b * s
+        X[k, j + i] += share
+        X[k, many + j + i] += share * abs(s)
+        X[k, 2 * many + j + i] += share * s * s
 
 
 @lean_kernel
@@ -41,7 +43,7 @@ def regressors(
     steps: int,
     X: Floats,
 ) -> None:
-    """Write the meter's columns at N samples into ``X`` (N, 2·(parts + 2)).
+    """Write the meter's columns at N samples into ``X`` (N, 3·(parts + 2)).
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ def regressors(
         if k == 0:  # at rest before the first sample
             _add(X, 0, x, s[0], 1.0, low, width, parts)
             continue
-        for j in range(2 * many):
+        for j in range(3 * many):
             X[k, j] = X[k - 1, j] * left**steps
         for i in range(steps):
             u = U[(k - 1) * steps + i]
