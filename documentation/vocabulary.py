@@ -2,6 +2,7 @@
 
 from documentation.alarms import alarm_tables
 from documentation.tables import table
+from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
 from valvemap.vocabulary.signals import SENSORS, Signal
@@ -41,6 +42,11 @@ _ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
         AxisStatus,
         "AxisStatus",
         "Of `valvemap.model.axis_search.identify`: whether a cylinder's edges are identified.",
+    ),
+    (
+        DynamicsStatus,
+        "Dynamics.Status",
+        "`s=<Valve>.Dynamics.Status`: how the dynamics of a valve stand.",
     ),
     (
         FindingCode,

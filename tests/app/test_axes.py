@@ -2,15 +2,15 @@
 
 import asyncio
 import dataclasses
-from contextlib import suppress
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role
 from guarded_opcua.security.users import UserStore
 from support.processes import free_port, rig_url
+from support.served import PASSWORD, serving
 from valvemap.app.axes import axes_file, plan_of
 from valvemap.app.serve import serve
 from valvemap.config.loading import load_config
@@ -24,7 +24,6 @@ from valvemap_rig.directional import DirectionalValve, true_edge_flow
 pytestmark = pytest.mark.waits
 
 
-PASSWORD = "correct horse"
 SIGMA = 0.4  # l/min
 AXIS = """
 [[axes]]
@@ -71,27 +70,11 @@ def axis_config(config, tmp_path):
     return config.model_copy(update={"axes": loaded.axes, "valves": loaded.valves})
 
 
-class Seen:
-    """What a client sees of the axis."""
-
-    def __init__(self, client, index):
-        self.client, self.index = client, index
-
-    def node(self, name):
-        return self.client.get_node(ua.NodeId(f"Press.{name}", self.index))
-
-    async def value(self, name):
-        """A value, though it be old: a busy machine is late."""
-        return (await self.node(name).read_data_value(raise_on_bad_status=False)).Value.Value
-
-    async def until(self, name, is_so):
-        while not is_so(await self.value(name)):  # noqa: ASYNC110 - no event
-            await asyncio.sleep(0.1)
-
-    async def invert(self, v, *pressures):
-        return await self.node("Inverse").call_method(
-            ua.NodeId("Press.Inverse.Invert", self.index), v, *pressures, 40.0
-        )
+async def inverted(seen, v, *pressures):
+    """What the method Invert answers."""
+    return await seen.node("Inverse").call_method(
+        ua.NodeId("Press.Inverse.Invert", seen.index), v, *pressures, 40.0
+    )
 
 
 async def test_an_axis_is_served_and_its_map_survives_a_restart(
@@ -104,10 +87,10 @@ async def test_an_axis_is_served_and_its_map_survives_a_restart(
         update={"source": axis_config.source.model_copy(update={"url": rig_url(port)})}
     )
     with start_rig(port, "--scenario", str(scenario)):
-        async with serving(config, settings) as seen:
+        async with serving(serve, config, settings, "Press", "Status") as seen:
             async with asyncio.timeout(200):
                 assert await seen.value("Status") == AxisStatus.TOO_SHORT
-                assert (await seen.invert(100.0, *[np.nan] * 4))[3] == InverseStatus.UNIDENTIFIED
+                assert (await inverted(seen, 100.0, *[np.nan] * 4))[3] == InverseStatus.UNIDENTIFIED
                 await seen.until("PA.KnownTo", lambda found: found is not None)
                 await check_map(seen)
                 await check_inverse(seen)
@@ -116,7 +99,7 @@ async def test_an_axis_is_served_and_its_map_survives_a_restart(
         with CheckpointFile(axes_file(config)) as store:
             (kept,) = store.load()
         assert (kept.valve, kept.estimator) == ("Press", live_axes.ESTIMATOR)
-        async with serving(config, settings) as seen:
+        async with serving(serve, config, settings, "Press", "Status") as seen:
             async with asyncio.timeout(30):
                 await seen.until("Status", lambda status: status == AxisStatus.OK)
             await check_map(seen)
@@ -139,7 +122,7 @@ async def check_map(seen):
 async def check_inverse(seen):
     pressures = 90.0, 60.0, 175.0, 3.0
     for v in (150.0, -150.0):
-        U, lower, upper, status = await seen.invert(v, *pressures)
+        U, lower, upper, status = await inverted(seen, v, *pressures)
         assert status == InverseStatus.OK
         assert lower < U < upper
         assert np.sign(U) == np.sign(v)
@@ -191,34 +174,3 @@ def test_a_state_of_another_geometry_is_not_resumed(axis_config):
     (axis,) = axis_config.axes
     other = axis.model_copy(update={"piston_mm": 64.0})
     assert Axis(plan_of(axis)).key != Axis(plan_of(other)).key
-
-
-class serving:  # noqa: N801 - a context
-    """The service in this process, and a client of it."""
-
-    def __init__(self, config, settings):
-        self.config, self.settings, self.stop = config, settings, asyncio.Event()
-
-    async def __aenter__(self):
-        self.task = asyncio.ensure_future(serve(self.config, self.stop, self.settings))
-        async with asyncio.timeout(60):
-            while True:
-                if self.task.done():
-                    self.task.result()
-                with suppress(OSError, ua.UaError, asyncio.TimeoutError):
-                    self.client = Client(self.config.server.url)
-                    self.client.set_user("operator")
-                    self.client.set_password(PASSWORD)
-                    await self.client.connect()
-                    index = await self.client.get_namespace_index("urn:valvemap:service")
-                    seen = Seen(self.client, index)
-                    if await seen.value("Status") is not None:
-                        return seen
-                    await self.client.disconnect()
-                await asyncio.sleep(0.2)
-
-    async def __aexit__(self, *_):
-        with suppress(Exception):
-            await self.client.disconnect()
-        self.stop.set()
-        await self.task

@@ -27,7 +27,13 @@ READ = {  # what a command reads, or its own folder of certificates, users and s
 }
 READ_OF = {
     *(("invert", "file"), ("export", "file"), ("baseline", "file"), ("state import", "file")),
-    *(("axis", "file"), ("sheet", "recording"), ("sheet", "datasheet"), ("sheet", "against")),
+    *(
+        ("axis", "file"),
+        ("sheet", "recording"),
+        ("dynamics", "recording"),
+        ("sheet", "datasheet"),
+        ("sheet", "against"),
+    ),
 }
 AXIS = "axis r.csv --piston 63 --rod 45 --stroke 800 --dead 0.6"
 WRITTEN = {  # (command, parameter): the command line, {} is the path; and the file that is there
@@ -46,6 +52,8 @@ WRITTEN = {  # (command, parameter): the command line, {} is the path; and the f
     ("axis", "out"): (f"{AXIS} --to {{}}", "axis.st", ""),
     ("axis", "json_file"): (f"{AXIS} --json {{}}", "axis.json", ""),
     ("sheet", "out"): ("sheet V1 --from r.csv --out {}", "sheet.html", ""),
+    ("dynamics", "out"): ("dynamics V1 --from r.csv --out {}", "dynamics.html", ""),
+    ("dynamics", "json_file"): ("dynamics V1 --from r.csv --json {}", "dynamics.json", ""),
     ("sheet", "json_file"): ("sheet V1 --from r.csv --json {}", "sheet.json", ""),
     ("report", "out"): ("report --out {}", "reports", "paper.html"),
     ("history export", "file"): ("history export {}", "r.csv", ""),

@@ -76,7 +76,7 @@ def test_t90_is_that_of_the_step_response(found):
     ],
 )
 def test_what_cannot_tell_is_refused_with_a_sentence(samples, why):
-    assert why in str(fit_dynamics(samples))
+    assert why in fit_dynamics(samples).sentence
 
 
 def test_a_valve_at_rest_is_refused():
@@ -84,4 +84,4 @@ def test_a_valve_at_rest_is_refused():
     still = Samples.of(
         np.arange(N) * 10**7, np.full(N, 30.0), np.full(N, 60.0), np.zeros(N), np.ones(N)
     )
-    assert "U does not move" in str(fit_dynamics(still))
+    assert "U does not move" in fit_dynamics(still).sentence

@@ -23,6 +23,7 @@ SIZES = {
     FaultKind.WEAR: -20.0,
     FaultKind.DAMAGE: 12.0,
     FaultKind.EDGE: 0.5,
+    FaultKind.SLUGGISH: -50.0,
     FaultKind.LAG: 1.0,
     FaultKind.TEMPERATURE_RAMP: 15.0,
     FaultKind.FROZEN: 0.0,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from valvemap_rig.dynamics import lag, play
+from valvemap_rig.dynamics import lag, play, second_order
 
 NONE = float("nan")
 
@@ -37,3 +37,25 @@ def test_both_go_on_over_the_cut_between_blocks(cut):
         first = parts(u[:cut], 0.0)
         second = parts(u[cut:], first[-1] if cut else 0.0)
         assert np.concatenate([first, second]).tobytes() == whole.tobytes()
+
+
+def spool(u, memory=(NONE, 0.0), hz=8.0):
+    return second_order(u, np.full(len(u), hz), 0.6, 0.01, memory)
+
+
+def test_a_spool_follows_a_step_as_the_formula_says():
+    u = np.concatenate([[0.0], np.full(60, 100.0)])
+    x, _ = spool(u)
+    t = 0.01 * np.arange(60)
+    w, damped = 2 * np.pi * 8.0, 2 * np.pi * 8.0 * 0.8
+    truth = 1 - np.exp(-0.6 * w * t) * (np.cos(damped * t) + 0.75 * np.sin(damped * t))
+    assert x[1:] == pytest.approx(100.0 * truth, abs=0.05)
+
+
+@pytest.mark.parametrize("cut", [1, 137, 299])
+def test_a_spool_goes_on_over_the_cut_between_blocks(cut):
+    u = np.random.default_rng(1).uniform(0.0, 100.0, 300)
+    whole, _ = spool(u)
+    first, memory = spool(u[:cut])
+    second, _ = spool(u[cut:], memory)
+    assert np.concatenate([first, second]).tobytes() == whole.tobytes()

@@ -43,6 +43,40 @@ def changing_lag(u: Floats, time_constants: Floats, period: float, memory: float
     return np.asarray(_changing_lag(np.ascontiguousarray(u), steps, memory))
 
 
+def second_order(
+    u: Floats, hz: Floats, damping: float, period: float, memory: tuple[float, float]
+) -> tuple[Floats, tuple[float, float]]:
+    """Apply x'' = ω²·(u - x) - 2ζω·x'; return x at each sample, and (x, x') before the next.
+
+    ``u`` is constant from its sample to the next; ``hz`` is the natural frequency there.
+
+    >>> x, _ = second_order(np.array([0.0, 1.0, 1.0]), np.full(3, 5.0), 0.7, 0.1, (0.0, 0.0))
+    >>> x.round(2)
+    array([0.  , 0.  , 1.04])
+    """
+    x = np.empty_like(u)
+    memory = _second_order(np.ascontiguousarray(u), hz, damping, period, *memory, x)
+    return x, memory
+
+
+@numba.njit(cache=True)
+def _second_order(
+    u: Floats, hz: Floats, damping: float, period: float, x: float, v: float, out: Floats
+) -> tuple[float, float]:
+    for i in range(u.size):
+        if math.isnan(x):
+            x, v = u[i], 0.0
+        out[i] = x
+        w = 2.0 * math.pi * hz[i]
+        steps = max(1, math.ceil(100.0 * period * hz[i]))
+        h = period / steps
+        for _ in range(steps):  # the midpoint's acceleration
+            a = w * w * (u[i] - x) - 2.0 * damping * w * v
+            middle = w * w * (u[i] - x - 0.5 * h * v) - 2.0 * damping * w * (v + 0.5 * h * a)
+            x, v = x + h * v + 0.5 * h * h * a, v + h * middle
+    return x, v
+
+
 @numba.njit(cache=True)
 def _changing_lag(u: Floats, steps: Floats, memory: float) -> Floats:
     y = np.empty_like(u)

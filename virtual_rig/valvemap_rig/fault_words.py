@@ -62,6 +62,8 @@ def _what(fault: Fault, unit: ValveBench | Machine, sensors: Sensors) -> str:  #
         case FaultKind.EDGE:
             said = f"a gap of {size:g} l/min per √bar is worn into the main edge"
             return said + _at_full(unit, sensors, Condition(gap=size))
+        case FaultKind.SLUGGISH:
+            return f"the spool's natural frequency is {_relative(size)}" + _of_spool(unit)
         case FaultKind.LAG:
             return f"{signals} lags by {size:g} s more"
         case FaultKind.TEMPERATURE_RAMP:
@@ -89,6 +91,11 @@ def _what(fault: Fault, unit: ValveBench | Machine, sensors: Sensors) -> str:  #
 
 def _relative(percent: float) -> str:
     return f"{abs(percent):g} % {'higher' if percent > 0 else 'lower'}"
+
+
+def _of_spool(unit: ValveBench | Machine) -> str:
+    follows = isinstance(unit, Machine) or unit.valve.spool_hz
+    return "" if follows else ", without effect: it follows at once (spool_hz = 0)"
 
 
 def _at_full(bench: ValveBench | Machine, sensors: Sensors, worn: Condition) -> str:

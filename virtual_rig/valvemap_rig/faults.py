@@ -6,6 +6,7 @@ kind                size                                  what happens
 wear                % of the main edge's flow             drifts there over the duration, and stays
 damage              % of the main edge's flow             at once; a duration of 0 = for good
 edge                l/min per √bar                        a gap worn into the main edge, at once
+sluggish            % of the spool's natural frequency    at once; where spool_hz is above 0
 lag                 s                                     additional first-order lag of the signal
 temperature_ramp    K                                     tank drifts there over the duration, stays
 frozen              not used                              the signal keeps its last value
@@ -59,6 +60,7 @@ class FaultKind(StrEnum):
     WEAR = "wear"
     DAMAGE = "damage"
     EDGE = "edge"
+    SLUGGISH = "sluggish"
     LAG = "lag"
     TEMPERATURE_RAMP = "temperature_ramp"
     FROZEN = "frozen"
@@ -80,6 +82,7 @@ _SIZES: dict[FaultKind, tuple[float, float]] = {
     FaultKind.WEAR: (-90.0, 100.0),
     FaultKind.DAMAGE: (-90.0, 100.0),
     FaultKind.EDGE: (0.0, 10.0),
+    FaultKind.SLUGGISH: (-90.0, 100.0),
     FaultKind.LAG: (0.0, 60.0),
     FaultKind.TEMPERATURE_RAMP: (-30.0, 50.0),
     FaultKind.FROZEN: (-1e6, 1e6),
@@ -100,6 +103,7 @@ UNITS: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.WEAR: "% of the main edge's flow",
         FaultKind.DAMAGE: "% of the main edge's flow",
         FaultKind.EDGE: "l/min per √bar",
+        FaultKind.SLUGGISH: "% of the spool's natural frequency",
         FaultKind.LAG: "s",
         FaultKind.TEMPERATURE_RAMP: "K",
         FaultKind.FROZEN: "",
@@ -144,7 +148,8 @@ _OF_MACHINES = frozenset(
     }
 )
 VALVE_FAULTS: Final = tuple(kind for kind in FaultKind if kind not in _OF_MACHINES)
-MACHINE_FAULTS: Final = tuple(kind for kind in FaultKind if kind is not FaultKind.EDGE)
+_OF_VALVES: Final = frozenset({FaultKind.EDGE, FaultKind.SLUGGISH})
+MACHINE_FAULTS: Final = tuple(kind for kind in FaultKind if kind not in _OF_VALVES)
 _METERS: Final = frozenset({"Q", "QA", "QB", "x"})  # what a sensor fault concerns by default
 
 
@@ -247,9 +252,9 @@ def commanded_fault(kind: str, size: float, duration_s: float, of: Faultable = O
     ('p1',)
     >>> commanded_fault("rust", 1.0, 0.0)
     Traceback (most recent call last):
-    valvemap_rig.faults.FaultError: kind 'rust': allowed are wear, damage, edge, lag, \
-temperature_ramp, frozen, spikes, offset, bad_quality, uncertain_quality, drop_out, clock_step, \
-with .U, .p1, .p2, .Q or .T behind that of a sensor
+    valvemap_rig.faults.FaultError: kind 'rust': allowed are wear, damage, edge, \
+sluggish, lag, temperature_ramp, frozen, spikes, offset, bad_quality, uncertain_quality, drop_out, \
+clock_step, with .U, .p1, .p2, .Q or .T behind that of a sensor
     """
     name, dot, part = kind.partition(".")
     if name not in of.kinds or (dot and part not in {*of.signals, *of.edges}):
@@ -305,6 +310,12 @@ def total_size(faults: Faults, kind: FaultKind, index: NDArray[np.int64], rate: 
         if active.fault.kind is kind:
             total = total + active.fault.size * _is_on(active, index, rate)
     return total
+
+
+def spool_frequency(faults: Faults, hz: float, index: NDArray[np.int64], rate: float) -> Floats:
+    """Return the spool's natural frequency, Hz, (N,)."""
+    percent = total_size(faults, FaultKind.SLUGGISH, index, rate)
+    return np.asarray(hz * np.clip(1.0 + 0.01 * percent, 0.1, 2.0))
 
 
 def worn_gap(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:

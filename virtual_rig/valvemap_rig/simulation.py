@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap_rig.circuit import operating_point, tank_temperature
-from valvemap_rig.dynamics import lag, play
+from valvemap_rig.dynamics import lag, play, second_order
 from valvemap_rig.excitation import External, drive
 from valvemap_rig.faults import (
     SIGNALS,
@@ -21,6 +21,7 @@ from valvemap_rig.faults import (
     clock_error_ns,
     edge_factor,
     sensor_faults,
+    spool_frequency,
     still_felt,
     temperature_rise,
     worn_gap,
@@ -53,6 +54,7 @@ class ValveState:
     faults: Faults
     hysteresis: float = float("nan")
     pilot: float = float("nan")
+    spool: tuple[float, float] = (float("nan"), 0.0)  # %, %/s; where it is at the next sample
     sensors: Mapping[Signal, SensorMemory] = field(
         default_factory=lambda: {signal: SensorMemory() for signal in SIGNALS}
     )
@@ -214,10 +216,16 @@ def _advance_valve(
     U, p2_set = drive(scenario.excitation, index, rate, bench.circuit.p0_bar, seed, name, state.U)
     held = play(U, bench.valve.hysteresis_percent, state.hysteresis)
     pilot = lag(held, bench.valve.pilot_lag_s, period, state.pilot)
+    moved, spool = pilot, state.spool
+    if bench.valve.spool_hz:
+        hz = spool_frequency(state.faults, bench.valve.spool_hz, index, rate)
+        moved, spool = second_order(pilot, hz, bench.valve.spool_damping, period, spool)
     T = tank_temperature(bench.circuit, index / rate) + temperature_rise(state.faults, index, rate)
     edge = edge_factor(state.faults, index, rate)
     gap = worn_gap(state.faults, index, rate)
-    point = operating_point(bench, pilot_opening(bench.valve, pilot), p2_set, T, edge, gap)
+    point = operating_point(
+        bench, pilot_opening(bench.valve, np.clip(moved, 0.0, 100.0)), p2_set, T, edge, gap
+    )
 
     truths: dict[Signal, Floats] = {
         "U": U,
@@ -258,6 +266,7 @@ def _advance_valve(
         faults=still_felt(state.faults, int(index[-1]) + 1, rate),
         hysteresis=float(held[-1]),
         pilot=float(pilot[-1]),
+        spool=spool,
         sensors=memories,
     )
     return after, block

@@ -114,6 +114,17 @@ class Valvistor(Parameters):
         ge=0,
         le=10,
     )
+    spool_hz: float = parameter(
+        0.0,
+        "Hz",
+        "natural frequency of the spool; 0 = it follows at once",
+        "own choice: quasi-static data",
+        ge=0,
+        le=500,
+    )
+    spool_damping: float = parameter(
+        0.7, "1", "damping ratio of the spool", "own choice: little overshoot", ge=0.05, le=5
+    )
     poppet_transition_re: float = parameter(
         30.0,
         "1",

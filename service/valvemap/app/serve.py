@@ -36,6 +36,7 @@ from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Checkpoint
 from valvemap.runtime.daemon_thread import unless_stopped
+from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.sources import supervise_all
@@ -141,6 +142,8 @@ async def _live(
     config, clock = plan.config, SystemClock()
     keeper = None if past is None else PastKeeper(past, [valve.name for valve in config.valves])
     server = await shown.server(plan, past, None if keeper is None else keeper.note_alarm)
+    share, window_s = config.dynamics.share, config.dynamics.window_s
+    dynamics = LiveDynamics(plan.identification, clock, share, window_s) if share else None
     live = LiveService(
         plan.identification,
         plan.source,
@@ -150,6 +153,7 @@ async def _live(
         build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
         on_samples,
         keeper,
+        dynamics,
     )
     ended = asyncio.Event()
     await live.start(known)
@@ -172,6 +176,8 @@ async def _live(
         )
     finally:
         server.take_no_commands()
+        if dynamics is not None:
+            await dynamics.end()
         plan.compiled.stop()
         if stop.is_set():
             completing.cancel()

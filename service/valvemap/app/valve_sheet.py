@@ -8,13 +8,12 @@ from typing import Any, Final
 import numpy as np
 
 from valvemap.app.models import open_model
+from valvemap.app.valve_samples import samples_of
 from valvemap.config.datasheet import Datasheet
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.judged_sheet import Apart, Line, Verdict, compare, judge
-from valvemap.model.samples import Samples
 from valvemap.model.sheet import Figure, Sheet, SheetError, make_sheet
 from valvemap.storage.layout import Layout
-from valvemap.storage.recordings import read_recording
 
 _NOISE_PERCENT: Final = 1.0  # of a signal at 0
 
@@ -59,17 +58,7 @@ def sheet_of(
         naming the file, and why it tells no sheet.
     ConfigurationError, StorageError
     """
-    parts, others = [], set()
-    with read_recording(file, layout=layout) as batches:
-        for name, samples in batches:
-            if name == valve:
-                parts.append(samples)
-            else:
-                others.add(name)
-    if not parts:
-        there = f"; there is {', '.join(sorted(others))}" if others else ""
-        raise ConfigurationError(f"VALVE {valve!r}: {file} has no such valve{there}")
-    samples = Samples.concatenate(parts)
+    samples = samples_of(valve, file, layout)
     if U_range is None:
         lowest = float(samples.U[np.isfinite(samples.U)].min(initial=0.0))
         if lowest < -_NOISE_PERCENT:

@@ -18,7 +18,7 @@ import numpy as np
 
 from valvemap.app.build import alignment_of, build_identification, build_plans
 from valvemap.config.models import Config, ValveConfig
-from valvemap.model import flow_map_warm_up
+from valvemap.model import flow_map_warm_up, spool_fit
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.capabilities import ChoosesStructure, FindsChanges
 from valvemap.model.estimator import Estimator, key_of
@@ -213,6 +213,7 @@ def _parts(config: Config) -> list[Callable[[], None]]:
         partial(_first_maps, config),
         *((flow_map_warm_up.look, flow_map_warm_up.begin_again) if finds_structure else ()),
         *((_learn_axis,) if config.axes else ()),
+        *((_fit_dynamics,) if config.dynamics.share else ()),
     ]
 
 
@@ -226,6 +227,17 @@ def _learn_axis() -> None:
     axis = Axis(AxisPlan("", regression.geometry))
     axis.take_line(0, line)
     axis.take_line(1, line)
+
+
+def _fit_dynamics() -> None:
+    """Compile the fit of dynamics."""
+    few = _samples()
+    grid = spool_fit.Grid(
+        few.T, few.U, few.p1, few.Q, 1e-2, 40, spool_fit.Hold.CONSTANT, (0.0, 5.0, 1.0)
+    )
+    point = spool_fit.Point(10.0, 0.7, spool_fit.NO_SLEW, 0.0, 0.01)
+    spool_fit.residual(grid, point)
+    spool_fit.response(point, 1.0, 0.01)
 
 
 def _learn(estimator: Estimator[Any]) -> None:
@@ -290,6 +302,8 @@ def compile_here(config: Config) -> None:
     compile_alignment(config)  # by itself: at first the timing holds changes back
     if config.axes:
         _learn_axis()
+    if config.dynamics.share:
+        _fit_dynamics()
     identification = build_identification(config)
     if config.valves:
         identification.take(_ONE_CHANGE)

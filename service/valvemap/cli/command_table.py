@@ -57,6 +57,10 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "sheet",
         "Print a valve's sheet: rated flow, dead band, hysteresis and more, with intervals.",
     ),
+    "dynamics": Entry(
+        "dynamics",
+        "Print a valve's dynamics: natural frequency, damping, slew, dead time, T90.",
+    ),
     "init": Entry("security", "Create certificates, users and a configuration."),
     "trust": Entry(
         "security", "Trust a certificate of an application or user, or list the rejected ones."

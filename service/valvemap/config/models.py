@@ -16,6 +16,7 @@ from pydantic_settings import SettingsConfigDict
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from valvemap.config.axes import AxisConfig
 from valvemap.config.commission import CommissionConfig
+from valvemap.config.dynamics import DynamicsConfig
 from valvemap.config.estimators import (
     SECTIONS,
     AutoConfig,
@@ -41,6 +42,7 @@ RESERVED_ESTIMATORS = (
     "Alarms",
     "Baseline",
     "Diagnostics",
+    "Dynamics",
     "Inverse",
     "Frame",
     "FrameNames",
@@ -603,6 +605,7 @@ class Config(SettingsFile):
     recording: RecordingConfig = RecordingConfig()
     alarms: ServiceAlarmsConfig = ServiceAlarmsConfig()
     mqtt: MqttConfig = MqttConfig()
+    dynamics: DynamicsConfig = DynamicsConfig()
     axes: tuple[AxisConfig, ...] = Field((), description="cylinders as flow meters of their valves")
     valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
 

@@ -8,6 +8,7 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
+from valvemap.opcua_results.dynamics_nodes import DYNAMICS, dynamics_values
 from valvemap.opcua_results.information_model import (
     BASELINE,
     BUILDS_ON,
@@ -76,6 +77,7 @@ class ChangedResults:
         yield from self._baselines(results, now)
         yield from self._recommended(results, now)
         yield from self._findings(results, now)
+        yield from self._dynamics(results, now)
         for name, found in results.estimators.items():
             codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
@@ -123,6 +125,12 @@ class ChangedResults:
                 yield valve, Shown(FINDING_CODES, [int(one.code) for one in found], good, now)
                 chances = [one.probability for one in found]
                 yield valve, Shown(FINDING_PROBABILITIES, chances, good, now)
+
+    def _dynamics(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        for valve, found in zip(_numbers(results.valves), results.dynamics, strict=False):
+            if self._is_new(valve, DYNAMICS, found):
+                for new in dynamics_values(found, now):
+                    yield valve, new
 
     def _baselines(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
         for valve, found in zip(_numbers(results.valves), results.baselines, strict=False):

@@ -7,6 +7,7 @@ from asyncua import ua
 
 from guarded_opcua import Unit, add_object, add_property
 from valvemap.model.survey import axes
+from valvemap.opcua_results.dynamics_nodes import DYNAMICS, dynamics_variables
 from valvemap.opcua_results.information_model import (
     ALARMS,
     ARMED,
@@ -89,6 +90,7 @@ class ResultParts:
             INVERSE: ("The control voltage that a flow demands.", self._add_inverse),
             BASELINE: ("The map that was approved as new.", self._add_baseline),
             DIAGNOSTICS: (words, self._add_diagnostics),
+            DYNAMICS: ("How quickly spool and meter follow.", self._add_dynamics),
             ALARMS: ("Conditions that need attention.", self._add_alarms),
         }
 
@@ -203,6 +205,10 @@ class ResultParts:
             await add(counter_variable(valve.name, counter), 0)
         for node in health_variables(valve.name):
             await add(node, None)
+
+    async def _add_dynamics(self, place: Place, parent: ua.NodeId, valve: ValveDescription) -> None:
+        for node in dynamics_variables(valve.name):
+            await self._variables.add(place, parent, node, None)
 
     async def _add_alarms(self, _: Place, parent: ua.NodeId, valve: ValveDescription) -> None:
         await self._alarms.add(parent, valve.name, self._variables.add_standing)

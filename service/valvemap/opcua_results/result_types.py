@@ -7,6 +7,7 @@ from typing import Any
 from asyncua import ua
 
 from guarded_opcua import Declarations, HardenedServer, add_object, add_type
+from valvemap.opcua_results.dynamics_nodes import DYNAMICS
 from valvemap.opcua_results.information_model import (
     ALARMS,
     BASELINE,
@@ -27,6 +28,7 @@ _NAMES = {
     SIGNALS: ("SignalsType", "The newest sample of a valve."),
     BASELINE: ("BaselineType", "The map that was approved as new."),
     DIAGNOSTICS: ("DiagnosticsType", "What became of a valve's data on their way."),
+    DYNAMICS: ("DynamicsType", "How quickly the spool and the flow meter of a valve follow."),
     ALARM: ("AlarmType", "An alarm as plain tags."),
 }
 _NOT_OF_ALL = {

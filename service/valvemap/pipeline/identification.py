@@ -25,6 +25,7 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
 from valvemap.pipeline.call_journal import Call, CallJournal, changes_state
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.dynamics_results import DynamicsResults
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_columns import KeptColumns
 from valvemap.pipeline.kept_states import KeptStates
@@ -195,6 +196,11 @@ class Identification:
         self._results.note_source(valve, words)
         fleet, m = self._valves.at(valve)
         fleet.alarms.note_source(m, "; ".join(words))
+
+    @changes_state
+    def note_dynamics(self, valve: int, found: DynamicsResults) -> None:
+        """Note the dynamics of one valve; its results show them from now on."""
+        self._results.note_dynamics(valve, found)
 
     def timing(self, valve: int) -> tuple[str, ...]:
         """Describe how each of a valve's signals is stamped."""

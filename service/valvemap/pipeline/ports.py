@@ -16,6 +16,7 @@ from valvemap.model.recursive_least_squares import Change
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.model.survey import Survey
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.dynamics_results import DynamicsResults
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.recommendation import Recommendation
 from valvemap.vocabulary.commands import NAMED, Subject
@@ -449,7 +450,8 @@ class Results:
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``.
     For each valve, ``waiting`` gives the reasons why its samples are not used, ``timing`` how its
     signals are stamped, ``baselines`` its approved map, ``recommended`` the estimator to use,
-    ``findings`` the causes that explain its samples, ``alarms`` the state of its alarms.
+    ``findings`` the causes that explain its samples, ``dynamics`` those of spool and meter,
+    ``alarms`` the state of its alarms.
     """
 
     valves: Times
@@ -463,6 +465,7 @@ class Results:
     baselines: Sequence[Version | None] = ()
     recommended: Sequence[Recommendation] = ()
     findings: Sequence[tuple[Finding, ...]] = ()
+    dynamics: Sequence[DynamicsResults] = ()
     alarms: AlarmResults | None = None
     lines: LineResults | None = None
 

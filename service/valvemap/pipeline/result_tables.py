@@ -20,6 +20,7 @@ from valvemap.pipeline.all_valves import AllValves, once_each
 from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.dynamics_results import NOTHING_YET, DynamicsResults
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.fleet import COUNTER_NAMES as NOT_LEARNT
 from valvemap.pipeline.fleet import Fleet
@@ -87,6 +88,7 @@ class ResultTables:
         self._armed = armed
         self._commands = commands
         self._of_source: dict[int, tuple[str, ...]] = {}
+        self._dynamics: dict[int, DynamicsResults] = {}
         self._lines = lines
         self._alarms_base = 0  # added to the versions of alarms
 
@@ -131,6 +133,13 @@ class ResultTables:
         fleet, m = self._valves.at(valve)
         names = list(fleet.plan.estimators)
         return recommendation(fleet.ranking(m), names, fleet.inverse(m))
+
+    def note_dynamics(self, valve: int, found: DynamicsResults) -> None:
+        """Note the dynamics of one valve; its results show them from now on."""
+        self._dynamics[valve] = found
+
+    def _dynamics_of(self, valve: int) -> DynamicsResults:
+        return self._dynamics.get(valve, NOTHING_YET)
 
     def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
         """Results of the given valves; stopped valves are separate, and all if one raises."""
@@ -228,7 +237,11 @@ class ResultTables:
             signals=self._intake.signals(valves, at_best),
             baselines=[self._approved.of(int(valve)) for valve in valves],
             recommended=[self.recommendation(int(valve)) for valve in valves],
-            findings=[fleet.findings(m) for m in places.tolist()],
+            findings=[
+                self._dynamics_of(valve).findings + fleet.findings(m)
+                for valve, m in zip(valves.tolist(), places.tolist(), strict=True)
+            ],
+            dynamics=[self._dynamics_of(valve) for valve in valves.tolist()],
             alarms=AlarmResults(
                 self._alarms_base + fleet.alarms.version[places],
                 lambda m: fleet.alarms.reports(int(places[m])),

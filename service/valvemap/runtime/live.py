@@ -31,6 +31,7 @@ from valvemap.pipeline.ports import (
     ResultSink,
 )
 from valvemap.pipeline.sample_clocks import SampleClocks
+from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.past import PastKeeper
@@ -102,6 +103,7 @@ class LiveService:
         settings: LiveSettings,
         on_samples: Callable[[str, Samples], None] | None = None,
         past: PastKeeper | None = None,
+        dynamics: LiveDynamics | None = None,
     ) -> None:
         self.identification = identification
         self._source = source
@@ -111,6 +113,7 @@ class LiveService:
         self._settings = settings
         self._on_samples = on_samples
         self._past = past
+        self._dynamics = dynamics
         self._numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
@@ -264,6 +267,8 @@ class LiveService:
         self._old[members] = steady & (ages[members] > self._settings.stale_after_s)
         if self._past is not None:
             self._past.take(samples)
+        if self._dynamics is not None:
+            self._dynamics.take(samples)
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._record(valve, batch)
@@ -311,6 +316,8 @@ class LiveService:
         self._keeper.keep_in_turn(now)
         if self._past is not None:
             self._past.tick(now)
+        if self._dynamics is not None:
+            self._dynamics.tick()
         await self._show_health(now)
 
     async def _doubt(self, now: float) -> None:

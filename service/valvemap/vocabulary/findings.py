@@ -35,6 +35,11 @@ class FindingCode(Described):
         "misfit",
         "The samples contradict the map, and none of the other causes explains it.",
     )
+    DYNAMICS_CHANGE = (
+        17,
+        "dynamics changed",
+        "The spool has become slower or quicker than it was.",
+    )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,53 @@
+"""A valve's dynamics from its recording."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from valvemap.app.valve_samples import samples_of
+from valvemap.errors import RecordingError
+from valvemap.model.dynamics import Dynamics, NotFitted, Quantity, fit_dynamics
+from valvemap.storage.layout import Layout
+from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES
+
+
+def dynamics_of(valve: str, file: Path, layout: Layout | None) -> Dynamics:
+    """Fit the dynamics of a valve to a recording.
+
+    Raises
+    ------
+    RecordingError
+        naming the file, and why it tells no dynamics.
+    ConfigurationError, StorageError
+    """
+    found = fit_dynamics(samples_of(valve, file, layout))
+    if isinstance(found, NotFitted):
+        raise RecordingError(f"{file}: {found.sentence}")
+    return found
+
+
+def as_json(valve: str, file: Path, found: Dynamics) -> dict[str, Any]:
+    """Return what ``--json`` writes; what is not told is null."""
+    t, x = found.step_response()
+    return {
+        "valve": valve,
+        "recording": file.name,
+        "quantities": {
+            quantity.name: _quantity(getattr(found, quantity.field), quantity.unit)
+            for quantity in DYNAMIC_QUANTITIES
+        },
+        "step_percent": found.step_percent,
+        "U_between_samples": found.hold.value,
+        "residual_std": found.noise,
+        "step_response": None if math.isnan(x[-1]) else {"t": t.tolist(), "x": x.tolist()},
+    }
+
+
+def _quantity(found: Quantity, unit: str) -> dict[str, Any]:
+    told = math.isfinite(found.value)
+    return {
+        "value": found.value if told else None,
+        "std": found.std if told else None,
+        "unit": unit,
+        "status": found.status.name,
+    }

@@ -1,0 +1,239 @@
+"""Spool and meter behind a static map: the search for the five numbers of their motion. Pure.
+
+    x'' = ω²·(U(t - d) - x) - 2ζω·x',  |x'| ≤ slew,  τ·y' + y = g(x, Δp),  g = Σ θ_j·φ_j(x)·ψ_j(Δp)
+
+Nonlinear in ω = 2πf, ζ, slew, d and τ; the map is linear inside and eliminated by variable
+projection (Golub and Pereyra 1973, doi 10.1137/0710036). Between samples U is either constant, as a
+controller's output is, or a line, as a slow signal is. The wrong one biases f, and both fit nearly
+as well: a line is taken only if it is significantly better. Δp is a line.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final
+
+import numpy as np
+
+from valvemap.model.kernels import dynamics as kernels
+from valvemap.model.samples import Floats, Samples
+
+FREE: Final = 5  # numbers of a point
+STEP_S: Final = 2.5e-4  # s; of the integration
+PARTS: Final = 20  # intervals of the map's B-splines along U
+COLUMNS: Final = 3 * (PARTS + 2)  # of the map: B-splines times s, s·|s| and s³
+BEYOND: Final = 0.2  # share of the range of U by which the spool may overshoot it
+RIDGE: Final = 1e-9  # of the largest diagonal: columns without samples
+SLOWEST, FASTEST = 0.5, 200.0  # Hz; bounds of f
+STARTS_HZ: Final = (4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 100.0)
+STARTS_LAG_S: Final = (0.003, 0.012, 0.035)
+STARTS_SLEW: Final = (math.inf, 0.5, 0.25, 0.12)  # of the fastest that a full step reaches
+FASTEST_STEP: Final = 240.0  # %/s per Hz of f: a full step of a spool without a limit
+START_S: Final = 8.0  # s of samples on which starts are compared
+KEPT: Final = 4  # starts that are continued
+FLAT: Final = 8.0  # 2·log likelihood, below which a parameter is not excited
+NO_SLEW: Final = 1e6  # %/s; no limit
+ITERATIONS: Final = 15
+DONE: Final = 1e-5  # relative decrease of the sum of squares
+MOVES: Final = (1e-3, 1e-3, 1e-3, 0.02, 0.25)  # of the free numbers, for their derivatives
+LAG: Final = 4  # the free number that ends at 0
+
+
+class Hold(Enum):
+    """U between two samples."""
+
+    CONSTANT = "constant"
+    LINE = "a line"
+
+
+@dataclass(frozen=True)
+class Point:
+    """Nonlinear parameters: Hz, 1, %/s, s, s."""
+
+    f: float
+    zeta: float
+    slew: float
+    dead: float
+    lag: float
+
+    @property
+    def free(self) -> Floats:
+        """As free numbers (5,): logarithms of the first three, times in ms."""
+        logs = np.log([self.f, self.zeta, self.slew])
+        return np.array([*logs, 1e3 * self.dead, 1e3 * self.lag])
+
+    @classmethod
+    def of(cls, x: Floats) -> "Point":
+        """Return the point of free numbers."""
+        f, zeta, slew = np.exp(x[:3])
+        return cls(
+            float(np.clip(f, SLOWEST, FASTEST)), float(np.clip(zeta, 0.05, 5.0)),
+            float(np.clip(slew, 1.0, NO_SLEW)), 1e-3 * float(x[3]), 1e-3 * max(float(x[4]), 0.0),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Samples on a regular grid."""
+
+    t: Floats
+    U: Floats
+    s: Floats
+    Q: Floats
+    period: float
+    steps: int
+    hold: Hold
+    axis: tuple[float, float, float]
+
+    @property
+    def h(self) -> float:
+        """Length of a step, s."""
+        return self.period / self.steps
+
+
+def best_point(samples: Samples, period: float) -> tuple[Grid, Point]:
+    """Search for the best point; return it with the samples on their grid of ``period`` s."""
+    grid = _gridded(samples, period)
+    short = _busiest(grid, START_S)
+    starts = [
+        Point(f, 0.7, min(slew * FASTEST_STEP * f, NO_SLEW), 0.0, lag)
+        for f in STARTS_HZ if f < 0.45 / period
+        for lag in STARTS_LAG_S
+        for slew in STARTS_SLEW
+    ]  # fmt: skip
+    best = sorted(starts, key=lambda p: residual(short, p)[1])[:KEPT]
+    point, _ = min((descend(short, p) for p in best), key=lambda end: end[1])
+    point, S = descend(grid, point)
+    as_lines = replace(grid, hold=Hold.LINE)
+    line, S_line = descend(as_lines, replace(point, dead=point.dead + 0.5 * period))
+    if S_line * math.exp(FLAT / len(grid.t)) < S:
+        point, grid = line, as_lines
+    return grid, point
+
+
+def _gridded(samples: Samples, period: float) -> Grid:
+    n = round((samples.t[-1] - samples.t[0]) * 1e-9 / period) + 1
+    own = (samples.t - samples.t[0]) * 1e-9
+    t = np.arange(n) * period
+    nearest = np.clip(np.searchsorted(own, t - 0.5 * period), 0, len(own) - 1)
+    U, dp, Q = samples.U[nearest], samples.dp[nearest], samples.Q[nearest]
+    s = np.sign(dp) * np.sqrt(np.abs(dp))
+    top = max(float(np.abs(s).max()), 1e-9)
+    span = float(np.ptp(U))
+    low, width = float(U.min()) - BEYOND * span, (1.0 + 2.0 * BEYOND) * span / PARTS
+    steps = max(math.ceil(period / STEP_S), 4)
+    return Grid(t, U, s / top, Q, period, steps, Hold.CONSTANT, (low, width, top))
+
+
+def _busiest(grid: Grid, seconds: float) -> Grid:
+    """Return the stretch in which U travels farthest."""
+    n = min(round(seconds / grid.period), len(grid.t))
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(grid.U)))])
+    begin = int(np.argmax(travelled[n - 1 :] - travelled[: len(travelled) - n + 1]))
+    part = slice(begin, begin + n)
+    return replace(grid, t=grid.t[:n], U=grid.U[part], s=grid.s[part], Q=grid.Q[part])
+
+
+def _columns(grid: Grid, p: Point) -> Floats:
+    """Return the map's columns behind spool and meter, (N, COLUMNS)."""
+    h = grid.h
+    X = np.zeros((len(grid.t), COLUMNS))
+    left = math.exp(-h / p.lag) if p.lag > 1e-5 else 0.0
+    low, width, _ = grid.axis
+    kernels.regressors(
+        _commands(grid, p.dead), grid.s, _transition(p, h), p.slew * h, left, low, width, PARTS,
+        grid.steps, X,
+    )  # fmt: skip
+    return X
+
+
+def _commands(grid: Grid, dead: float) -> Floats:
+    """Return the mean command of every step, after the dead time, %."""
+    n = (len(grid.t) - 1) * grid.steps
+    begin = np.arange(n) * grid.h - dead
+    if grid.hold is Hold.LINE:
+        return np.asarray(np.interp(begin + 0.5 * grid.h, grid.t, grid.U))
+    total = np.concatenate([[0.0], np.cumsum(grid.U[:-1]) * grid.period])  # ∫U, piecewise linear
+    ends = np.concatenate([begin, begin[-1:] + grid.h])
+    before = np.minimum(ends - grid.t[0], 0.0) * grid.U[0]  # U was constant before the first sample
+    after = np.maximum(ends - grid.t[-1], 0.0) * grid.U[-1]
+    return np.asarray(np.diff(np.interp(ends, grid.t, total) + before + after) / grid.h)
+
+
+def _transition(p: Point, h: float) -> Floats:
+    """Return the spool's transition of (x - U, h·x') over a step, (4,)."""
+    w = 2.0 * math.pi * p.f
+    A = np.array([[0.0, 1.0], [-((w * h) ** 2), -2.0 * p.zeta * w * h]])
+    scaled, E = A / 64.0, np.eye(2)
+    term = np.eye(2)
+    for k in range(1, 9):
+        term = term @ scaled / k
+        E = E + term
+    for _ in range(6):
+        E = E @ E
+    return np.ascontiguousarray(E.ravel())
+
+
+def residual(grid: Grid, p: Point) -> tuple[Floats, float, Floats]:
+    """Return what the best map leaves (N,), its sum of squares, and the map."""
+    X = _columns(grid, p)
+    G = X.T @ X
+    G[np.diag_indices_from(G)] += RIDGE * G.diagonal().max() + 1e-30
+    theta: Floats = np.asarray(np.linalg.solve(G, X.T @ grid.Q), np.float64)
+    r = grid.Q - X @ theta
+    return r, float(r @ r), theta
+
+
+def jacobian(grid: Grid, x: Floats, r: Floats) -> Floats:
+    """Return the derivatives of the projected residual by finite differences, (N, 5)."""
+    J = np.empty((len(r), len(x)))
+    for j, size in enumerate(MOVES):
+        moved = x.copy()
+        moved[j] += size
+        J[:, j] = (residual(grid, Point.of(moved))[0] - r) / size
+    return J
+
+
+def descend(grid: Grid, p: Point, fixed: tuple[int, ...] = ()) -> tuple[Point, float]:
+    """Levenberg-Marquardt on the free numbers; return the point and its sum of squares."""
+    x, damping = p.free, 1e-2
+    r, S, _ = residual(grid, p)
+    free = [j for j in range(len(x)) if j not in fixed]
+    for _ in range(ITERATIONS):
+        J = jacobian(grid, x, r)[:, free]
+        H, g = J.T @ J, J.T @ r
+        scale = np.diag(H).copy() + 1e-12 * max(float(np.diag(H).max()), 1e-30)
+        gained = 0.0
+        for _ in range(6):
+            new = x.copy()
+            new[free] -= np.clip(_step(H + damping * np.diag(scale), g, free, x[LAG]), -3.0, 3.0)
+            new = Point.of(new).free
+            r_new, S_new, _ = residual(grid, Point.of(new))
+            if S_new < S:
+                gained = (S - S_new) / S
+                x, r, S, damping = new, r_new, S_new, 0.3 * damping
+                break
+            damping *= 5.0
+        if gained < DONE:
+            break
+    return Point.of(x), S
+
+
+def _step(H: Floats, g: Floats, free: list[int], lag: float) -> Floats:
+    """Return how far to go down; if that were below a lag of 0, the best step to 0."""
+    step: Floats = np.asarray(np.linalg.solve(H, g), np.float64)
+    if LAG in free and step[free.index(LAG)] > lag:
+        j = free.index(LAG)
+        others = np.arange(len(free)) != j
+        step[j] = lag
+        step[others] = np.linalg.solve(H[np.ix_(others, others)], g[others] - H[others, j] * lag)
+    return step
+
+
+def response(p: Point, step: float, seconds: float) -> tuple[Floats, Floats]:
+    """Return times (s) and the spool's travel after a step, % each."""
+    h = 0.5 * STEP_S
+    n = max(math.ceil(seconds / h), 2)
+    x = np.empty(n)
+    kernels.spool(np.full(n, step), _transition(p, h), p.slew * h, x)
+    return np.asarray(np.arange(1, n + 1) * h + p.dead, np.float64), x

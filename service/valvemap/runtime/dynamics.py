@@ -1,0 +1,72 @@
+"""Fits the dynamics of live valves, one at a time, in a thread."""
+
+import asyncio
+
+import structlog
+
+from valvemap.clock import Clock
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.dynamics_results import DynamicsResults
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.valve_dynamics import DynamicsInTurn, Job, ValveDynamics
+from valvemap.runtime.daemon_thread import in_daemon_thread
+from valvemap.vocabulary.dynamics import DynamicsStatus
+
+log = structlog.get_logger(__name__)
+
+
+class LiveDynamics:
+    """Gathers samples, fits, and notes the results at the identification.
+
+    An error of one valve's fit is that valve's result.
+
+    Parameters
+    ----------
+    share, window_s
+        Of one core, that fits may take; above 0. s of samples for a fit.
+    """
+
+    def __init__(
+        self, identification: Identification, clock: Clock, share: float, window_s: float
+    ) -> None:
+        valves = len(identification.plans)
+        self._identification, self._clock = identification, clock
+        self._turns = DynamicsInTurn(valves, share, window_s, clock.monotonic())
+        self._valves = [ValveDynamics() for _ in range(valves)]
+        self._fit: asyncio.Task[None] | None = None
+
+    def take(self, samples: ByValve) -> None:
+        """Take samples of any valves."""
+        for valve in self._turns.take(samples, self._clock.monotonic()):
+            status = DynamicsStatus.TOO_SLOW
+            self._note(valve, DynamicsResults(status, status.sentence))
+
+    def tick(self) -> None:
+        """Begin the fit that is due; not while kernels are still compiled."""
+        if self._identification.journal is not None:
+            return
+        due = self._turns.job(self._clock.monotonic())
+        if due is not None:
+            self._fit = asyncio.create_task(self._work(*due))
+
+    async def end(self) -> None:
+        """Leave the fit under way."""
+        if self._fit is not None:
+            self._fit.cancel()
+            await asyncio.gather(self._fit, return_exceptions=True)
+
+    async def _work(self, valve: int, t: int, job: Job) -> None:
+        began = self._clock.monotonic()
+        try:
+            self._note(valve, self._valves[valve].accept(await in_daemon_thread(job), t))
+        except Exception as error:
+            status = DynamicsStatus.FAILED
+            why = f"{status.sentence} ({type(error).__name__}: {error})"
+            self._note(valve, DynamicsResults(status, why, t))
+            name = self._identification.plans[valve].name
+            log.exception("dynamics failed", valve=name, why=str(error))
+        now = self._clock.monotonic()
+        self._turns.end(valve, now - began, now)
+
+    def _note(self, valve: int, results: DynamicsResults) -> None:
+        self._identification.note_dynamics(valve, results)
