@@ -1,18 +1,15 @@
 """A valve's dynamics as one HTML page that stands alone, with step response and Bode plot."""
 
-import io
 from html import escape
 from pathlib import Path
-from string import Template
 
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from valvemap.model.dynamics import Dynamics
-from valvemap.owned_files import write_whole
 from valvemap.report.dynamics_words import HEADINGS, notes_of, rows_of
-from valvemap.report.page_style import STYLE
 from valvemap.report.plots import COLOURS
+from valvemap.report.standalone_page import as_svg, write_page
 from valvemap.vocabulary.statuses import Status
 
 
@@ -25,15 +22,16 @@ def write_dynamics(file: Path, title: str, found: Dynamics) -> None:
         naming the file.
     """
     rows = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in rows_of(found))
-    page = _PAGE.substitute(
-        title=escape(title),
-        style=STYLE,
-        head="".join(f"<th>{heading}</th>" for heading in HEADINGS),
-        body="\n".join(f"<tr>{row}</tr>" for row in rows),
-        notes="\n".join(f"<li>{escape(note)}</li>" for note in notes_of(found)),
-        picture=_picture(found) if found.T90.status is Status.OK else "",
+    head = "".join(f"<th>{heading}</th>" for heading in HEADINGS)
+    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    notes = "\n".join(f"<li>{escape(note)}</li>" for note in notes_of(found))
+    picture = _picture(found) if found.T90.status is Status.OK else ""
+    write_page(
+        file,
+        escape(title),
+        f"<table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table>\n"
+        f"{picture}\n<ul>\n{notes}\n</ul>",
     )
-    write_whole(file, page)
 
 
 def _picture(found: Dynamics) -> str:
@@ -60,32 +58,4 @@ def _picture(found: Dynamics) -> str:
     places["phase"].set(xlabel="f, Hz")
     for place in places.values():
         place.grid(visible=True, color="#dddddd", linewidth=0.6)
-    written = io.StringIO()
-    figure.savefig(written, format="svg", metadata={"Date": None})
-    text = written.getvalue()
-    return text[text.index("<svg") :]
-
-
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-$style
-svg { max-width: 100%; height: auto }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-<table><thead><tr>$head</tr></thead><tbody>
-$body
-</tbody></table>
-$picture
-<ul>
-$notes
-</ul>
-</body>
-</html>
-""")
+    return as_svg(figure)

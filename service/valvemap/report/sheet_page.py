@@ -1,20 +1,24 @@
 """A valve's sheet as one HTML page that stands alone, with its flow curve as a picture."""
 
-import io
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from string import Template
 
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from valvemap.model.judged_sheet import Apart, Line
 from valvemap.model.sheet import Sheet
-from valvemap.owned_files import write_whole
-from valvemap.report.page_style import STYLE
 from valvemap.report.plots import COLOURS
 from valvemap.report.sheet_words import HEADINGS, cells, notes_of
+from valvemap.report.standalone_page import as_svg, write_page
+
+_STYLE = """th, td { vertical-align: top }
+td:last-child { color: #4d5963; font-size: .85rem; max-width: 26rem }
+.fail td:nth-child(6) { color: #a4001d; font-weight: 600 }
+.pass td:nth-child(6) { color: #00632b }
+.what { font-weight: 600; color: #a4001d }
+@media print { body { margin: 0; font-size: 12px } }"""
 
 
 def write_sheet(
@@ -36,16 +40,15 @@ def write_sheet(
     StorageError
         naming the file.
     """
-    page = _PAGE.substitute(
-        title=escape(title),
-        style=STYLE,
-        what=escape(sheet.not_a_test and f"Not a test: {sheet.not_a_test}."),
-        head="".join(f"<th>{heading}</th>" for heading in (*HEADINGS, "definition")),
-        body="\n".join(map(_row, lines)),
-        notes="\n".join(f"<li>{escape(note)}</li>" for note in notes_of(sheet, apart)),
-        picture=_picture(sheet, apart),
+    what = escape(sheet.not_a_test and f"Not a test: {sheet.not_a_test}.")
+    head = "".join(f"<th>{heading}</th>" for heading in (*HEADINGS, "definition"))
+    rows = "\n".join(map(_row, lines))
+    notes = "\n".join(f"<li>{escape(note)}</li>" for note in notes_of(sheet, apart))
+    body = (
+        f'<p class="what">{what}</p>\n<table><thead><tr>{head}</tr></thead><tbody>\n{rows}\n'
+        f"</tbody></table>\n{_picture(sheet, apart)}\n<ul>\n{notes}\n</ul>"
     )
-    write_whole(file, page)
+    write_page(file, escape(title), body, _STYLE)
 
 
 def _row(line: Line) -> str:
@@ -72,39 +75,4 @@ def _picture(sheet: Sheet, apart: Apart | None) -> str:
     axes.grid(visible=True, color="#dddddd", linewidth=0.6)
     axes.set(xlabel="U, %", ylabel=f"Q at {sheet.dp_rated:g} bar, l/min")
     axes.legend(fontsize=9)
-    written = io.StringIO()
-    figure.savefig(written, format="svg", metadata={"Date": None})
-    text = written.getvalue()
-    return text[text.index("<svg") :]
-
-
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-$style
-th, td { vertical-align: top }
-td:last-child { color: #4d5963; font-size: .85rem; max-width: 26rem }
-.fail td:nth-child(6) { color: #a4001d; font-weight: 600 }
-.pass td:nth-child(6) { color: #00632b }
-.what { font-weight: 600; color: #a4001d }
-svg { max-width: 100%; height: auto }
-@media print { body { margin: 0; font-size: 12px } }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-<p class="what">$what</p>
-<table><thead><tr>$head</tr></thead><tbody>
-$body
-</tbody></table>
-$picture
-<ul>
-$notes
-</ul>
-</body>
-</html>
-""")
+    return as_svg(figure)
