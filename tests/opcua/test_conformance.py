@@ -357,8 +357,8 @@ async def test_a_filter_is_taken_as_the_page_says(server, peer, described):
     [
         ("GetMonitoredItems", "Good"),
         ("ResendData", "Good"),
-        ("SetSubscriptionDurable", "BadNotImplemented"),
-        ("RequestServerStateChange", "BadNotImplemented"),
+        ("SetSubscriptionDurable", "BadNodeIdUnknown"),
+        ("RequestServerStateChange", "BadNodeIdUnknown"),
     ],
 )
 async def test_a_method_of_the_server_object_answers_as_the_page_says(server, peer, name, answer):

@@ -20,9 +20,19 @@ from guarded_opcua.logs import bounded_logger
 from guarded_opcua.security.whole_files import write_owner_only
 
 _log = bounded_logger(__name__)
-_HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)
-_HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
-_FORMAT = 3  # increment when the preparation below changes
+_Ids = ua.ObjectIds
+_PART_OF = {
+    ua.NodeId(_Ids.HasComponent),
+    ua.NodeId(_Ids.HasOrderedComponent),
+    ua.NodeId(_Ids.HasProperty),
+    ua.NodeId(_Ids.HasAddIn),
+}
+_FACILITIES_NOT_OFFERED = (
+    *(_Ids.ServerConfiguration, _Ids.PublishSubscribe, _Ids.Resources, _Ids.Aliases),
+    *(_Ids.ServerLog,),
+)
+_METHODS_OFFERED = {ua.NodeId(_Ids.Server_GetMonitoredItems), ua.NodeId(_Ids.Server_ResendData)}
+_FORMAT = 4  # increment when the preparation below changes
 
 
 async def load_standard_address_space(
@@ -41,7 +51,7 @@ async def load_standard_address_space(
         if packed is None:
             await asyncio.to_thread(standard_address_space.fill_address_space, management)
             _close_for_writing(aspace)
-            _drop_methods(aspace, ua.NodeId(ua.ObjectIds.Server_ServerCapabilities_RoleSet))
+            _drop(aspace, _not_offered(aspace))
             packed = pack(aspace._nodes)  # noqa: SLF001 - as AddressSpace.dump does
             _write(file, packed)
         aspace._nodes = PackedNodes(packed)  # noqa: SLF001 - as AddressSpace.load does
@@ -118,15 +128,36 @@ def _close_for_writing(aspace: AddressSpace) -> None:
                 held.value = ua.DataValue(ua.Variant(level & ~writing, ua.VariantType.Byte))
 
 
-def _drop_methods(aspace: AddressSpace, owner: ua.NodeId) -> None:
-    """Remove the methods of an object and of all components, since they are not implemented."""
-    node = aspace.get(owner)
-    for part in [ref for ref in node.references if ref.IsForward] if node is not None else ():
-        if part.NodeClass == ua.NodeClass.Method:
-            node.references.remove(part)
-            for argument in aspace[part.NodeId].references:
-                if argument.IsForward and argument.ReferenceTypeId == _HAS_PROPERTY:
-                    del aspace[argument.NodeId]
-            del aspace[part.NodeId]
-        elif part.ReferenceTypeId == _HAS_COMPONENT:
-            _drop_methods(aspace, part.NodeId)
+def _not_offered(aspace: AddressSpace) -> set[ua.NodeId]:
+    """Return the objects of facilities, and all methods below Objects, that are not implemented."""
+    gone = {ua.NodeId(facility) for facility in _FACILITIES_NOT_OFFERED}
+    waiting, seen = [ua.NodeId(_Ids.ObjectsFolder)], set[ua.NodeId]()
+    while waiting:
+        here = waiting.pop()
+        if here in seen or here in gone or here not in aspace:
+            continue
+        seen.add(here)
+        for part in aspace[here].references:
+            if not part.IsForward or part.ReferenceTypeId == ua.NodeId(_Ids.HasTypeDefinition):
+                continue
+            if part.NodeClass != ua.NodeClass.Method:
+                waiting.append(part.NodeId)
+            elif part.NodeId not in _METHODS_OFFERED:
+                gone.add(part.NodeId)
+    return gone
+
+
+def _drop(aspace: AddressSpace, gone: set[ua.NodeId]) -> None:
+    """Remove nodes with their parts, and all references to them."""
+    waiting = [node for node in gone if node in aspace]
+    gone = set(waiting)
+    while waiting:
+        for part in aspace[waiting.pop()].references:
+            if part.IsForward and part.ReferenceTypeId in _PART_OF and part.NodeId not in gone:
+                gone.add(part.NodeId)
+                waiting.append(part.NodeId)
+    for node in gone:
+        del aspace[node]
+    for node in list(aspace.keys()):
+        own = aspace[node].references
+        own[:] = [reference for reference in own if reference.NodeId not in gone]
