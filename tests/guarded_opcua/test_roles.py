@@ -31,6 +31,7 @@ from guarded_opcua import (
     rejected,
     trust,
 )
+from guarded_opcua.address_space.role_permissions import ROLE_IDS
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -391,7 +392,7 @@ async def test_a_method_is_called_on_its_object_only(plant, observer):
     refresh = observer.nodes.server.call_method(
         ua.NodeId(ua.ObjectIds.Server_SetSubscriptionDurable)
     )
-    assert await code_of(refresh) == Codes.BadNotImplemented
+    assert await code_of(refresh) == Codes.BadNodeIdUnknown  # what is not offered is not there
 
 
 async def test_arguments_have_names_types_units_and_descriptions(plant, observer):
@@ -447,3 +448,38 @@ def _text():
 class _Ignore:
     def datachange_notification(self, node, value, data):
         pass
+
+
+async def test_role_permissions_say_what_each_role_may_at_a_node(plant, observer, operator):
+    async def stated(client, node, attribute=ua.AttributeIds.RolePermissions):
+        held = await client.get_node(node).read_attribute(attribute)
+        return {one.RoleId.Identifier: one.Permissions for one in held.Value.Value}
+
+    bits, ids = ua.PermissionType, ua.ObjectIds
+    for role, method in plant.method.items():
+        of = await stated(observer, method)
+        may = {one for one, id_ in ROLE_IDS.items() if of[id_.Identifier] & bits.Call}
+        assert may == {one for one in Role if one >= role}
+    of = await stated(observer, plant.folder)
+    assert all(one & bits.Browse and not one & bits.Write for one in of.values())
+    own = await stated(observer, plant.folder, ua.AttributeIds.UserRolePermissions)
+    assert set(own) == {ids.WellKnownRole_Observer}
+    own = await stated(operator, plant.folder, ua.AttributeIds.UserRolePermissions)
+    assert set(own) == {ids.WellKnownRole_Observer, ids.WellKnownRole_Operator}
+
+
+async def test_every_method_below_objects_is_implemented(plant, observer):
+    waiting, seen, dead = [observer.nodes.objects], set(), []
+    while waiting:
+        node = waiting.pop()
+        if node.nodeid in seen:
+            continue
+        seen.add(node.nodeid)
+        for part in await node.get_children_descriptions():
+            child = observer.get_node(part.NodeId)
+            if part.NodeClass != ua.NodeClass.Method:
+                waiting.append(child)
+            elif await code_of(node.call_method(part.NodeId)) == Codes.BadNotImplemented:
+                dead.append(part.BrowseName.Name)
+    assert not dead
+    assert len(seen) > 100

@@ -16,6 +16,7 @@ from guarded_opcua.address_space.held_attributes import (
 )
 from guarded_opcua.address_space.method_calls import Outside, call_method, rejection_code
 from guarded_opcua.address_space.plain_values import check, plain
+from guarded_opcua.address_space.role_permissions import role_permissions
 from guarded_opcua.binary.index_range import IndexRangeError, parse_index_range, select
 from guarded_opcua.errors import CommandRejected
 from guarded_opcua.logs import bounded_logger
@@ -23,6 +24,7 @@ from guarded_opcua.security.users import Role
 
 _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
+_PERMISSIONS = (ua.AttributeIds.RolePermissions, ua.AttributeIds.UserRolePermissions)
 _WRITE_BIT = 1 << ua.AccessLevel.CurrentWrite
 
 
@@ -46,6 +48,8 @@ class Attributes:
     def read(self, wanted: ua.ReadValueId, role: Role) -> ua.DataValue:
         """Read one attribute, or a part of it."""
         held = held_attribute(self._aspace, wanted.NodeId, wanted.AttributeId)
+        if wanted.AttributeId in _PERMISSIONS:
+            held = self._permissions(wanted, role)
         if wanted.AttributeId != ua.AttributeIds.Value:
             if wanted.IndexRange or _has_encoding(wanted):
                 return _bad(_Codes.BadIndexRangeNoData)
@@ -113,6 +117,20 @@ class Attributes:
         if role < method.required:
             return _no_call(_Codes.BadUserAccessDenied)
         return await call_method(method, request.InputArguments or [], outside)
+
+    def _permissions(self, wanted: ua.ReadValueId, role: Role) -> ua.DataValue:
+        """Return who may do what, or what the user's roles may; a role includes the lower ones."""
+        kind = held_attribute(self._aspace, wanted.NodeId, ua.AttributeIds.NodeClass)
+        if is_missing(kind) or kind.Value is None:
+            return kind
+        own = wanted.AttributeId == ua.AttributeIds.UserRolePermissions
+        stated = role_permissions(
+            ua.NodeClass(kind.Value.Value),
+            self._variables.get(wanted.NodeId),
+            self._methods.get(wanted.NodeId),
+            [one for one in Role if one <= role] if own else Role,
+        )
+        return ua.DataValue(stated)
 
     def _for_role(self, wanted: ua.ReadValueId, held: ua.DataValue, role: Role) -> ua.DataValue:
         if wanted.AttributeId == ua.AttributeIds.UserAccessLevel:
