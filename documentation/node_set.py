@@ -29,7 +29,9 @@ _TAGS = {
     ua.NodeClass.Variable: "UAVariable",
     ua.NodeClass.Method: "UAMethod",
     ua.NodeClass.ObjectType: "UAObjectType",
+    ua.NodeClass.DataType: "UADataType",
 }
+_OWN_PARENT = (ua.NodeClass.ObjectType, ua.NodeClass.DataType)
 _HAS_SUBTYPE = ua.NodeId(ua.ObjectIds.HasSubtype)
 _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
 _HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)
@@ -75,7 +77,7 @@ async def _made() -> str:
 
 
 def written(aspace: AddressSpace, index: int, uri: str) -> str:
-    """Return the ObjectTypes of one namespace with their instance declarations."""
+    """Return the types of one namespace: enumerations, objects with instance declarations."""
     ET.register_namespace("", _NODES)
     ET.register_namespace("uax", _VALUES)
     root = ET.Element(f"{{{_NODES}}}UANodeSet", LastModified=_PUBLISHED)
@@ -94,13 +96,13 @@ def written(aspace: AddressSpace, index: int, uri: str) -> str:
 
 
 def _types(aspace: AddressSpace, index: int) -> Iterator[tuple[NodeData, ua.NodeId]]:
-    base = ua.NodeId(ua.ObjectIds.BaseObjectType)
-    for found in list(aspace[base].references):
-        id_ = found.NodeId
-        is_ours = id_.NamespaceIndex == index and str(id_.Identifier).startswith(f"{TYPES}.")
-        if found.IsForward and found.ReferenceTypeId == _HAS_SUBTYPE and is_ours:
-            yield aspace[id_], base
-            yield from _below(aspace, id_)
+    for base in (ua.NodeId(ua.ObjectIds.Enumeration), ua.NodeId(ua.ObjectIds.BaseObjectType)):
+        for found in list(aspace[base].references):
+            id_ = found.NodeId
+            is_ours = id_.NamespaceIndex == index and str(id_.Identifier).startswith(f"{TYPES}.")
+            if found.IsForward and found.ReferenceTypeId == _HAS_SUBTYPE and is_ours:
+                yield aspace[id_], base
+                yield from _below(aspace, id_)
 
 
 def _below(aspace: AddressSpace, parent: ua.NodeId) -> Iterator[tuple[NodeData, ua.NodeId]]:
@@ -128,7 +130,7 @@ def _write(root: ET.Element, node: NodeData, parent: ua.NodeId) -> None:
         if dimensions:
             stated["ArrayDimensions"] = ",".join(map(str, dimensions))
         stated["AccessLevel"] = str(value(_Attribute.AccessLevel))
-    if kind != ua.NodeClass.ObjectType:
+    if kind not in _OWN_PARENT:
         stated["ParentNodeId"] = _id(parent)
     made = _add(root, _TAGS[kind], None, **stated)
     _add(made, "DisplayName", value(_Attribute.DisplayName).Text)
@@ -141,9 +143,23 @@ def _write(root: ET.Element, node: NodeData, parent: ua.NodeId) -> None:
             _refer(references, ref.ReferenceTypeId, ref.NodeId, forward=True)
         elif not ref.IsForward and ref.NodeId == parent:
             _refer(references, ref.ReferenceTypeId, parent, forward=False)
-    variant = held[_Attribute.Value].Value if kind == ua.NodeClass.Variable else None
-    if variant is not None and variant.Value is not None:
-        _write_value(made, variant)
+    _write_content(made, name.Name, held)
+
+
+def _write_content(made: ET.Element, name: str, held: dict[ua.AttributeIds, Any]) -> None:
+    """Write a variable's value, or an enumeration's definition."""
+    definition, data = held.get(_Attribute.DataTypeDefinition), held.get(_Attribute.Value)
+    if definition is not None:
+        _write_definition(made, name, definition.Value.Value)
+    if data is not None and data.Value is not None and data.Value.Value is not None:
+        _write_value(made, data.Value)
+
+
+def _write_definition(made: ET.Element, name: str, definition: Any) -> None:  # noqa: ANN401
+    box = _add(made, "Definition", None, Name=f"1:{name}")
+    for field in definition.Fields:
+        one = _add(box, "Field", None, Name=field.Name, Value=str(field.Value))
+        _add(one, "Description", field.Description.Text)
 
 
 def _write_value(made: ET.Element, variant: ua.Variant) -> None:

@@ -15,7 +15,7 @@ from guarded_opcua.address_space.nodes import (
     add_property,
     add_variable,
 )
-from guarded_opcua.address_space.types import Declarations, add_type
+from guarded_opcua.address_space.types import Declarations, add_enumeration, add_type
 from guarded_opcua.address_space.units import Unit
 from guarded_opcua.binary.encoding import instant
 from guarded_opcua.caller import caller
@@ -96,6 +96,7 @@ __all__ = [
     "Unit",
     "UserStore",
     "Variable",
+    "add_enumeration",
     "add_method",
     "add_object",
     "add_property",

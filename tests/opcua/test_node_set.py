@@ -15,6 +15,7 @@ from documentation.pages import NODE_SET, RIG_NODE_SET
 from support import ncc_peer, node_peer
 from support.conditions import raised
 from valvemap.opcua_results.namespaces import RIG_NAMESPACE
+from valvemap.opcua_results.result_types import ENUMERATIONS
 from valvemap.opcua_results.results_server import NAMESPACE
 
 HERE = Path(__file__).parent
@@ -44,6 +45,15 @@ def declared_in(file):
 @pytest.fixture(scope="module")
 def declared():
     return declared_in(NODE_SET)
+
+
+ENUM_STRINGS = tuple(f"Types.{kind.__name__}.EnumStrings" for kind in ENUMERATIONS)
+
+
+def has_rule(element, id_):
+    """Whether a node of the file is a part of a type of objects."""
+    is_a_type = element.tag[len(NODES) :] in ("UAObjectType", "UADataType")
+    return not is_a_type and not id_.endswith(ENUM_STRINGS)
 
 
 both_files = pytest.mark.parametrize(
@@ -121,6 +131,35 @@ async def test_an_instance_has_all_that_its_type_demands(client, instance, kind)
 
 
 @a_loop
+async def test_every_code_is_of_an_enumeration_with_its_names_and_sentences(client):
+    index = await client.get_namespace_index(NAMESPACE)
+    kinds = {ua.NodeId(f"Types.{kind.__name__}", index): kind for kind in ENUMERATIONS}
+    for id_, kind in kinds.items():
+        node = client.get_node(id_)
+        assert [base.nodeid for base in await node.get_referenced_nodes(
+            Ids.HasSubtype, ua.BrowseDirection.Inverse
+        )] == [ua.NodeId(Ids.Enumeration)]  # fmt: skip
+        definition = (await node.read_attribute(ua.AttributeIds.DataTypeDefinition)).Value.Value
+        assert [(f.Value, f.Name, f.Description.Text) for f in definition.Fields] == [
+            (member.value, member.name, member.sentence) for member in kind
+        ]
+    waiting, bare, typed = [client.get_node(ua.NodeId("Identification", index))], [], set()
+    while waiting:
+        for part in await waiting.pop().get_children():
+            if await part.read_node_class() == ua.NodeClass.Object:
+                waiting.append(part)
+            names = {(await one.read_browse_name()).Name for one in await part.get_properties()}
+            if "EnumStrings" not in names or part.nodeid.NamespaceIndex != index:
+                continue
+            data_type = await part.read_data_type()
+            typed.add(data_type)
+            if data_type == ua.NodeId(Ids.Int32):
+                bare.append(part.nodeid.Identifier)
+    assert not bare
+    assert len(typed & kinds.keys()) >= 5
+
+
+@a_loop
 async def test_the_namespace_says_what_it_is(client):
     index = await client.get_namespace_index(NAMESPACE)
     namespaces = client.get_node(ua.NodeId(Ids.Server_Namespaces))
@@ -165,7 +204,7 @@ def test_node_opcua_imports_it_and_finds_the_same(packages, file, uri):
         assert element.tag == f"{NODES}UA{node['class']}"
         if element.get("ParentNodeId"):
             assert node["parent"] == element.get("ParentNodeId").removeprefix("ns=1;s=")
-        assert (node["class"] == "ObjectType") == (node["rule"] is None)
+        assert (node["rule"] is not None) == has_rule(element, id_)
     if file == RIG_NODE_SET:
         assert found["ns=1;s=Types.RigValve.Q"]["unit"] == "l/min"
         return
@@ -198,7 +237,7 @@ def test_open62541_imports_it_and_finds_the_same(compiler, file, uri, tmp_path):
         if element.get("ParentNodeId"):
             assert node["parent"] == element.get("ParentNodeId").removeprefix("ns=1;s=")
         if id_.count(".") < 3:  # the compiler passes over those of properties
-            assert (node["class"] == "ObjectType") == (node["rule"] is None)
+            assert (node["rule"] is not None) == has_rule(element, id_)
     assert said["unit"] == "l/min"
 
 

@@ -58,7 +58,7 @@ def many_nodes() -> Iterator[None]:
 
 
 def insert(aspace: AddressSpace, item: ua.AddNodesItem, utc: dt.datetime) -> ua.NodeId:
-    """Add an object, variable or method below its parent; ``utc`` is the timestamp of its value.
+    """Add a node of any class below its parent; ``utc`` is the timestamp of its value.
 
     Raises
     ------

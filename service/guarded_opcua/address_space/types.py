@@ -1,13 +1,13 @@
 """ObjectTypes, declared by the code that adds their instances (Part 3, 6.2)."""
 
-from collections.abc import Callable, Collection, Coroutine, Iterable
+from collections.abc import Callable, Collection, Coroutine, Iterable, Sequence
 from typing import Any, Protocol
 
 from asyncua import ua
-from asyncua.server.address_space import AddressSpace
+from asyncua.server.address_space import AddressSpace, AttributeValue
 
 from guarded_opcua.address_space.declarations import Method, Value, Variable
-from guarded_opcua.address_space.insertion import insert, reference
+from guarded_opcua.address_space.insertion import insert, property_item, reference
 from guarded_opcua.address_space.nodes import NodeOwner
 
 _Ids = ua.ObjectIds
@@ -52,6 +52,57 @@ class Declarations:
 
     def add_history(self, variables: Collection[Variable], historian: Any) -> None:  # noqa: ANN401
         """Ignore the histories."""
+
+
+def add_enumeration(
+    server: NodeOwner,
+    id: str,  # noqa: A002 - OPC UA's word
+    name: str,
+    members: Sequence[tuple[str, str]],
+    *,
+    description: str = "",
+) -> ua.NodeId:
+    """Add a DataType, derived from Enumeration, of the values 0, 1, … (Part 3, 8.40).
+
+    Parameters
+    ----------
+    id, name
+        String identifier and BrowseName.
+    members
+        Name and description of each value.
+    description
+        Description attribute.
+    """
+    item = ua.AddNodesItem()
+    item.ParentNodeId = ua.NodeId(_Ids.Enumeration)
+    item.RequestedNewNodeId = ua.NodeId(id, server.namespace_index)
+    item.BrowseName = ua.QualifiedName(name, server.namespace_index)
+    item.NodeClass = ua.NodeClass.DataType
+    item.ReferenceTypeId = ua.NodeId(_Ids.HasSubtype)
+    item.NodeAttributes = ua.DataTypeAttributes(
+        DisplayName=ua.LocalizedText(name),
+        Description=ua.LocalizedText(description),
+        IsAbstract=False,
+    )
+    own = insert(server.address_space, item, server.utc())
+    definition = ua.EnumDefinition(
+        Fields=[
+            ua.EnumField(
+                Value=value,
+                DisplayName=ua.LocalizedText(member),
+                Description=ua.LocalizedText(sentence),
+                Name=member,
+            )
+            for value, (member, sentence) in enumerate(members)
+        ]
+    )
+    held = ua.DataValue(ua.Variant(definition, ua.VariantType.ExtensionObject))
+    attributes = server.address_space[own].attributes
+    attributes[ua.AttributeIds.DataTypeDefinition] = AttributeValue(held)
+    texts = [ua.LocalizedText(member) for member, _ in members]
+    nodeid = ua.NodeId(f"{id}.EnumStrings", server.namespace_index)
+    insert(server.address_space, property_item(own, nodeid, "EnumStrings", texts), server.utc())
+    return own
 
 
 Declare = Callable[[Declarations, ua.NodeId], Coroutine[Any, Any, None]]

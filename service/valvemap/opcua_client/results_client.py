@@ -168,7 +168,9 @@ class ResultsClient:
         ]
 
     async def scalar_types(self, ids: Sequence[str]) -> list[str | None]:
-        """Return the names of variables' built-in types; None for arrays and other data types.
+        """Return the names of variables' built-in types; None for arrays and structures.
+
+        An enumeration of the servers' own is an Int32.
 
         Raises
         ------
@@ -179,7 +181,7 @@ class ResultsClient:
         nodes = [self._node(id_) for id_ in ids]
         with connection.errors("reading types"):
             answers = await read_attributes(connection, nodes, wanted)
-        return [_type_name(*answer) for answer in answers]
+        return [_type_name(kind, rank, self._index) for kind, rank in answers]
 
     async def engineering(self, ids: Sequence[str]) -> list[Engineering]:
         """Return units, ranges and descriptions of variables.
@@ -443,9 +445,11 @@ def _engineering(information: object, span: object, text: ua.DataValue) -> Engin
     )
 
 
-def _type_name(type_: ua.DataValue, rank: ua.DataValue) -> str | None:
+def _type_name(type_: ua.DataValue, rank: ua.DataValue, own: int) -> str | None:
     is_scalar = rank.Value is not None and rank.Value.Value == ua.ValueRank.Scalar
     node = type_.Value.Value if is_scalar and type_.Value is not None else None
+    if isinstance(node, ua.NodeId) and node.NamespaceIndex == own:
+        return "Int32"
     if not isinstance(node, ua.NodeId) or node.NamespaceIndex != 0:
         return None
     return ua.ObjectIdNames.get(node.Identifier)

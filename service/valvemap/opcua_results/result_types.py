@@ -6,7 +6,7 @@ from typing import Any
 
 from asyncua import ua
 
-from guarded_opcua import Declarations, HardenedServer, add_object, add_type
+from guarded_opcua import Declarations, HardenedServer, add_enumeration, add_object, add_type
 from valvemap.opcua_results.dynamics_nodes import DYNAMICS
 from valvemap.opcua_results.information_model import (
     ALARMS,
@@ -19,6 +19,17 @@ from valvemap.opcua_results.information_model import (
     TYPES,
 )
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.dynamics import DynamicsStatus
+from valvemap.vocabulary.findings import FindingCode
+from valvemap.vocabulary.statuses import (
+    Adaptation,
+    AxisStatus,
+    Described,
+    FeedForwardStatus,
+    InverseStatus,
+    LineEdge,
+    Status,
+)
 
 VALVE, ESTIMATOR, ALARM = "Valve", "Estimator", "Alarm"
 _NAMES = {
@@ -55,6 +66,22 @@ _TEMPLATE = ValveDescription(
 )
 Place = HardenedServer | Declarations  # of instances, of types
 AddPart = Callable[[Place, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
+
+
+ENUMERATIONS: tuple[type[Described], ...] = (
+    *(Status, Adaptation, InverseStatus, FeedForwardStatus, LineEdge),
+    *(FindingCode, AxisStatus, DynamicsStatus),
+)
+
+
+def add_enumerations(server: HardenedServer) -> None:
+    """Add the DataTypes of all published enumerations."""
+    for kind in ENUMERATIONS:
+        members = [(member.name, member.sentence) for member in kind]
+        words = (kind.__doc__ or "").partition("\n")[0]
+        add_enumeration(
+            server, f"{TYPES}.{kind.__name__}", kind.__name__, members, description=words
+        )
 
 
 def type_of(server: HardenedServer, part: str) -> ua.NodeId:

@@ -6,7 +6,7 @@ from typing import Any
 from asyncua import ua
 
 from guarded_opcua import HardenedServer, Role, Variable, add_variable
-from valvemap.opcua_results.information_model import VariableNode
+from valvemap.opcua_results.information_model import TYPES, VariableNode
 from valvemap.opcua_results.past import ResultsPast, has_past
 from valvemap.opcua_results.result_blocks import Generations
 from valvemap.opcua_results.result_slots import ValveSlots
@@ -14,6 +14,7 @@ from valvemap.opcua_results.result_types import Place
 from valvemap.opcua_results.result_values import Shown
 from valvemap.pipeline.ports import Answer
 from valvemap.vocabulary.edges import split_id
+from valvemap.vocabulary.statuses import Described
 
 
 class ResultVariables:
@@ -109,6 +110,11 @@ class ResultVariables:
                 del known[id_]
 
 
+def enumeration_of(place: Place, kind: type[Described]) -> ua.NodeId:
+    """Return the DataType of an enumeration."""
+    return ua.NodeId(f"{TYPES}.{kind.__name__}", place.namespace_index)
+
+
 async def add_described(
     place: Place,
     parent: ua.NodeId,
@@ -133,4 +139,5 @@ async def add_described(
         on_write=on_write,
         or_nan=node.writable,  # NaN withdraws a demand
         type_definition=type_definition,
+        data_type=None if node.statuses is None else enumeration_of(place, node.statuses),
     )

@@ -41,7 +41,7 @@ from valvemap.opcua_results.result_publishing import ResultPublishing
 from valvemap.opcua_results.result_questions import ResultQuestions
 from valvemap.opcua_results.result_service import ResultService
 from valvemap.opcua_results.result_slots import ValveSlots
-from valvemap.opcua_results.result_types import VALVE, add_types, type_of
+from valvemap.opcua_results.result_types import VALVE, add_enumerations, add_types, type_of
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
@@ -147,6 +147,7 @@ class ResultsServer(Startable):
         await add_property(server, root, NODE_VERSION, version_of_root(shown))
         server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         with many_nodes():
+            add_enumerations(server)
             await add_types(
                 server,
                 parts.add_frame,

@@ -2,7 +2,7 @@
 
 ``python imported.py FILE URI FLOW FOLDER``: open62541's NodeSet compiler makes a package of the
 file in the folder, and o6, which is open62541 for Python, has its server load it. The last line
-is JSON: the nodes below BaseObjectType that are of the namespace, and the unit of the node FLOW.
+is JSON: the nodes of the namespace below BaseObjectType and Enumeration, and the unit of the node FLOW.
 """
 
 import asyncio
@@ -11,8 +11,9 @@ import json
 import sys
 
 PACKAGE = "imported_types"
-_CLASSES = {1: "Object", 2: "Variable", 4: "Method", 8: "ObjectType"}
-_ROOT, _NAMESPACES, _HAS_MODELLING_RULE = "i=58", "i=2255", "i=37"
+_CLASSES = {1: "Object", 2: "Variable", 4: "Method", 8: "ObjectType", 64: "DataType"}
+_ROOTS = ("i=58", "i=29")
+_NAMESPACES, _HAS_MODELLING_RULE = "i=2255", "i=37"
 _WHOLE = 63  # all fields of a reference
 
 
@@ -34,7 +35,7 @@ async def found(uri, flow):
     server.start()
     await server.waitReady()
     assert uri in list(await server.read(_NAMESPACES))
-    nodes, open_ = {}, [(_ROOT, None)]
+    nodes, open_ = {}, [(root, None) for root in _ROOTS]
     while open_:
         node, parent = open_.pop()
         for reference in await server.browse(node, resultMask=_WHOLE):
