@@ -19,7 +19,7 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from guarded_opcua.address_space.declarations import Variable
-from guarded_opcua.history.aggregates import Aggregate
+from guarded_opcua.history.aggregate_kinds import Aggregate
 from guarded_opcua.history.intervals import Rules
 from guarded_opcua.history.processing import Processed, Summarised, aggregated
 from valvemap.opcua_results.past import ResultsPast

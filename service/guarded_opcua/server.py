@@ -38,7 +38,7 @@ from guarded_opcua.conditions.condition import Condition, ConditionKey
 from guarded_opcua.conditions.keeper import ConditionKeeper
 from guarded_opcua.conditions.nodes import ConditionNodes, references_to
 from guarded_opcua.errors import CertificateError, ConfigurationError, ServerError
-from guarded_opcua.history.aggregates import Aggregate
+from guarded_opcua.history.aggregate_kinds import Aggregate
 from guarded_opcua.history.events import MOST_EVENTS, EventHistorian
 from guarded_opcua.history.historian import Historian
 from guarded_opcua.history.reading import Histories

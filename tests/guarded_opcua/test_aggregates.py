@@ -3,6 +3,7 @@
 # ruff: noqa: FBT003 - positional fields of OPC UA structures
 
 import datetime as dt
+import statistics
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from guarded_opcua import (
     add_object,
     add_variable,
 )
-from guarded_opcua.history.aggregates import Aggregate, Aggregation
+from guarded_opcua.history.aggregate_kinds import Aggregate
+from guarded_opcua.history.aggregates import Aggregation
 from guarded_opcua.history.intervals import Intervals, Rules
 
 GOOD, UNCERTAIN, BAD = 0, 0x408F0000, 0x80890000
@@ -113,6 +115,70 @@ def test_what_is_computed_by_hand(aggregate, values, codes):
     np.testing.assert_array_equal(found.source, T0 + np.arange(6) * 10 * S)
 
 
+@pytest.mark.parametrize(
+    ("aggregate", "values", "codes", "times"),
+    [
+        (
+            Aggregate.START,
+            [10.0, 8.0, 6.0, 3.0, None, 7.0],
+            [GOOD, GOOD, GOOD, BAD, NO_DATA, GOOD],
+            [0, 11, 21, 30, 40, 51],
+        ),
+        (
+            Aggregate.END,
+            [20.0, 4.0, 10.0, 3.0, None, 7.0],
+            [GOOD, GOOD, GOOD, BAD, NO_DATA, GOOD],
+            [9, 15, 29, 35, 40, 51],
+        ),
+        (
+            Aggregate.MINIMUM_ACTUAL_TIME,
+            [5.0, 4.0, 6.0, None, None, 7.0],
+            [GOOD, SUB_NORMAL, SUB_NORMAL, NO_DATA, NO_DATA, PARTIAL],
+            [5, 15, 21, 30, 40, 51],
+        ),
+        (
+            Aggregate.MAXIMUM_ACTUAL_TIME,  # the first of two
+            [20.0, 8.0, 10.0, None, None, 7.0],
+            [MANY, SUB_NORMAL, SUB_NORMAL, NO_DATA, NO_DATA, PARTIAL],
+            [2, 11, 29, 30, 40, 51],
+        ),
+    ],
+    ids=lambda x: x.name if isinstance(x, Aggregate) else "",
+)
+def test_what_has_a_time_of_its_own(aggregate, values, codes, times):
+    found = aggregated(aggregate)
+    assert [hex(code) for code in found.codes] == [hex(code) for code in codes]
+    for k, value in enumerate(values):
+        assert value is None or found.values[k] == value
+    assert ((found.source - T0) // S).tolist() == times
+
+
+@pytest.mark.parametrize(
+    ("aggregate", "values"),
+    [
+        (Aggregate.RANGE, [15.0, 4.0, 4.0, None, None, 0.0]),
+        (Aggregate.DELTA, [10.0, -4.0, 4.0, None, None, 0.0]),
+        (Aggregate.DURATION_GOOD, [10_000.0, 8_000.0, 6_000.0, 0.0, 0.0, 9_000.0]),
+        (Aggregate.DURATION_BAD, [0.0, 2_000.0, 4_000.0, 10_000.0, 10_000.0, 1_000.0]),
+        (Aggregate.PERCENT_GOOD, [100.0, 80.0, 60.0, 0.0, 0.0, 90.0]),
+        (Aggregate.PERCENT_BAD, [0.0, 20.0, 40.0, 100.0, 100.0, 10.0]),
+    ],
+    ids=lambda x: x.name if isinstance(x, Aggregate) else "",
+)
+def test_differences_and_durations_by_hand(aggregate, values):
+    found = aggregated(aggregate)
+    for k, value in enumerate(values):
+        assert value is None or found.values[k] == pytest.approx(value)
+        if value is None:
+            assert found.codes[k] == NO_DATA
+
+
+def test_the_total_is_the_time_average_times_its_duration():
+    total, average = (aggregated(a) for a in (Aggregate.TOTAL, Aggregate.TIME_AVERAGE))
+    np.testing.assert_allclose(total.values, 10.0 * average.values)
+    np.testing.assert_array_equal(total.codes, average.codes)
+
+
 def test_the_average_over_time_is_the_area_below_the_line():
     found = aggregated(Aggregate.TIME_AVERAGE, end=20)
     assert found.values[0] == pytest.approx((15 * 2 + 12.5 * 3 + 12.5 * 4 + 17 * 1) / 10)
@@ -201,6 +267,40 @@ def test_sums_and_extremes_are_those_of_a_plain_loop(past):
             assert bool(largest.codes[k] & 0x10) == (inside.count(max(inside)) > 1)
 
 
+SPREADS = {
+    Aggregate.STANDARD_DEVIATION_SAMPLE: statistics.stdev,
+    Aggregate.STANDARD_DEVIATION_POPULATION: statistics.pstdev,
+    Aggregate.VARIANCE_SAMPLE: statistics.variance,
+    Aggregate.VARIANCE_POPULATION: statistics.pvariance,
+}
+
+
+@given(past=PASTS, aggregate=st.sampled_from(list(SPREADS)))
+def test_spreads_are_those_of_the_standard_library(past, aggregate):
+    found = aggregated(aggregate, past)
+    for k in range(6):
+        inside = [v for t, v, code in past if 10 * k <= t < 10 * k + 10 and code == GOOD]
+        assert (found.codes[k] < 0x80000000) == bool(inside)
+        if inside:
+            expected = SPREADS[aggregate](inside) if len(inside) > 1 else 0.0
+            assert found.values[k] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@given(past=PASTS)
+def test_durations_are_those_of_a_plain_loop(past):
+    good = aggregated(Aggregate.DURATION_GOOD, past)
+    bad = aggregated(Aggregate.DURATION_BAD, past)
+    ends = [t for t, _, _ in past[1:]] + [60]
+    for k in range(6):
+        seconds = [0.0, 0.0]
+        for (t, _, code), end in zip(past, ends, strict=True):
+            overlap = max(min(end, 10 * k + 10) - max(t, 10 * k), 0)
+            seconds[code != GOOD] += overlap
+        if good.codes[k] < 0x80000000:
+            assert good.values[k] == pytest.approx(1e3 * seconds[0], abs=1e-6)
+            assert bad.values[k] == pytest.approx(1e3 * seconds[1], abs=1e-6)
+
+
 class Kept:
     """Fulfils Historian."""
 
@@ -278,7 +378,7 @@ async def test_a_client_reads_values_at_times_of_its_own(served):
         (details(start=5, end=5), "BadInvalidArgument"),
         (details(width=-1.0), "BadInvalidArgument"),
         (details(width=float("nan")), "BadInvalidArgument"),
-        (details(ua.ObjectIds.AggregateFunction_Delta), "BadAggregateNotSupported"),
+        (details(ua.ObjectIds.AggregateFunction_NumberOfTransitions), "BadAggregateNotSupported"),
         (
             details(uncertain=True, bad=101, good=100, sloped=False),
             "BadAggregateConfigurationRejected",

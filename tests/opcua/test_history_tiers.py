@@ -5,7 +5,7 @@ import pytest
 from asyncua import ua
 
 from guarded_opcua.address_space.declarations import Variable
-from guarded_opcua.history.aggregates import Aggregate
+from guarded_opcua.history.aggregate_kinds import Aggregate
 from guarded_opcua.history.intervals import Rules
 from guarded_opcua.history.processing import Processed, Summarised, aggregated
 from valvemap.opcua_results.past import ResultsPast

@@ -5,35 +5,38 @@ values. Time has the direction of the request: in a backward request all times a
 interval begins at its later end.
 """
 
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
-from asyncua import ua
 from numpy.typing import NDArray
 
+from guarded_opcua.history.aggregate_kinds import (
+    CALCULATED,
+    INFO_TYPE,
+    MULTI_VALUE,
+    PARTIAL,
+    Aggregate,
+)
+from guarded_opcua.history.aggregates_of_raw import OF_RAW, OfRaw
 from guarded_opcua.history.historian import Cells, Records
 from guarded_opcua.history.intervals import Intervals, Rules
 from guarded_opcua.history.line import BAD, INTERPOLATED, NO_DATA, SUB_NORMAL, UNCERTAIN, Line
+from guarded_opcua.history.raw_statistics import Durations, RawStatistics
 
 _Floats = NDArray[np.float64]
 _Times = NDArray[np.int64]
 _Codes32 = NDArray[np.uint32]
 
-INFO_TYPE: Final = 0x400  # Part 4, 7.39: the bits below belong to a data value
-CALCULATED, PARTIAL, MULTI_VALUE = 0x1, 0x4, 0x10
 _ANY_BIT: Final = CALCULATED | INTERPOLATED | PARTIAL | MULTI_VALUE
 
 
-class Aggregate(IntEnum):
-    """Supported aggregate functions, by their NodeIds in namespace 0."""
-
-    INTERPOLATIVE = ua.ObjectIds.AggregateFunction_Interpolative
-    AVERAGE = ua.ObjectIds.AggregateFunction_Average
-    TIME_AVERAGE = ua.ObjectIds.AggregateFunction_TimeAverage
-    MINIMUM = ua.ObjectIds.AggregateFunction_Minimum
-    MAXIMUM = ua.ObjectIds.AggregateFunction_Maximum
-    COUNT = ua.ObjectIds.AggregateFunction_Count
+_INTERPOLATED: Final = (Aggregate.INTERPOLATIVE, Aggregate.TIME_AVERAGE, Aggregate.TOTAL)
+DURATIONS: Final = {  # Good or Bad; in percent of the interval, or in ms
+    Aggregate.DURATION_GOOD: (0, False),
+    Aggregate.DURATION_BAD: (1, False),
+    Aggregate.PERCENT_GOOD: (0, True),
+    Aggregate.PERCENT_BAD: (1, True),
+}
 
 
 class Aggregation:
@@ -64,6 +67,8 @@ class Aggregation:
         self._sum = np.zeros(n)
         sign = -1.0 if aggregate is Aggregate.MINIMUM else 1.0
         self._extreme = _Extreme(n, sign)
+        self._raw = RawStatistics(intervals)
+        self._durations = Durations(intervals, rules)
         self._first: int | None = None  # signed time of the first and last value
         self._last: int | None = None
 
@@ -79,8 +84,12 @@ class Aggregation:
             self._first = int(t[0])
         self._last = int(t[-1])
         values = records.values.astype(np.float64)
-        if self._aggregate in (Aggregate.INTERPOLATIVE, Aggregate.TIME_AVERAGE):
+        if self._aggregate in _INTERPOLATED:
             self._line.take(t, values, records.codes)
+        elif self._aggregate in DURATIONS:
+            self._durations.take(t, records.codes)
+        elif self._aggregate in OF_RAW:
+            self._raw.take(t, values, records.codes)
         bad = records.codes >= BAD
         doubtful = ~bad & (records.codes >= UNCERTAIN)
         good = ~bad & ~doubtful
@@ -122,19 +131,53 @@ class Aggregation:
         self._last = last if self._last is None else max(last, self._last)
 
     def records(self) -> Records:
-        """Return the aggregate of each interval, with the interval's start as timestamp."""
-        values, codes = {
+        """Return the aggregate of each interval, with the interval's start as timestamp.
+
+        START, END and the extremes at their actual times have the times of those values.
+        """
+        t = self._intervals.edges[:-1]
+        if self._aggregate in OF_RAW:
+            values, codes, t = OF_RAW[self._aggregate](
+                OfRaw(
+                    self._raw,
+                    starts=t,
+                    doubtful=self._bad + self._uncertain > 0,
+                    partial=self._partial(),
+                    by_values=self._by_values(none=NO_DATA),
+                )
+            )
+        elif self._aggregate in DURATIONS:
+            values, codes = self._duration()
+        else:
+            values, codes = self._of_line_or_cells()
+        bits = (codes & _ANY_BIT) > 0
+        codes = np.where(bits, codes | INFO_TYPE, codes).astype(np.uint32)
+        t = self._intervals.sign * t
+        return Records(values, codes, t, t)
+
+    def _of_line_or_cells(self) -> tuple[_Floats, _Codes32]:
+        return {
             Aggregate.INTERPOLATIVE: self._interpolative,
             Aggregate.AVERAGE: self._average,
             Aggregate.TIME_AVERAGE: self._time_average,
             Aggregate.MINIMUM: self._extremes,
             Aggregate.MAXIMUM: self._extremes,
             Aggregate.COUNT: self._count,
+            Aggregate.TOTAL: self._total,
         }[self._aggregate]()
-        bits = (codes & _ANY_BIT) > 0
-        codes = np.where(bits, codes | INFO_TYPE, codes).astype(np.uint32)
-        t = self._intervals.sign * self._intervals.edges[:-1]
-        return Records(values, codes, t, t)
+
+    def _duration(self) -> tuple[_Floats, _Codes32]:
+        kind, in_percent = DURATIONS[self._aggregate]
+        seconds = self._durations.seconds()[kind]
+        share = 1e-9 * np.diff(self._intervals.edges)
+        values = 100.0 * seconds / share if in_percent else 1e3 * seconds
+        codes = np.where(self._outside(), NO_DATA, CALCULATED | self._partial())
+        return values, codes.astype(np.uint32)
+
+    def _total(self) -> tuple[_Floats, _Codes32]:
+        """Return the time average times the length of the interval, in s."""
+        values, codes = self._time_average()
+        return values * np.diff(self._intervals.edges) * 1e-9, codes
 
     def _interpolative(self) -> tuple[_Floats, _Codes32]:
         values, codes, _ = self._line.bounds()

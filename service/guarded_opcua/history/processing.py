@@ -9,7 +9,8 @@ from asyncua import ua
 
 from guarded_opcua.address_space.declarations import Variable
 from guarded_opcua.binary.encoding import DTYPES
-from guarded_opcua.history.aggregates import Aggregate, Aggregation
+from guarded_opcua.history.aggregate_kinds import Aggregate
+from guarded_opcua.history.aggregates import Aggregation
 from guarded_opcua.history.historian import EVER, Cells, Records, Span, joined
 from guarded_opcua.history.intervals import Intervals, Rules
 
@@ -20,7 +21,10 @@ _Codes = ua.StatusCodes
 _PIECE = 50_000  # raw values per chunk: 10 ms
 _BOUNDS = 100  # values searched for a usable bound on each side of the intervals
 _SUMMED = Aggregate.AVERAGE, Aggregate.MINIMUM, Aggregate.MAXIMUM, Aggregate.COUNT
-_SAME_TYPE = Aggregate.MINIMUM, Aggregate.MAXIMUM
+_SAME_TYPE = (
+    *(Aggregate.MINIMUM, Aggregate.MAXIMUM, Aggregate.START, Aggregate.END),
+    *(Aggregate.MINIMUM_ACTUAL_TIME, Aggregate.MAXIMUM_ACTUAL_TIME),
+)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 ``python imported.py FILE URI FLOW FOLDER``: open62541's NodeSet compiler makes a package of the
 file in the folder, and o6, which is open62541 for Python, has its server load it. The last line
-is JSON: the nodes of the namespace below BaseObjectType and Enumeration, and the unit of the node FLOW.
+is JSON: the nodes of the namespace below BaseObjectType and Enumeration, and FLOW's unit.
 """
 
 import asyncio

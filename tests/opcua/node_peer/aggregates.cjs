@@ -10,9 +10,13 @@ const { coerceStatusCode } = require("node-opcua-status-code");
 const FUNCTIONS = {
   AVERAGE: aggregates.getAverageData,
   COUNT: aggregates.getCountData,
+  DURATION_BAD: aggregates.getDurationBadData,
+  DURATION_GOOD: aggregates.getDurationGoodData,
   INTERPOLATIVE: aggregates.getInterpolatedData,
   MAXIMUM: aggregates.getMaxData,
   MINIMUM: aggregates.getMinData,
+  PERCENT_BAD: aggregates.getPercentBadData,
+  PERCENT_GOOD: aggregates.getPercentGoodData,
 };
 
 const held = (value) => ({ readValue: () => ({ value: { value } }) });
