@@ -28,7 +28,7 @@ from benchmarks.commission_plant import (
 )
 from benchmarks.one_model_rows import behind
 from valvemap.config.estimators import AutoConfig, build_estimator
-from valvemap.pipeline.commission import Phase
+from valvemap.vocabulary.commission import Phase
 
 REPORT: Final = 97_000
 TIMES: Final = (30.0, 60.0)

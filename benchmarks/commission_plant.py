@@ -17,7 +17,6 @@ from valvemap.model.samples import Samples
 from valvemap.pipeline.commission import (
     Command,
     CommissionState,
-    Phase,
     Seen,
     Settings,
     start,
@@ -27,6 +26,7 @@ from valvemap.pipeline.commission import (
 from valvemap.pipeline.commission_learner import Learnt, learn
 from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_plan import Plan
+from valvemap.vocabulary.commission import Phase
 
 SAMPLE_S: Final = 0.01
 PUBLISHED_S: Final = 0.04

@@ -11,8 +11,9 @@ from support.feeding import PASSWORD, VALVE, Heard, ListeningRig, settings
 from valvemap.app.commission import CommissionRun, settings_of
 from valvemap.config.commission import CommissionConfig
 from valvemap.config.models import Config, NodesConfig, SourceConfig, ValveConfig
-from valvemap.pipeline.commission import Phase, Reason
+from valvemap.pipeline.commission import Reason
 from valvemap.storage.commission_files import RunFiles, last_run, new_run
+from valvemap.vocabulary.commission import Phase
 from valvemap_rig.circuit import Bench, true_flow
 from valvemap_rig.excitation import External
 from valvemap_rig.scenario import BUILTIN

@@ -8,7 +8,6 @@ import pytest
 from valvemap.pipeline.commission import (
     Command,
     CommissionState,
-    Phase,
     Reason,
     Seen,
     Settings,
@@ -19,6 +18,7 @@ from valvemap.pipeline.commission import (
 )
 from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
 from valvemap.pipeline.commission_plan import Plan, Uncertainty, route, sweep
+from valvemap.vocabulary.commission import Phase
 
 LIMITS = Limits((10.0, 90.0), 200.0, safe_U=20.0, p1_range=(100.0, 210.0), p_most=220.0)
 SETTINGS = Settings(LIMITS, Plan(4.0, 8.0, 12.0), check_s=0.2, opening=5.0)

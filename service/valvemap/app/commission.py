@@ -48,6 +48,7 @@ from valvemap.pipeline.commission import (
 from valvemap.pipeline.commission_learner import Learnt, learn
 from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_plan import Plan
+from valvemap.pipeline.commission_ports import CommissionResults
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import supervise
 from valvemap.storage.commission_files import RunFiles
@@ -62,6 +63,23 @@ WRITE_S: Final = 0.3  # s; a write that takes longer is taken as lost
 _FIELDS: Final = ("most_s", "sweep_s", "period_s")
 
 log = structlog.get_logger(__name__)
+
+
+def config_of(config: Config, name: str) -> Config:
+    """Return the configuration of one valve and its source.
+
+    Raises
+    ------
+    ConfigurationError
+        if there is no such valve; names those that there are.
+    """
+    valve = next((valve for valve in config.valves if valve.name == name), None)
+    if valve is None:
+        there = ", ".join(valve.name for valve in config.valves)
+        raise ConfigurationError(f"VALVE {name!r}: the configuration has {there}")
+    one = config if valve.source is None else config.only(valve.source)
+    (own,) = (valve for valve in one.valves if valve.name == name)
+    return one.model_copy(update={"valves": (own,)})
 
 
 def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
@@ -179,6 +197,8 @@ class CommissionRun:
         Called with a line of words about every 0.2 s.
     armed
         Whether the service has armed feed-forward.
+    user
+        Who started it, for the audit record; None: the process's user.
     """
 
     def __init__(
@@ -190,6 +210,7 @@ class CommissionRun:
         operator_age: Callable[[], float] = lambda: 0.0,
         progress: Callable[[str], None] = lambda _line: None,
         armed: bool = False,
+        user: str | None = None,
         clock: Clock | None = None,
         source: OpcUaSource | None = None,
     ) -> None:
@@ -199,6 +220,7 @@ class CommissionRun:
         self._files = files
         self._operator_age = operator_age
         self._progress = progress
+        self._user = getpass.getuser() if user is None else user
         self._clock = clock or SystemClock()
         self._source = source or build_source(self._config)
         self._arrivals = Arrivals(
@@ -220,6 +242,20 @@ class CommissionRun:
         """Return to the safe U, then end."""
         self._seen = replace(self._seen, abort=True)
 
+    def in_words(self) -> str:
+        """Return the progress as a line for the operator."""
+        return in_words(self._settings, self.state, self._seen)
+
+    def results(self) -> CommissionResults:
+        """Return how the run stands."""
+        left = max(self._settings.plan.most_s - self.state.elapsed, 0.0)
+        return CommissionResults(
+            self.state.phase,
+            self.state.reason.value,
+            time_left=0.0 if self.state.phase.is_over else left,
+            map_std=self.learnt.error,
+        )
+
     async def run(self) -> CommissionState:
         """Run until the end; a lost source pauses the run.
 
@@ -233,7 +269,7 @@ class CommissionRun:
         for samples in self._files.before():
             self.learnt = self._learnt(samples)
         self.state = start(CommissionState(elapsed=elapsed), self._clock.monotonic())
-        self._note(event="started", user=getpass.getuser(), settings=_plain(self._settings))
+        self._note(event="started", user=self._user, settings=_plain(self._settings))
         settings = replace(build_supervisor_settings(self._config), tick_s=TICK_S)
         try:
             await supervise(self._source, self, self._clock, self._stop, settings)
@@ -277,7 +313,7 @@ class CommissionRun:
             self._note(event="phase" if changed else "at")
         if changed or now >= self._due["progress"]:
             self._due["progress"] = now + 0.2
-            self._progress(in_words(self._settings, self.state, self._seen))
+            self._progress(self.in_words())
         if self.state.phase.is_over:
             self._stop.set()
 
@@ -373,7 +409,7 @@ def _known(x: float) -> float | None:
 def result_in_words(run: CommissionRun, files: RunFiles, valve: str) -> list[str]:
     """Return the run's result, line by line."""
     learnt, state = run.learnt, run.state
-    lines = [f"{valve}: {state.phase.value}: {state.reason.value} ({state.elapsed:.0f} s)"]
+    lines = [f"{valve}: {state.phase.sentence}: {state.reason.value} ({state.elapsed:.0f} s)"]
     if math.isfinite(learnt.error):
         lines.append(
             f"map        ± {1.96 * learnt.error:.2g} l/min (95 %, mean over U), at Δp of "

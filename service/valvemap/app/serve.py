@@ -10,6 +10,7 @@ import structlog
 
 from guarded_opcua import HardenedError, ServerSettings
 from valvemap.app.axes import run_axes
+from valvemap.app.commissions import Commissions
 from valvemap.app.connections import (
     build_axis_sources,
     build_history,
@@ -155,6 +156,8 @@ async def _live(
         keeper,
         dynamics,
     )
+    commissions = Commissions(config, plan.identification, server, clock)
+    await server.follow_commissions(commissions.valves, commissions)
     ended = asyncio.Event()
     await live.start(known)
     log.info("results served", url=server.url)
@@ -176,6 +179,7 @@ async def _live(
         )
     finally:
         server.take_no_commands()
+        await commissions.end()
         if dynamics is not None:
             await dynamics.end()
         plan.compiled.stop()

@@ -50,9 +50,9 @@ def commission(
     ] = False,
 ) -> None:
     """Drive a valve through its range until its map is known, within limits."""
-    from valvemap.app.commission import plan_in_words, settings_of
+    from valvemap.app.commission import config_of, plan_in_words, settings_of
 
-    loaded = _of_valve(load_config(config), valve)
+    loaded = config_of(load_config(config), valve)
     settings = settings_of(loaded.valves[0], accuracy / 1.96)
     if dry_run:
         for line in plan_in_words(loaded.valves[0], settings):
@@ -73,8 +73,8 @@ async def _run(
 ) -> bool:
     """Run until the end; return whether it was reached."""
     from valvemap.app.commission import CommissionRun, is_armed, result_in_words, settings_of
-    from valvemap.pipeline.commission import Phase
     from valvemap.storage.commission_files import RunFiles, last_run, new_run
+    from valvemap.vocabulary.commission import Phase
 
     (valve,) = config.valves
     folder = data / "commission"
@@ -99,17 +99,6 @@ async def _run(
     for line in result_in_words(run, files, valve.name):
         write_line(line)
     return state.phase is Phase.DONE
-
-
-def _of_valve(config: "Config", name: str) -> "Config":
-    """Return the configuration of one valve and its source."""
-    valve = next((valve for valve in config.valves if valve.name == name), None)
-    if valve is None:
-        there = ", ".join(valve.name for valve in config.valves)
-        raise ConfigurationError(f"VALVE {name!r}: the configuration has {there}")
-    one = config if valve.source is None else config.only(valve.source)
-    (own,) = (valve for valve in one.valves if valve.name == name)
-    return one.model_copy(update={"valves": (own,)})
 
 
 def _terminal_age() -> Callable[[], float]:

@@ -43,6 +43,7 @@ RESERVED_ESTIMATORS = (
     "Baseline",
     "Diagnostics",
     "Dynamics",
+    "Commission",
     "Inverse",
     "Frame",
     "FrameNames",

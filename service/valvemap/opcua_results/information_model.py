@@ -8,6 +8,7 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/Signals/…         s=<Valve>.Signals.<Signal>
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
+    Objects/Identification/<Valve>/Commission/…      s=<Valve>.Commission.Start, Abort, State, …
     Objects/Identification/<Valve>/Dynamics/…        s=<Valve>.Dynamics.<Quantity>, with Std, Status
     Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames,
                                                      s=<Valve>.Recommended, .RecommendedReason
@@ -48,6 +49,7 @@ from valvemap.vocabulary.statuses import (
 NAMESPACE = SERVICE_NAMESPACE
 ROOT = "Identification"
 INVERSE = "Inverse"
+COMMISSION = "Commission"
 DIAGNOSTICS = "Diagnostics"
 LAG_U, LAG_Q = "LagU", "LagQ"
 PARAMETERS = "Parameters"
@@ -70,7 +72,7 @@ T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
 _TAKEN = {
-    *("Dynamics", INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
+    *("Dynamics", COMMISSION, INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
     *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION, RECOMMENDED, RECOMMENDED_REASON),
     *PARTS,
 }

@@ -19,6 +19,7 @@ from valvemap.opcua_results.information_model import (
     TYPES,
 )
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.commission import Phase
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import (
@@ -70,7 +71,7 @@ AddPart = Callable[[Place, ua.NodeId, ValveDescription], Coroutine[Any, Any, Non
 
 ENUMERATIONS: tuple[type[Described], ...] = (
     *(Status, Adaptation, InverseStatus, FeedForwardStatus, LineEdge),
-    *(FindingCode, AxisStatus, DynamicsStatus),
+    *(FindingCode, AxisStatus, DynamicsStatus, Phase),
 )
 
 

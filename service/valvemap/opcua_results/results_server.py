@@ -18,6 +18,7 @@ from guarded_opcua import (
 )
 from valvemap.model.samples import Times
 from valvemap.opcua_results.axis_nodes import AxisNodes
+from valvemap.opcua_results.commission_nodes import CommissionNodes
 from valvemap.opcua_results.companions import add_companions
 from valvemap.opcua_results.information_model import (
     NAMESPACE,
@@ -45,6 +46,7 @@ from valvemap.opcua_results.result_types import VALVE, add_enumerations, add_typ
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
+from valvemap.pipeline.commission_ports import CommissionOperator, CommissionResults
 from valvemap.pipeline.ports import (
     AlarmChange,
     Health,
@@ -120,6 +122,7 @@ class ResultsServer(Startable):
         self._nodes: ResultNodes
         self._service: ResultService
         self._axes: AxisNodes
+        self._commissions: CommissionNodes
 
     @property
     def url(self) -> str:
@@ -218,6 +221,15 @@ class ResultsServer(Startable):
         if self._server is not None:
             self._axes.show(axis, results)
 
+    async def follow_commissions(self, valves: Sequence[str], operator: CommissionOperator) -> None:
+        """Show commissioning runs of these valves, in place of those before."""
+        await self._commissions.follow(valves, operator)
+
+    def show_commission(self, valve: str, results: CommissionResults) -> None:
+        """Show how the run of one valve stands; fulfils `CommissionSink`."""
+        if self._server is not None:
+            self._commissions.show(valve, results)
+
     def take_no_commands(self) -> None:
         """Reject commands until another operator follows; queries are still answered."""
         self._in_charge.refuses = True
@@ -299,6 +311,7 @@ class ResultsServer(Startable):
         )
         self._variables, self._alarms, self._demands = variables, alarms, demands
         self._axes = AxisNodes(server, clock)
+        self._commissions = CommissionNodes(server, clock)
         return parts
 
     def _keep_events(self, server: HardenedServer, *emitters: ua.NodeId) -> None:

@@ -28,6 +28,7 @@ class ArmedValves:
     def __init__(self, valves: AllValves) -> None:
         self._valves = valves
         self.armed = np.zeros(len(valves.plans), np.bool_)
+        self._is_led = np.zeros(len(valves.plans), np.bool_)
         self.status = np.array(
             [_AT_FIRST[plan.feed_forward is not None] for plan in valves.plans], np.uint8
         )
@@ -38,12 +39,18 @@ class ArmedValves:
         Raises
         ------
         CommandRejected
-            if no node to write to is configured.
+            if no node to write to is configured, or a commissioning run leads the valve.
         """
         number = self._valves.numbers[valve]
         if self._valves.plans[number].feed_forward is None:
             raise CommandRejected(f"{valve}: nodes.required_U is not configured")
+        if self._is_led[number]:
+            raise CommandRejected(f"{valve}: a commissioning run leads the valve")
         self.armed[number] = True
+
+    def lead(self, valve: str, *, by_another: bool) -> None:
+        """Note whether something else writes to the valve: it cannot be armed meanwhile."""
+        self._is_led[self._valves.numbers[valve]] = by_another
 
     def disarm(self, valve: str) -> None:
         """Disarm feed-forward: nothing is written to the valve."""

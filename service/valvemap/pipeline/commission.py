@@ -19,6 +19,7 @@ from typing import Final
 
 from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
 from valvemap.pipeline.commission_plan import Plan, sweep
+from valvemap.vocabulary.commission import Phase
 
 HEARTBEAT_S: Final = 0.08  # s; shortest interval between heartbeats
 MOST_HEARTBEAT: Final = 2**32 - 1  # UInt32; 0 hands the valve back
@@ -30,25 +31,6 @@ STUCK_CHANGE: Final = 0.08  # 1; change of Q/√Δp, share of the largest, below
 DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
 UNKNOWN: Final = Point()
 HELD_OFF_S: Final = 0.1  # s without a violation until the schedule is followed again
-
-
-class Phase(Enum):
-    """State of a run; the value is a sentence."""
-
-    IDLE = "not started"
-    CHECKING = "checks signals before the first command"
-    SWEEPING = "crossing triangles"
-    REFINING = "visits points where the map is least certain"
-    PAUSED = "paused: safe U, or handed back"
-    RETURNING = "returns to the safe U"
-    DONE = "done"
-    ABORTED = "aborted"
-    REFUSED = "refused before the first command"
-
-    @property
-    def is_over(self) -> bool:
-        """Whether nothing more is written."""
-        return self in {Phase.DONE, Phase.ABORTED, Phase.REFUSED}
 
 
 class Reason(Enum):
@@ -251,7 +233,7 @@ def lost(state: CommissionState, now: float) -> CommissionState:
 def in_words(settings: Settings, state: CommissionState, seen: Seen) -> str:
     """Return the progress as a line for the operator."""
     left = max(settings.plan.most_s - state.elapsed, 0.0)
-    parts = [state.phase.value]
+    parts = [state.phase.sentence]
     if state.reason is not Reason.NONE:
         parts.append(state.reason.value)
     if not state.phase.is_over:

@@ -341,6 +341,10 @@ class Identification:
         """Update the service's alarms: age of the checkpoints, certificate, load, history."""
         return self._alarms.watch_service(now, checkpoint_age_s, days_left, load, history_waits_s)
 
+    def lead(self, valve: str, *, by_another: bool) -> None:
+        """Note whether something else writes to the valve: it cannot be armed meanwhile."""
+        self._armed.lead(valve, by_another=by_another)
+
     def is_armed(self, valve: int) -> bool:
         """Whether an operator has armed the valve's feed-forward since the start."""
         return self._armed.is_armed(valve)
