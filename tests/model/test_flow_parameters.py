@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from valvemap.model import flow_map_looks
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.samples import Samples
 
@@ -48,6 +49,16 @@ def test_the_flow_rises_with_temperature_by_its_coefficient():
     T = np.linspace(30, 50, 6000)
     of = learnt(FlowMap(), lambda U, dp, T: edge(U, dp, T) * (1 + 0.003 * (T - 40)), T=T)
     assert of["temperature_coefficient"][0] == pytest.approx(0.003, abs=0.001)
+
+
+def test_a_map_without_flow_at_full_signal_has_no_gain_and_no_division_by_it(monkeypatch):
+    def falling(_state, _both, U, *_):
+        return np.where(U < U.max(), U, 0.0), np.ones(len(U))
+
+    monkeypatch.setattr(flow_map_looks, "predict", falling)
+    of = learnt(FlowMap(), edge)
+    assert of["gain_opening"][0] == 0.0
+    assert of["dead_band_opening"].tolist() == [0.0, 100.0]
 
 
 def test_before_samples_nothing_is_known_and_the_length_is_the_same():

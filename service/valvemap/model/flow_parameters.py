@@ -80,7 +80,7 @@ def _edge(state: FlowMapState, both: Both, end: float) -> Floats:
     )
     full = abs(Q[-1])
     gain = np.array([full, std[-1]]) / np.sqrt(DP)
-    shares = np.abs(Q) / full
+    shares = np.divide(np.abs(Q), full, out=np.zeros(STEPS), where=full > 0.0)  # 0: never opened
     opened = np.flatnonzero(shares > OPENED)
     if not np.isfinite(Q).all() or len(opened) == 0 or shares[0] > MOST_OPENED:
         none = np.array([0.0, abs(end)])
