@@ -19,7 +19,7 @@ from valvemap.model.dynamics import Dynamics, fit_dynamics
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Status
 
-REPORT: Final = 98_000
+REPORT: Final = 99_000
 FINE_HZ: Final = 100_000
 SECONDS: Final = 60.0
 NEVER: Final = 1e9

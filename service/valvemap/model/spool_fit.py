@@ -20,7 +20,7 @@ from valvemap.model.samples import Floats, Samples
 
 FREE: Final = 5  # numbers of a point
 STEP_S: Final = 2.5e-4  # s; of the integration
-PARTS: Final = 20  # intervals of the map's B-splines along U
+PARTS: Final = 40  # intervals of the map's B-splines along U
 COLUMNS: Final = 3 * (PARTS + 2)  # of the map: B-splines times s, s·|s| and s³
 BEYOND: Final = 0.2  # share of the range of U by which the spool may overshoot it
 RIDGE: Final = 1e-9  # of the largest diagonal: columns without samples
