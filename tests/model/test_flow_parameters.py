@@ -53,7 +53,7 @@ def test_the_flow_rises_with_temperature_by_its_coefficient():
 
 def test_a_map_without_flow_at_full_signal_has_no_gain_and_no_division_by_it(monkeypatch):
     def falling(_state, _both, U, *_):
-        return np.where(U < U.max(), U, 0.0), np.ones(len(U))
+        return np.where(U.max() > U, U, 0.0), np.ones(len(U))
 
     monkeypatch.setattr(flow_map_looks, "predict", falling)
     of = learnt(FlowMap(), edge)

@@ -59,7 +59,7 @@ COMMANDS: Final[Mapping[str, Entry]] = {
     ),
     "dynamics": Entry(
         "dynamics",
-        "Print a valve's dynamics: natural frequency, damping, slew, dead time, T90.",
+        "Print a valve's dynamics: natural frequency, damping, slew, dead time, meter lag, T90.",
     ),
     "init": Entry("security", "Create certificates, users and a configuration."),
     "trust": Entry(

@@ -341,6 +341,7 @@ class Identification:
         """Update the service's alarms: age of the checkpoints, certificate, load, history."""
         return self._alarms.watch_service(now, checkpoint_age_s, days_left, load, history_waits_s)
 
+    @changes_state
     def lead(self, valve: str, *, by_another: bool) -> None:
         """Note whether something else writes to the valve: it cannot be armed meanwhile."""
         self._armed.lead(valve, by_another=by_another)
