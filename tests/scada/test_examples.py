@@ -8,6 +8,7 @@ import pytest_asyncio
 from documentation.address_space import nodes
 from support import fuxa, node_red
 from valvemap.config.models import Config
+from valvemap.opcua_results.result_types import ENUMERATIONS
 
 VARIABLE = re.compile(r"\b(?:Signals|Inverse|Auto|RLS)\.[A-Za-z0-9.]+")
 
@@ -25,8 +26,10 @@ def test_the_flow_names_only_nodes_that_a_demo_has(there):
 
 
 def test_the_project_names_only_nodes_that_a_demo_has_and_their_types(there):
+    enumerations = {f"`{kind.__name__}`" for kind in ENUMERATIONS}  # encoded as Int32
     for tag in fuxa.project_tags().values():
-        assert there[tag["address"]].kind == f"`{tag['type']}`"
+        kind = there[tag["address"]].kind
+        assert ("`Int32`" if kind in enumerations else kind) == f"`{tag['type']}`"
 
 
 def test_what_the_project_shows_are_tags_of_its_own():

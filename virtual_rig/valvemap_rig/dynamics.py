@@ -52,7 +52,7 @@ def second_order(
 
     >>> x, _ = second_order(np.array([0.0, 1.0, 1.0]), np.full(3, 5.0), 0.7, 0.1, (0.0, 0.0))
     >>> x.round(2)
-    array([0.  , 0.  , 1.04])
+    array([0.  , 0.  , 0.98])
     """
     x = np.empty_like(u)
     memory = _second_order(np.ascontiguousarray(u), hz, damping, period, *memory, x)

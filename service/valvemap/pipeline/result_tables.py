@@ -241,7 +241,9 @@ class ResultTables:
                 self._dynamics_of(valve).findings + fleet.findings(m)
                 for valve, m in zip(valves.tolist(), places.tolist(), strict=True)
             ],
-            dynamics=[self._dynamics_of(valve) for valve in valves.tolist()],
+            dynamics=[self._dynamics_of(valve) for valve in valves.tolist()]
+            if self._dynamics
+            else (),
             alarms=AlarmResults(
                 self._alarms_base + fleet.alarms.version[places],
                 lambda m: fleet.alarms.reports(int(places[m])),

@@ -6,7 +6,7 @@ import structlog
 
 from valvemap.clock import Clock
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.dynamics_results import DynamicsResults
+from valvemap.pipeline.dynamics_results import NOTHING_YET, DynamicsResults
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.valve_dynamics import DynamicsInTurn, Job, ValveDynamics
 from valvemap.runtime.daemon_thread import in_daemon_thread
@@ -34,6 +34,8 @@ class LiveDynamics:
         self._turns = DynamicsInTurn(valves, share, window_s, clock.monotonic())
         self._valves = [ValveDynamics() for _ in range(valves)]
         self._fit: asyncio.Task[None] | None = None
+        for valve in range(valves):
+            self._note(valve, NOTHING_YET)
 
     def take(self, samples: ByValve) -> None:
         """Take samples of any valves."""
