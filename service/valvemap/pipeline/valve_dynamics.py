@@ -181,8 +181,9 @@ def _in_words(found: Dynamics) -> str:
     for quantity in DYNAMIC_QUANTITIES:
         one: Quantity = getattr(found, quantity.field)
         if one.status is Status.OK:
-            unit = "" if quantity.unit == "1" else f" {quantity.unit}"
-            parts.append(f"{quantity.name} {one.value:.3g} ± {1.96 * one.std:.1g}{unit}")
+            unit, factor = quantity.in_words
+            shown = f"{factor * one.value:.3g} ± {1.96 * factor * one.std:.1g}"
+            parts.append(f"{quantity.name} {shown}{'' if unit == '1' else f' {unit}'}")
         else:
             parts.append(f"{quantity.name} not excited")
     return f"{', '.join(parts)}; residual {found.noise:.2g} l/min."

@@ -14,11 +14,11 @@ def rows_of(found: Dynamics) -> Iterator[tuple[str, ...]]:
     """Yield the cells of each quantity, under the headings."""
     for quantity in DYNAMIC_QUANTITIES:
         one: Quantity = getattr(found, quantity.field)
-        texts = "-", Status.UNEXCITED.label
+        texts, (unit, factor) = ("-", Status.UNEXCITED.label), quantity.in_words
         if one.status is Status.OK:
-            low, high = one.interval
-            texts = f"{one.value:.4g}", f"{low:.4g} … {high:.4g}"
-        yield quantity.name, *texts, quantity.unit, quantity.sentence
+            low, high = (factor * end for end in one.interval)
+            texts = f"{factor * one.value:.4g}", f"{low:.4g} … {high:.4g}"
+        yield quantity.name, *texts, unit, quantity.sentence
 
 
 def notes_of(found: Dynamics) -> Iterator[str]:

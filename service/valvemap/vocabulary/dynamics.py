@@ -54,6 +54,11 @@ class DynamicQuantity:
     range: tuple[float, float]
     sentence: str
 
+    @property
+    def in_words(self) -> tuple[str, float]:
+        """The unit in which people read it, and the factor to it: times in ms."""
+        return ("ms", 1e3) if self.unit == "s" else (self.unit, 1.0)
+
 
 DYNAMIC_QUANTITIES: Final = (
     DynamicQuantity(
