@@ -17,6 +17,8 @@ import numpy as np
 from benchmarks import circumstances as c
 from valvemap.model.dynamics import Dynamics, fit_dynamics
 from valvemap.model.samples import Samples
+from valvemap.pipeline.valve_dynamics import ValveDynamics
+from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.statuses import Status
 
 REPORT: Final = 99_000
@@ -49,8 +51,13 @@ def metered(Q, lag, many):
     return out
 
 
-def plant(seed: int, rate: float, *, limited: bool) -> tuple[Samples, dict[str, float], Any]:
-    """Samples, the truth, and the static map."""
+def plant(
+    seed: int, rate: float, *, limited: bool, again: int = 0, slower: float = 1.0
+) -> tuple[Samples, dict[str, float], Any]:
+    """Samples, the truth, and the static map.
+
+    ``again`` gives other steps of the same plant, ``slower`` a share of its natural frequency.
+    """
     rng = np.random.default_rng([seed, 23])
     f = float(rng.uniform(5.0, 25.0) if rate < 500 else rng.uniform(8.0, 60.0))
     zeta, lag = float(rng.uniform(0.5, 1.0)), float(rng.uniform(0.005, 0.05))
@@ -58,6 +65,9 @@ def plant(seed: int, rate: float, *, limited: bool) -> tuple[Samples, dict[str, 
     if limited:  # below the fastest that a full step reaches
         slew = float(rng.uniform(0.15, 0.6)) * 100.0 * f * 2.4
     N, many = round(SECONDS * rate), round(FINE_HZ / rate)
+    f *= slower
+    if again:
+        rng = np.random.default_rng([seed, 29, again])
     U = np.empty(N)
     k = 0
     while k < N:
@@ -74,7 +84,7 @@ def plant(seed: int, rate: float, *, limited: bool) -> tuple[Samples, dict[str, 
     valve = c.VALVES[names[seed % len(names)]]
     x = spool_of(fine, f, zeta, slew, 1.0 / FINE_HZ)
     Q = valve(np.clip(x, 0.0, None), dp)
-    Q = metered(Q, lag, many) + c.white(seed, N)
+    Q = metered(Q, lag, many) + c.white(seed + 100_000 * again, N)
     samples = Samples.of(
         np.rint(np.arange(N) * 1e9 / rate).astype(np.int64), U, dp[::many], np.zeros(N), Q
     )
@@ -115,14 +125,36 @@ def row(seed: int, rate: float, *, limited: bool) -> dict[str, float]:
     return out
 
 
+def changes(seeds: range, rate: float = 100.0) -> str:
+    """Return how often a change is found: none, and the natural frequency halved."""
+    found = {1.0: 0, 0.5: 0}
+    judged = dict.fromkeys(found, 0)
+    for seed in seeds:
+        for slower in found:
+            valve = ValveDynamics()
+            for again, share in ((1, 1.0), (2, slower)):
+                samples, _, _ = plant(seed, rate, limited=False, again=again, slower=share)
+                results = valve.accept(fit_dynamics(samples), 0)
+            judged[slower] += results.status is DynamicsStatus.OK
+            found[slower] += bool(results.findings)
+    return (
+        f"changes between two minutes at {rate:g} Hz: {found[1.0]} found of {judged[1.0]} without "
+        f"one, {found[0.5]} of {judged[0.5]} with half the natural frequency"
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
     parser.add_argument("--each", action="store_true", help="print every seed")
+    parser.add_argument("--changes", action="store_true", help="how often a change is found")
     wanted = parser.parse_args(arguments)
     first = REPORT if wanted.report else 0
+    if wanted.changes:
+        print(changes(range(first, first + wanted.seeds)))
+        return 0
     for rate in (100.0, 1000.0):
         for limited in (True, False):
             rows = []

@@ -236,6 +236,24 @@ async def test_an_alarm_is_acknowledged_confirmed_and_commented_on_as_the_user()
     assert service.comments == [("V1.Alarms.Changed.Condition", b"\x0a\xff", "seen")]
 
 
+async def test_a_guided_run_is_started_kept_alive_and_aborted_as_the_user():
+    visit = Visit()
+    await visit.log_in()
+    for command in (
+        {"do": "Start", "accuracy": 0.5},
+        {"do": "Heartbeat", "count": 7},
+        {"do": "Abort"},
+    ):
+        assert (await visit.post("/command", run="V1", **command)).status_code == 200
+    assert (await visit.post("/command", run="V1", do="Start")).status_code == 409
+    ((_, service, _),) = visit.plant.made
+    assert service.calls == [
+        ("V1.Commission", "Start", ((0.5,),)),
+        ("V1.Commission", "Abort", ((),)),
+    ]
+    assert service.writes == [("V1.Commission.Heartbeat", 7.0)]
+
+
 async def test_a_map_is_approved_or_rolled_back_as_the_user():
     visit = Visit()
     await visit.log_in()

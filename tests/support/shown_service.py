@@ -75,6 +75,7 @@ class ShownService:
     keeps_history: bool = True
     history: list[tuple] = field(default_factory=list)  # what was asked for
     comments: list[tuple] = field(default_factory=list)
+    more: tuple[str, ...] = ()  # parts of each valve
 
     async def connect(self):
         self._check()
@@ -87,7 +88,7 @@ class ShownService:
         if id == "Identification":
             return [Node(name) for name in self.names]
         if id in self.names:
-            parts = ("RLS", "Inverse", "Diagnostics", "Signals", "Baseline")
+            parts = ("RLS", "Inverse", "Diagnostics", "Signals", "Baseline", *self.more)
             return [Node(f"{id}.Frame", is_variable=True), *(Node(f"{id}.{p}") for p in parts)]
         below = {
             "RLS": (
@@ -101,6 +102,7 @@ class ShownService:
             ),
             "Signals": ("U", "dp", "Q"),
             "Baseline": ("Version",),
+            "Commission": ("State", "Progress", "Recording", "Heartbeat"),
         }[id.rpartition(".")[2]]
         return [Node(f"{id}.{name}", is_variable=True) for name in below]
 

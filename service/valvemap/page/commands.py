@@ -1,4 +1,4 @@
-"""Commands of a logged-in user: demands, alarms, approved maps; in a demo, control the rig."""
+"""Commands of a logged-in user: demands, alarms, maps, guided runs; in a demo, the rig."""
 
 import math
 from typing import Any
@@ -44,6 +44,12 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
             await log_in.service.comment(place, _event(event), _short(text))
         case {"baseline": str() as valve, "do": "Approve" | "RollBack" as step}:
             await log_in.service.call(f"{_checked(valve)}.Baseline", step, [[]])
+        case {"run": str() as valve, "do": "Start", "accuracy": float() | int() as accuracy}:
+            await log_in.service.call(_run_of(valve), "Start", [[_finite(accuracy)]])
+        case {"run": str() as valve, "do": "Abort"}:
+            await log_in.service.call(_run_of(valve), "Abort", [[]])
+        case {"run": str() as valve, "do": "Heartbeat", "count": float() | int() as count}:
+            await log_in.service.write(f"{_run_of(valve)}.Heartbeat", _finite(count))
         case {"scenario": str() as scenario}:
             if scenario:
                 await _rig(log_in).call("Rig", "StartScenario", [[_checked(scenario)]])
@@ -59,6 +65,10 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
             await _rig(log_in).call(_checked(valve), "InjectFault", inputs)
         case _:
             raise CommandRejected("no such command")
+
+
+def _run_of(valve: str) -> str:
+    return f"{_checked(valve)}.Commission"
 
 
 def _rig(log_in: LogIn) -> Any:  # noqa: ANN401 - a client

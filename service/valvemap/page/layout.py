@@ -18,10 +18,11 @@ _STATE = (
     *("Diagnostics.SampleAge", "Diagnostics.Waiting", "Diagnostics.LastAction"),
     *("Diagnostics.Findings", "Diagnostics.FindingProbabilities"),
     *("Recommended", "RecommendedReason"),
+    *("Commission.State", "Commission.Progress", "Commission.Recording"),
 )
 _MAPS = ("Coverage", "CoverageAge")
 _FIXED = ("Names", "MapQ", "MapDp", "CoverageU", "CoverageDp")
-_NEVER = ("Frame", "FrameNames", "Inverse.Map")
+_NEVER = ("Frame", "FrameNames", "Inverse.Map", "Commission.Heartbeat")
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,8 @@ def sort_variables(valve: Valve, names: Sequence[str]) -> Variables:
     live, state, slow, maps, fixed = [], [], [], [], []
     for name in names:
         last = name.rpartition(".")[2]
-        if name in framed or name in _NEVER:
-            continue
+        if name in framed or name in _NEVER or (name.startswith("Dynamics.") and last != "Reason"):
+            continue  # of the dynamics, the words have the figures
         if name.startswith(_LIVE):
             live.append(name)
         elif name in _STATE:

@@ -3,6 +3,7 @@
 import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, inUnit, span, spreadInUnit } from "../format.js";
 import { shown } from "../units.js";
+import { guidedRun } from "./guided_run.js";
 
 const REFRESH_MS = 1000;
 const RATE_S = 10; // over which rates are taken: what comes in bursts is counted evenly
@@ -19,6 +20,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
   let selected = estimator, seen = [];
   const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; choose(selected); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
+  const run = guidedRun({ live, valve });
   const checks = h("ul.checks"), heat = h("canvas.heat", { role: "img", "aria-label": "Uncertainty over control voltage and pressure drop" });
   const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted"), coming = h("ul.words.coming");
 
@@ -33,6 +35,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
         h("section.card", {}, h("header", {}, h("h2", {}, "The next test point")), next),
       ),
       h("div.grid", {},
+        run.element,
         h("section.card", {}, h("header", {}, h("h2", {}, "What is missing for a map")), checks),
         h("section.card", {}, h("header", {}, h("h2", {}, "What becomes of the data"), h("span.fill"), rate, rateWords),
           h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Count"), h("th.number", {}, "per s"))), counters),
@@ -60,6 +63,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     showChecks(of, counts, per);
     showComing();
     drawHeat(of);
+    run.update();
     seen.push({ now, counts, selected });
   }
 
@@ -147,7 +151,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
   const timer = setInterval(update, REFRESH_MS);
   const forget = onTheme(update);
   update();
-  return () => { clearInterval(timer); forget(); };
+  return () => { clearInterval(timer); forget(); run.end(); };
 }
 
 /** Where a value lies between the middles of cells: 0 is the middle of the first. */

@@ -266,6 +266,8 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
     }
     const causes = live.get("Diagnostics.Findings")?.value ?? [], chances = live.get("Diagnostics.FindingProbabilities")?.value ?? [];
     causes.forEach((sentence, k) => lines.push([k ? "" : "Findings", `${fixed(100 * chances[k], 0)} %: ${inUnits(sentence)}`]));
+    const dynamics = live.get("Dynamics.Reason")?.value;
+    if (dynamics) lines.push(["Dynamics", inUnits(dynamics)]);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     if (waiting) lines.push(["Waiting for", String(waiting)]);
     const action = live.get("Diagnostics.LastAction")?.value;

@@ -1,0 +1,65 @@
+// Drives the valve through its range on the operator's command, with an abort button.
+
+import { h, mark, say } from "../dom.js";
+import { fromShown, inUnits, shown } from "../units.js";
+import { user } from "../user.js";
+
+const HEARTBEAT_MS = 400; // the run ends without one for a second
+const UNSEEN_MS = 5000; // after a start, until its run is seen
+const OVER = [0, 6, 7, 8]; // not started, done, aborted, refused
+const TEXTS = ["Progress", "Recording"].map((name) => `Commission.${name}`);
+
+/** The card, hidden where the valve cannot be driven; its update, and what ends its heartbeat. */
+export function guidedRun({ live, valve }) {
+  let beats = 0, beating = null, beganAt = 0, hasBegun = false;
+  const accuracy = h("input", { type: "number", min: 0, step: 0.1, value: 0, "aria-label": "Accuracy" });
+  const unit = h("span.muted");
+  const begin = h("button", { type: "button", onclick: start }, "Start");
+  const abort = h("button.danger", { type: "button", onclick: () => act({ run: valve.name, do: "Abort" }) }, "Abort");
+  const progress = h("p"), recording = h("p.words"), hint = h("p.words"), problem = h("p.words", { role: "alert" });
+  const element = h("section.card.guided-run", {}, h("header", {}, h("h2", {}, "Guided run")),
+    h("p.words", {}, "Moves U through its range, within the limits of [valves.commission], until the map is known. This page must stay open and in front: without it the run ends at the safe U."),
+    h("p", {}, h("label", {}, "End at ± ", accuracy), " ", unit, " ", begin, " ", abort),
+    progress, recording, hint, problem);
+
+  async function start() {
+    if (!confirm(`${valve.name} will move. Is everybody clear of the machine?`)) return;
+    if (!(await act({ run: valve.name, do: "Start", accuracy: fromShown(accuracy.valueAsNumber || 0, "l/min") }))) return;
+    [beganAt, hasBegun] = [performance.now(), false];
+    beating ??= setInterval(beat, HEARTBEAT_MS);
+  }
+
+  async function act(command) {
+    const refused = await user.command(command);
+    say(problem, refused ?? "");
+    return refused === null;
+  }
+
+  function beat() {
+    if (document.hidden) return;
+    user.command({ run: valve.name, do: "Heartbeat", count: ++beats });
+  }
+
+  function end() {
+    clearInterval(beating);
+    beating = null;
+  }
+
+  function update() {
+    const state = live.number("Commission.State"), old = live.old;
+    element.hidden = !live.has("Commission.State");
+    const isOver = OVER.includes(state) || !Number.isFinite(state);
+    hasBegun ||= !isOver;
+    if (beating && isOver && (hasBegun || performance.now() - beganAt > UNSEEN_MS)) end();
+    say(unit, shown("l/min"));
+    begin.disabled = Boolean(old) || !isOver || !user.name;
+    abort.disabled = Boolean(old) || isOver || !user.name;
+    const [line, file] = TEXTS.map((name) => live.get(name)?.value || "");
+    say(progress, old ? `Not known: ${old.why}` : inUnits(line));
+    say(recording, file ? `Recording: ${file}` : "");
+    say(hint, user.name ? "" : "To start a run, log in as an operator.");
+    mark(element, "state", isOver ? "over" : "running");
+  }
+
+  return { element, update, end };
+}
