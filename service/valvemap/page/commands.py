@@ -44,12 +44,8 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
             await log_in.service.comment(place, _event(event), _short(text))
         case {"baseline": str() as valve, "do": "Approve" | "RollBack" as step}:
             await log_in.service.call(f"{_checked(valve)}.Baseline", step, [[]])
-        case {"run": str() as valve, "do": "Start", "accuracy": float() | int() as accuracy}:
-            await log_in.service.call(_run_of(valve), "Start", [[_finite(accuracy)]])
-        case {"run": str() as valve, "do": "Abort"}:
-            await log_in.service.call(_run_of(valve), "Abort", [[]])
-        case {"run": str() as valve, "do": "Heartbeat", "count": float() | int() as count}:
-            await log_in.service.write(f"{_run_of(valve)}.Heartbeat", _finite(count))
+        case {"run": str() as valve}:
+            await _guide(log_in, f"{_checked(valve)}.Commission", command)
         case {"scenario": str() as scenario}:
             if scenario:
                 await _rig(log_in).call("Rig", "StartScenario", [[_checked(scenario)]])
@@ -67,8 +63,17 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
             raise CommandRejected("no such command")
 
 
-def _run_of(valve: str) -> str:
-    return f"{_checked(valve)}.Commission"
+async def _guide(log_in: LogIn, run: str, command: dict[str, Any]) -> None:
+    """Start a guided run, keep it alive, or abort it."""
+    match command:
+        case {"do": "Start", "accuracy": float() | int() as accuracy}:
+            await log_in.service.call(run, "Start", [[_finite(accuracy)]])
+        case {"do": "Heartbeat", "count": float() | int() as count}:
+            await log_in.service.write(f"{run}.Heartbeat", _finite(count))
+        case {"do": "Abort"}:
+            await log_in.service.call(run, "Abort", [[]])
+        case _:
+            raise CommandRejected("no such command")
 
 
 def _rig(log_in: LogIn) -> Any:  # noqa: ANN401 - a client
