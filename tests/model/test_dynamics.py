@@ -84,4 +84,21 @@ def test_a_valve_at_rest_is_refused():
     still = Samples.of(
         np.arange(N) * 10**7, np.full(N, 30.0), np.full(N, 60.0), np.zeros(N), np.ones(N)
     )
-    assert "U does not move" in fit_dynamics(still).sentence
+    assert "U moves too little" in fit_dynamics(still).sentence
+
+
+def test_a_spool_that_follows_at_once_is_not_excited():
+    rng = np.random.default_rng(2)
+    t, U, dp = np.arange(2_000) * 10**7, rng.uniform(0, 100, 2_000), rng.uniform(20, 150, 2_000)
+    Q = 0.1 * U * np.sqrt(dp) + rng.normal(0.0, SIGMA, 2_000)
+    found = fit_dynamics(Samples.of(t, U, dp, 0 * U, Q))
+    for one in (found.natural_frequency, found.damping, found.dead_time, found.T90):
+        assert one.status is Status.UNEXCITED
+        assert math.isnan(one.value)
+
+
+def test_few_moves_tell_no_dynamics():
+    samples = stepped(30.0)
+    held = np.repeat([20.0, 40.0, 60.0], 1_000)
+    moved = Samples.of(samples.t, held, samples.p1, samples.p2, samples.Q)
+    assert "U moves too little" in fit_dynamics(moved).sentence

@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from valvemap.model import spool_fit as fit
-from valvemap.model.kernels import dynamics as kernels
 from valvemap.model.samples import Floats, Samples
 from valvemap.model.spool_fit import Grid, Hold, Point
 from valvemap.vocabulary.dynamics import DynamicsStatus
@@ -21,10 +20,13 @@ LEAST_HZ: Final = 90.0  # Hz; slower samples do not show a spool
 LEAST_S: Final = 10.0  # s of samples
 GAP: Final = 5.0  # periods without a sample: what is before and after belongs not together
 STILL_PERCENT: Final = 1.0  # of U: what moves less does not move
+TRAVERSES: Final = 10.0  # times its own range, that U must travel: fewer moves tell of misfits, too
+EARLY: Final = 1.5  # periods by which flow may seem to precede U: one is that of the sampling
 UNSURE: Final = 0.3  # relative standard deviation above which f or ζ is not determined
 UNSURE_S: Final = 0.02  # s; the same for times
 TINY: Final = 1e-300  # instead of a variance of 0
 COLOUR_S: Final = 0.1  # s; over which residuals of a misfit hang together
+COLOURS_S: Final = (0.1, 1.0, 5.0)  # s; the same, where it is asked whether there are dynamics
 
 
 @dataclass(frozen=True)
@@ -78,16 +80,8 @@ class Dynamics:
 
     def flow(self, U: Floats, dp: Floats) -> Floats:
         """Static flow at (U, Δp), both (N,), l/min."""
-        low, width, top = self.axis
-        s = np.sign(dp) * np.sqrt(np.abs(dp)) / top
-        X = np.zeros((len(U), fit.COLUMNS))
-        for n in range(len(U)):  # a row at rest each
-            row = X[n : n + 1]
-            at = np.array([U[n]], np.float64)
-            kernels.regressors(
-                at, s[n : n + 1], np.zeros(4), 0.0, 0.0, low, width, fit.PARTS, 1, row
-            )
-        return X @ self.theta
+        s = np.sign(dp) * np.sqrt(np.abs(dp)) / self.axis[2]
+        return np.asarray(fit.static_columns(U, s, self.axis) @ self.theta)
 
     def step_response(self, seconds: float = 0.3) -> tuple[Floats, Floats]:
         """Return times (s) and the spool's travel, %, after a step of ``step_percent``."""
@@ -141,9 +135,9 @@ def fit_dynamics(samples: Samples) -> Dynamics | NotFitted:
     good = _longest_stretch(good, period)
     if len(good) * period < LEAST_S or len(good) < LEAST_S * LEAST_HZ:
         return _too_few(len(good))
-    if np.ptp(good.U) < STILL_PERCENT:
-        why = "U does not move: steps, PRBS or machine work are needed"
-        return NotFitted(DynamicsStatus.UNEXCITED, why)
+    span = float(np.ptp(good.U))
+    if span < STILL_PERCENT or float(np.abs(np.diff(good.U)).sum()) < TRAVERSES * span:
+        return NotFitted(DynamicsStatus.UNEXCITED, DynamicsStatus.UNEXCITED.sentence)
     return _judged(*fit.best_point(good, period))
 
 
@@ -178,14 +172,17 @@ def _judged(grid: Grid, p: Point) -> Dynamics:
     std = np.sqrt(np.maximum(P.diagonal(), 0.0))
     step = float(np.abs(np.diff(grid.U)).max()) if grid.hold is Hold.CONSTANT else 0.0
     step = max(step, 0.1 * float(np.ptp(grid.U)))
-    f = _quantity(p.f, p.f * std[0], told=std[0] < UNSURE and p.f < 0.9 * fit.FASTEST)
+    gain = fit.static_residual(grid) - S
+    follows = p.dead + 1.96e-3 * std[3] > -EARLY * grid.period
+    lags = follows and gain > fit.FLAT * noise2 * _colour(r, grid) and p.f < fit.SEEN / grid.period
+    f = _quantity(p.f, p.f * std[0], told=lags and std[0] < UNSURE and p.f < 0.9 * fit.FASTEST)
     zeta = _quantity(p.zeta, p.zeta * std[1], told=f.status is Status.OK and std[1] < UNSURE)
     return Dynamics(
         natural_frequency=f,
         damping=zeta,
-        slew=_quantity(p.slew, p.slew * std[2], told=slew_told),
-        dead_time=_quantity(p.dead, 1e-3 * std[3], told=1e-3 * std[3] < UNSURE_S),
-        meter_lag=_quantity(p.lag, 1e-3 * std[4], told=1e-3 * std[4] < UNSURE_S),
+        slew=_quantity(p.slew, p.slew * std[2], told=lags and slew_told),
+        dead_time=_quantity(p.dead, 1e-3 * std[3], told=lags and 1e-3 * std[3] < UNSURE_S),
+        meter_lag=_quantity(p.lag, 1e-3 * std[4], told=lags and 1e-3 * std[4] < UNSURE_S),
         T90=_rise(p, P, step, told=f.status is Status.OK),
         step_percent=step,
         noise=math.sqrt(noise2),
@@ -217,9 +214,12 @@ def _covariance(J: Floats, r: Floats, noise2: float, period: float) -> Floats:
 
 def _colour(r: Floats, grid: Grid) -> float:
     """Return by how much neighbours add to the variance of a mean of residuals, 1 at least."""
-    many = max(round(COLOUR_S / grid.period), 1)
-    means = np.add.reduceat(r, np.arange(0, len(r), many))
-    return max(float(means @ means / (r @ r)), 1.0)
+    worst = 1.0
+    for seconds in COLOURS_S:
+        many = max(round(seconds / grid.period), 1)
+        means = np.add.reduceat(r, np.arange(0, len(r), many))
+        worst = max(worst, float(means @ means / (r @ r)))
+    return worst
 
 
 def _quantity(value: float, std: float, *, told: bool) -> Quantity:

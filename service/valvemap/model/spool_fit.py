@@ -25,6 +25,7 @@ COLUMNS: Final = 3 * (PARTS + 2)  # of the map: B-splines times s, sÂ·|s| and sÂ
 BEYOND: Final = 0.2  # share of the range of U by which the spool may overshoot it
 RIDGE: Final = 1e-9  # of the largest diagonal: columns without samples
 SLOWEST, FASTEST = 0.5, 200.0  # Hz; bounds of f
+SEEN: Final = 0.4  # of the sampling rate: quicker spools do not show
 STARTS_HZ: Final = (4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 100.0)
 STARTS_LAG_S: Final = (0.003, 0.012, 0.035)
 STARTS_SLEW: Final = (math.inf, 0.5, 0.25, 0.12)  # of the fastest that a full step reaches
@@ -176,12 +177,34 @@ def _transition(p: Point, h: float) -> Floats:
 
 def residual(grid: Grid, p: Point) -> tuple[Floats, float, Floats]:
     """Return what the best map leaves (N,), its sum of squares, and the map."""
-    X = _columns(grid, p)
+    return _left(_columns(grid, p), grid.Q)
+
+
+def _left(X: Floats, Q: Floats) -> tuple[Floats, float, Floats]:
     G = X.T @ X
     G[np.diag_indices_from(G)] += RIDGE * G.diagonal().max() + 1e-30
-    theta: Floats = np.asarray(np.linalg.solve(G, X.T @ grid.Q), np.float64)
-    r = grid.Q - X @ theta
+    theta: Floats = np.asarray(np.linalg.solve(G, X.T @ Q), np.float64)
+    r = Q - X @ theta
     return r, float(r @ r), theta
+
+
+def static_columns(U: Floats, s: Floats, axis: tuple[float, float, float]) -> Floats:
+    """Return the map's columns of a spool that stands at U, (N, COLUMNS); ``s`` as in `Grid`."""
+    low, width, _ = axis
+    place = np.clip((U - low) / width, 0.0, PARTS - 1e-9)
+    j = place.astype(np.int64)
+    z = place - j
+    first, last = 0.5 * (1.0 - z) ** 2, 0.5 * z * z
+    X, rows = np.zeros((len(U), COLUMNS)), np.arange(len(U))
+    for i, spline in enumerate((first, 1.0 - first - last, last)):
+        for p, power in enumerate((s, s * np.abs(s), s**3)):
+            X[rows, p * (PARTS + 2) + j + i] = spline * power
+    return X
+
+
+def static_residual(grid: Grid) -> float:
+    """Return the sum of squares of a map without dynamics."""
+    return _left(static_columns(grid.U, grid.s, grid.axis), grid.Q)[1]
 
 
 def jacobian(grid: Grid, x: Floats, r: Floats) -> Floats:
