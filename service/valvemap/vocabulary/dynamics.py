@@ -26,8 +26,8 @@ class DynamicsStatus(Described):
         3,
         "not excited",
         (
-            "U moves too little, too seldom or too slowly for the spool to lag: steps, PRBS or quicker "
-            "machine work are needed."
+            "U moves too little, too seldom or too slowly for the spool to lag: steps, PRBS or "
+            "quicker machine work are needed."
         ),
     )
     FAILED = 4, "failed", "The fit ended at an unexpected error; the next samples start it again."
