@@ -15,6 +15,7 @@ from guarded_opcua import Role, ServerSettings, UserStore
 from support.plant import plant
 from support.results import results_settings
 from valvemap.config.estimators import build_estimator, default_estimators
+from valvemap.errors import CommandRejected
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
@@ -69,8 +70,23 @@ async def service(identification):
     settings = results_settings(users=operators(), none_on_loopback=True)
     server = ResultsServer(settings, identification.descriptions(), identification)
     async with server:
+        await server.follow_commissions(["Valvistor"], NoRuns())
         await publish(server, identification)
         yield server
+
+
+class NoRuns:
+    """Fulfils `CommissionOperator`; nothing is driven."""
+
+    def start_commission(self, valve, accuracy, user):
+        assert 0.0 <= accuracy <= 10_000.0
+        assert user
+
+    def abort_commission(self, valve):
+        raise CommandRejected(f"{valve}: no run is under way")
+
+    def note_operator(self, valve):
+        pass
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
