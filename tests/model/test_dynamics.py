@@ -102,3 +102,12 @@ def test_few_moves_tell_no_dynamics():
     held = np.repeat([20.0, 40.0, 60.0], 1_000)
     moved = Samples.of(samples.t, held, samples.p1, samples.p2, samples.Q)
     assert "U moves too little" in fit_dynamics(moved).sentence
+
+
+@pytest.mark.parametrize("flow", [0.0, 50.0])
+def test_a_flow_that_does_not_move_tells_nothing(flow):
+    samples = stepped(12.0)
+    constant = Samples.of(samples.t, samples.U, samples.p1, samples.p2, 0.0 * samples.Q + flow)
+    found = fit_dynamics(constant)
+    for one in (found.natural_frequency, found.damping, found.slew, found.T90):
+        assert one.status is Status.UNEXCITED

@@ -183,7 +183,7 @@ def _judged(grid: Grid, p: Point) -> Dynamics:
         slew=_quantity(p.slew, p.slew * std[2], told=lags and slew_told),
         dead_time=_quantity(p.dead, 1e-3 * std[3], told=lags and 1e-3 * std[3] < UNSURE_S),
         meter_lag=_quantity(p.lag, 1e-3 * std[4], told=lags and 1e-3 * std[4] < UNSURE_S),
-        T90=_rise(p, P, step, told=f.status is Status.OK),
+        T90=_rise(p, P, step, told=zeta.status is Status.OK),
         step_percent=step,
         noise=math.sqrt(noise2),
         hold=grid.hold,
@@ -214,11 +214,11 @@ def _covariance(J: Floats, r: Floats, noise2: float, period: float) -> Floats:
 
 def _colour(r: Floats, grid: Grid) -> float:
     """Return by how much neighbours add to the variance of a mean of residuals, 1 at least."""
-    worst = 1.0
+    worst, whole = 1.0, max(float(r @ r), TINY)
     for seconds in COLOURS_S:
         many = max(round(seconds / grid.period), 1)
         means = np.add.reduceat(r, np.arange(0, len(r), many))
-        worst = max(worst, float(means @ means / (r @ r)))
+        worst = max(worst, float(means @ means) / whole)
     return worst
 
 
