@@ -21,7 +21,7 @@ from valvemap.pipeline.valve_dynamics import ValveDynamics
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.statuses import Status
 
-REPORT: Final = 99_000
+REPORT: Final = 100_000
 FINE_HZ: Final = 100_000
 SECONDS: Final = 60.0
 NEVER: Final = 1e9
