@@ -5,6 +5,7 @@ values. Time has the direction of the request: in a backward request all times a
 interval begins at its later end.
 """
 
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -67,10 +68,16 @@ class Aggregation:
         self._sum = np.zeros(n)
         sign = -1.0 if aggregate is Aggregate.MINIMUM else 1.0
         self._extreme = _Extreme(n, sign)
-        self._raw = RawStatistics(intervals)
-        self._durations = Durations(intervals, rules)
         self._first: int | None = None  # signed time of the first and last value
         self._last: int | None = None
+
+    @cached_property
+    def _raw(self) -> RawStatistics:
+        return RawStatistics(self._intervals)
+
+    @cached_property
+    def _durations(self) -> Durations:
+        return Durations(self._intervals, self._rules)
 
     def take(self, records: Records) -> None:
         """Process the next values, in the order of the request.

@@ -113,12 +113,9 @@ class Durations:
         """Take the next values, at ascending times (N,)."""
         if not len(t):
             return
-        begins, kinds = t[:-1], codes[:-1]
         if self._last is not None:
-            begins, kinds = np.append(self._last[0], begins), np.append(self._last[1], kinds)
-            self._add(begins, t, kinds)
-        else:
-            self._add(begins, t[1:], kinds)
+            t, codes = np.append(self._last[0], t), np.append(self._last[1], codes)
+        self._kinds += self._of(t, codes[:-1])
         self._last = int(t[-1]), int(codes[-1])
 
     def seconds(self) -> tuple[_Floats, _Floats]:
@@ -130,21 +127,19 @@ class Durations:
         if self._last is not None:
             t, code = self._last
             end = max(int(self._intervals.edges[-1]), t)
-            found = found + self._of(np.array([t]), np.array([end]), np.array([code]))
+            found = found + self._of(np.array([t, end]), np.array([code]))
         return found[0], found[1]
 
-    def _add(self, begins: _Times, ends: _Times, codes: NDArray[np.integer]) -> None:
-        self._kinds += self._of(begins, ends, codes)
+    def _of(self, t: _Times, codes: NDArray[np.integer]) -> _Floats:
+        """Return the durations of each kind in each interval, (2, n), s.
 
-    def _of(self, begins: _Times, ends: _Times, codes: NDArray[np.integer]) -> _Floats:
-        """Return the durations of each kind in each interval, (2, n), s."""
+        ``codes`` (m,) hold from t[k] to t[k + 1]; ``t`` (m + 1,).
+        """
         limit = UNCERTAIN if self._rules.treat_uncertain_as_bad else BAD
-        origin = int(begins[0]) if len(begins) else 0
+        since, edges = t - t[0], self._intervals.edges - t[0]
         rows = []
         for chosen in (codes < limit, codes >= limit):
-            lengths = np.where(chosen, ends - begins, 0) * 1e-9
+            lengths = np.where(chosen, np.diff(t), 0) * 1e-9
             total = np.append(0.0, np.cumsum(lengths))
-            at = np.append(begins, ends[-1:]) - origin
-            edges = self._intervals.edges - origin
-            rows.append(np.diff(np.interp(edges, at, total)) if len(begins) else 0.0 * total[:1])
-        return np.stack([np.broadcast_to(row, (len(self._intervals),)) for row in rows])
+            rows.append(np.diff(np.interp(edges, since, total)))
+        return np.stack(rows)
