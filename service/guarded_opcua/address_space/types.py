@@ -15,6 +15,10 @@ _HAS_RULE = ua.NodeId(_Ids.HasModellingRule)
 _PARTS = (ua.NodeId(_Ids.HasComponent), ua.NodeId(_Ids.HasProperty))
 _MANDATORY, _OPTIONAL = _Ids.ModellingRule_Mandatory, _Ids.ModellingRule_Optional
 _PLACEHOLDER = _Ids.ModellingRule_OptionalPlaceholder
+_OF_BASE = {  # class and attributes of the types derived from a base type
+    _Ids.Enumeration: (ua.NodeClass.DataType, ua.DataTypeAttributes),
+    _Ids.BaseObjectType: (ua.NodeClass.ObjectType, ua.ObjectTypeAttributes),
+}
 
 
 class TypeOwner(NodeOwner, Protocol):
@@ -73,18 +77,7 @@ def add_enumeration(
     description
         Description attribute.
     """
-    item = ua.AddNodesItem()
-    item.ParentNodeId = ua.NodeId(_Ids.Enumeration)
-    item.RequestedNewNodeId = ua.NodeId(id, server.namespace_index)
-    item.BrowseName = ua.QualifiedName(name, server.namespace_index)
-    item.NodeClass = ua.NodeClass.DataType
-    item.ReferenceTypeId = ua.NodeId(_Ids.HasSubtype)
-    item.NodeAttributes = ua.DataTypeAttributes(
-        DisplayName=ua.LocalizedText(name),
-        Description=ua.LocalizedText(description),
-        IsAbstract=False,
-    )
-    own = insert(server.address_space, item, server.utc())
+    own = _add_subtype(server, _Ids.Enumeration, id, name, description)
     definition = ua.EnumDefinition(
         Fields=[
             ua.EnumField(
@@ -132,18 +125,7 @@ def add_type(
     optional
         Names of optional components; names in angle brackets are placeholders.
     """
-    item = ua.AddNodesItem()
-    item.ParentNodeId = ua.NodeId(_Ids.BaseObjectType)
-    item.RequestedNewNodeId = ua.NodeId(id, server.namespace_index)
-    item.BrowseName = ua.QualifiedName(name, server.namespace_index)
-    item.NodeClass = ua.NodeClass.ObjectType
-    item.ReferenceTypeId = ua.NodeId(_Ids.HasSubtype)
-    item.NodeAttributes = ua.ObjectTypeAttributes(
-        DisplayName=ua.LocalizedText(name),
-        Description=ua.LocalizedText(description),
-        IsAbstract=False,
-    )
-    own = insert(server.address_space, item, server.utc())
+    own = _add_subtype(server, _Ids.BaseObjectType, id, name, description)
 
     async def add() -> None:
         await declare(Declarations(server), own)
@@ -151,6 +133,28 @@ def add_type(
 
     server.add_later(own, add)
     return own
+
+
+def _add_subtype(
+    server: NodeOwner,
+    base: int,
+    id: str,  # noqa: A002 - OPC UA's word
+    name: str,
+    description: str,
+) -> ua.NodeId:
+    kind, attributes = _OF_BASE[base]
+    item = ua.AddNodesItem()
+    item.ParentNodeId = ua.NodeId(base)
+    item.RequestedNewNodeId = ua.NodeId(id, server.namespace_index)
+    item.BrowseName = ua.QualifiedName(name, server.namespace_index)
+    item.NodeClass = kind
+    item.ReferenceTypeId = ua.NodeId(_Ids.HasSubtype)
+    item.NodeAttributes = attributes(
+        DisplayName=ua.LocalizedText(name),
+        Description=ua.LocalizedText(description),
+        IsAbstract=False,
+    )
+    return insert(server.address_space, item, server.utc())
 
 
 def _state_rules(aspace: AddressSpace, parent: ua.NodeId, optional: Collection[str]) -> None:
