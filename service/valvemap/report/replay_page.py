@@ -4,13 +4,11 @@ import base64
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
-from string import Template
 
 from rich.table import Table
 
 from valvemap.errors import StorageError
-from valvemap.owned_files import write_whole
-from valvemap.report.page_style import STYLE
+from valvemap.report import standalone_page
 
 PAGE = "index.html"
 _KINDS = {
@@ -18,6 +16,12 @@ _KINDS = {
     "residuals": "Residuals over time",
     "map": "The map, and where it was measured",
 }
+_STYLE = """caption { text-align: left; font-weight: 600; padding-bottom: .4rem }
+th, td { vertical-align: bottom; white-space: pre-line }
+.number { text-align: right }
+figure { margin: 2rem 0 }
+figcaption { color: #4d5963 }
+img { max-width: 100%; height: auto }"""
 
 
 def write_page(
@@ -58,14 +62,10 @@ def write_page(
         figures = "\n".join(_figure(picture) for picture in pictures)
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
-    page = _PAGE.substitute(
-        title=escape(title),
-        style=STYLE,
-        tables="\n".join(map(_table, tables)),
-        notes="\n".join(f"<li>{escape(note)}</li>" for note in notes),
-        figures=figures,
-    )
-    write_whole(file, page)
+    shown = "\n".join(map(_table, tables))
+    items = "\n".join(f"<li>{escape(note)}</li>" for note in notes)
+    body = f"{shown}\n<ul>\n{items}\n</ul>\n{figures}"
+    standalone_page.write_page(file, escape(title), body, _STYLE)
     return file
 
 
@@ -102,31 +102,3 @@ def _figure(picture: Path) -> str:
         f'<figure><img alt="{caption}" src="data:image/png;base64,{image}">'
         f"<figcaption>{caption}</figcaption></figure>"
     )
-
-
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-$style
-caption { text-align: left; font-weight: 600; padding-bottom: .4rem }
-th, td { vertical-align: bottom; white-space: pre-line }
-.number { text-align: right }
-figure { margin: 2rem 0 }
-figcaption { color: #4d5963 }
-img { max-width: 100%; height: auto }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-$tables
-<ul>
-$notes
-</ul>
-$figures
-</body>
-</html>
-""")

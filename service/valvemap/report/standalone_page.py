@@ -3,11 +3,13 @@
 import io
 from pathlib import Path
 from string import Template
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from valvemap.owned_files import write_whole
 from valvemap.report.page_style import STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure  # of an extra
 
 
 def write_page(file: Path, title: str, body: str, style: str = "") -> None:
@@ -21,7 +23,7 @@ def write_page(file: Path, title: str, body: str, style: str = "") -> None:
     write_whole(file, _PAGE.substitute(title=title, body=body, style=f"{STYLE}\n{style}"))
 
 
-def as_svg(figure: Figure) -> str:
+def as_svg(figure: "Figure") -> str:
     """Return a picture as an SVG element."""
     written = io.StringIO()
     figure.savefig(written, format="svg", metadata={"Date": None})
