@@ -1,7 +1,7 @@
 """Dynamics of spool and flow meter, fitted together with the static map. Pure.
 
 The model and its search are in :mod:`~valvemap.model.spool_fit`; here the samples are chosen, and
-what they tell is judged.
+the result is judged.
 """
 
 import math
@@ -18,9 +18,11 @@ from valvemap.vocabulary.statuses import Quality, Status
 
 LEAST_HZ: Final = 90.0  # Hz; slower samples do not show a spool
 LEAST_S: Final = 10.0  # s of samples
-GAP: Final = 5.0  # periods without a sample: what is before and after belongs not together
+GAP: Final = 5.0  # periods without a sample; a longer one separates two stretches
 STILL_PERCENT: Final = 1.0  # of U: what moves less does not move
-TRAVERSES: Final = 10.0  # times its own range, that U must travel: fewer moves tell of misfits, too
+TRAVERSES: Final = (
+    10.0  # times its own range, that U must travel: few moves do not separate dynamics from misfit
+)
 EARLY: Final = 1.5  # periods by which flow may seem to precede U: one is that of the sampling
 UNSURE: Final = 0.3  # relative standard deviation above which f or ζ is not determined
 UNSURE_S: Final = 0.02  # s; the same for times
@@ -154,36 +156,34 @@ def _longest_stretch(samples: Samples, period: float) -> Samples:
 
 
 def _judged(grid: Grid, p: Point) -> Dynamics:
-    """Judge by profile likelihood what the samples tell, and give standard deviations."""
+    """Decide by profile likelihood which parameters are determined; give standard deviations."""
     unlimited, S_unlimited = fit.descend(grid, replace(p, slew=fit.NO_SLEW), fixed=(2,))
-    r, S, _ = fit.residual(grid, p)
+    r, S, theta = fit.residual(grid, p)
     noise2 = S / max(len(r) - fit.COLUMNS - fit.FREE, 1)
     P = _covariance(fit.jacobian(grid, p.free, r), r, noise2, grid.period)
-    slew_told = math.sqrt(P[2, 2]) < UNSURE and S_unlimited - S > fit.FLAT * noise2 * _colour(
-        r, grid
-    )
-    if not slew_told:
-        p = unlimited
-    r, S, theta = fit.residual(grid, p)
-    free = [0, 1, 2, 3, 4] if slew_told else [0, 1, 3, 4]
-    J = fit.jacobian(grid, p.free, r)[:, free]
-    P = np.zeros((fit.FREE, fit.FREE))
-    P[np.ix_(free, free)] = _covariance(J, r, noise2, grid.period)
+    flat = fit.FLAT * noise2 * _colour(r, grid)
+    has_slew = math.sqrt(P[2, 2]) < UNSURE and S_unlimited - S > flat
+    if not has_slew:
+        p, free = unlimited, [0, 1, 3, 4]
+        r, S, theta = fit.residual(grid, p)
+        J = fit.jacobian(grid, p.free, r)[:, free]
+        P = np.zeros((fit.FREE, fit.FREE))
+        P[np.ix_(free, free)] = _covariance(J, r, noise2, grid.period)
     std = np.sqrt(np.maximum(P.diagonal(), 0.0))
     step = float(np.abs(np.diff(grid.U)).max()) if grid.hold is Hold.CONSTANT else 0.0
     step = max(step, 0.1 * float(np.ptp(grid.U)))
     gain = fit.static_residual(grid) - S
     follows = p.dead + 1.96e-3 * std[3] > -EARLY * grid.period
     lags = follows and gain > fit.FLAT * noise2 * _colour(r, grid) and p.f < fit.SEEN / grid.period
-    f = _quantity(p.f, p.f * std[0], told=lags and std[0] < UNSURE and p.f < 0.9 * fit.FASTEST)
-    zeta = _quantity(p.zeta, p.zeta * std[1], told=f.status is Status.OK and std[1] < UNSURE)
+    f = _quantity(p.f, p.f * std[0], known=lags and std[0] < UNSURE and p.f < 0.9 * fit.FASTEST)
+    zeta = _quantity(p.zeta, p.zeta * std[1], known=f.status is Status.OK and std[1] < UNSURE)
     return Dynamics(
         natural_frequency=f,
         damping=zeta,
-        slew=_quantity(p.slew, p.slew * std[2], told=lags and slew_told),
-        dead_time=_quantity(p.dead, 1e-3 * std[3], told=lags and 1e-3 * std[3] < UNSURE_S),
-        meter_lag=_quantity(p.lag, 1e-3 * std[4], told=lags and 1e-3 * std[4] < UNSURE_S),
-        T90=_rise(p, P, step, told=zeta.status is Status.OK),
+        slew=_quantity(p.slew, p.slew * std[2], known=lags and has_slew),
+        dead_time=_quantity(p.dead, 1e-3 * std[3], known=lags and 1e-3 * std[3] < UNSURE_S),
+        meter_lag=_quantity(p.lag, 1e-3 * std[4], known=lags and 1e-3 * std[4] < UNSURE_S),
+        T90=_rise(p, P, step, known=zeta.status is Status.OK),
         step_percent=step,
         noise=math.sqrt(noise2),
         hold=grid.hold,
@@ -222,15 +222,15 @@ def _colour(r: Floats, grid: Grid) -> float:
     return worst
 
 
-def _quantity(value: float, std: float, *, told: bool) -> Quantity:
-    if not told:
+def _quantity(value: float, std: float, *, known: bool) -> Quantity:
+    if not known:
         return Quantity()
     return Quantity(value, float(std), Status.OK)
 
 
-def _rise(p: Point, P: Floats, step: float, *, told: bool) -> Quantity:
+def _rise(p: Point, P: Floats, step: float, *, known: bool) -> Quantity:
     """Time to 90 % of a step, with its standard deviation by the delta method."""
-    if not told:
+    if not known:
         return Quantity()
     x, at = p.free, _time_to_90(p, step)
     gradient = np.empty(fit.FREE)

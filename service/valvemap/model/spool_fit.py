@@ -98,7 +98,7 @@ def best_point(samples: Samples, period: float) -> tuple[Grid, Point]:
     short = _busiest(grid, START_S)
     starts = [
         Point(f, 0.7, min(slew * FASTEST_STEP * f, NO_SLEW), 0.0, lag)
-        for f in STARTS_HZ if f < 0.45 / period
+        for f in STARTS_HZ if f < SEEN / period
         for lag in STARTS_LAG_S
         for slew in STARTS_SLEW
     ]  # fmt: skip
