@@ -65,23 +65,6 @@ _FIELDS: Final = ("most_s", "sweep_s", "period_s")
 log = structlog.get_logger(__name__)
 
 
-def config_of(config: Config, name: str) -> Config:
-    """Return the configuration of one valve and its source.
-
-    Raises
-    ------
-    ConfigurationError
-        if there is no such valve; names those that there are.
-    """
-    valve = next((valve for valve in config.valves if valve.name == name), None)
-    if valve is None:
-        there = ", ".join(valve.name for valve in config.valves)
-        raise ConfigurationError(f"VALVE {name!r}: the configuration has {there}")
-    one = config if valve.source is None else config.only(valve.source)
-    (own,) = (valve for valve in one.valves if valve.name == name)
-    return one.model_copy(update={"valves": (own,)})
-
-
 def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
     """Return the run's settings from a valve's configuration; ``accuracy`` in l/min, 0: none.
 

@@ -8,8 +8,9 @@ from typing import Final
 
 import structlog
 
-from valvemap.app.commission import CommissionRun, config_of, settings_of
+from valvemap.app.commission import CommissionRun, settings_of
 from valvemap.clock import Clock
+from valvemap.config.loading import config_of
 from valvemap.config.models import Config
 from valvemap.errors import CommandRejected, ConfigurationError, ValvemapError
 from valvemap.pipeline.commission_ports import CommissionResults, CommissionSink

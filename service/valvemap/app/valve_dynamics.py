@@ -27,7 +27,7 @@ def dynamics_of(valve: str, file: Path, layout: Layout | None) -> Dynamics:
 
 
 def as_json(valve: str, file: Path, found: Dynamics) -> dict[str, Any]:
-    """Return what ``--json`` writes; what is not told is null."""
+    """Return what ``--json`` writes; null where there is no value."""
     t, x = found.step_response()
     return {
         "valve": valve,
@@ -44,10 +44,10 @@ def as_json(valve: str, file: Path, found: Dynamics) -> dict[str, Any]:
 
 
 def _quantity(found: Quantity, unit: str) -> dict[str, Any]:
-    told = math.isfinite(found.value)
+    has_value = math.isfinite(found.value)
     return {
-        "value": found.value if told else None,
-        "std": found.std if told else None,
+        "value": found.value if has_value else None,
+        "std": found.std if has_value else None,
         "unit": unit,
         "status": found.status.name,
     }

@@ -16,7 +16,7 @@ from valvemap.cli.options import ConfigOption, FolderOption
 from valvemap.cli.output import write_line
 from valvemap.cli.progress import working
 from valvemap.clock import SystemClock
-from valvemap.config.loading import load_config
+from valvemap.config.loading import config_of, load_config
 from valvemap.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def commission(
     ] = False,
 ) -> None:
     """Drive a valve through its range until its map is known, within limits."""
-    from valvemap.app.commission import config_of, plan_in_words, settings_of
+    from valvemap.app.commission import plan_in_words, settings_of
 
     loaded = config_of(load_config(config), valve)
     settings = settings_of(loaded.valves[0], accuracy / 1.96)

@@ -109,13 +109,10 @@ def _configured(
     if config is None:
         return None, None
     from valvemap.app.build import build_layout
-    from valvemap.config.loading import load_config
+    from valvemap.config.loading import config_of, load_config
 
     loaded = load_config(config)
-    own = next((one for one in loaded.valves if one.name == valve), None)
-    if own is None:
-        there = ", ".join(one.name for one in loaded.valves)
-        raise ConfigurationError(f"VALVE {valve!r}: the configuration has {there}")
+    (own,) = config_of(loaded, valve).valves
     return build_layout(loaded), own.U_range_percent
 
 

@@ -67,6 +67,23 @@ def check_has_valves(config: Config, what: str) -> None:
         )
 
 
+def config_of(config: Config, name: str) -> Config:
+    """Return the configuration of one valve and its source.
+
+    Raises
+    ------
+    ConfigurationError
+        if there is no such valve; names those that there are.
+    """
+    valve = next((valve for valve in config.valves if valve.name == name), None)
+    if valve is None:
+        there = ", ".join(valve.name for valve in config.valves)
+        raise ConfigurationError(f"VALVE {name!r}: the configuration has {there}")
+    one = config if valve.source is None else config.only(valve.source)
+    (own,) = (valve for valve in one.valves if valve.name == name)
+    return one.model_copy(update={"valves": (own,)})
+
+
 def read_toml(file: Path, remedy: str = "") -> dict[str, Any]:
     """Read a TOML file; ``remedy`` follows the sentence that there is none.
 

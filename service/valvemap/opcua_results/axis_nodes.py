@@ -17,7 +17,7 @@ from guarded_opcua import (
 )
 from valvemap.clock import Clock
 from valvemap.opcua_results.answers import answered
-from valvemap.opcua_results.information_model import INVERSE, ROOT, VariableNode
+from valvemap.opcua_results.information_model import INVERSE, ROOT, VariableNode, sentences_of
 from valvemap.opcua_results.result_variables import add_described
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, RequiredU
 from valvemap.pipeline.ports import Answer
@@ -106,7 +106,7 @@ def axis_variables(axis: str) -> tuple[VariableNode, ...]:
     def of(name: str, words: str, kind: ua.VariantType = _DOUBLE, **more: Any) -> VariableNode:  # noqa: ANN401
         return VariableNode(f"{axis}.{name}", words, kind, **more)
 
-    sentences = " ".join(f"{one.value} {one.name}: {one.sentence}" for one in AxisStatus)
+    sentences = sentences_of(AxisStatus)
     return (
         of(
             "Status", f"How the axis stands. {sentences}", ua.VariantType.Int32, statuses=AxisStatus
@@ -143,7 +143,7 @@ def edge_variables(axis: str, edge: str) -> tuple[VariableNode, ...]:
 def inverse_variables(axis: str) -> tuple[VariableNode, ...]:
     """Return the variables of the inverse for speed."""
     prefix = f"{axis}.{INVERSE}"
-    sentences = " ".join(f"{one.value} {one.name}: {one.sentence}" for one in InverseStatus)
+    sentences = sentences_of(InverseStatus)
     end = "end of the 95 % interval of RequiredU"
     return (
         VariableNode(

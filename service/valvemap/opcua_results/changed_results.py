@@ -8,11 +8,12 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
-from valvemap.opcua_results.dynamics_nodes import DYNAMICS, dynamics_values
+from valvemap.opcua_results.dynamics_nodes import dynamics_values
 from valvemap.opcua_results.information_model import (
     BASELINE,
     BUILDS_ON,
     DIAGNOSTICS,
+    DYNAMICS,
     FEED_FORWARD_STATUS,
     FINDING_CODES,
     FINDING_PROBABILITIES,

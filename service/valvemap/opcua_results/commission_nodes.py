@@ -18,7 +18,7 @@ from guarded_opcua import (
 )
 from valvemap.clock import Clock
 from valvemap.opcua_results.answers import answered
-from valvemap.opcua_results.information_model import COMMISSION, VariableNode
+from valvemap.opcua_results.information_model import COMMISSION, VariableNode, sentences_of
 from valvemap.opcua_results.result_variables import add_described
 from valvemap.pipeline.commission_ports import CommissionOperator, CommissionResults
 from valvemap.pipeline.ports import Answer
@@ -51,12 +51,9 @@ class CommissionNodes:
         """Show runs of these valves, in place of those before."""
         server = self._server
         for valve in self._valves:
-            folder, own = (
-                ua.NodeId(f"{valve}{part}", server.namespace_index)
-                for part in ("", f".{COMMISSION}")
-            )
+            own = ua.NodeId(f"{valve}.{COMMISSION}", server.namespace_index)
             if own in server.address_space:
-                server.remove([own], (folder,))
+                server.remove([own], (ua.NodeId(valve, server.namespace_index),))
         self._variables.clear()
         self._valves = tuple(valves)
         for valve in valves:
@@ -116,9 +113,11 @@ class CommissionNodes:
 def commission_variables(valve: str) -> Iterator[VariableNode]:
     """Yield the variables of a valve's runs."""
     prefix = f"{valve}.{COMMISSION}"
-    sentences = " ".join(f"{one.value} {one.name}: {one.sentence}." for one in Phase)
     yield VariableNode(
-        f"{prefix}.State", f"State of the run. {sentences}", ua.VariantType.Int32, statuses=Phase
+        f"{prefix}.State",
+        f"State of the run. {sentences_of(Phase)}",
+        ua.VariantType.Int32,
+        statuses=Phase,
     )
     yield VariableNode(f"{prefix}.Reason", "Cause of a pause or an end, in words.", _TEXT)
     yield VariableNode(

@@ -7,31 +7,29 @@ from typing import Final
 from asyncua import ua
 
 from guarded_opcua import Unit
-from valvemap.opcua_results.information_model import VariableNode
+from valvemap.opcua_results.information_model import DYNAMICS, VariableNode, sentences_of
 from valvemap.opcua_results.result_values import Shown
 from valvemap.pipeline.dynamics_results import DynamicsResults
 from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus
 from valvemap.vocabulary.statuses import Status
 
-DYNAMICS: Final = "Dynamics"
 _UNITS: Final = {unit.value[1]: unit for unit in Unit}
-_TOLD: Final = (Status.OK, Status.UNEXCITED)
+_STATUSES: Final = (Status.OK, Status.UNEXCITED)  # of a quantity
 
 
 def dynamics_variables(valve: str) -> Iterator[VariableNode]:
     """Yield the variables of a valve's dynamics."""
     prefix = f"{valve}.{DYNAMICS}"
-    words = " ".join(f"{one.value} {one.name}: {one.sentence}" for one in DynamicsStatus)
     yield VariableNode(
         f"{prefix}.Status",
-        f"How the dynamics of the valve stand. {words}",
+        f"How the dynamics of the valve stand. {sentences_of(DynamicsStatus)}",
         ua.VariantType.Int32,
         statuses=DynamicsStatus,
     )
     yield VariableNode(
         f"{prefix}.Reason", "Status in words, with the figures behind it.", ua.VariantType.String
     )
-    told = " or ".join(f"{status.value} {status.name}" for status in _TOLD)
+    statuses = " or ".join(f"{status.value} {status.name}" for status in _STATUSES)
     for quantity in DYNAMIC_QUANTITIES:
         unit, name = _UNITS.get(quantity.unit), f"{prefix}.{quantity.name}"
         sentence = quantity.sentence
@@ -46,14 +44,14 @@ def dynamics_variables(valve: str) -> Iterator[VariableNode]:
         )
         yield VariableNode(
             f"{name}Status",
-            f"Whether the samples tell {quantity.name}: {told}.",
+            f"Whether the samples determine {quantity.name}: {statuses}.",
             ua.VariantType.Int32,
             statuses=Status,
         )
 
 
 def dynamics_values(results: DynamicsResults, now: int) -> Iterator[Shown]:
-    """Yield the values of these variables; what is not told is NaN."""
+    """Yield the values of these variables; NaN where there is none."""
     good, t = int(ua.StatusCodes.Good), results.t or now
     yield Shown(f"{DYNAMICS}.Status", int(results.status), good, t)
     yield Shown(f"{DYNAMICS}.Reason", results.sentence, good, t)

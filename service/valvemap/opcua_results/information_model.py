@@ -49,7 +49,7 @@ from valvemap.vocabulary.statuses import (
 NAMESPACE = SERVICE_NAMESPACE
 ROOT = "Identification"
 INVERSE = "Inverse"
-COMMISSION = "Commission"
+COMMISSION, DYNAMICS = "Commission", "Dynamics"
 DIAGNOSTICS = "Diagnostics"
 LAG_U, LAG_Q = "LagU", "LagQ"
 PARAMETERS = "Parameters"
@@ -72,7 +72,7 @@ T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
 _TAKEN = {
-    *("Dynamics", COMMISSION, INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
+    *(DYNAMICS, COMMISSION, INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
     *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION, RECOMMENDED, RECOMMENDED_REASON),
     *PARTS,
 }
@@ -299,7 +299,7 @@ def finding_variables(valve: str) -> tuple[VariableNode, VariableNode, VariableN
         ),
         VariableNode(
             f"{valve}.{FINDING_CODES}",
-            f"The cause of each of Findings. {_sentences(FindingCode)}",
+            f"The cause of each of Findings. {sentences_of(FindingCode)}",
             ua.VariantType.Int32,
             dimensions=(0,),
             statuses=FindingCode,
@@ -496,7 +496,7 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
         ),
         VariableNode(
             f"{prefix}.RequiredUStatus",
-            f"Whether RequiredU can be used. {_sentences(InverseStatus)}",
+            f"Whether RequiredU can be used. {sentences_of(InverseStatus)}",
             ua.VariantType.Int32,
             statuses=InverseStatus,
         ),
@@ -510,7 +510,7 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             "Whether RequiredU is written to the valve, and the first reason if not. With reasons "
             "1 to 3 nothing is written. With 4 to 12 feed_forward.fallback applies: hold the "
             "last U, ramp to fallback_percent, or hand the valve back to the source. "
-            f"{_sentences(FeedForwardStatus)}",
+            f"{sentences_of(FeedForwardStatus)}",
             ua.VariantType.Int32,
             statuses=FeedForwardStatus,
         ),
@@ -543,7 +543,7 @@ def line_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
         ),
         VariableNode(
             f"{prefix}.Edge",
-            f"The edge that passes FlowDemand. {_sentences(LineEdge)}",
+            f"The edge that passes FlowDemand. {sentences_of(LineEdge)}",
             ua.VariantType.Int32,
             statuses=LineEdge,
         ),
@@ -709,7 +709,7 @@ def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
 
 def _quantity_variable(prefix: str, quantity: Quantity, valve: ValveDescription) -> VariableNode:
     statuses = quantity.statuses
-    described = "" if statuses is None else f" {_sentences(statuses)}"
+    described = "" if statuses is None else f" {sentences_of(statuses)}"
     _, Q_max = valve.Q_range
     ranges = {
         Bounds.NONE: None,
@@ -741,7 +741,8 @@ _UNITS = {
 
 
 @cache
-def _sentences(statuses: type[Described]) -> str:
+def sentences_of(statuses: type[Described]) -> str:
+    """Return every member of an enumeration with its sentence, for a description."""
     return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)
 
 

@@ -7,12 +7,13 @@ from asyncua import ua
 
 from guarded_opcua import Unit, add_object, add_property
 from valvemap.model.survey import axes
-from valvemap.opcua_results.dynamics_nodes import DYNAMICS, dynamics_variables
+from valvemap.opcua_results.dynamics_nodes import dynamics_variables
 from valvemap.opcua_results.information_model import (
     ALARMS,
     ARMED,
     BASELINE,
     DIAGNOSTICS,
+    DYNAMICS,
     FEED_FORWARD_STATUS,
     INVERSE,
     PARAMETERS,

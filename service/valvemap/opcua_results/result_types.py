@@ -7,12 +7,12 @@ from typing import Any
 from asyncua import ua
 
 from guarded_opcua import Declarations, HardenedServer, add_enumeration, add_object, add_type
-from valvemap.opcua_results.dynamics_nodes import DYNAMICS
 from valvemap.opcua_results.information_model import (
     ALARMS,
     BASELINE,
     COUNTERS,
     DIAGNOSTICS,
+    DYNAMICS,
     INVERSE,
     PARAMETERS,
     SIGNALS,

@@ -49,7 +49,7 @@ class ArmedValves:
         self.armed[number] = True
 
     def lead(self, valve: str, *, by_another: bool) -> None:
-        """Note whether something else writes to the valve: it cannot be armed meanwhile."""
+        """Note whether something else writes to the valve; if so, it cannot be armed."""
         self._is_led[self._valves.numbers[valve]] = by_another
 
     def disarm(self, valve: str) -> None:

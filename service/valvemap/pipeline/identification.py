@@ -343,7 +343,7 @@ class Identification:
 
     @changes_state
     def lead(self, valve: str, *, by_another: bool) -> None:
-        """Note whether something else writes to the valve: it cannot be armed meanwhile."""
+        """Note whether something else writes to the valve; if so, it cannot be armed."""
         self._armed.lead(valve, by_another=by_another)
 
     def is_armed(self, valve: int) -> bool:
