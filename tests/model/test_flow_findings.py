@@ -1,12 +1,18 @@
 """Findings of `FlowMap`: causes with names, sizes and probabilities, from the state alone."""
 
+from dataclasses import fields, make_dataclass
+
 import numpy as np
 import pytest
 
+from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.fleet import member, members, stack
 from valvemap.model.flow_map import FlowMap
+from valvemap.model.flow_map_state import FlowMapState
+from valvemap.model.kernels import flow_drift, flow_fit, flow_memory
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.findings import FindingCode as Code
+from valvemap.vocabulary.statuses import Adaptation
 
 SIGMA, FS, N = 0.4, 100.0, 9000
 
@@ -101,11 +107,54 @@ def test_a_healthy_valve_has_no_findings(seed):
     assert FlowMap().findings(learnt(lambda U, dp, t, e: valve(U, dp) + e, seed)) == ()
 
 
-def test_a_hidden_cause_is_misfit_without_another_name():
-    found = FlowMap().findings(
-        learnt(lambda U, dp, t, e: valve(U, dp) * (1 + 0.05 * np.sin(t / 12)) + e)
-    )
-    assert [one.code for one in found] == [Code.MISFIT]
+HIDDEN = {
+    "gain that swings": lambda U, dp, t, e: valve(U, dp) * (1 + 0.05 * np.sin(t / 12)) + e,
+    "offset that swings": lambda U, dp, t, e: valve(U, dp) + 3 * np.sin(t / 7) + e,
+    "flow by the rate of dp": lambda U, dp, t, e: valve(U, dp) + 5.0 * np.gradient(dp) + e,
+    "another valve in the line": lambda U, dp, t, e: (
+        valve(U, dp) * (1 - 0.1 * (np.sin(t / 9) > 0.3)) + e
+    ),
+}
+
+
+def hidden():
+    for seed in range(2):
+        for name in HIDDEN:
+            is_missed = (name, seed) == ("flow by the rate of dp", 1)
+            missed = pytest.mark.xfail(strict=True, reason="missed: taken for coloured noise")
+            yield pytest.param(name, seed, marks=missed if is_missed else ())
+
+
+@pytest.mark.parametrize(("name", "seed"), hidden())
+def test_a_hidden_cause_is_misfit_without_another_name(name, seed):
+    state = learnt(HIDDEN[name], seed, many=20_000)
+    assert [one.code for one in FlowMap().findings(state)] == [Code.MISFIT]
+    assert FlowMap().adaptation(state) is Adaptation.MISFIT
+
+
+def test_a_map_that_something_moves_is_no_surer_than_that():
+    state = learnt(HIDDEN["offset that swings"])
+    U, dp, T = np.full(9, 60.0), np.linspace(20, 180, 9), np.full(9, 40.0)
+    flow, std = FlowMap().predict(state, U, dp, T)
+    assert (np.abs(flow - valve(U, dp)) < 3.0 + 2.0 * std).all()
+
+
+def test_a_state_of_before_nameless_causes_keeps_all_that_was_learnt():
+    state = learnt(lambda U, dp, t, e: valve(U, dp) + e)
+    arrays = {field.name: getattr(state, field.name) for field in fields(state)}
+    for name in ("x", "P", "chance"):
+        arrays[name] = arrays[name][:, : flow_drift.WANDERING]
+    arrays["counters"] = arrays["counters"][: flow_memory.WANDERED]
+    arrays["scalars"] = arrays["scalars"][: flow_fit.PAIR_ERROR]
+    version = {"state_version": 3}
+    older = make_dataclass("FlowMapState", arrays, bases=(State,), frozen=True, namespace=version)
+    read = FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
+    read.check(state)
+    at = np.full(3, 60.0), np.array([20.0, 80.0, 150.0]), np.full(3, 40.0)
+    np.testing.assert_array_equal(FlowMap().predict(read, *at), FlowMap().predict(state, *at))
+    older.state_version = 2
+    with pytest.raises(StateMismatchError, match="version 2, version 4 is needed"):
+        FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
 
 
 def test_before_the_first_fit_there_is_nothing_to_say():

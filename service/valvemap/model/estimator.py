@@ -29,7 +29,7 @@ class State:
 
     Scalars are arrays of shape (): the bytes are one record in a ``.npy``, which numpy can read.
     ``state_version`` increases when the meaning of an array changes; states of other versions are
-    rejected.
+    rejected, but for those that `upgraded` knows.
     """
 
     state_version: ClassVar[int] = 2
@@ -55,13 +55,23 @@ class State:
             record = _record(data)
             _check_texts(record)
             header = tuple(record["header_"].tolist())
-            names = [f.name for f in fields(cls)] if header == expected else []
-            arrays = {name: record[name].copy() for name in names}
+            names = record.dtype.names if header[1:] == expected[1:] else ()
+            arrays = {name: record[name].copy() for name in names if name != "header_"}
+            if arrays and header != expected:
+                arrays = cls.upgraded(header[0], arrays)
+                header = expected if arrays else header
+            if header == expected:
+                arrays = {f.name: arrays[f.name] for f in fields(cls)}
         except _UNREADABLE as error:
             raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
         if header != expected:
             raise StateMismatchError(_difference(header, expected))
         return cls(**arrays)
+
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:  # noqa: ARG003
+        """Arrays of an older version as this one has them; none where it is not known."""
+        return {}
 
     def contents(self) -> Mapping[str, Contents]:
         """Valid values of the arrays by name; for arrays not named see `Contents`."""

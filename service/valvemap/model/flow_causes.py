@@ -2,11 +2,11 @@
 
 The log likelihood of the last n samples, up to a constant, is
 
-    L = -n·(1 - ρ) / (1 + ρ) / 2 · ln(mean square of what a coarse map leaves)
+    L = -n / 2 · ln(mean square of the innovations of what a coarse map leaves)
 
-with ρ the correlation of successive residuals, that of the better model in a comparison. All
-operators have the same odds before anything is known: one is taken where it gains `rules.CLEAR`,
-and one that is there is kept until the rows are likelier without it by `rules.STILL_CLEAR`.
+see `kernels.flow_evidence`. All operators have the same odds before anything is known: one is taken
+where it gains `rules.CLEAR`, and one that is there is kept until the rows are likelier without it
+by `rules.STILL_CLEAR`.
 
 Several combinations are followed at once. Each grows by the operators that explain most of the
 residual together with a change of those that are there; then all parameters are refined jointly.
@@ -65,7 +65,7 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
         beam = [at] if is_explained else [at, np.zeros_like(at)]
     for _ in range(rules.MOST_OPERATORS):
         beam = _grown(evidence, beam)
-        if not beam or evidence.gain(beam[0], at, most=0.0) < rules.CLEAR:
+        if not beam or evidence.gain_if_white(beam[0], at) < rules.CLEAR:
             break
         at = beam[0]
     if np.count_nonzero(at):
@@ -150,13 +150,17 @@ def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
     """Drop operators that gain too little, the least first; known ones are kept unless refuted."""
     while True:
         short = [
-            (evidence.gain(at, with_value(at, int(k), 0.0)) - bar, int(k))
-            for k in np.flatnonzero(at)
-            for bar in (-rules.STILL_CLEAR if given[k] else rules.CLEAR,)
+            (evidence.gain(at, with_value(at, k, 0.0)) - _bar(at, k, given), k)
+            for k in map(int, np.flatnonzero(at))
         ]
         if not short or min(short)[0] >= 0.0:
             return at
         at = with_value(at, min(short)[1], 0.0)
+
+
+def _bar(at: Floats, k: int, given: Floats) -> float:
+    """What operator k has to gain: less if it was known and is there still."""
+    return -rules.STILL_CLEAR if at[k] > rules.OTHER * given[k] > 0.0 else rules.CLEAR
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:

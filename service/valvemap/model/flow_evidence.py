@@ -26,9 +26,14 @@ DAMPED: Final = (0.0, 0.1, 10.0)  # of JᵀJ's diagonal; tried in turn until a s
 
 
 class Left(NamedTuple):
-    """What a coarse map leaves: mean square, lag-1 correlation, rows that count, residual (N,)."""
+    """What a coarse map leaves.
+
+    Mean squares of the residual and of its innovations, the residual's lag-1 correlation, how many
+    rows count, the residual (N,).
+    """
 
     square: float
+    innovation: float
     rho: float
     rows: float
     residual: Floats
@@ -41,6 +46,8 @@ class Evidence:
         self.rows, self.Q, self._top = rows, rows[:, paths.LEFT_Q], float(axis_s.breaks[-1])
         self.step = float(np.median(rows[:, paths.STEP])) if len(rows) else 0.0
         self._axis = coarse(axis_U.breaks[0], axis_U.breaks[-1])
+        self.used = np.zeros(len(rows), np.bool_)
+        flow_evidence.counted(rows, self.used)
         self._known: dict[tuple[float, ...], Left] = {}
 
     def of(self, given: Floats) -> Left:
@@ -58,9 +65,11 @@ class Evidence:
     def _fit(self, given: Floats, near: Floats | None = None) -> tuple[Floats, Left]:
         b = np.zeros(flow_evidence.terms_of(self._axis)) if near is None else near.copy()
         ridge = rules.RIDGE if near is None else 1.0
-        residual, out = np.empty(len(self.rows)), np.empty(3)
-        flow_evidence.leftover(self._axis, self._top, self.rows, given, ridge, b, residual, out)
-        return b, Left(float(out[0]), float(out[1]), float(out[2]), residual)
+        residual, out = np.empty(len(self.rows)), np.empty(4)
+        flow_evidence.leftover(
+            self._axis, self._top, self.rows, self.used, given, ridge, b, residual, out
+        )
+        return b, Left(float(out[0]), float(out[1]), float(out[2]), float(out[3]), residual)
 
     def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Floats) -> None:
         """Fill the map's coefficients with those of the coarse map."""
@@ -74,13 +83,25 @@ class Evidence:
         flow_evidence.refine(self._axis, self._top, b, axis_U, axis_s, slope)
         return slope
 
-    def gain(self, better: Floats, than: Floats, most: float = rules.MOST_COLOUR) -> float:
-        """Log likelihood ratio, with a correlation of ``most`` at most."""
+    def gain(self, better: Floats, than: Floats) -> float:
+        """Log likelihood ratio, the smaller one of two kinds of noise.
+
+        Coloured noise makes fewer samples worth; what wanders follows a residual as it moves.
+        """
         one, other = self.of(better), self.of(than)
-        if not (one.square > 0.0 and other.square > 0.0):
-            return 0.0
-        rho = min(max(one.rho if one.square <= other.square else other.rho, 0.0), most)
-        return 0.5 * one.rows * (1.0 - rho) / (1.0 + rho) * math.log(other.square / one.square)
+        rho = one.rho if one.square <= other.square else other.rho
+        rho = min(max(rho, 0.0), rules.MOST_COLOUR)
+        coloured = self.gain_if_white(better, than) * (1.0 - rho) / (1.0 + rho)
+        return min(coloured, _ratio(one.innovation, other.innovation, one.rows))
+
+    def gain_if_white(self, better: Floats, than: Floats) -> float:
+        """Log likelihood ratio of white noise."""
+        one, other = self.of(better), self.of(than)
+        return _ratio(one.square, other.square, one.rows)
+
+
+def _ratio(one: float, other: float, rows: float) -> float:
+    return 0.5 * rows * math.log(other / one) if one > 0.0 and other > 0.0 else 0.0
 
 
 def coarse(low: float, high: float) -> Axis:
@@ -125,7 +146,7 @@ def jointly(evidence: Evidence, at: Floats) -> Floats:
     for _ in range(rules.REFINEMENTS):
         before = at
         at = _abruptly(evidence, _newton(evidence, at))
-        if not evidence.gain(at, before, most=0.0) > rules.LIKELIER:
+        if not evidence.gain_if_white(at, before) > rules.LIKELIER:
             break
     return at
 
@@ -159,7 +180,7 @@ def _newton(evidence: Evidence, at: Floats) -> Floats:
         for n, k in enumerate(ks):
             most = 0.5 * at[k]
             tried = _limited(tried, k, at[k] + min(max(float(moved[n]), -most), most))
-        if evidence.gain(tried, at, most=0.0) > 0.0:
+        if evidence.gain_if_white(tried, at) > 0.0:
             return tried
     return at
 
@@ -171,7 +192,7 @@ def _abruptly(evidence: Evidence, at: Floats) -> Floats:
             for factor in (step, 1.0 / step):
                 while True:
                     tried = _limited(at, k, at[k] * factor)
-                    if tried[k] == at[k] or not evidence.gain(tried, at) > 0.0:
+                    if tried[k] == at[k] or not evidence.gain_if_white(tried, at) > 0.0:
                         break
                     at = tried
     return at

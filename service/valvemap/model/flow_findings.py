@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valvemap.model import flow_map_looks
 from valvemap.model.flow_map_looks import Both
@@ -21,8 +22,10 @@ from valvemap.model.kernels import flow_memory as memory
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.samples import Floats
 from valvemap.vocabulary.findings import Finding, FindingCode
 
+_CLOCKS: Final = slice(memory.CLOCK, memory.CLOCK + 2)
 SECONDS_PER_HOUR: Final = 3600.0
 SIDES: Final = "U ≥ 0", "U < 0"
 OPERATORS: Final = {  # code; sentence of its size
@@ -59,8 +62,35 @@ def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
     return tuple(sorted(likely, key=lambda one: (-one.probability, one.code)))
 
 
-def _probability(gain: float) -> float:
-    return 1.0 / (1.0 + math.exp(-min(max(gain, -50.0), 50.0)) / rules.ODDS)
+def hidden(states: FlowMapState) -> Floats:
+    """Probability that something moves the flow for which there is no name, of each model (…,)."""
+    nameless = rules.CERTAIN * wandered(states), _in_common(states), _surprising(states)
+    return np.asarray(np.max(nameless, axis=0))
+
+
+def wandered(states: FlowMapState) -> NDArray[np.bool_]:
+    """Whether gain or edge moved within the last hour as no drift and no change does (…,)."""
+    last = states.counters[..., memory.WANDERED]
+    since = 1e-9 * (states.counters[..., _CLOCKS].max(axis=-1) - last)
+    return np.asarray((last != 0) & (since < rules.SAID_FOR))
+
+
+def _in_common(states: FlowMapState) -> Floats:
+    """Errors in different cells, at times farther apart than any lag lasts, have it in common."""
+    product, square = (states.scalars[..., k] for k in (fits.PAIR_PRODUCT, fits.PAIR_SQUARE))
+    shared = np.clip(product / np.maximum(square, 1e-300), -0.999, 0.999)
+    return _probability(-0.5 * states.scalars[..., fits.PAIRS] * np.log(1.0 - shared**2))
+
+
+def _surprising(states: FlowMapState) -> Floats:
+    """Stays in known cells are more surprising than all models allow."""
+    excess = (states.scalars[..., fits.SURPRISE] - rules.SURPRISED) / rules.SURPRISE_STEP
+    known = states.scalars[..., fits.STAYS_SEEN] >= rules.FEWEST_STAYS
+    return np.asarray(known / (1.0 + np.exp(-np.clip(excess, -50.0, 50.0))))
+
+
+def _probability(gain: float | Floats) -> Floats:
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(gain, -50.0, 50.0)) / rules.ODDS))
 
 
 def _operators(state: FlowMapState) -> Iterator[Finding]:
@@ -71,14 +101,14 @@ def _operators(state: FlowMapState) -> Iterator[Finding]:
             text = sentence.format(size)
             if k in (paths.TOP, paths.LEAST):
                 text = f"{text} {censored} samples there were not used."
-            yield Finding(code, _probability(float(state.path[paths.GAINS + k])), text)
+            yield Finding(code, float(_probability(state.path[paths.GAINS + k])), text)
 
 
 def _pump(state: FlowMapState) -> Iterator[Finding]:
     most, gain = (float(state.path[k]) for k in (paths.MOST, paths.MOST_GAIN))
     if gain >= rules.CLEAR and not state.path[paths.TOP]:
         text = f"The flow stays at {most:.3g} l/min while the valve opens and Δp falls."
-        yield Finding(FindingCode.PUMP_LIMIT, _probability(gain), text)
+        yield Finding(FindingCode.PUMP_LIMIT, float(_probability(gain)), text)
 
 
 def _play(state: FlowMapState) -> Iterator[Finding]:
@@ -88,7 +118,9 @@ def _play(state: FlowMapState) -> Iterator[Finding]:
         code = FindingCode.HYSTERESIS if other else FindingCode.PLAY
         what = "A hysteresis" if other else "A play"
         yield Finding(
-            code, _probability(rules.CLEAR), f"{what} of {width:.2g} % lies between U and spool."
+            code,
+            float(_probability(rules.CLEAR)),
+            f"{what} of {width:.2g} % lies between U and spool.",
         )
 
 
@@ -101,13 +133,14 @@ def _sides(state: FlowMapState) -> Iterator[tuple[int, str]]:
 def _moving(state: FlowMapState) -> Iterator[Finding]:
     if state.counters[memory.USED] - state.counters[memory.BEGAN] < rules.SETTLED_MAP:
         return
+    explains = 1.0 - float(hidden(state))  # a drift that explains the flow leaves nothing nameless
     for side, name in _sides(state):
-        moving = float(state.chance[side, drifts.MOVING])
+        moving = explains * float(state.chance[side, drifts.MOVING])
         x, P = state.x[side, drifts.MOVING], state.P[side, drifts.MOVING]
         rates = x[drifts.LEVELS : drifts.RATES] * SECONDS_PER_HOUR
         stds = np.sqrt(np.diagonal(P)[drifts.LEVELS : drifts.RATES]) * SECONDS_PER_HOUR
         for k, (code, scale, unit, what) in enumerate(RATES):
-            share = _probability(0.5 * float(rates[k] / max(stds[k], 1e-12)) ** 2)
+            share = float(_probability(0.5 * float(rates[k] / max(stds[k], 1e-12)) ** 2))
             size = f"{scale * rates[k]:+.3g} ± {scale * stds[k]:.2g} {unit} per hour"
             yield Finding(code, moving * share, f"The {what} at {name} drifts by {size}.")
 
@@ -121,9 +154,9 @@ def _changes(state: FlowMapState) -> Iterator[Finding]:
     side, kind = divmod(int(counters[memory.CHANGE_KIND]), drifts.MODELS)
     code, scale, unit, what = CHANGES[kind != drifts.OTHER_GAIN]
     size = f"{scale * float(state.stay[memory.CHANGE_OF]):+.3g} {unit}"
-    when = datetime.fromtimestamp(1e-9 * float(counters[memory.CHANGE_TIME]), UTC)
-    text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when:%Y-%m-%d %H:%M:%S} UTC."
-    explains = 1.0 - _hidden(state)  # after a change that explains the flow none surprises
+    when = _utc(int(counters[memory.CHANGE_TIME]))
+    text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when} UTC."
+    explains = 1.0 - float(hidden(state))
     yield Finding(code, rules.CERTAIN * explains, text)
 
 
@@ -146,19 +179,18 @@ def _compensator(state: FlowMapState, both: Both) -> Iterator[Finding]:
 
 def _misfit(state: FlowMapState) -> Iterator[Finding]:
     left, noise = (float(state.scalars[k]) for k in (fits.MISFIT, fits.VARIANCE))
-    hidden = _hidden(state)
-    if hidden > rules.WORTH_SAYING:
+    nameless = float(hidden(state))
+    if nameless > rules.WORTH_SAYING:
         size = math.sqrt(float(state.scalars[fits.SURPRISE]))
         text = f"Flows at known places differ {size:.2g} times as much as noise explains."
-        yield Finding(FindingCode.MISFIT, hidden, text)
+        if wandered(state):
+            when = _utc(int(state.counters[memory.WANDERED]))
+            text = f"Something that is not measured moves the flow, at last at {when} UTC."
+        yield Finding(FindingCode.MISFIT, nameless, text)
     elif left > noise > 0.0:
         text = f"Places differ from the smooth map by {left**0.5:.2g} l/min."
         yield Finding(FindingCode.MISFIT, left / (left + noise), text)
 
 
-def _hidden(state: FlowMapState) -> float:
-    """Probability that stays in known cells are more surprising than all models allow."""
-    if state.scalars[fits.STAYS_SEEN] < rules.FEWEST_STAYS:
-        return 0.0
-    excess = (float(state.scalars[fits.SURPRISE]) - rules.SURPRISED) / rules.SURPRISE_STEP
-    return 1.0 / (1.0 + math.exp(-min(max(excess, -50.0), 50.0)))
+def _utc(t: int) -> str:
+    return f"{datetime.fromtimestamp(1e-9 * float(t), UTC):%Y-%m-%d %H:%M:%S}"

@@ -14,7 +14,6 @@ from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.forgetting import check_lam, lam_of_memory
 from valvemap.model.kernels import (
     flow_drift,
-    flow_fit,
     flow_memory,
     flow_path,
     flow_play,
@@ -150,9 +149,7 @@ class FlowMap:
         young = states.counters[..., flow_memory.USED] < rules.SETTLED_MAP
         steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
         found = np.where(moving & ~young, Adaptation.DRIFT, steady)
-        hidden = (states.scalars[..., flow_fit.SURPRISE] > rules.SURPRISED) & (
-            states.scalars[..., flow_fit.STAYS_SEEN] >= rules.FEWEST_STAYS
-        )
+        hidden = flow_findings.hidden(states) > rules.WORTH_SAYING
         found = np.where(hidden, Adaptation.MISFIT, found)
         reacting = states.path[..., flow_path.NEWS] > 0.0
         return np.where(reacting, Adaptation.REACTING, found).astype(np.uint8)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 3
+    state_version: ClassVar[int] = 4  # 3: without what moves the flow and has no name
 
     cells: NDArray[np.float32]
     theta: Floats
@@ -79,6 +79,19 @@ class FlowMapState(State):
     scalars: Floats
     counters: Counts
 
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Version 3: nothing without a name was looked for."""
+        if version != "3":
+            return {}
+        for name in ("x", "P"):
+            still = arrays[name][:, flow_drift.STILL]
+            arrays[name] = np.insert(arrays[name], flow_drift.WANDERING, still, axis=1)
+        arrays["chance"] = np.insert(arrays["chance"], flow_drift.WANDERING, 0.0, axis=1)
+        for name, size in (("counters", flow_memory.COUNTERS), ("scalars", flow_fit.SCALARS)):
+            arrays[name] = np.pad(arrays[name], (0, size - len(arrays[name])))
+        return arrays
+
     def contents(self) -> Mapping[str, Contents]:
         """What may stand in them."""
         every = slice(None)
@@ -94,6 +107,8 @@ class FlowMapState(State):
             flow_memory.STAY_TIME,
             flow_memory.CHANGE_TIME,
             flow_memory.LAST_TIME,
+            flow_memory.WANDERED,
+            flow_memory.PAIR_TIME,
         ]
         counters.any_time(times)
         counters.within(

@@ -6,6 +6,7 @@
     MOVING           their rates are processes of standard deviation RATE, time constant PERSISTENCE
     OTHER_GAIN       a has changed by anything, not long ago
     OTHER_EDGE       e has
+    WANDERING        a, e go wherever something without a name takes them, within seconds
 
 An interacting multiple model filter (Blom & Bar-Shalom 1988) over stays: successive samples in one
 cell count as one observation, whose variance holds that of the map there. Each side of U = 0 has
@@ -19,7 +20,7 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Floats
 
-STILL, MOVING, OTHER_GAIN, OTHER_EDGE, MODELS = 0, 1, 2, 3, 4
+STILL, MOVING, OTHER_GAIN, OTHER_EDGE, WANDERING, MODELS = 0, 1, 2, 3, 4, 5
 LEVELS, RATES, STATES = 2, 4, 9  # states from LEVELS on are rates; from RATES on, effects of T
 
 # Places of a state.
@@ -125,6 +126,11 @@ def step(
 def _transition(m: int, k: int, dt: float, jump: float) -> float:
     """Probability of going from model m to model k within ``dt``."""
     over = min(dt / rules.AFTER_JUMP, 0.5)
+    if m == WANDERING:
+        calm = min(dt / rules.PERSISTENCE, 0.1)
+        return 1.0 - calm if k == m else (calm if k == STILL else 0.0)
+    if k == WANDERING:
+        return rules.ODDS * jump if m <= MOVING else 0.0
     if k >= OTHER_GAIN:
         if m >= OTHER_GAIN:
             return 1.0 - over if m == k else 0.0
@@ -132,7 +138,7 @@ def _transition(m: int, k: int, dt: float, jump: float) -> float:
     if m >= OTHER_GAIN:
         return 0.9 * over if k == STILL else 0.1 * over
     change = min(dt / (rules.BETWEEN_DRIFTS if m == STILL else rules.PERSISTENCE), 0.1)
-    return (change if m != k else 1.0 - change) * (1.0 - jump)
+    return (change if m != k else 1.0 - change) * (1.0 - (1.0 + rules.ODDS) * jump)
 
 
 @inner
@@ -180,6 +186,10 @@ def _advance(drift: Drift, dt: float) -> None:
                 x[k] = 0.0
                 for j in range(STATES):
                     P[k, j] = P[j, k] = 0.0
+        if m == WANDERING:
+            lost = 1.0 - math.exp(-2.0 * dt / rules.WANDERS_WITHIN)
+            P[0, 0] += lost * rules.JUMP_GAIN**2
+            P[1, 1] += lost * rules.JUMP_EDGE**2
         if m == MOVING:
             keep = math.exp(-dt / rules.PERSISTENCE)
             for k in range(2):
@@ -201,14 +211,24 @@ def _advance(drift: Drift, dt: float) -> None:
 
 @inner
 def _combine(drift: Drift) -> None:
-    """Mean and covariance over the models."""
+    """Mean and covariance over the models.
+
+    What has no name may be neither gain nor edge: while something wanders, they have the mean of
+    the other models, and a doubt as large as a sudden change.
+    """
     x, P, chance, now = drift.x, drift.P, drift.chance, drift.now
+    named = 0.0
+    for m in range(WANDERING):
+        named += chance[m]
+    named = max(named, 1e-300)
     now[:] = 0.0
-    for m in range(MODELS):
+    for m in range(WANDERING):
         for k in range(STATES):
-            now[0, k] += chance[m] * x[m, k]
-    for m in range(MODELS):
+            now[0, k] += chance[m] / named * x[m, k]
+    for m in range(WANDERING):
         for k in range(STATES):
             for j in range(STATES):
                 off = (x[m, k] - now[0, k]) * (x[m, j] - now[0, j])
-                now[1 + k, j] += chance[m] * (P[m, k, j] + off)
+                now[1 + k, j] += chance[m] / named * (P[m, k, j] + off)
+    now[1 + GAIN, GAIN] += chance[WANDERING] * rules.JUMP_GAIN**2
+    now[1 + EDGE, EDGE] += chance[WANDERING] * rules.JUMP_EDGE**2

@@ -2,6 +2,10 @@
 
 A map that is linear in its coefficients is filtered by a linear meter as its regressors are. So
 for any parameters the best coarse map follows by least squares, and the residual is evidence.
+
+What is left is white noise and something that wanders, r_i = m_i + v_i, m_(i+1) = m_i + share·v_i
+(a local level: Harvey 1989, 2.3, in its steady state). Its innovations v are white, so their mean
+square is the likelihood. An operator that only follows what wanders gains nothing.
 """
 
 import math
@@ -19,12 +23,13 @@ ALONG_S = 3
 
 @kernel
 def leftover(
-    axis: Axis, top: float, rows: Floats, given: Floats, ridge: float, b: Floats, residual: Floats,
-    out: Floats,
+    axis: Axis, top: float, rows: Floats, used: np.ndarray, given: Floats, ridge: float, b: Floats,
+    residual: Floats, out: Floats,
 ) -> None:  # fmt: skip
-    """Fill ``out`` (3,): mean square of the residual, its lag-1 correlation, rows counted.
+    """Fill ``out`` (4,): mean squares of residual and innovations, lag-1 correlation, rows.
 
-    ``rows`` (N, paths.COLUMNS) in the order of time; ``given`` (PARAMETERS,); ``axis`` of a coarse
+    ``rows`` (N, paths.COLUMNS) in the order of time; ``used`` (N,) see `counted`;
+    ``given`` (PARAMETERS,); ``axis`` of a coarse
     map along U, ``top`` the largest √Δp. ``b`` (`terms_of`,) becomes the coarse map, drawn towards
     what it was by the weight of ``ridge`` samples; ``residual`` (N,) what it leaves, 0 at rows that
     do not count.
@@ -34,10 +39,17 @@ def leftover(
     base, work = np.zeros(N, np.int64), np.empty(3)
     _regressors(axis, top, rows, given, X, t, base, work)
     X = _filtered(X, t, base, given)
-    used = np.zeros(N, np.bool_)
-    for i in range(0, N, rules.EVERY):
-        used[i] = t[i] - t[base[i]] >= rules.LONGEST_LAG
     _fit(X, rows, used, given, ridge, b, residual, out)
+
+
+@kernel
+def counted(rows: Floats, used: np.ndarray) -> None:
+    """Mark the rows that count, (N,): those that no lag joins to a stretch without samples."""
+    since = 0.0
+    for i in range(len(rows)):
+        step = rows[i, paths.STEP]
+        since = 0.0 if i == 0 or step >= rules.GAP else since + step
+        used[i] = i % rules.EVERY == 0 and since >= rules.LONGEST_LAG
 
 
 def terms_of(axis: Axis) -> int:
@@ -221,8 +233,23 @@ def _fit(
             products += r * before
             before = r
     out[0] = squares / max(known, 1)
-    out[1] = products / squares if squares > 0.0 else 0.0
-    out[2] = known
+    out[1] = _least_new(residual, used, squares) / max(known, 1)
+    out[2] = products / squares if squares > 0.0 else 0.0
+    out[3] = known
+
+
+@inner
+def _least_new(residual: Floats, used: np.ndarray, least: float) -> float:
+    """Sum of the squares of the innovations, at the likeliest share that stays."""
+    for share in rules.WANDERS:
+        level = squares = 0.0
+        for i in range(len(residual)):
+            if used[i]:
+                new = residual[i] - level
+                level += share * new
+                squares += new * new
+        least = min(least, squares)
+    return least
 
 
 @maker

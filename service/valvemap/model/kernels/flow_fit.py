@@ -40,7 +40,9 @@ FIRST_T = 21  # °C; of the first sample, NaN where it was not measured
 NOW_T = 22  # °C; of the last sample that had one
 STAY_T = 23  # °C; of the last stay on either side: two places
 SURPRISE, STAYS_SEEN = 25, 26  # mean square of stays, in variances; stays it is the mean of
-SCALARS = 27
+PAIR_ERROR = 27  # of the last stay that is to be compared, against its own cell
+PAIR_PRODUCT, PAIR_SQUARE, PAIRS = 28, 29, 30  # sums over pairs of stays in different cells
+SCALARS = 31
 
 
 @inner

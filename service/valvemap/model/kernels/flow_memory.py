@@ -20,7 +20,9 @@ CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus MODELS where
 DOUBTED = 23  # 1 where a change was called and may be the meter's end
 CALM = 24  # samples when it was last forgotten what moves
 RESTARTED = 25  # samples when the map began again, those that it then learnt once more included
-COUNTERS = 26
+WANDERED = 26  # ns; of the last stay that something without a name explained
+PAIR_CELL, PAIR_TIME, PAIR_SAMPLE = 27, 28, 29  # of the stay that is to be compared
+COUNTERS = 30
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2

@@ -72,6 +72,8 @@ BETWEEN_DRIFTS: Final = 36_000.0  # s; how long nothing drifts, about
 JUMP_GAIN: Final = 0.1  # standard deviation of a sudden change of the gain
 JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
 AFTER_JUMP: Final = 10.0  # s; how long a sudden change is a hypothesis of its own, about
+WANDERS_WITHIN: Final = 20.0  # s; in which what is not named moves gain and edge as far as a
+# sudden change does, about
 MATURE: Final = 3000  # samples; before them no sudden change is looked for: the map is not sure
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
 VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves
@@ -80,6 +82,8 @@ SHARED: Final = 8.0  # samples that have the doubt about gain and edge in common
 REFUSED: Final = 3.0  # stays in a row; refused as outliers, they are what the cell is now
 SHORTEST_STAY: Final = 4  # samples; of which a stay consists that is refused
 STAY_MEMORY: Final = 500.0  # stays; over which their surprise is averaged
+PAIR_MEMORY: Final = 128.0  # pairs of stays over which it is judged whether they have errors in
+# common: 200 s and more
 FEWEST_STAYS: Final = 100.0  # stays from which on their surprise tells of misfit
 SURPRISED: Final = 1.35  # variances; mean square of stays that nothing listed explains; healthy
 # valves have .1-1.1, valves with a hidden cause 1.6-2.5
@@ -135,6 +139,8 @@ SHARES_COARSE: Final = (
     0.8,
     1.0,
 )  # of U_end; its knots
+WANDERS: Final = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)  # of an innovation; what stays in a
+# residual that wanders, of which the likeliest is taken
 CLEAR: Final = 40.0  # log likelihood from which on an operator is taken
 STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
 MOST_OPERATORS: Final = 4  # taken in one look

@@ -55,7 +55,7 @@ from valvemap.model.kernels.flow_stay import (
     end_stay,
     note_stay,
 )
-from valvemap.model.samples import Floats, Singles
+from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import Status
 
 _OK, _WARMING_UP = int(Status.OK), int(Status.WARMING_UP)
@@ -143,7 +143,7 @@ def _learn(
     if counters[FITTED]:
         residual = batch.residual[i]
         slope = at[SLOPE]
-        weight = _trust(residual, axis_U, axis_s, memory, gain, memory.cells[number], bent, room)
+        weight = _trust(residual, axis_U, axis_s, memory, gain, number, bent, room)
         is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
         is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
         if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
@@ -157,6 +157,7 @@ def _learn(
             if counters[STAY_CELL] == number:
                 visit = (counters[STAYS] - 1) * rules.LONGEST_STAY + memory.stay[SAMPLES]
             doubt = (scalars[fits.VARIANCE] + at[SURE]) * max(visit / rules.SHORTEST_STAY, 1.0)
+            doubt *= (1.0 + scalars[fits.COLOUR]) / (1.0 - scalars[fits.COLOUR])
             plays.weigh(memory.play, path[paths.LAGGED], residual, slope, doubt)
         distance = apart(axis_U, axis_s, memory.cells[number], number, at)
         if bent <= rules.STEADY_FILTER * scalars[fits.VARIANCE]:
@@ -224,11 +225,11 @@ def _own(axis_U: Axis, axis_s: Axis, means: Floats) -> float:
 
 @inner
 def _trust(
-    residual: float, axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, cell: Singles,
+    residual: float, axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, number: int,
     bent: float, room: Room,
 ) -> float:  # fmt: skip
     """Probability that a sample is none that the meter invented, by the map or by its cell."""
-    scalars, counters = memory.scalars, memory.counters
+    scalars, counters, cell = memory.scalars, memory.counters, memory.cells[number]
     if not cell[COUNT] > 0.0:  # a fit weighs a cell of one sample against all others
         scalars[fits.LAST_ERROR] = 0.0
         return 1.0
@@ -247,7 +248,10 @@ def _trust(
         doubt = noise / cell[COUNT] + variance
         if fits.outlier_weight(off * off, doubt, width / cell[COUNT]) < rules.DOUBTED:
             cell[:] = 0.0
-    if cell[COUNT] > 0.0 and variance - bent < noise:
+    of_way = variance - bent  # of the map, from the cell's mean to the sample
+    if cell[COUNT] > 0.0 and not paths.filters(memory.path):
+        of_way *= apart(axis_U, axis_s, cell, number, room.at)
+    if cell[COUNT] > 0.0 and of_way < noise:
         _note_error(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], scalars)
     else:
         scalars[fits.LAST_ERROR] = 0.0

@@ -38,6 +38,9 @@ from valvemap.model.kernels.flow_memory import (
     NEXT_START,
     OF,
     OF_MAP,
+    PAIR_CELL,
+    PAIR_SAMPLE,
+    PAIR_TIME,
     PLACE_S,
     PLACE_U,
     RESIDUAL,
@@ -50,6 +53,7 @@ from valvemap.model.kernels.flow_memory import (
     STAYS,
     SURE,
     USED,
+    WANDERED,
     Memory,
     Room,
 )
@@ -63,6 +67,7 @@ def begin_again(memory: Memory) -> None:
     memory.counters[FITTED] = 0
     memory.counters[NEXT_FIT] = memory.counters[USED] + rules.FIRST_FIT
     memory.counters[BEGAN] = memory.counters[USED]
+    memory.counters[PAIR_TIME] = 0
     memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
     for side in range(2):
         drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
@@ -91,6 +96,7 @@ def begin_replay(memory: Memory, rows: int, T: float) -> None:
     counters[CLOCK + 1] = 0
     memory.scalars[fits.FIRST_T] = T
     memory.scalars[fits.SURPRISE] = memory.scalars[fits.STAYS_SEEN] = 0.0
+    memory.scalars[fits.PAIR_PRODUCT : fits.PAIRS + 1] = 0.0
     memory.scalars[fits.STAY_T : fits.STAY_T + 2] = math.nan
     memory.path[paths.SEEN] = 0.0
     memory.stay[:KNOWN_COUNT] = 0.0
@@ -155,6 +161,8 @@ def end_stay(memory: Memory, room: Room) -> None:
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
         cell = memory.cells[counters[STAY_CELL]]
         cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
+    if many > 0.0 and stay[KNOWN_COUNT] >= rules.VISITED and not paths.filters(memory.path):
+        _note_pair(noise + scalars[fits.VARIANCE] / stay[KNOWN_COUNT], memory)
     is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE] or stay[KNOWN_COUNT] >= rules.SURE_CELL
     is_sure = is_sure and counters[USED] - counters[BEGAN] >= rules.SETTLED_MAP
     if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
@@ -188,6 +196,32 @@ def end_stay(memory: Memory, room: Room) -> None:
 
 
 @inner
+def _note_pair(variance: float, memory: Memory) -> None:
+    """Compare the errors of two stays in different cells, longer apart than any lag lasts.
+
+    Noise that is as coloured as it seems would have a part of them in common.
+    """
+    counters, scalars, stay = memory.counters, memory.scalars, memory.stay
+    now, before = counters[STAY_TIME], counters[PAIR_TIME]
+    if before != 0 and 0.0 <= 1e-9 * float(now - before) < rules.LONGEST_LAG:
+        return
+    error, most = stay[RESIDUAL] / stay[SAMPLES] - stay[KNOWN_OFF], math.sqrt(variance)
+    error = min(max(error, -rules.MOST_STAY * most), rules.MOST_STAY * most)
+    if before != 0 and counters[PAIR_CELL] != counters[STAY_CELL]:
+        keep, other = 1.0 - 1.0 / rules.PAIR_MEMORY, scalars[fits.PAIR_ERROR]
+        square = 0.5 * (error * error + other * other)
+        alike = scalars[fits.COLOUR] ** float(max(counters[USED] - counters[PAIR_SAMPLE], 1))
+        for place in (fits.PAIR_PRODUCT, fits.PAIR_SQUARE, fits.PAIRS):
+            scalars[place] *= keep
+        scalars[fits.PAIR_PRODUCT] += error * other - alike * square
+        scalars[fits.PAIR_SQUARE] += square
+        scalars[fits.PAIRS] += 1.0
+    scalars[fits.PAIR_ERROR] = error
+    counters[PAIR_CELL], counters[PAIR_TIME] = counters[STAY_CELL], now
+    counters[PAIR_SAMPLE] = counters[USED]
+
+
+@inner
 def _warmed(side: int, scalars: Floats) -> float:
     """By how much the oil is warmer or colder than in the last stay on this side, K."""
     now, before = scalars[fits.NOW_T], scalars[fits.STAY_T + side]
@@ -197,8 +231,10 @@ def _warmed(side: int, scalars: Floats) -> float:
 
 @inner
 def _note_change(drift: Drift, side: int, now: int, residual: float, memory: Memory) -> None:
-    """Count a sudden change that is certain, and note how much of what it is."""
+    """Note when something without a name moved the flow, and a sudden change that is certain."""
     counters, stay = memory.counters, memory.stay
+    if drift.chance[drifts.WANDERING] > rules.CERTAIN:
+        counters[WANDERED] = now
     jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
     if jumped > rules.CERTAIN and not counters[ALARMED]:
         counters[ALARMED] = 1
