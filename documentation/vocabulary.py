@@ -5,6 +5,7 @@ from documentation.tables import table
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
+from valvemap.vocabulary.series import PROGRAMS
 from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import (
     Adaptation,
@@ -70,6 +71,11 @@ _ALARMS = """\
 [Alarms](../alarms.md)."""
 
 
+_METRICS = """\
+Series of `/metrics` for Prometheus, by the command that has them:
+[Watch many valves in Grafana](../how-to/grafana.md)."""
+
+
 def vocabulary_page() -> str:
     """Return the page."""
     parts = [
@@ -86,6 +92,7 @@ def vocabulary_page() -> str:
         rows = [[str(int(s)), f"`{s.name}`", s.label, s.sentence] for s in statuses]
         parts += [f"## {title}", where, table(["value", "name", "on the page", "meaning"], rows)]
     parts += ["## Alarms", _ALARMS, alarm_tables()]
+    parts += ["## Metrics", _METRICS, table(["series", "of", "labels", "meaning"], _metrics())]
     return "\n\n".join(parts) + "\n"
 
 
@@ -97,6 +104,19 @@ def _signal(signal: Signal) -> list[str]:
         signal.need.value,
         f"{low:g} … {high:g}",
         f"{signal.sentence[0].upper()}{signal.sentence[1:]}.",
+    ]
+
+
+def _metrics() -> list[list[str]]:
+    every = {one: None for of in PROGRAMS.values() for one in of}
+    return [
+        [
+            f"`{one.shown}`",
+            ", ".join(f"`{name}`" for name, of in PROGRAMS.items() if one in of),
+            ", ".join(f"`{label}`" for label in one.labels),
+            one.sentence,
+        ]
+        for one in every
     ]
 
 

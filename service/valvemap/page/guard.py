@@ -9,6 +9,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from valvemap.page.rates import Buckets
 from valvemap.page.settings import PageSettings
 
+REASONS = _HOST, _ORIGIN, _RATE, _SIZE = "host", "origin", "rate", "size"
 _SAFE_METHODS = frozenset({"GET", "HEAD"})
 _FORBIDDEN, _TOO_LARGE, _TOO_MANY, _MISDIRECTED = 403, 413, 429, 421
 _LONGEST_PATH = 200
@@ -80,18 +81,18 @@ class Guard:
     def _refusal(self, scope: Scope) -> tuple[str, int] | None:
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or _name(hosts[0]) not in self._settings.names:
-            return "host", _MISDIRECTED
+        if len(hosts) != 1 or not self._settings.accepts(_name(hosts[0])):
+            return _HOST, _MISDIRECTED
         if not self._buckets.take(scope["client"][0] if scope["client"] else ""):
-            return "rate", _TOO_MANY
+            return _RATE, _TOO_MANY
         acts = scope["type"] == "websocket" or scope["method"] not in _SAFE_METHODS
         if acts and not self._is_own(headers.getlist("origin"), hosts[0]):
-            return "origin", _FORBIDDEN
+            return _ORIGIN, _FORBIDDEN
         length = headers.get("content-length", "0")
         unbounded = "transfer-encoding" in headers
         if unbounded or not length.isdigit() or int(length) > self._settings.body_bytes:
-            return "size", _TOO_LARGE
-        return ("size", _TOO_LARGE) if len(scope["path"]) > _LONGEST_PATH else None
+            return _SIZE, _TOO_LARGE
+        return (_SIZE, _TOO_LARGE) if len(scope["path"]) > _LONGEST_PATH else None
 
     def _is_own(self, origins: list[str], host: str) -> bool:
         """Whether the request's origin is this page."""

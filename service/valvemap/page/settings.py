@@ -45,6 +45,8 @@ class PageSettings:
         Idle timeout of a log-in.
     body_bytes
         Largest request.
+    takes_addresses
+        Whether any IP address is accepted as host name, too: rebinding needs a name.
     """
 
     host: str = "127.0.0.1"
@@ -73,6 +75,7 @@ class PageSettings:
     wrong_pause_s: float = 305.0
     log_in_idle_s: float = 900.0
     body_bytes: int = 4_096
+    takes_addresses: bool = False
 
     def __post_init__(self) -> None:
         """Check that the settings are consistent.
@@ -97,10 +100,23 @@ class PageSettings:
         """Whether passwords are protected in transit: on loopback, or encrypted."""
         return self.is_encrypted or is_loopback(self.host)
 
-    @property
-    def names(self) -> frozenset[str]:
-        """Accepted host names."""
-        return LOOPBACK_NAMES | {name.lower() for name in self.host_names}
+    def accepts(self, name: str) -> bool:
+        """Whether requests may name this host.
+
+        >>> PageSettings().accepts("localhost"), PageSettings().accepts("10.0.0.5")
+        (True, False)
+        """
+        if name in LOOPBACK_NAMES or name in {own.lower() for own in self.host_names}:
+            return True
+        return self.takes_addresses and _is_address(name.strip("[]"))
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def is_loopback(host: str) -> bool:

@@ -18,9 +18,10 @@ from valvemap.clock import Clock
 from valvemap.errors import ValvemapError
 from valvemap.page.commands import carry_out
 from valvemap.page.door import Door
+from valvemap.page.exposition import CONTENT_TYPE
 from valvemap.page.guard import Guard
 from valvemap.page.log_ins import Clients, LogIns
-from valvemap.page.metrics import CONTENT_TYPE, Metrics
+from valvemap.page.metrics import Metrics
 from valvemap.page.observer import Link, Observer
 from valvemap.page.ports import Client
 from valvemap.page.settings import PageSettings
