@@ -60,6 +60,7 @@ NAMES = (
         "Kafka: results",
         "Kafka: commands",
         "Kafka: replies",
+        "Kafka: statistics",
         "Kafka: memories",
     ),
 )

@@ -6,9 +6,12 @@ from itertools import repeat
 
 import pytest
 
+from support.exposition import names, promtool_accepts, value
 from support.sparkplug_fakes import FakeBroker, FakeService, Read
+from valvemap.app.mqtt_metrics import mqtt_points
 from valvemap.clock import SystemClock
 from valvemap.errors import ConfigurationError
+from valvemap.page.exposition import exposition
 from valvemap.sparkplug.broker import PahoBroker
 from valvemap.sparkplug.edge_node import EdgeNode
 from valvemap.sparkplug.host import PrimaryHost
@@ -19,6 +22,7 @@ from valvemap.sparkplug.schema import Payload
 from valvemap.sparkplug.sender import Sender
 from valvemap.sparkplug.settings import BrokerSettings
 from valvemap.sparkplug.shown import Shown
+from valvemap.vocabulary.series import OF_MQTT
 
 VARIABLES = {
     "V1.RLS.Residual": ("Double", Read(0.5)),
@@ -373,3 +377,30 @@ async def test_a_file_of_certificates_that_is_not_there_is_named_before_anything
     (tmp_path / "ca.pem").write_text("nonsense")
     with pytest.raises(ConfigurationError, match=r"ca\.pem: cannot be used"):
         PahoBroker(BrokerSettings("h", 1, "c", tls=True, ca_file=tmp_path / "ca.pem"))
+
+
+async def test_metrics_show_the_queue_its_losses_and_both_connections():
+    async with running(most=1_000) as whole:
+        await whole.births(1)
+        await whole.until(lambda: whole.sender.is_sending and len(whole.outbox) == 0)
+        text = metrics_of(whole)
+        assert value(text, "valvemap_broker_up") == value(text, "valvemap_service_up") == 1
+        assert value(text, "valvemap_mqtt_metrics") >= 5
+        assert value(text, "valvemap_mqtt_connections_total") == 1
+        whole.broker.up = False
+        for k in range(1_100):
+            whole.send(float(k))
+        await whole.until(lambda: whole.outbox.lost and not whole.sender.is_sending)
+        whole.service.up = False
+        await whole.until(lambda: not whole.shown.is_connected)
+        await whole.until(lambda: value(metrics_of(whole), "valvemap_mqtt_lost_values_total"))
+        text = metrics_of(whole)
+        assert value(text, "valvemap_broker_up") == value(text, "valvemap_service_up") == 0
+        assert value(text, "valvemap_mqtt_waiting_values") == 1_000
+    apart = {"valvemap_build_info", "valvemap_exporter_refused_total"}  # the exporter's own
+    assert names(text) == {one.shown for one in OF_MQTT} - apart
+    promtool_accepts(text)
+
+
+def metrics_of(whole):
+    return exposition(mqtt_points(whole.shown, whole.outbox, whole.sender, 1_000)).decode()

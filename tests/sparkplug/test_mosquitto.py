@@ -1,14 +1,17 @@
 """Mosquitto between a demo and a host of another make: births, data, kills, passwords, TLS."""
 
 import asyncio
+import re
 from contextlib import contextmanager
 from itertools import pairwise, repeat
 
+import httpx
 import pytest
 from asyncua import Client
 from cryptography.hazmat.primitives import serialization
 
 from support import certificates, services
+from support.exposition import value
 from support.mosquitto import GROUP, HOST, NODE, host, mosquitto, until, users
 from support.processes import running, wait_for
 from support.sparkplug_fakes import FakeService, Read
@@ -38,7 +41,8 @@ def demo(tmp_path_factory):
 @contextmanager
 def sending(folder, demo, broker, **more):
     env = {"BROKER": broker.url, "GROUP": GROUP, "EDGE_NODE": NODE, "PRIMARY_HOST": HOST, **more}
-    env = {f"VALVEMAP_MQTT__{name}": value for name, value in env.items()}
+    names = {"METRICS": "VALVEMAP_METRICS"}
+    env = {names.get(name, f"VALVEMAP_MQTT__{name}"): value for name, value in env.items()}
     log = folder / "mqtt.log"
     with running("mqtt", "--security", "None", "--url", demo.url, env=env, log=log) as process:
         wait_for(log, "results are sent", process)
@@ -80,7 +84,8 @@ def test_a_host_of_another_make_reads_births_and_data_and_may_ask_for_births(
 ):
     cache = request.config.cache.mkdir("sparkplug_peer")
     with mosquitto(tmp_path) as broker, host(tmp_path, cache, broker) as listening:
-        with sending(tmp_path, demo, broker):
+        with sending(tmp_path, demo, broker, METRICS="127.0.0.1:0") as log:
+            metrics = re.search(r"http://\S+", wait_for(log, "metrics served"))[0]
             heard = listening.once(lambda heard: len(values(heard, "Signals/U")) >= 3)
             born = {metric["name"]: metric for metric in births(heard)[0]["metrics"]}
             assert asyncio.run(names_at(demo.url)) <= born.keys()
@@ -92,6 +97,9 @@ def test_a_host_of_another_make_reads_births_and_data_and_may_ask_for_births(
             assert 0.0 < pressure["value"] < 400.0  # bar
             assert (pressure["quality"], pressure["isNull"]) == (192, False)
             assert len({m["alias"] for m in births(heard)[0]["metrics"]}) == len(born)
+            shown = httpx.get(metrics).text
+            assert value(shown, "valvemap_broker_up") == 1
+            assert value(shown, "valvemap_mqtt_metrics") > len(born)
             listening.ask_for_births()
             heard = listening.once(lambda now: len(births(now)) > len(births(heard)))
             nodes = [m for m in heard if m["verb"] == "NBIRTH"]

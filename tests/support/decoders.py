@@ -40,6 +40,7 @@ from valvemap.errors import (
     StorageError,
 )
 from valvemap.kafka.blocks import SamplesBlock, read_samples, write_samples
+from valvemap.kafka.client_statistics import read_statistics
 from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
 from valvemap.kafka.memory import Columns, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
@@ -114,6 +115,7 @@ class Decoder:
     longest_s: float = 0.01
 
 
+_TEXT = (UnicodeDecodeError,)  # librdkafka hands over text
 _MOST_ROWS_S = 0.1  # a packed column of equal values may rightly have as many rows as any block
 _FOREIGN_HEADINGS_S = 0.025  # physics judges some fifty readings of headings that no table knows
 
@@ -303,6 +305,9 @@ def _of_kafka():
         ),
         "Kafka: results": Decoder(read_results, _results, block),
         "Kafka: commands": Decoder(read_command, lambda: [write_message(command)], block),
+        "Kafka: statistics": Decoder(
+            lambda data: read_statistics(data.decode()), _statistics, _TEXT
+        ),
         "Kafka: replies": Decoder(read_reply, lambda: [write_message(reply)], block),
         "Kafka: memories": Decoder(
             read_memory, lambda: [write_memory(memory)], (FleetError,), _with_seal
@@ -311,6 +316,12 @@ def _of_kafka():
             _fresh_group().remember, lambda: [_learnt_group().to_bytes()], (FleetError,), _with_seal
         ),
     }
+
+
+def _statistics():
+    one = {"desired": True, "ls_offset": 9, "app_offset": 2, "next_offset": 3, "fetchq_cnt": 2}
+    topics = {"valvemap.samples": {"partitions": {"0": one, "-1": {"desired": False}}}}
+    return [json.dumps({"msg_cnt": 4, "topics": topics}).encode()]
 
 
 def _results():

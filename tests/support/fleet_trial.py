@@ -90,9 +90,9 @@ class Trial:
                 self._producer.flush()
                 time.sleep(0.002)  # the order of commands and samples is that of their times
 
-    def worker(self, n):
+    def worker(self, n, *options):
         env = {"VALVEMAP_FLEET_WORK__STATE": str(self.folder / f"state{n}")}
-        command = ("fleet", "work", "-c", str(self.file))
+        command = ("fleet", "work", "-c", str(self.file), *options)
         return running(*command, env=env, log=self.log(n))
 
     def log(self, n):

@@ -1,7 +1,10 @@
 """Publishes results as Sparkplug B over MQTT, in a separate process from the service."""
 
 import asyncio
+from functools import partial
 
+from valvemap.app.metrics_address import MetricsAddress, exported
+from valvemap.app.mqtt_metrics import mqtt_points
 from valvemap.app.page_access import Watched, settings_of
 from valvemap.clock import SystemClock
 from valvemap.config.mqtt import MqttConfig
@@ -21,13 +24,18 @@ from valvemap.sparkplug.shown import Shown
 _TIMEOUT_S = 5.0  # s; of every request to the service
 
 
-async def run_mqtt(config: MqttConfig, watched: Watched, stop: asyncio.Event) -> None:
-    """Publish results until ``stop`` is set.
+async def run_mqtt(
+    config: MqttConfig,
+    watched: Watched,
+    stop: asyncio.Event,
+    address: MetricsAddress | None = None,
+) -> None:
+    """Publish results until ``stop`` is set; serve metrics at ``address``, if there is one.
 
     Raises
     ------
     ValvemapError
-        if a certificate, key or password file cannot be used.
+        if a certificate, key or password file, or the address, cannot be used.
     """
     clock = SystemClock()
     outbox = Outbox(config.most_waiting)
@@ -39,6 +47,11 @@ async def run_mqtt(config: MqttConfig, watched: Watched, stop: asyncio.Event) ->
     reader = Reader(service, shown, config.variables, every_s, clock, backoff)
     host = None if config.primary_host is None else PrimaryHost(config.primary_host)
     sender = Sender(broker, node, shown, outbox, every_s, clock, backoff, host)
+    with exported(address, partial(mqtt_points, shown, outbox, sender, config.most_waiting)):
+        await _run_until_stopped(reader, sender, stop)
+
+
+async def _run_until_stopped(reader: Reader, sender: Sender, stop: asyncio.Event) -> None:
     tasks = [asyncio.create_task(run) for run in (reader.run(), sender.run(), stop.wait())]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

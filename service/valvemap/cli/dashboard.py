@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from valvemap.cli.options import FolderOption, RevocationOption
+from valvemap.cli.options import FolderOption, RevocationOption, address_and_port
 from valvemap.cli.output import write_line
 from valvemap.cli.watching import (
     HostNameOption,
@@ -74,7 +74,7 @@ def dashboard(
         require_crl=require_crl,
         rig_url=rig_url,
     )
-    address, port = _address(listen)
+    address, port = address_and_port(listen)
     page = PageSettings(address, port, tuple(host_name or ()), certificate, key)
 
     async def until_stopped() -> None:
@@ -89,15 +89,3 @@ def dashboard(
 
 def _say(url: str) -> None:
     write_line(url)  # the parent process waits for it
-
-
-def _address(listen: str) -> tuple[str, int]:
-    """Split ADDRESS:PORT.
-
-    >>> _address("[::1]:8080")
-    ('::1', 8080)
-    """
-    host, _, port = listen.rpartition(":")
-    if not host or not port.isdigit() or int(port) > 65_535:
-        raise typer.BadParameter(f"{listen!r}: ADDRESS:PORT is expected, e.g. 127.0.0.1:8080")
-    return host.strip("[]"), int(port)

@@ -4,6 +4,7 @@ import asyncio
 import os
 import time
 from collections.abc import Awaitable, Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from valvemap.cli.logs import set_up_logs
-from valvemap.cli.options import ConfigOption, ForceOption, new_models
+from valvemap.cli.options import (
+    ConfigOption,
+    ForceOption,
+    MetricsHostOption,
+    MetricsOption,
+    metrics_address,
+    new_models,
+)
 from valvemap.cli.output import write_line
 from valvemap.cli.progress import bars
 from valvemap.errors import ConfigurationError, FleetError
@@ -60,22 +68,29 @@ def topics(config: FleetOption = CONFIG) -> None:
 def collect(
     site: SiteArgument = None,
     config: FleetOption = CONFIG,
+    metrics: MetricsOption = None,
+    metrics_host_name: MetricsHostOption = None,
 ) -> None:
     """Send the samples of a site's sources to the workers, until Ctrl-C."""
     from valvemap.kafka.collect import collect as run
 
-    _run_until_stopped(run, site, config)
+    address = metrics_address(metrics, metrics_host_name)
+    _run_until_stopped(partial(run, address=address), site, config)
 
 
 @fleet.command()
-def work(config: FleetOption = CONFIG) -> None:
+def work(
+    config: FleetOption = CONFIG,
+    metrics: MetricsOption = None,
+    metrics_host_name: MetricsHostOption = None,
+) -> None:
     """Learn from the topics' samples, beside other workers, until Ctrl-C."""
     from valvemap.kafka.settings import load_fleet
     from valvemap.kafka.work import work as run
 
-    loaded = load_fleet(config)
+    loaded, address = load_fleet(config), metrics_address(metrics, metrics_host_name)
     set_up_logs()
-    run(loaded)
+    run(loaded, address)
 
 
 @fleet.command()

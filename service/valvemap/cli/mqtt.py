@@ -7,7 +7,14 @@ from typing import Annotated
 import typer
 
 from valvemap.cli.logs import set_up_logs
-from valvemap.cli.options import ConfigOption, FolderOption, RevocationOption
+from valvemap.cli.options import (
+    ConfigOption,
+    FolderOption,
+    MetricsHostOption,
+    MetricsOption,
+    RevocationOption,
+    metrics_address,
+)
 from valvemap.cli.watching import (
     HostNameOption,
     PasswordFileOption,
@@ -34,12 +41,14 @@ def mqtt(
         typer.Option(help="User at the service; default: the observer made by `init`."),
     ] = None,
     password_file: PasswordFileOption = None,
+    metrics: MetricsOption = None,
+    metrics_host_name: MetricsHostOption = None,
     *,
     check_host_name: HostNameOption = True,
     require_crl: RevocationOption = True,
 ) -> None:
     """Send results to the MQTT broker of [mqtt] as Sparkplug B, until Ctrl-C."""
-    loaded = load_config(config)
+    loaded, address = load_config(config), metrics_address(metrics, metrics_host_name)
     try:
         from valvemap.app.mqtt import run_mqtt
     except ModuleNotFoundError as error:
@@ -60,6 +69,6 @@ def mqtt(
     async def until_stopped() -> None:
         stop = asyncio.Event()
         with stop_on_signal(stop):
-            await run_mqtt(loaded.mqtt, service, stop)
+            await run_mqtt(loaded.mqtt, service, stop, address)
 
     asyncio.run(until_stopped())

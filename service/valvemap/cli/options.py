@@ -9,6 +9,7 @@ import typer
 from valvemap.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from valvemap.app.metrics_address import MetricsAddress
     from valvemap.config.models import Config
 
 ConfigOption = Annotated[
@@ -35,6 +36,22 @@ RevocationOption = Annotated[
 ]
 
 
+MetricsOption = Annotated[
+    str | None,
+    typer.Option(
+        envvar="VALVEMAP_METRICS",
+        metavar="ADDRESS:PORT",
+        help="Serve metrics for Prometheus there, e.g. 127.0.0.1:9464; default: nowhere.",
+    ),
+]
+MetricsHostOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--metrics-host-name",
+        envvar="VALVEMAP_METRICS_HOSTS",
+        help="Name under which Prometheus reaches it, if not this host.",
+    ),
+]
 SourceOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Which of [[sources]], where there are several.")
 ]
@@ -138,3 +155,35 @@ def check_folder(option: str, file: Path | None) -> None:
     """
     if file is not None and not file.parent.is_dir():
         raise typer.BadParameter(f"{option} {file}: there is no folder {file.parent}; make it")
+
+
+def address_and_port(listen: str) -> tuple[str, int]:
+    """Split ADDRESS:PORT.
+
+    Raises
+    ------
+    BadParameter
+
+    Examples
+    --------
+    >>> address_and_port("[::1]:8080")
+    ('::1', 8080)
+    """
+    host, _, port = listen.rpartition(":")
+    if not host or not (port.isascii() and port.isdigit()) or int(port) > 65_535:
+        raise typer.BadParameter(f"{listen!r}: ADDRESS:PORT is expected, e.g. 127.0.0.1:8080")
+    return host.strip("[]"), int(port)
+
+
+def metrics_address(listen: str | None, host_names: list[str] | None) -> "MetricsAddress | None":
+    """Return where to serve metrics; None if they are not asked for.
+
+    Raises
+    ------
+    BadParameter
+    """
+    from valvemap.app.metrics_address import MetricsAddress
+
+    if listen is None:
+        return None
+    return MetricsAddress(*address_and_port(listen), tuple(host_names or ()))

@@ -4,6 +4,7 @@ import asyncio
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -11,11 +12,13 @@ import structlog
 
 from valvemap.app.build import build_alignment, build_timing
 from valvemap.app.connections import build_sources, build_supervisor_settings
+from valvemap.app.metrics_address import MetricsAddress, exported
 from valvemap.app.warm_up import compile_alignment
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import ConfigurationError, SourceError, StorageError
 from valvemap.kafka.blocks import SamplesBlock, write_samples
 from valvemap.kafka.catalogue import Catalogue, GroupPlan, load_catalogue
+from valvemap.kafka.collector_metrics import collector_points
 from valvemap.kafka.decoding import most_rows
 from valvemap.kafka.sending import SAID_AGAIN_S, Sender
 from valvemap.kafka.settings import FleetConfig
@@ -25,6 +28,7 @@ from valvemap.model.samples import Samples, Segments, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.ports import SourceCounters
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.runtime.sources import Sources, supervise_all
@@ -34,13 +38,22 @@ _UNSAVED: Final = 64_000_000  # bytes; limit of the buffer while the disk fails;
 log = structlog.get_logger(__name__)
 
 
-async def collect(config: FleetConfig, site: str | None, stop: asyncio.Event) -> None:
+async def collect(
+    config: FleetConfig,
+    site: str | None,
+    stop: asyncio.Event,
+    address: MetricsAddress | None = None,
+) -> None:
     """Collect the samples of a site until ``stop`` is set; without a name, of the only site.
+
+    Metrics are served at ``address``, if there is one.
 
     Raises
     ------
     ConfigurationError, FleetError, SourceError, StorageError
         at the start; an unreachable broker is retried.
+    PageError
+        if the address of the metrics cannot be used.
     """
     catalogue = load_catalogue(config.catalogue)
     name = site_of(catalogue, site)
@@ -52,14 +65,15 @@ async def collect(config: FleetConfig, site: str | None, stop: asyncio.Event) ->
         sources = build_sources(catalogue.sites[name])
         collector = Collector(catalogue, name, config, sources, spool)
         collector.resume()
-        sender.start()
-        log.info("collecting", site=name, valves=len(catalogue.sites[name].valves))
-        try:
-            supervision = build_supervisor_settings(catalogue.sites[name])
-            await supervise_all(sources, collector, SystemClock(), stop, supervision)
-        finally:
-            await collector.finish()
-            await asyncio.to_thread(sender.stop)
+        with exported(address, partial(collector_points, collector, sender, spool)):
+            sender.start()
+            log.info("collecting", site=name, valves=len(catalogue.sites[name].valves))
+            try:
+                supervision = build_supervisor_settings(catalogue.sites[name])
+                await supervise_all(sources, collector, SystemClock(), stop, supervision)
+            finally:
+                await collector.finish()
+                await asyncio.to_thread(sender.stop)
         if sender.hopeless is not None:
             raise sender.hopeless
 
@@ -131,7 +145,8 @@ class Collector:
             build_timing(site_config),
         )
         self._numbers = {group.name: 0 for group in self._groups}
-        self._given_up = 0  # samples dropped since the first start
+        self.given_up = 0  # samples dropped since the first start
+        self.packed = self.left_out = 0  # samples in blocks; samples of failed valves
         self._parts: list[ByValve] = []
         self._has_new_data = False
         self._unsaved: list[Packed] = []
@@ -149,7 +164,7 @@ class Collector:
         if kept:
             said = json.loads(kept[_NUMBERS])
             self._numbers.update((n, k) for n, k in said["groups"].items() if n in self._numbers)
-            self._given_up = said["given_up"]
+            self.given_up = said["given_up"]
             try:
                 self._arrivals.resume(kept[_ARRIVALS])
             except StateMismatchError as error:
@@ -203,6 +218,22 @@ class Collector:
         if self._unsaved:
             raise StorageError(f"{self._spool.path}: {self._lost_samples()} samples are lost")
 
+    @property
+    def unsaved_bytes(self) -> int:
+        """Size of the blocks in memory that the disk has not taken."""
+        return sum(len(one.data) for one in list(self._unsaved))
+
+    @property
+    def connected_valves(self) -> tuple[int, int]:
+        """Number of valves whose source is connected, and of the others."""
+        connected = int(self._connected.sum())
+        return connected, len(self._connected) - connected
+
+    @property
+    def source_counters(self) -> SourceCounters:
+        """Counters of all sources."""
+        return self._sources.counters
+
     def _own(self, valves: Times | None) -> Times:
         return np.arange(len(self._connected)) if valves is None else valves
 
@@ -210,6 +241,7 @@ class Collector:
         for valve, error in self._arrivals.new_failures():
             log_left_out(self._arrivals.names[valve], error)
         if left_out := self._arrivals.left_out():
+            self.left_out = sum(left_out.values())
             self._say("valves are left out, their samples are missing", samples=left_out)
         self._held.heard(samples.segments.members)
         if len(samples):
@@ -235,7 +267,7 @@ class Collector:
         self._parts, self._has_new_data = [], False
         mark = self._sources.mark
         kept = {
-            _NUMBERS: json.dumps({"groups": self._numbers, "given_up": self._given_up}).encode(),
+            _NUMBERS: json.dumps({"groups": self._numbers, "given_up": self.given_up}).encode(),
             _ARRIVALS: self._arrivals.to_bytes(),
         }
         if mark is not None:
@@ -261,6 +293,7 @@ class Collector:
 
     def _block(self, number: int, samples: Samples, member: Times) -> SamplesBlock:
         group = self._groups[number]
+        self.packed += len(samples)
         self._numbers[group.name] += 1
         starts = np.flatnonzero(np.diff(member, prepend=-1)).astype(np.int64)
         stops = np.append(starts[1:], len(member))
@@ -302,8 +335,8 @@ class Collector:
             self._give_up(lost, "disk takes nothing, the oldest samples are given up")
 
     def _give_up(self, samples: int, why: str) -> None:
-        self._given_up += samples
-        self._say(why, samples=self._given_up)
+        self.given_up += samples
+        self._say(why, samples=self.given_up)
 
     def _lost_samples(self) -> int:
         return sum(one.samples for one in self._unsaved)

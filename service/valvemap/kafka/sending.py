@@ -61,6 +61,16 @@ class Sender(threading.Thread):
         self._away = False
         self._said = -SAID_AGAIN_S
 
+    @property
+    def is_away(self) -> bool:
+        """Whether the brokers cannot be reached."""
+        return self._away
+
+    @property
+    def in_flight_bytes(self) -> int:
+        """Size of the blocks sent and not acknowledged."""
+        return sum(list(self._under_way.values()))
+
     def run(self) -> None:
         """Send until `stop` is called."""
         pauses = backoff()

@@ -87,7 +87,7 @@ class Spool(Closing):
 
     def __init__(self, path: Path, most_bytes: int) -> None:
         self.path = path
-        self._most = most_bytes
+        self.most_bytes = most_bytes
         self._lock = Lock()
         self._taken = 0  # id of the last block in flight
         with naming(path):
@@ -174,7 +174,7 @@ class Spool(Closing):
             "SELECT id, bytes, samples FROM block WHERE id > ? ORDER BY id", (self._taken,)
         )
         for id_, size, n in rows:
-            if self.bytes <= self._most:
+            if self.bytes <= self.most_bytes:
                 break
             last, blocks, samples = id_, blocks + 1, samples + n
             self.blocks, self.bytes = self.blocks - 1, self.bytes - size

@@ -11,10 +11,12 @@ from typing import Any, Final, Literal
 import structlog
 from confluent_kafka import KafkaException
 
+from valvemap.app.metrics_address import MetricsAddress, exported
 from valvemap.app.warm_up import warm_up
 from valvemap.errors import FleetError
 from valvemap.kafka.broker import client_settings, reason
 from valvemap.kafka.catalogue import Catalogue, load_catalogue
+from valvemap.kafka.client_statistics import EVERY_MS
 from valvemap.kafka.dead_letters import DeadLetter, Place
 from valvemap.kafka.group import Rhythm
 from valvemap.kafka.settings import FleetConfig
@@ -29,6 +31,7 @@ from valvemap.kafka.topics import (
     topic_name,
 )
 from valvemap.kafka.worker import Worker
+from valvemap.kafka.worker_metrics import WorkerMetrics
 from valvemap.runtime.backoff import backoff
 
 with warnings.catch_warnings(record=True):  # Quix Streams' dependencies warn on import
@@ -59,24 +62,34 @@ _ANOTHER_TRY_HELPS_NOT: Final = (
 log = structlog.get_logger(__name__)
 
 
-def work(config: FleetConfig) -> None:
+def work(config: FleetConfig, address: MetricsAddress | None = None) -> None:
     """Process messages until SIGINT or SIGTERM; retry if the broker is lost.
+
+    Metrics are served at ``address``, if there is one.
 
     Raises
     ------
     ConfigurationError, FleetError
         if a retry cannot succeed: topics, catalogue, state.
+    PageError
+        if the address of the metrics cannot be used.
     """
     catalogue = load_catalogue(config.catalogue)
     check_partitions(config, SAMPLES, COMMANDS, RESULTS, REJECTED, STATE)
     for site in catalogue.sites.values():
         warm_up(site)
     _say_little(config)
+    metrics = WorkerMetrics([topic_name(config.topics, kind) for kind in (SAMPLES, COMMANDS)])
+    with exported(address, metrics.points):
+        _run_until_stopped(config, catalogue, metrics)
+
+
+def _run_until_stopped(config: FleetConfig, catalogue: Catalogue, metrics: WorkerMetrics) -> None:
     pauses = backoff()
     while True:
         began = time.monotonic()
         try:
-            _run(config, catalogue)
+            _run(config, catalogue, metrics)
         except _ANOTHER_TRY_HELPS_NOT as error:
             raise FleetError(f"{_first_line(error)}") from None
         except (KafkaException, QuixException) as error:
@@ -85,6 +98,7 @@ def work(config: FleetConfig) -> None:
                 pauses = backoff()
             pause = next(pauses)
             log.warning("broker lost, uncommitted work is repeated", reason=said)
+            metrics.note_restart()
             time.sleep(pause)
         else:
             return
@@ -93,11 +107,11 @@ def work(config: FleetConfig) -> None:
 _LONG_ENOUGH_S: Final = 60.0  # s; a run of this length resets the retry pause
 
 
-def _run(config: FleetConfig, catalogue: Catalogue) -> None:
+def _run(config: FleetConfig, catalogue: Catalogue, metrics: WorkerMetrics) -> None:
     work, topics = config.work, config.topics
     rhythm = Rhythm(round(work.results_s * 1e9), round(work.maps_s * 1e9))
-    worker = Worker(catalogue, rhythm, topics)
-    app = _application(config)
+    worker = Worker(catalogue, rhythm, topics, metrics)
+    app = _application(config, metrics)
     raw = {"key_deserializer": "bytes", "value_deserializer": "bytes"}
     samples = app.dataframe(app.topic(topic_name(topics, SAMPLES), **raw))
     commands = app.dataframe(app.topic(topic_name(topics, COMMANDS), **raw))
@@ -106,20 +120,22 @@ def _run(config: FleetConfig, catalogue: Catalogue) -> None:
     dead_letters = app.topic(topic_name(topics, REJECTED), **written)
     tagged = samples.apply(partial(_tagged, SAMPLES)), commands.apply(partial(_tagged, COMMANDS))
     together = tagged[0].concat(tagged[1])
-    learnt = together.apply(partial(_handle, worker), stateful=True, metadata=True, expand=True)
+    learnt = together.apply(
+        partial(_handle, worker, metrics), stateful=True, metadata=True, expand=True
+    )
     learnt.filter(_is_result).to_topic(results)
     rejected = learnt.filter(_is_rejected).set_headers(_headers_of)
     rejected.apply(_payload_of).to_topic(dead_letters)
-    learnt.sink(_Keeper(worker))
+    learnt.sink(_Keeper(worker, metrics))
     app.run()
 
 
 class _Keeper(BaseSink):
     """Writes the checkpoints before each commit, in its transaction."""
 
-    def __init__(self, worker: Worker) -> None:
+    def __init__(self, worker: Worker, metrics: WorkerMetrics) -> None:
         super().__init__()
-        self._worker = worker
+        self._worker, self._metrics = worker, metrics
 
     def add(self, *_row: Any, **_place: Any) -> None:  # noqa: ANN401
         """Do nothing: results are sent to their topic."""
@@ -127,6 +143,7 @@ class _Keeper(BaseSink):
     def flush(self) -> None:
         """Write the checkpoints; called by the engine before it commits."""
         self._worker.keep()
+        self._metrics.note_commit()
 
 
 class _AwayInOneLine(logging.Handler):
@@ -163,6 +180,7 @@ def _tagged(kind: str, value: bytes | None) -> tuple[str, bytes]:
 
 def _handle(
     worker: Worker,
+    metrics: WorkerMetrics,
     value: tuple[str, bytes],
     key: bytes | None,
     timestamp: int,
@@ -175,6 +193,7 @@ def _handle(
         out = worker.samples(key, message, state, sent)
     else:
         out = worker.command(key, message, state)
+    metrics.note_message(kind, key, message_context().partition)
     return iter([*out, *worker.rejected()])
 
 
@@ -215,7 +234,7 @@ class _OwnNames(TopicManager):
         return super()._internal_name(topic_type, topic_name, suffix)
 
 
-def _application(config: FleetConfig) -> Any:  # noqa: ANN401
+def _application(config: FleetConfig, metrics: WorkerMetrics) -> Any:  # noqa: ANN401
     broker, topics, work = config.broker, config.topics, config.work
     connection = ConnectionConfig.from_librdkafka_dict(client_settings(broker))
     group, largest = f"{topics.prefix}.{WORKERS}", round(topics.message_mb * 1e6)
@@ -249,6 +268,8 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
             "fetch.wait.max.ms": _FETCH_WAIT_MS,
             "fetch.max.bytes": 4 * largest,
             "receive.message.max.bytes": 8 * largest,
+            "statistics.interval.ms": EVERY_MS,
+            "stats_cb": metrics.note_consumer,
         },
         producer_extra_config={
             "transactional.id": f"{group}.{uuid.uuid4()}",  # ACLs allow the prefix
@@ -259,6 +280,8 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
             # Messages are sent at the commit, and invisible before it. With a short linger and a
             # slow broker, librdkafka would busy-wait and take half a core.
             "linger.ms": min(commit_ms, takeover_ms // 2),
+            "statistics.interval.ms": EVERY_MS,
+            "stats_cb": metrics.note_producer,
         },
     )
 

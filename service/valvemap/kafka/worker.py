@@ -23,6 +23,7 @@ from valvemap.kafka.decoding import ROW_BYTES, Decoder, Rejected, Tracebacks
 from valvemap.kafka.group import AHEAD, DAMAGED, Group, Rhythm
 from valvemap.kafka.result_blocks import ResultsBlock, write_results
 from valvemap.kafka.settings import TopicsConfig
+from valvemap.kafka.worker_metrics import WorkerMetrics
 from valvemap.runtime.failure_log import log_failure
 
 MEMORY: Final = "memory"
@@ -76,11 +77,18 @@ class Worker:
         Publishing intervals.
     topics
         Largest message.
+    metrics
+        Receives counts and results, if they are exported.
     """
 
     def __init__(
-        self, catalogue: Catalogue, rhythm: Rhythm, topics: TopicsConfig | None = None
+        self,
+        catalogue: Catalogue,
+        rhythm: Rhythm,
+        topics: TopicsConfig | None = None,
+        metrics: WorkerMetrics | None = None,
     ) -> None:
+        self._metrics = metrics
         self._catalogue = catalogue
         self._rhythm = rhythm
         self._decoder = Decoder(catalogue, topics)
@@ -125,6 +133,8 @@ class Worker:
     def rejected(self) -> list[DeadLetter]:
         """Return the dead letters since the last call."""
         found, self._rejected = self._rejected, []
+        if self._metrics is not None:
+            self._metrics.note_rejected(len(found))
         return found
 
     def keep(self) -> None:
@@ -162,6 +172,8 @@ class Worker:
         if why:
             self._reject(key, message, why)
         self._mark(name, held, store)
+        if self._metrics is not None:
+            self._metrics.note_group(name, held.group.number, held.group.counts)
         if len(held.steps) >= _MOST_STEPS or sum(s.size for s in held.steps) > self._most_held:
             store.set_bytes(MEMORY, held.group.to_bytes())
             held.steps = []
@@ -172,7 +184,10 @@ class Worker:
         before, out = held.group.counts[AHEAD], list[bytes]()
         held.steps.append(step)
         try:
-            out = [packed for one in step.take(held.group) for packed in _packed(held.group, one)]
+            for one in step.take(held.group):
+                out += _packed(held.group, one)
+                if self._metrics is not None and isinstance(one, ResultsBlock):
+                    self._metrics.note_results(one)
         except BlockError as error:
             held.group.refuse()
             return str(error), []

@@ -74,6 +74,11 @@ class Sender:
         self._said = ""
         self._losses_said, self._losses_said_at = 0, -_SAID_AGAIN_S
 
+    @property
+    def is_sending(self) -> bool:
+        """Whether the broker takes messages, and a primary host, if any, is online."""
+        return self._connections > 0 and not self._said
+
     async def run(self) -> None:
         """Publish until cancelled; reconnect after every failure. Publishes NDEATH at the end."""
         while True:
