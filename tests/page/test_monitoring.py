@@ -9,23 +9,37 @@ from pathlib import Path
 import pytest
 import yaml
 
+from support.exposition import names, promtool_accepts
 from support.shown_service import Alarm, ShownService
 from valvemap.clock import SystemClock
 from valvemap.page.settings import PageSettings
 from valvemap.page.web import Page
+from valvemap.vocabulary.series import COMPILED, OF_PAGE, PROGRAMS
 
 MONITORING = Path(__file__).parents[2] / "container" / "monitoring"
-GUIDE = MONITORING.parents[1] / "docs" / "how-to" / "grafana.md"
-BOARD = json.loads((MONITORING / "grafana" / "valvemap.json").read_text(encoding="utf-8"))
+BOARDS = {
+    name: json.loads((MONITORING / "grafana" / f"{name}.json").read_text(encoding="utf-8"))
+    for name in ("valvemap", "fleet")
+}
+PANELS = [panel for board in BOARDS.values() for panel in board["panels"]]
 ALERTS = yaml.safe_load((MONITORING / "alerts.yml").read_text(encoding="utf-8"))
-QUERIES = [
-    *(target["expr"] for panel in BOARD["panels"] for target in panel["targets"]),
-    *(rule["expr"] for rule in ALERTS["groups"][0]["rules"]),
-]
+DRAWN = [target["expr"] for panel in PANELS for target in panel["targets"]]
+ALARMED = [rule["expr"] for rule in ALERTS["groups"][0]["rules"]]
+QUERIES = [*DRAWN, *ALARMED]
+SERIES = {one.shown: one for of in PROGRAMS.values() for one in of}
+OF_MANY = {
+    "valve",
+    "estimator",
+    "source",
+    "alarm",
+    "partition",
+    "group",
+}  # labels with 1,000 values
+MOST_LINES = 20
 
 
-async def figures():
-    """Names of all that the page shows of a service with one valve."""
+async def page_text():
+    """All metrics of a page of a service with one valve and one alarm."""
     shown = ShownService()
     shown.alarms.append(Alarm())
     page = Page(shown, lambda *_: (shown, None), PageSettings(), SystemClock())
@@ -35,31 +49,67 @@ async def figures():
     await page.observer._look_around(page.viewers.wanted(page.observer.valves), thoroughly=True)
     page.observer.link = type(page.observer.link).UP
     await page.observer.look_at_figures()
-    text = page._metrics.exposition().decode()
-    return set(re.findall(r"^(valvemap_\w+)", text, re.MULTILINE))
+    return page._metrics.exposition().decode()
 
 
-async def test_the_guide_names_every_figure_and_no_other():
-    guide = GUIDE.read_text(encoding="utf-8")
-    cells = re.findall(r"^\| (`valvemap_.*?) \|", guide, re.MULTILINE)
-    quantities = GUIDE.parents[1].joinpath("reference", "vocabulary.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"`(valvemap_estimator_\w+)`", quantities))
-    for cell in cells:
-        first, *others = re.findall(r"`(\w+)`", cell)
-        stem = first.removesuffix("_age_seconds")
-        named |= {first, *(o if o.startswith("valvemap") else stem + o for o in others)}
-    assert named == {name for name in await figures() if not name.endswith("_created")}
+async def test_the_page_has_every_series_of_its_table_and_promtool_accepts_them():
+    text = await page_text()
+    at_the_start = {COMPILED.shown}
+    assert names(text) == {one.shown for one in OF_PAGE} - at_the_start
+    promtool_accepts(text)
 
 
-async def test_every_query_asks_for_figures_that_are_there():
-    known = await figures()
+def test_every_query_asks_for_series_that_a_program_has_by_labels_that_they_have():
     for query in QUERIES:
-        assert set(re.findall(r"valvemap_\w+", query)) <= known, query
+        asked = re.findall(r"(valvemap_\w+)(?:\{([^}]*)\})?", query)
+        assert asked, query
+        for name, selectors in asked:
+            labels = set(re.findall(r"(\w+)(?:=~|!~|!=|=)", selectors)) - {"job"}
+            assert labels <= set(SERIES[name].labels), query
 
 
-def test_no_two_panels_lie_on_each_other():
+@pytest.mark.parametrize("query", DRAWN)
+def test_no_panel_draws_a_line_for_each_of_a_thousand_valves(query):
+    """By valve, alarm or partition only the largest; else a sum, or one line a program."""
+    many = {
+        label
+        for name in re.findall(r"valvemap_\w+", query)
+        for label in SERIES[name].labels
+        if label in OF_MANY
+    }
+    if not many:
+        return
+    largest = re.search(r"\b(?:topk|bottomk)\((\d+),", query)
+    if largest:
+        assert int(largest[1]) <= MOST_LINES
+    else:
+        kept = re.search(r"\b(?:sum|max|count)(?: by \(([^)]*)\))?", query)
+        assert kept, query
+        assert not set(re.split(r"[, ]+", kept[1] or "")) & OF_MANY, query
+
+
+def test_a_panel_of_several_queries_draws_no_more_lines_either():
+    for panel in PANELS:
+        largest = [
+            int(number)
+            for target in panel["targets"]
+            for number in re.findall(r"\b(?:topk|bottomk)\((\d+),", target["expr"])
+        ]
+        assert sum(largest) <= MOST_LINES, panel["title"]
+
+
+@pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
+def test_data_source_and_valves_are_chosen_above_the_panels(board):
+    variables = {one["name"]: one["type"] for one in board["templating"]["list"]}
+    assert variables["source"] == "datasource"
+    assert variables["valve"] == "query"
+    assert {panel["datasource"]["uid"] for panel in board["panels"]} == {"${source}"}
+
+
+@pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
+def test_no_two_panels_lie_on_each_other(board):
     taken = set()
-    for panel in BOARD["panels"]:
+    for panel in board["panels"]:
         at = panel["gridPos"]
         cells = {(at["x"] + i, at["y"] + j) for i in range(at["w"]) for j in range(at["h"])}
         assert not cells & taken, panel["title"]
