@@ -16,7 +16,7 @@ marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test waits peers hardened lint format soak bench report simulate reference figures docs sbom wheel release verify-release lock clean
+.PHONY: install demo test waits peers conformance hardened lint format soak bench report simulate reference figures docs sbom wheel release verify-release lock clean
 
 install: $(RUNTIME)
 
@@ -77,6 +77,10 @@ report: $(RUNTIME)
 # The reference pages of the documentation, from models, commands and a running server.
 reference: $(DEV)
 	$(BIN)/python -m documentation
+
+# The sweeps of docs/conformance.md, by node-opcua, gopcua, Eclipse Milo and open62541.
+conformance: $(DEV)
+	@PYTHONPATH=service:virtual_rig:tests:. $(BIN)/python -m conformance
 
 # The figures of docs/methods: make figures [PAGES="auto survey"]
 figures: $(DEV)

@@ -7,6 +7,7 @@ import asyncio
 import itertools
 import json
 import sys
+from collections import Counter
 from datetime import datetime
 
 _URI = "http://opcfoundation.org/UA/SecurityPolicy#"
@@ -20,6 +21,8 @@ _TYPES = {
     "float32": "Float",
     "float64": "Double",
 }
+_BROWSED_AT_ONCE = 100
+_OBJECT, _METHOD, _DATA_TYPE = 1, 4, 14  # NodeClasses, and an attribute
 _EPOCH_TICKS = 116_444_736_000_000_000  # 1970 in units of 100 ns since 1601
 _METHODS = {"AddComment": "i=9029", "Acknowledge": "i=9111", "Confirm": "i=9113"}
 _ALARM = {
@@ -57,7 +60,15 @@ class Operations:
 
     async def connect(self, name, step):
         scope = f"connection{next(self.scopes)}"
-        client = self.o6.Client(
+        client = self._made(scope, step)
+        await client.connect(createDefaultSubscription=False)
+        self.connections[name] = Connection(scope, client)
+        return {}
+
+    def _made(self, scope, step):
+        if "policy" not in step:
+            return self.o6.Client(step["url"], name=scope)
+        return self.o6.Client(
             step["url"],
             certificate=step["certificate"],
             privateKey=step["key"],
@@ -69,9 +80,6 @@ class Operations:
             password=step["password"],
             name=scope,
         )
-        await client.connect(createDefaultSubscription=False)
-        self.connections[name] = Connection(scope, client)
-        return {}
 
     async def disconnect(self, name, _):
         await self.connections.pop(name).client.disconnect()
@@ -109,6 +117,60 @@ class Operations:
             following.continuationPoints = [result.continuationPoint]
             (result,) = (await self._client(name).serviceBrowseNext(following)).results
             pages += 1
+
+    async def walk(self, name, step):
+        """All nodes that references lead to, and the methods of objects among them."""
+        classes, nodes, methods = {step["root"]: _OBJECT}, [step["root"]], []
+        at = 0
+        while at < len(nodes):
+            batch = nodes[at : at + _BROWSED_AT_ONCE]
+            at += len(batch)
+            request = self.types.BrowseRequest()
+            request.nodesToBrowse = [self._browsed(id_, step["reference"]) for id_ in batch]
+            response = await self._client(name).serviceBrowse(request)
+            for owner, result in zip(batch, response.results, strict=True):
+                if bytes(result.continuationPoint or b""):
+                    raise ValueError(f"{owner}: more than a page")
+                for found in result.references:
+                    id_, kind = str(found.nodeId), int(found.nodeClass)
+                    if kind == _METHOD and classes[owner] == _OBJECT:
+                        methods.append([owner, id_])
+                    if id_ not in classes:
+                        classes[id_] = kind
+                        nodes.append(id_)
+        return {"nodes": nodes, "methods": methods}
+
+    def _browsed(self, id_, reference):
+        wanted = self.types.BrowseDescription()
+        wanted.nodeId = self.o6.NodeId(id_)
+        wanted.referenceTypeId = self.o6.NodeId(reference)
+        wanted.includeSubtypes = True
+        wanted.resultMask = 63
+        return wanted
+
+    async def readEvery(self, name, step):
+        """All attributes of each node in a request: how many have which status; the DataTypes."""
+        codes, faults, types = Counter(), [], {}
+        for id_ in step["nodes"]:
+            request = self.types.ReadRequest()
+            request.timestampsToReturn = self.types.TimestampsToReturn.BOTH
+            wanted = []
+            for attribute in step["attributes"]:
+                one = self.types.ReadValueId()
+                one.nodeId, one.attributeId = self.o6.NodeId(id_), attribute
+                wanted.append(one)
+            request.nodesToRead = wanted
+            try:
+                response = await self._client(name).serviceRead(request)
+            except self.o6.StatusCodeError as error:
+                faults.append(f"{id_}: {error}")
+                continue
+            for attribute, value in zip(step["attributes"], response.results, strict=True):
+                code = int(value.status or 0)
+                codes[code] += 1
+                if attribute == _DATA_TYPE and code == 0:
+                    types[id_] = str(value.value)
+        return {"codes": codes, "faults": faults, "types": types}
 
     async def read(self, name, step):
         value = await self._client(name).read(
@@ -268,8 +330,8 @@ class Operations:
         return self.connections[name].client
 
     def _id(self, name, text):
-        uri, _, rest = text.removeprefix("nsu=").partition(";")
-        if rest:
+        if text.startswith("nsu="):
+            uri, _, rest = text.removeprefix("nsu=").partition(";")
             text = f"ns={self._index(name, uri)};{rest}"
         return self.o6.NodeId(text)
 

@@ -12,6 +12,7 @@ const {
   DeadbandType,
   MessageSecurityMode,
   MonitoringMode,
+  NodeClass,
   OPCUAClient,
   SecurityPolicy,
   StatusCodes,
@@ -29,6 +30,7 @@ const {
   ReadRawModifiedDetails,
 } = require("node-opcua-service-history");
 
+const BROWSED_AT_ONCE = 100;
 const connections = new Map();
 
 function shown(dataValue) {
@@ -188,20 +190,57 @@ const operations = {
     );
   },
 
-  // All attributes of each node in a request: how many have which status, which are refused.
+  // All nodes that references lead to, and the methods of objects among them.
+  async walk({ session }, { root, reference }) {
+    const classes = new Map([[root, NodeClass.Object]]);
+    const methods = [];
+    for (let open = [root]; open.length; ) {
+      const batch = open.splice(0, BROWSED_AT_ONCE);
+      const results = await session.browse(
+        batch.map((nodeId) => ({
+          nodeId,
+          referenceTypeId: reference,
+          includeSubtypes: true,
+          browseDirection: BrowseDirection.Forward,
+          resultMask: 63,
+        })),
+      );
+      for (const [at, result] of results.entries()) {
+        if (result.continuationPoint?.length) throw new Error(`${batch[at]}: more than a page`);
+        for (const { nodeId, nodeClass } of result.references ?? []) {
+          const id = nodeId.toString();
+          const isNew = !classes.has(id);
+          if (nodeClass === NodeClass.Method && classes.get(batch[at]) === NodeClass.Object)
+            methods.push([batch[at], id]);
+          if (isNew) {
+            classes.set(id, nodeClass);
+            open.push(id);
+          }
+        }
+      }
+    }
+    return { nodes: [...classes.keys()], methods };
+  },
+
+  // All attributes of each node in a request: how many have which status, which are refused, and
+  // the DataTypes.
   async readEvery({ session }, { nodes, attributes }) {
     const codes = {};
     const faults = [];
+    const types = {};
     for (const nodeId of nodes) {
       try {
         const found = await session.read(attributes.map((attributeId) => ({ nodeId, attributeId })));
-        for (const { statusCode } of found)
+        for (const [at, { statusCode, value }] of found.entries()) {
           codes[statusCode.value] = (codes[statusCode.value] ?? 0) + 1;
+          if (attributes[at] === AttributeIds.DataType && statusCode.value === 0)
+            types[nodeId] = value.value.toString();
+        }
       } catch (error) {
         faults.push(`${nodeId}: ${error.message ?? error}`);
       }
     }
-    return { codes, faults };
+    return { codes, faults, types };
   },
 
   async write({ session }, { node, value }) {

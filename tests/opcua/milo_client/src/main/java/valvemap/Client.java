@@ -123,6 +123,10 @@ public final class Client {
         return connection.alarms.shown();
       case "act":
         return connection.alarms.act(step);
+      case "walk":
+        return Sweep.walk(connection.client, step);
+      case "readEvery":
+        return Sweep.readEvery(connection.client, step);
       case "history":
         return History.read(connection.client, id(connection.client, step, "node"), step);
       case "unsubscribe":

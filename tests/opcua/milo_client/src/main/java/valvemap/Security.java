@@ -30,6 +30,9 @@ final class Security {
   }
 
   static OpcUaClient connect(JsonObject step) throws Exception {
+    if (!step.has("policy")) {
+      return connectOpen(step.get("url").getAsString());
+    }
     String policy = URI + step.get("policy").getAsString();
     X509Certificate own = certificate(step.get("certificate").getAsString());
     X509Certificate server = certificate(step.get("server").getAsString());
@@ -63,6 +66,20 @@ final class Security {
       client.disconnect();
       throw error;
     }
+    return client;
+  }
+
+  private static OpcUaClient connectOpen(String url) throws UaException {
+    OpcUaClient client =
+        OpcUaClient.create(
+            url,
+            endpoints ->
+                endpoints.stream()
+                    .filter(e -> e.getSecurityPolicyUri().equals(URI + "None"))
+                    .findFirst(),
+            transport -> {},
+            config -> config.setRequestTimeout(uint(5_000)));
+    client.connect();
     return client;
   }
 

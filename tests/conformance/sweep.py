@@ -1,0 +1,128 @@
+"""Sweeps of our servers by other stacks: every node and attribute, every method, every aggregate.
+
+Each stack walks, reads and calls by itself; what it counts is a row of `docs/conformance.md`.
+"""
+
+import asyncio
+from collections.abc import Mapping
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+
+from asyncua import ua
+
+from conformance.past import AGGREGATES, disagreement, past_server
+from guarded_opcua import ServerSettings
+from support.interoperation import raised
+from support.peer import Peer
+from valvemap_rig.scenario import BUILTIN
+from valvemap_rig.server import RigServer
+
+ATTRIBUTES = list(range(1, 28))
+READ_AT_ONCE = 500  # nodes per line to a program; each is read in a separate request
+TOO_MANY = 30  # arguments, so that no method is executed
+REFERENCES, HIERARCHICAL = "i=31", "i=33"
+ROOT, OBJECTS = "i=84", "i=85"
+INT32 = f"i={ua.ObjectIds.Int32}"
+FAILED = {ua.StatusCodes.BadInternalError, ua.StatusCodes.BadEncodingError}
+DENIED = ua.StatusCodes.BadUserAccessDenied
+WRONG_ARGUMENTS = {ua.StatusCodes.BadTooManyArguments, ua.StatusCodes.BadInvalidArgument}
+
+
+@dataclass(frozen=True)
+class Swept:
+    """Result of one stack at one server."""
+
+    nodes: int
+    attributes: int
+    faults: int  # requests refused as a whole
+    failed: int  # attributes that failed unexpectedly
+    methods: int
+    denied: int  # methods that this user, an observer, may not call
+    dead: int  # methods that answer neither that, nor that the arguments are wrong
+    codes: int  # variables of codes
+    untyped: int  # of these, those that are a bare Int32
+
+
+@asynccontextmanager
+async def rig(_):
+    settings = ServerSettings(
+        url="opc.tcp://127.0.0.1:0/valvemap/rig/",
+        application_uri="urn:test:rig",
+        application_name="rig",
+        namespace_uri="urn:valvemap:rig",
+        none_on_loopback=True,
+    )
+    async with await RigServer.create(settings, BUILTIN["demo"]) as server:
+        playing = asyncio.create_task(server.run())
+        yield server.url
+        playing.cancel()
+        with suppress(asyncio.CancelledError):
+            await playing
+
+
+@asynccontextmanager
+async def service(folder):
+    async with raised(folder, none_on_loopback=True) as stage:
+        yield stage.server.url
+
+
+SERVERS = {"service": service, "rig": rig}
+
+
+async def sweeps(program, folder) -> Mapping[str, object]:
+    """Return the results of one stack at both servers, and those of its aggregates."""
+    peer = await Peer.start(*program)
+    try:
+        found = {}
+        for name, server in SERVERS.items():
+            (folder / name).mkdir()
+            async with server(folder / name) as url:
+                found[name] = vars(await swept(peer, url))
+        async with past_server() as (url, past):
+            found["aggregates"] = await aggregated(peer, url, past)
+    finally:
+        await peer.stop()
+    return found
+
+
+async def swept(peer, url) -> Swept:
+    await peer.ask("connect", url=url)
+    nodes = (await peer.ask("walk", root=ROOT, reference=REFERENCES))["nodes"]
+    below = await peer.ask("walk", root=OBJECTS, reference=HIERARCHICAL)
+    methods = sorted({tuple(pair) for pair in below["methods"]})
+    counts, faults, types = {}, 0, {}
+    for first in range(0, len(nodes), READ_AT_ONCE):
+        some = nodes[first : first + READ_AT_ONCE]
+        read = await peer.ask("readEvery", nodes=some, attributes=ATTRIBUTES)
+        faults += len(read["faults"])
+        types |= read["types"]
+        for code, n in read["codes"].items():
+            counts[int(code)] = counts.get(int(code), 0) + n
+    arguments = [{"type": "Double", "value": 0.0}] * TOO_MANY
+    answers = [
+        (await peer.ask("call", owner=owner, method=method, inputs=arguments))["code"]
+        for owner, method in methods
+    ]
+    await peer.ask("disconnect")
+    known = set(nodes)
+    coded = {id_: type_ for id_, type_ in types.items() if f"{id_}.EnumStrings" in known}
+    return Swept(
+        nodes=len(nodes),
+        attributes=sum(counts.values()),
+        faults=faults,
+        failed=sum(n for code, n in counts.items() if code in FAILED),
+        methods=len(methods),
+        denied=answers.count(DENIED),
+        dead=sum(code not in {DENIED, *WRONG_ARGUMENTS} for code in answers),
+        codes=len(coded),
+        untyped=sum(type_.removeprefix("ns=0;") == INT32 for type_ in coded.values()),
+    )
+
+
+async def aggregated(peer, url, past):
+    """Return how many aggregates were read, and how those differ that are not as computed here."""
+    await peer.ask("connect", url=url)
+    answers = {name: await peer.ask("history", **past.asked(name)) for name in AGGREGATES}
+    await peer.ask("disconnect")
+    wrong = [disagreement(name, past, found) for name, found in answers.items()]
+    return {"read": len(answers), "wrong": [one for one in wrong if one]}
