@@ -21,7 +21,7 @@ class MetricsAddress:
 
 @contextmanager
 def exported(address: MetricsAddress | None, points: Points) -> Iterator[None]:
-    """Serve metrics meanwhile, if there is an address.
+    """Serve metrics inside the context, if there is an address.
 
     ``points`` is called in another thread, at most once a second.
 

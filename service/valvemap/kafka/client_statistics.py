@@ -15,7 +15,7 @@ _MOST: Final = 2**63  # largest offset
 
 @dataclass(frozen=True)
 class ClientStatistics:
-    """One client's queues.
+    """Queues of one client.
 
     Attributes
     ----------
@@ -55,13 +55,13 @@ def read_statistics(packed: str) -> ClientStatistics:
 
 
 def _lag(known: dict[str, Any]) -> float:
-    """Messages up to the last stable offset that the library has not handed over.
+    """Messages up to the last stable offset that the library has not returned to its caller.
 
     The library's own ``consumer_lag`` needs commits by the consumer; with transactions, the
     producer commits.
     """
     end, at = _number(known.get("ls_offset")), _number(known.get("app_offset"))
-    if math.isnan(at):  # nothing handed over since the partition was assigned
+    if math.isnan(at):  # no message returned since the partition was assigned
         at = _number(known.get("next_offset"))
     return max(end - at, 0.0)
 
