@@ -1,4 +1,5 @@
 # ruff: noqa: S104, S108 - addresses and folders inside a container
+import json
 import os
 import re
 import shlex
@@ -13,8 +14,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from jsonschema.validators import validator_for
 
 from container.scada import load_project
+from support.foreign import PLANT, Foreign
+from support.processes import free_port, program, wait_for
 
 ROOT = Path(__file__).parent.parent
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
@@ -187,7 +191,28 @@ def test_only_what_the_image_is_made_of_reaches_the_builder():
 
 OF_FLEET = ("collect", "worker", "fleet-service")
 ONCE = ("fleet-secrets", "fleet-topics", "fleet-access")
-OURS = ("init", "rig", "service", "page", "rig-fleet", *ONCE, *OF_FLEET)
+OURS = ("init", "connect", "rig", "service", "page", "rig-fleet", *ONCE, *OF_FLEET)
+
+
+def test_the_file_is_valid_by_the_published_schema_of_compose():
+    """Its origin: tests/data/README.md."""
+    file = ROOT / "tests" / "data" / "compose_spec" / "compose-spec.json"
+    schema = json.loads(file.read_text(encoding="utf-8"))
+    validator = validator_for(schema)(schema)
+    assert [f"{list(e.path)}: {e.message}" for e in validator.iter_errors(COMPOSE)] == []
+    wrong = {**COMPOSE, "services": {"x": {"image": "y", "restrat": "no"}}}
+    assert list(validator.iter_errors(wrong))
+
+
+def test_every_variable_of_the_file_is_documented():
+    """In the head of the file, or on a page."""
+    text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
+    pages = [file.read_text(encoding="utf-8") for file in (ROOT / "docs").rglob("*.md")]
+    known = "\n".join([text.partition("\nname:")[0], *pages])
+    asked = set(re.findall(r"\$\{(\w+)", text))
+    assert {name for name in asked if name not in known and not name.endswith("_PORT")} == {
+        "VALVEMAP_SCENARIO"
+    }
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -201,17 +226,18 @@ def test_every_container_is_locked_down(name):
     data, *settings = container["volumes"]
     assert data == "data:/data"
     own = ["kafka-secrets:/kafka"] if name == "fleet-secrets" else []
-    assert settings in ([], ["./container/fleet:/fleet:ro", *own])
+    script = ["./container/own_source.sh:/own_source.sh:ro"] if name == "connect" else []
+    assert settings in (script, ["./container/fleet:/fleet:ro", *own])
     assert not {"privileged", "cap_add", "devices", "pid", "ipc"} & set(container)
     assert container.get("network_mode") != "host"
     assert "data" in COMPOSE["volumes"]
 
 
-def test_there_are_four_containers_and_more_to_watch_them_where_they_are_wanted():
+def test_there_are_five_containers_and_more_to_watch_them_where_they_are_wanted():
     of_profile = {name: service.get("profiles") for name, service in SERVICES.items()}
     monitoring, scada, fleet = ["monitoring"], ["scada"], ["fleet"]
     assert of_profile == {
-        **dict.fromkeys(["init", "rig", "service", "page"]),
+        **dict.fromkeys(["init", "connect", "rig", "service", "page"]),
         **dict.fromkeys(["prometheus", "grafana"], monitoring),
         **dict.fromkeys(["fuxa", "fuxa-project"], scada),
         **dict.fromkeys(["kafka", *ONCE, "rig-fleet", *OF_FLEET], fleet),
@@ -284,13 +310,24 @@ def test_health_of_each_is_asked_at_its_own_port(name, port):
 def environment(name):
     """The environment as compose makes it where nothing is set outside."""
     given = {k: v for k, v in SERVICES[name]["environment"].items() if v is not None}
-    return {k: re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", v) for k, v in given.items()}
+    return {k: interpolated(v) for k, v in given.items()}
+
+
+def interpolated(text, **outside):
+    """Text as compose makes it: ``${A:-b}`` and ``${A:+b}``, where ``outside`` is set."""
+
+    def chosen(found):
+        name, operator, other = found.groups()
+        value = outside.get(name, "")
+        return (value or other) if operator == ":-" else (other if value else "")
+
+    return re.sub(r"\$\{(\w+)(:[-+])([^}]*)\}", chosen, text)
 
 
 def command_line(name):
     from valvemap.cli.command_table import load_command
 
-    command = [re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", word) for word in SERVICES[name]["command"]]
+    command = [interpolated(word) for word in SERVICES[name]["command"]]
     return load_command(command[0]), command
 
 
@@ -317,7 +354,8 @@ def test_the_page_s_variables_are_options_of_its_command(monkeypatch):
     assert options["url"] == "opc.tcp://service:4841/valvemap/service/"
     assert options["listen"] == "0.0.0.0:8080"
     assert list(options["host_name"]) == ["page", "localhost"]
-    _, address, path = SERVICES["page"]["healthcheck"]["test"][-1].rpartition("127.0.0.1:8080")
+    url = interpolated(SERVICES["page"]["healthcheck"]["test"][-1])
+    _, address, path = url.rpartition("127.0.0.1:8080")
     assert (address, path) == ("127.0.0.1:8080", "/livez")
 
 
@@ -334,6 +372,92 @@ def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):
     assert config.server.url == "opc.tcp://0.0.0.0:4841/valvemap/service/"
     assert config.log.format == "json"
     assert config.source.security == "Basic256Sha256"
+
+
+def test_the_page_has_https_where_it_is_asked_for():
+    on = {name: interpolated(value, VALVEMAP_PAGE_HTTPS="yes") for name, value in RAW_PAGE.items()}
+    assert on["VALVEMAP_PAGE_CERTIFICATE"] == on["VALVEMAP_PAGE_KEY"] == "/data/page.pem"
+    assert environment("page")["VALVEMAP_PAGE_CERTIFICATE"] == ""
+    url = SERVICES["page"]["healthcheck"]["test"][-1]
+    assert interpolated(url) == "http://127.0.0.1:8080/livez"
+    assert interpolated(url, VALVEMAP_PAGE_HTTPS="yes") == "https://127.0.0.1:8080/livez"
+
+
+RAW_PAGE = SERVICES["page"]["environment"]
+
+
+def container_run(words, folder, **env):
+    """Run a container's words with /data and the mounted script below a folder."""
+    data, script = folder / "data", ROOT / "container" / "own_source.sh"
+    moved = {"/own_source.sh": str(script), "/data": str(data)}
+    for place, there in moved.items():
+        words = [word.replace(place, there) for word in words]
+        env = {name: value.replace(place, there) for name, value in env.items()}
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return words, {**env, "PATH": path, "VALVEMAP_DATA": str(data)}
+
+
+def finished(words, folder, **env):
+    words, own = container_run(words, folder, **env)
+    return subprocess.run(
+        words,
+        env={**os.environ, **own},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+
+
+@pytest.mark.tutorial
+@pytest.mark.timeout(400)
+@pytest.mark.skipif(os.name != "posix", reason="the container's script is one of a POSIX shell")
+def test_with_source_url_the_service_serves_the_valves_of_another_server(tmp_path):
+    plant = Foreign(PLANT, ["Ventil 7"])
+    plant.start()
+    assert plant.ready.wait(30)
+    try:
+        outside = {"SOURCE_URL": plant.url}
+        init = environment("init")
+        done = finished(["valvemap", *SERVICES["init"]["command"]], tmp_path, **init)
+        assert done.returncode == 0, done.stderr
+        connect = SERVICES["connect"]
+        given = {
+            name: interpolated(value, **outside)
+            for name, value in connect["environment"].items()
+            if value is not None
+        }
+        idle = finished(connect["entrypoint"], tmp_path, **{**given, "SOURCE_URL": ""})
+        assert (idle.returncode, idle.stdout) == (0, "")
+        words = [*connect["entrypoint"], "--watch", "5"]
+        done = finished(words, tmp_path, **given)
+        assert done.returncode == 0, done.stdout + done.stderr
+        file = tmp_path / "data" / "own" / "service.toml"
+        before = file.read_text(encoding="utf-8")
+        again = finished(connect["entrypoint"], tmp_path, **given)
+        assert (again.returncode, file.read_text(encoding="utf-8")) == (0, before)
+        check_it_serves(tmp_path, outside)
+    finally:
+        plant.over.set()
+        plant.join(30)
+
+
+def check_it_serves(folder, outside):
+    service, port = SERVICES["service"], free_port()
+    own = {
+        name: interpolated(value, **outside).replace("0.0.0.0:4841", f"127.0.0.1:{port}")
+        for name, value in service["environment"].items()
+        if value is not None
+    }
+    command = [interpolated(word, **outside) for word in service["command"]]
+    assert command[-1] == "/data/own/service.toml"
+    words, own = container_run(["valvemap", *command], folder, **own)
+    log = folder / "service.log"
+    with program(*words, env=own, log=log, cwd=folder) as process:
+        wait_for(log, "source connected", process, 200.0)
+        wait_for(log, "results served", process, 200.0)
+    assert process.returncode == 0, log.read_text()
 
 
 def test_the_fleet_is_one_that_its_commands_understand(monkeypatch):

@@ -37,9 +37,14 @@ def dashboard(
         ),
     ] = None,
     certificate: Annotated[
-        Path | None, typer.Option(metavar="FILE.pem", help="For https; with --key.")
+        Path | None,
+        typer.Option(
+            envvar="VALVEMAP_PAGE_CERTIFICATE", metavar="FILE.pem", help="For https; with --key."
+        ),
     ] = None,
-    key: Annotated[Path | None, typer.Option(metavar="FILE.pem")] = None,
+    key: Annotated[
+        Path | None, typer.Option(envvar="VALVEMAP_PAGE_KEY", metavar="FILE.pem")
+    ] = None,
     data: FolderOption = Path("data"),
     security: SecurityOption = "Basic256Sha256",
     user: Annotated[
