@@ -49,7 +49,7 @@ def text_of(parts):
 async def test_what_is_collected_kept_and_lost_is_shown(parts):
     collector, _, spool = parts
     text = text_of(parts)
-    assert value(text, "valvemap_collector_valves", source="connected") == 0
+    assert value(text, "valvemap_collector_valves", state="connected") == 0
     await collector.take(as_changes(plant(100)))
     await collector.finish()
     text = text_of(parts)
@@ -57,10 +57,10 @@ async def test_what_is_collected_kept_and_lost_is_shown(parts):
     assert value(text, "valvemap_spool_bytes") == spool.bytes
     assert value(text, "valvemap_spool_limit_bytes") == 2_000
     assert value(text, "valvemap_collector_lost_samples_total") == 100  # the block is larger
-    assert value(text, "valvemap_collector_valves", source="connected") == 2
+    assert value(text, "valvemap_collector_valves", state="connected") == 2
     assert value(text, "valvemap_source_total", what="Overflows") == 2
     await collector.lost(None)
-    assert value(text_of(parts), "valvemap_collector_valves", source="disconnected") == 2
+    assert value(text_of(parts), "valvemap_collector_valves", state="disconnected") == 2
 
 
 async def test_every_series_is_there_and_promtool_accepts_them(parts):

@@ -35,6 +35,7 @@ OF_MANY = {
     "partition",
     "group",
 }  # labels with 1,000 values
+FEW = {"what": "Gaps", "state": "disconnected"}  # a value of other labels that queries ask for
 MOST_LINES = 20
 
 
@@ -128,3 +129,40 @@ def test_promtool_takes_the_configuration_and_every_query(tmp_path):
             [program, "check", *check], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
+
+
+def thousand(name):
+    """A thousand series of a name, as promtool's tests take them: each alike over ten minutes."""
+    labels = SERIES[name].labels
+    growth = 1 if SERIES[name].is_count else 0
+    for k in range(1_000 if OF_MANY & set(labels) else 1):
+        kept = {
+            label: f"{label}{k}" if label in OF_MANY else FEW.get(label, "x") for label in labels
+        }
+        chosen = ",".join(f'{label}="{text}"' for label, text in {"job": "j", **kept}.items())
+        yield {"series": f"{name}{{{chosen}}}", "values": f"{k}+{growth * (k + 1)}x10"}
+
+
+def test_promtool_draws_no_more_lines_of_a_thousand_series(tmp_path):
+    program = shutil.which("promtool")
+    if program is None:
+        pytest.skip("promtool is not installed (Debian: apt-get install prometheus)")
+    asked = {name for query in DRAWN for name in re.findall(r"valvemap_\w+", query)}
+    lines = [
+        re.sub(r"\$(valve|job)", ".*", f"count({query}) <= bool {MOST_LINES}") for query in DRAWN
+    ]
+    one = {"labels": "{}", "value": 1}
+    tests = {
+        "interval": "1m",
+        "input_series": [series for name in sorted(asked) for series in thousand(name)],
+        "promql_expr_test": [
+            {"expr": expr, "eval_time": "10m", "exp_samples": [one]} for expr in lines
+        ],
+    }
+    file = tmp_path / "tests.yml"
+    content = {"rule_files": [], "evaluation_interval": "1m", "tests": [tests]}
+    file.write_text(json.dumps(content), encoding="utf-8")
+    done = subprocess.run(
+        [program, "test", "rules", file], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, (done.stdout + done.stderr)[:3_000]

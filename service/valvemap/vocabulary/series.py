@@ -207,7 +207,7 @@ COLLECTOR_UNSAVED: Final = Series(
     "valvemap_collector_unsaved_bytes", "Size of the blocks in memory that the disk has not taken."
 )
 COLLECTOR_VALVES: Final = Series(
-    "valvemap_collector_valves", "Valves whose source is connected, and others.", ("source",)
+    "valvemap_collector_valves", "Valves whose source is connected, or disconnected.", ("state",)
 )
 COLLECTOR_IN_FLIGHT: Final = Series(
     "valvemap_collector_in_flight_bytes", "Size of the blocks sent and not acknowledged."
