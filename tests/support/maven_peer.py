@@ -1,4 +1,4 @@
-"""Eclipse Milo, built once as its pom says."""
+"""Programs in Java, built once as their pom says: Eclipse Milo, Eclipse Tahu."""
 
 import hashlib
 import os
@@ -8,31 +8,29 @@ from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).parents[1] / "opcua" / "milo_client"
 
-
-def program(cache: Path) -> tuple[str, ...]:
-    """Return the command of the client; skip the test where it cannot be built."""
+def program(folder: Path, main: str, cache: Path) -> tuple[str, ...]:
+    """Return the command of a folder's main class; skip the test where it cannot be built."""
     maven, java = shutil.which("mvn"), shutil.which("java")
     if maven is None or java is None:
         pytest.skip("mvn and java are not installed")
-    sources = sorted(path for path in FOLDER.rglob("*") if path.is_file())
+    sources = sorted(path for path in folder.rglob("*") if path.is_file())
     content = b"".join(path.read_bytes() for path in sources)
     built = cache / hashlib.sha256(content).hexdigest()[:16]
     if not (built / "ready").exists():
-        _build(maven, built)
+        _build(maven, folder, built)
     target = built / "target"
     return (
         java,
         "-cp",
         os.pathsep.join([f"{target / 'classes'}", f"{target / 'lib'}{os.sep}*"]),
-        "valvemap.Client",
+        main,
     )
 
 
-def _build(maven: str, built: Path) -> None:
+def _build(maven: str, folder: Path, built: Path) -> None:
     shutil.rmtree(built, ignore_errors=True)
-    shutil.copytree(FOLDER, built)
+    shutil.copytree(folder, built)
     command = [maven, "--quiet", "--batch-mode", "compile"]
     try:
         done = subprocess.run(
