@@ -196,6 +196,7 @@ def test_a_source_named_without_sources_is_refused(tmp_path):
         ('ca_file = "c"', "ca_file and certificate_file need broker = mqtts://"),
         ('broker = "mqtt://h"\nuser = "u"\npassword_file = "p"', "mqtts:// is needed"),
         ("variables = []", "mqtt.variables"),
+        ('structure = "udt"', "mqtt.structure = 'udt': input should be 'flat' or 'templates'"),
         ("interval = 1", "mqtt.interval: there is no such field; is interval_s meant?"),
     ],
 )

@@ -112,6 +112,22 @@ def test_a_host_of_another_make_reads_births_and_data_and_may_ask_for_births(
             assert after["seq"] == follows
 
 
+def test_a_host_of_another_make_reads_instances_of_templates(demo, tmp_path, request):
+    cache = request.config.cache.mkdir("sparkplug_peer")
+    with (
+        mosquitto(tmp_path) as broker,
+        host(tmp_path, cache, broker) as listening,
+        sending(tmp_path, demo, broker, STRUCTURE="templates"),
+    ):
+        heard = listening.once(lambda heard: len(values(heard, "Valve/Signals/U")) >= 3)
+        nodes = [metric for m in heard if m["verb"] == "NBIRTH" for metric in m["metrics"]]
+        (ref,) = {metric["template"] for metric in births(heard)[0]["metrics"]}
+        assert ref in {metric["name"] for metric in nodes if metric["type"] == "Template"}
+        pressure = values(heard, "Valve/Signals/p1")[-1]
+        assert 0.0 < pressure["value"] < 400.0  # bar
+        assert (pressure["quality"], pressure["isNull"]) == (192, False)
+
+
 async def test_over_a_kill_of_the_broker_every_value_reaches_the_host(tmp_path, request):
     """Numbered values, some while it is away: none is missed, and bdSeq says that it was away."""
     cache = request.config.cache.mkdir("sparkplug_peer")

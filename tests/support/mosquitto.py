@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from support import maven_peer
 from support.node_peer import installed
 from support.processes import free_port, is_open, program
 
 PEER = Path(__file__).parents[1] / "sparkplug" / "peer"
+TAHU = PEER.with_name("tahu_host")
 _PLACES = "/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin"
 _SOON_S = 120.0
 GROUP, NODE, HOST = "Press shop", "valvemap", "SCADA"
@@ -68,18 +70,24 @@ def users(folder, **passwords):
 
 
 class Host:
-    """What a host heard, message by message."""
+    """What a host heard, message by message; its other lines are a log."""
 
     def __init__(self, process, log):
         self._process, self._log = process, log
 
     def heard(self):
         text = self._log.read_text(encoding="utf-8")
-        return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+        lines = text.splitlines(keepends=True)
+        return [json.loads(line) for line in lines if line[0] == "{" and line.endswith("\n")]
 
     def ask_for_births(self):
         self._process.stdin.write(b"births\n")
         self._process.stdin.flush()
+
+    def complaints(self):
+        """Warnings and errors of Tahu."""
+        lines = self._log.read_text(encoding="utf-8").splitlines()
+        return [line for line in lines if line.startswith(("WARN ", "ERROR "))]
 
     def once(self, condition, seconds=_SOON_S):
         """Wait until what was heard is as wanted; return it."""
@@ -94,6 +102,17 @@ def host(folder, cache, broker):
     log = folder / "host.log"
     command = (shutil.which("node"), script, broker.url, GROUP, NODE, HOST)
     with program(*command, log=log) as process:
+        listening = Host(process, log)
+        listening.once(lambda heard: heard[0]["verb"] == "CONNECTED")
+        yield listening
+
+
+@contextmanager
+def tahu_host(folder, cache, broker, user, password):
+    """The host of Eclipse Tahu, listening from before anybody says anything."""
+    command = maven_peer.program(TAHU, "valvemap.Host", cache)
+    log, given = folder / "tahu.log", (GROUP, NODE, HOST, user, password)
+    with program(*command, broker.url.replace("mqtt:", "tcp:"), *given, log=log) as process:
         listening = Host(process, log)
         listening.once(lambda heard: heard[0]["verb"] == "CONNECTED")
         yield listening

@@ -20,6 +20,8 @@ from valvemap.sparkplug.reader import Reader
 from valvemap.sparkplug.sender import Sender
 from valvemap.sparkplug.settings import BrokerSettings
 from valvemap.sparkplug.shown import Shown
+from valvemap.sparkplug.structures import Flat, Structure
+from valvemap.sparkplug.templates import Templates
 
 _TIMEOUT_S = 5.0  # s; of every request to the service
 
@@ -42,7 +44,8 @@ async def run_mqtt(
     shown = Shown(outbox, clock.now())
     service = ResultsClient(settings_of(watched, _TIMEOUT_S), SERVICE_NAMESPACE)
     broker = PahoBroker(build_broker(config))
-    node = EdgeNode(config.group, config.edge_node)
+    structure: Structure = Templates() if config.structure == "templates" else Flat()
+    node = EdgeNode(config.group, config.edge_node, structure)
     every_s = config.interval_s
     reader = Reader(service, shown, config.variables, every_s, clock, backoff)
     host = None if config.primary_host is None else PrimaryHost(config.primary_host)

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Final, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -49,6 +49,11 @@ class MqttConfig(Section):
         min_length=1,
         description="names of the variables sent, such as Auto.* or *.Residual, without the "
         "valve's name; Service.* of the service",
+    )
+    structure: Literal["flat", "templates"] = Field(
+        "flat",
+        description="flat: a metric for each variable; templates: each valve is one metric, the "
+        "instance of a template",
     )
     interval_s: float = Field(
         1.0, ge=0.1, le=3_600.0, description="interval at which changes are sent"

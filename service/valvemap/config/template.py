@@ -53,6 +53,7 @@ most_mb = 2000
 # broker = "mqtts://broker.plant:8883"
 # group = "valvemap"
 # edge_node = "service"
+# structure = "templates" # a valve is one tag with members; without it, a tag per variable
 
 [alignment] # which signals make one sample
 # How signals come that carry no common time is found at the start; these two say it instead.

@@ -4,8 +4,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from valvemap.sparkplug.metrics import Tag, Value, add_birth, add_data, add_plain
+from valvemap.sparkplug.metrics import Tag, Value, add_plain
 from valvemap.sparkplug.schema import DataType, Payload
+from valvemap.sparkplug.structures import Change, Flat, Structure, add_births, add_changes
+
+__all__ = ["NAMESPACE", "REBIRTH", "Change", "EdgeNode", "Message"]
 
 NAMESPACE: Final = "spBv1.0"
 REBIRTH: Final = "Node Control/Rebirth"
@@ -23,15 +26,6 @@ class Message:
     qos: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A metric's new value; ``number`` counts the changes of the process."""
-
-    tag: Tag
-    value: Value
-    number: int = 0
-
-
 class EdgeNode:
     """Sequence numbers of an edge node, and its messages.
 
@@ -43,6 +37,8 @@ class EdgeNode:
     ----------
     group, name
         Names of group and edge node, part of every topic.
+    structure
+        Arranges the metrics of devices; default: one by one.
 
     References
     ----------
@@ -59,10 +55,11 @@ class EdgeNode:
     2
     """
 
-    def __init__(self, group: str, name: str) -> None:
+    def __init__(self, group: str, name: str, structure: Structure | None = None) -> None:
         self.bd_seq = -1
         self.seq = 0
         self._group, self._name = group, name
+        self._structure = Flat() if structure is None else structure
 
     @property
     def commands(self) -> str:
@@ -92,10 +89,14 @@ class EdgeNode:
         payload = self._payload(now)
         add_plain(payload, _BD_SEQ, DataType.INT64, self.bd_seq, now)
         add_plain(payload, REBIRTH, DataType.BOOLEAN, False, now)  # noqa: FBT003 - a value
-        messages = [self._born(payload, None, tags.get(None, ()), newest, now)]
+        self._structure.define(payload, tags, now)
+        add_births(payload, _with_values(tags.get(None, ()), newest, now))
+        messages = [self._message("BIRTH", None, payload)]
         for device, own in tags.items():
             if device is not None:
-                messages.append(self._born(self._payload(now), device, own, newest, now))
+                payload = self._payload(now)
+                self._structure.bear(payload, device, _with_values(own, newest, now), now)
+                messages.append(self._message("BIRTH", device, payload))
         return messages
 
     def data(self, changes: Iterable[Change], born: int, now: int) -> Iterator[Message]:
@@ -106,26 +107,16 @@ class EdgeNode:
         for device, own in by_device.items():
             for start in range(0, len(own), _METRICS_AT_ONCE):
                 payload = self._payload(now)
-                for change in own[start : start + _METRICS_AT_ONCE]:
-                    historical = change.number <= born
-                    add_data(payload, change.tag, change.value, historical=historical)
+                some = own[start : start + _METRICS_AT_ONCE]
+                if device is None:
+                    add_changes(payload, some, born)
+                else:
+                    self._structure.change(payload, device, some, born)
                 yield self._message("DATA", device, payload)
 
     def device_death(self, device: str, now: int) -> Message:
         """Return the DDEATH of a device."""
         return self._message("DEATH", device, self._payload(now))
-
-    def _born(
-        self,
-        payload: Any,  # noqa: ANN401 - a Payload
-        device: str | None,
-        tags: Sequence[Tag],
-        newest: Mapping[str, Value],
-        now: int,
-    ) -> Message:
-        for tag in tags:
-            add_birth(payload, tag, newest.get(tag.id, Value(None, _UNKNOWN, now)))
-        return self._message("BIRTH", device, payload)
 
     def _payload(self, now: int) -> Any:  # noqa: ANN401
         payload = Payload(timestamp=now // 1_000_000, seq=self.seq)
@@ -139,6 +130,12 @@ class EdgeNode:
     def _topic(self, verb: str, device: str | None = None) -> str:
         whole = f"{NAMESPACE}/{self._group}/{verb}/{self._name}"
         return whole if device is None else f"{whole}/{device}"
+
+
+def _with_values(
+    tags: Sequence[Tag], newest: Mapping[str, Value], now: int
+) -> list[tuple[Tag, Value]]:
+    return [(tag, newest.get(tag.id, Value(None, _UNKNOWN, now))) for tag in tags]
 
 
 _UNKNOWN: Final = 0x4000_0000  # Uncertain: no value has been read yet

@@ -71,26 +71,42 @@ def alike(a: Value, b: Value) -> bool:
     return bool(same) and a.code == b.code
 
 
-def add_birth(payload: Any, tag: Tag, value: Value) -> None:  # noqa: ANN401 - a Payload
+def add_birth(container: Any, tag: Tag, value: Value) -> None:  # noqa: ANN401 - a Payload
     """Add a metric to a BIRTH: name, alias, data type, current value, unit, range, description.
 
     The properties have the names that Ignition takes over into its tags.
     """
-    metric = _add(payload, tag, value)
+    metric = _add(container, tag, value)
     metric.name = tag.name
-    meaning = tag.meaning
-    if meaning.unit:
-        _add_property(metric.properties, "engUnit", DataType.STRING, meaning.unit)
-    if meaning.range is not None:
-        for key, bound in zip(("engLow", "engHigh"), meaning.range, strict=True):
-            _add_property(metric.properties, key, DataType.DOUBLE, bound)
-    if meaning.description:
-        _add_property(metric.properties, "documentation", DataType.STRING, meaning.description)
+    _add_unit(metric.properties, tag.meaning)
+    _add_range(metric.properties, tag.meaning)
+    _add_description(metric.properties, tag.meaning)
 
 
-def add_data(payload: Any, tag: Tag, value: Value, *, historical: bool) -> None:  # noqa: ANN401
-    """Add a metric to a DATA message: its alias and new value."""
-    metric = _add(payload, tag, value)
+def add_member(container: Any, tag: Tag, value: Value) -> None:  # noqa: ANN401 - a template
+    """Add a member to a template's instance in a BIRTH; the definition describes it."""
+    metric = _add(container, tag, value)
+    metric.name = tag.name
+    _add_unit(metric.properties, tag.meaning)
+    _add_range(metric.properties, tag.meaning)
+
+
+def add_declaration(container: Any, tag: Tag, t: int) -> None:  # noqa: ANN401 - a template
+    """Add a member to a template's definition: name, data type, unit, description; no value."""
+    metric = container.metrics.add(name=tag.name, datatype=tag.kind, timestamp=_ms(t), is_null=True)
+    _add_unit(metric.properties, tag.meaning)
+    _add_description(metric.properties, tag.meaning)
+
+
+def add_template(payload: Any, t: int, **identity: Any) -> Any:  # noqa: ANN401
+    """Add a metric that is a template, of this name or alias; return the template to fill."""
+    metric = payload.metrics.add(datatype=DataType.TEMPLATE, timestamp=_ms(t), **identity)
+    return metric.template_value
+
+
+def add_data(container: Any, tag: Tag, value: Value, *, historical: bool) -> None:  # noqa: ANN401
+    """Add a metric to a DATA message or to an instance in it: its alias and new value."""
+    metric = _add(container, tag, value)
     if historical:
         metric.is_historical = True
 
@@ -113,9 +129,9 @@ def flag_in(data: bytes, name: str) -> bool:
     return any(one.name == name and one.boolean_value for one in payload.metrics)
 
 
-def _add(payload: Any, tag: Tag, value: Value) -> Any:  # noqa: ANN401
+def _add(container: Any, tag: Tag, value: Value) -> Any:  # noqa: ANN401
     # The data type is optional in DATA, but Cirrus Link's library needs it to decode the value
-    metric = payload.metrics.add(alias=tag.alias, timestamp=_ms(value.t), datatype=tag.kind)
+    metric = container.metrics.add(alias=tag.alias, timestamp=_ms(value.t), datatype=tag.kind)
     quality = quality_of(value.code)
     if quality is Quality.BAD or not _set(metric, tag.kind, value.value):
         metric.is_null = True
@@ -124,6 +140,22 @@ def _add(payload: Any, tag: Tag, value: Value) -> Any:  # noqa: ANN401
     if value.code != GOOD:
         _add_property(properties, "StatusCode", DataType.UINT32, value.code)
     return metric
+
+
+def _add_unit(properties: Any, meaning: Meaning) -> None:  # noqa: ANN401
+    if meaning.unit:
+        _add_property(properties, "engUnit", DataType.STRING, meaning.unit)
+
+
+def _add_range(properties: Any, meaning: Meaning) -> None:  # noqa: ANN401
+    if meaning.range is not None:
+        for key, bound in zip(("engLow", "engHigh"), meaning.range, strict=True):
+            _add_property(properties, key, DataType.DOUBLE, bound)
+
+
+def _add_description(properties: Any, meaning: Meaning) -> None:  # noqa: ANN401
+    if meaning.description:
+        _add_property(properties, "documentation", DataType.STRING, meaning.description)
 
 
 def _add_property(properties: Any, key: str, kind: DataType, value: object) -> None:  # noqa: ANN401

@@ -1,7 +1,7 @@
 """The payload of Sparkplug B 3.0 (chapter 6) as a Protocol Buffers message.
 
-It declares only the fields that an edge node writes or reads in commands: no templates, data
-sets or files. Field numbers are the specification's.
+It declares only the fields that an edge node writes or reads in commands: no data sets, files or
+parameters of templates. Field numbers are the specification's.
 """
 
 from enum import IntEnum
@@ -35,6 +35,7 @@ class DataType(IntEnum):
     BOOLEAN = 11
     STRING = 12
     DATE_TIME = 13
+    TEMPLATE = 19
 
 
 _PACKAGE: Final = "org.eclipse.tahu.protobuf"
@@ -71,6 +72,12 @@ def _payload() -> Any:  # noqa: ANN401 - a class that is made here
     _add(metric, 7, "is_null", "bool")
     _add(metric, 9, "properties", "Payload.PropertySet")
     _add_value(metric, 10)
+    _add(metric, 18, "template_value", "Payload.Template").oneof_index = 0
+
+    template = payload.nested_type.add(name="Template")
+    _add(template, 2, "metrics", "Payload.Metric", repeated=True)
+    _add(template, 4, "template_ref", "string")
+    _add(template, 5, "is_definition", "bool")
 
     properties = payload.nested_type.add(name="PropertySet")
     _add(properties, 1, "keys", "string", repeated=True)

@@ -27,13 +27,14 @@ client.on("message", (topic, data) => {
   const [, , verb, , device] = topic.split("/");
   const payload = sparkplug.decodePayload(data);
   if (verb === "NBIRTH") names.clear();
-  const metrics = (payload.metrics || []).map((metric) => {
+  const metrics = (payload.metrics || []).flatMap(singles).map((metric) => {
     const alias = metric.alias === undefined || metric.alias === null ? null : String(metric.alias);
     if (verb.endsWith("BIRTH") && alias !== null) names.set(alias, metric.name);
     return {
       name: metric.name || names.get(alias) || null,
       alias,
       type: metric.type,
+      template: metric.template || null,
       value: plain(metric.value),
       t: Number(metric.timestamp),
       isNull: Boolean(metric.isNull),
@@ -51,6 +52,16 @@ process.stdin.on("data", () => {
   const payload = sparkplug.encodePayload({ timestamp: Date.now(), metrics });
   client.publish(`spBv1.0/${group}/NCMD/${node}`, payload);
 });
+
+// The members of an instance under its name, each as a metric; all else as it is.
+function singles(metric) {
+  if (metric.type !== "Template" || metric.value.isDefinition) return [metric];
+  return metric.value.metrics.map((one) => ({
+    ...one,
+    name: one.name && metric.name ? `${metric.name}/${one.name}` : one.name,
+    template: metric.value.templateRef,
+  }));
+}
 
 function plain(value) {
   if (value === null || value === undefined) return null;
