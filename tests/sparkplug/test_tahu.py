@@ -92,6 +92,7 @@ def test_tahu_builds_the_template_of_a_valve_from_its_births_alone(demo, broker,
         assert len(wanted) > 50
         assert members["Alarms/Changed/Active"]["value"] is False
         assert members["Alarms/Changed/Severity"]["value"] > 0
+        assert "Acknowledge" in members["Alarms/Changed/Meaning"]["value"]
         assert members["Signals/p1"]["engHigh"] > members["Signals/p1"]["engLow"]
         assert members["Signals/p1"]["documentation"].startswith("Pressure")
         assert not any("null" in m["metrics"] for m in heard if m["verb"] == "DATA")

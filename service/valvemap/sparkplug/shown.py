@@ -23,13 +23,17 @@ _OWN: Final = {
 
 
 class Variable(NamedTuple):
-    """A variable of a valve, or (``device`` is None) of the service itself."""
+    """A variable of a valve, or (``device`` is None) of the service itself.
+
+    ``text`` is the value of a metric that has no variable behind it, and never changes.
+    """
 
     id: str
     device: str | None
     name: str
     kind: DataType
     meaning: Meaning = Meaning()
+    text: str | None = None
 
 
 class Shown:
@@ -114,7 +118,7 @@ class Shown:
         own = {id_: value for id_, value in self.newest.items() if id_ in _OWN}
         self.newest = {**own, **values}
         self._by_id, self.tags = {}, {None: []}
-        for id_, device, name, kind, meaning in variables:
+        for id_, device, name, kind, meaning, _ in variables:
             if id_ not in self._aliases:
                 self._aliases[id_] = next(self._next_alias)
             tag = Tag(id_, device, name, kind, self._aliases[id_], meaning)
