@@ -43,7 +43,7 @@ NAMES = (
     *("state: Service.Alarms", "state: arrivals", "file: CSV", "file: CSV.gz", "file: Parquet"),
     *("file: points", "file: users", "file: configuration", "file: certificates"),
     *("file: trusted certificates", "file: revocation lists", "wire: certificates"),
-    *("page: requests", "Sparkplug: states", "Sparkplug: commands"),
+    *("page: requests", "Sparkplug: states", "Sparkplug: commands", "Sparkplug: device commands"),
     *(
         "state: arrays",
         "state: axes",

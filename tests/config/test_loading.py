@@ -7,6 +7,7 @@ from valvemap.config.loading import load_config
 from valvemap.config.mqtt import MqttConfig
 from valvemap.errors import ConfigurationError
 from valvemap.model.sensor_accuracy import SensorAccuracy
+from valvemap.vocabulary.commands import BY_MQTT
 
 NODES = "[valves.nodes]\nU = 's=U'\np1 = 's=p1'\np2 = 's=p2'\nQ = 's=Q'\n"
 FED = f"[[valves]]\n{NODES}required_U = 's=C'\n[valves.feed_forward]\n"
@@ -197,6 +198,10 @@ def test_a_source_named_without_sources_is_refused(tmp_path):
         ('broker = "mqtt://h"\nuser = "u"\npassword_file = "p"', "mqtts:// is needed"),
         ("variables = []", "mqtt.variables"),
         ('structure = "udt"', "mqtt.structure = 'udt': input should be 'flat' or 'templates'"),
+        ('commands = ["arm"]', "mqtt.commands[0] = 'arm': input should be 'demand' or"),
+        ('commands = ["demand"]', "commands need user and password_file, or certificate_file"),
+        ('broker = "mqtts://h"\ncommands = ["demand"]', "commands need user and password_file"),
+        ("command_max_age_s = 0", "mqtt.command_max_age_s = 0: input should be"),
         ("interval = 1", "mqtt.interval: there is no such field; is interval_s meant?"),
     ],
 )
@@ -204,6 +209,16 @@ def test_a_mistake_in_mqtt_is_one_line_that_says_what_is_allowed(tmp_path, secti
     line = complaint(tmp_path, f"[mqtt]\n{section}\n")
     assert len(line.splitlines()) == 1
     assert said in line
+
+
+def test_commands_need_a_log_in_at_the_broker_and_tls_unless_it_is_on_this_machine():
+    allowed = {"commands": ("demand", "acknowledge")}
+    of = {"user": "u", "password_file": Path("p"), **allowed}
+    assert MqttConfig().commands == ()
+    assert MqttConfig(broker="mqtts://h", **of).commands == BY_MQTT
+    assert MqttConfig(broker="mqtt://127.0.0.1", **of).commands == BY_MQTT
+    files = {"certificate_file": Path("c"), "key_file": Path("k")}
+    assert MqttConfig(broker="mqtts://h", **files, **allowed).commands == BY_MQTT
 
 
 def test_a_password_may_travel_in_the_clear_on_this_machine_alone():

@@ -13,6 +13,7 @@ from valvemap.clock import SystemClock
 from valvemap.errors import ConfigurationError
 from valvemap.page.exposition import exposition
 from valvemap.sparkplug.broker import PahoBroker
+from valvemap.sparkplug.commands import Commands
 from valvemap.sparkplug.edge_node import EdgeNode
 from valvemap.sparkplug.host import PrimaryHost
 from valvemap.sparkplug.metrics import Meaning
@@ -30,8 +31,10 @@ VARIABLES = {
     "V1.RLS.Coverage": (None, Read([[1.0]])),
     "V1.Alarms.Changed.Active": ("Boolean", Read(value=False)),
     "V1.Alarms.Changed.Condition.Retain": ("Boolean", Read(value=False)),
+    "V1.Inverse.FlowDemand": ("Double", Read(20.0)),
     "Service.Checkpoint.Age": ("Double", Read(3.0)),
 }
+DEMAND = "V1.Inverse.FlowDemand"
 RESIDUAL = "V1.RLS.Residual"
 EVERY_S = 0.02
 
@@ -39,16 +42,19 @@ EVERY_S = 0.02
 class Whole:
     """Reader and sender, as `valvemap mqtt` has them."""
 
-    def __init__(self, variables, wanted, most, host=None, meanings=None):
+    def __init__(self, variables, wanted, most, host=None, meanings=None, allowed=()):
         clock = SystemClock()
         self.broker, self.service = FakeBroker(), FakeService(variables, meanings)
         self.outbox = Outbox(most)
         self.shown = Shown(self.outbox, clock.now())
         pauses = lambda: repeat(0.01)  # noqa: E731
         node = EdgeNode("G", "N")
-        self.reader = Reader(self.service, self.shown, wanted, EVERY_S, clock, pauses)
+        self.commands = Commands(allowed, self.shown, "", 5.0) if allowed else None
+        self.reader = Reader(
+            self.service, self.shown, wanted, EVERY_S, clock, pauses, self.commands
+        )
         self.sender = Sender(
-            self.broker, node, self.shown, self.outbox, EVERY_S, clock, pauses, host
+            self.broker, node, self.shown, self.outbox, EVERY_S, clock, pauses, host, self.commands
         )
 
     async def until(self, condition):
@@ -86,8 +92,8 @@ class Whole:
 
 
 @asynccontextmanager
-async def running(variables=VARIABLES, wanted=("*",), most=1_000, host=None, meanings=None):
-    whole = Whole(variables, wanted, most, host, meanings)
+async def running(wanted=("*",), most=1_000, **more):
+    whole = Whole(VARIABLES, wanted, most, **more)
     tasks = [asyncio.create_task(whole.reader.run()), asyncio.create_task(whole.sender.run())]
     try:
         yield whole
@@ -106,6 +112,7 @@ async def test_births_hold_every_scalar_and_no_table_and_no_condition():
             "RLS/Status",
             "Alarms/Changed/Active",
             "Alarms/Changed/Meaning",
+            "Inverse/FlowDemand",
         }
         names = {m.name for m in whole.broker.metrics("NBIRTH")}
         assert {"bdSeq", "Node Control/Rebirth", "Service/Checkpoint/Age", "MQTT/Lost"} <= names
@@ -415,3 +422,102 @@ async def test_metrics_show_the_queue_its_losses_and_both_connections():
 
 def metrics_of(whole):
     return exposition(mqtt_points(whole.shown, whole.outbox, whole.sender, 1_000)).decode()
+
+
+def demand(value, name="Inverse/FlowDemand"):
+    payload = Payload(timestamp=SystemClock().now() // 10**6)
+    payload.metrics.add(name=name, double_value=value)
+    return payload.SerializeToString()
+
+
+def acknowledgement(text):
+    payload = Payload(timestamp=SystemClock().now() // 10**6)
+    payload.metrics.add(name="Alarms/Changed/Acknowledge", string_value=text)
+    return payload.SerializeToString()
+
+
+ALLOWED = ("demand", "acknowledge")
+
+
+async def test_without_commands_no_topic_of_them_is_subscribed_to_and_no_metric_is_added():
+    async with running() as whole:
+        await whole.births(1)
+        assert whole.broker.topics == ["spBv1.0/G/NCMD/N"]
+        assert "Alarms/Changed/Acknowledge" not in {t.name for t in whole.shown.tags["V1"]}
+        assert not any(tag.action for tag in whole.shown.tags["V1"])
+
+
+async def test_allowed_commands_are_given_to_the_service_and_counted():
+    async with running(wanted=("RLS.*",), allowed=ALLOWED) as whole:
+        await whole.births(1)
+        whole.broker.command("V1", demand(60.0))
+        whole.broker.command("V1", acknowledgement("seen"))
+        await whole.until(lambda: len(whole.service.given) == 2)
+        seen = ("V1.Alarms.Changed.Acknowledge", [["seen"]])
+        assert whole.service.given == [(DEMAND, 60.0), seen]
+        await whole.until(lambda: whole.newest("MQTT/CommandsDone").long_value == 2)
+        assert whole.newest("MQTT/CommandsRefused").long_value == 0
+
+
+async def test_a_command_that_is_not_allowed_is_no_command():
+    async with running(allowed=("acknowledge",)) as whole:
+        await whole.births(1)
+        whole.broker.command("V1", demand(60.0))
+        await whole.until(lambda: whole.newest("MQTT/CommandsRefused").long_value == 1)
+        assert whole.service.given == []
+        reason = whole.newest("MQTT/LastRefusal").string_value
+        assert reason == "V1 Inverse/FlowDemand: this metric takes no command"
+
+
+async def test_the_services_role_decides_and_its_word_is_published():
+    async with running(allowed=ALLOWED) as whole:
+        await whole.births(1)
+        whole.service.may_write = False
+        for _ in range(3):
+            whole.broker.command("V1", demand(60.0))
+            await asyncio.sleep(0.15)
+        await whole.until(lambda: whole.newest("MQTT/CommandsRefused").long_value == 3)
+        reason = whole.newest("MQTT/LastRefusal").string_value
+        assert reason == f"{DEMAND}: refused by the server, BadUserAccessDenied"
+        whole.send(0.9)
+        await whole.until(lambda: whole.values()[-1:] == [(0.9, False)])
+
+
+async def test_a_flood_costs_few_writes_and_all_of_it_is_counted():
+    async with running(allowed=ALLOWED) as whole:
+        await whole.births(1)
+        for k in range(1_000):
+            whole.broker.command("V1", demand(k / 10.0))
+        await whole.until(lambda: whole.commands.done + whole.commands.lost == 1_000)
+        assert whole.service.given[-1] == (DEMAND, 99.9)
+        assert len(whole.service.given) == whole.commands.done < 20
+        await whole.until(lambda: whole.newest("MQTT/CommandsLost").long_value > 980)
+
+
+async def test_a_command_while_the_service_is_away_is_refused_and_never_carried_out():
+    async with running(allowed=ALLOWED) as whole:
+        await whole.births(1)
+        whole.service.up = False
+        await whole.until(lambda: "DDEATH" in whole.broker.verbs())
+        whole.broker.command("V1", demand(60.0))
+        await whole.until(lambda: whole.newest("MQTT/CommandsRefused").long_value == 1)
+        whole.service.up = True
+        await whole.births(2)
+        whole.broker.command("V1", demand(70.0))
+        await whole.until(lambda: whole.service.given == [(DEMAND, 70.0)])
+
+
+async def test_no_command_is_taken_while_the_primary_host_is_offline():
+    async with running(allowed=ALLOWED, host=PrimaryHost("SCADA")) as whole:
+        await whole.until(lambda: whole.broker.sessions and whole.shown.is_connected)
+        whole.broker.command("V1", demand(60.0))
+        await whole.until(lambda: whole.commands.refused == 1)
+        whole.broker.say_state(online=True, timestamp=10)
+        await whole.births(1)
+        assert whole.service.given == []
+        whole.broker.command("V1", demand(70.0))
+        await whole.until(lambda: whole.service.given == [(DEMAND, 70.0)])
+        whole.broker.say_state(online=False, timestamp=11)
+        whole.broker.command("V1", demand(80.0))
+        await whole.until(lambda: len(whole.broker.sessions) == 2)
+        assert whole.service.given == [(DEMAND, 70.0)]

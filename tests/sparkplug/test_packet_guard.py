@@ -5,6 +5,7 @@ import contextlib
 import os
 from itertools import repeat
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, seed
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from valvemap.clock import SystemClock
 from valvemap.errors import SinkLost
-from valvemap.sparkplug.broker import PahoBroker
+from valvemap.sparkplug.broker import PahoBroker, PahoSession
 from valvemap.sparkplug.edge_node import EdgeNode
 from valvemap.sparkplug.outbox import Outbox
 from valvemap.sparkplug.packet_guard import PacketGuard, PacketHeaders, PacketRefused
@@ -182,6 +183,28 @@ async def test_a_flood_of_packets_within_the_bound_takes_no_memory_either():
             assert 0 < len(session.received()) <= 100
         finally:
             await session.close()
+
+
+async def test_a_flood_of_one_filter_takes_no_room_of_another_and_is_counted():
+    state, devices = "spBv1.0/STATE/SCADA", "spBv1.0/G/DCMD/N/+"
+    settings = BrokerSettings("h", 1, client_id="c")
+    broker = PahoBroker(settings)
+    guard, topics = PacketGuard("mqtt://h:1"), [COMMANDS, state, devices]
+    session = PahoSession(SimpleNamespace(), settings, topics, guard, broker)
+
+    def receive(topic, payload=b"", *, retain=False):
+        message = SimpleNamespace(topic=topic, payload=payload, qos=0, retain=retain)
+        session._on_message(None, None, message)
+
+    receive(state, b"{}", retain=True)
+    for k in range(1_000):
+        receive("spBv1.0/G/DCMD/N/V1", str(k).encode())
+    receive("spBv1.0/G/DCMD/N/V1", bytes(65_537))
+    receive("spBv1.0/other/DCMD/N/V1")
+    heard = session.received()
+    assert (heard[0].topic, heard[0].retained) == (state, True)
+    assert [message.payload for message in heard[1:]] == [b"%d" % k for k in range(900, 1_000)]
+    assert broker.lost_messages == 902
 
 
 async def test_the_sender_counts_a_refused_packet_and_tries_again():

@@ -68,10 +68,14 @@ from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.pipeline.valve_timing import TimingSettings
 from valvemap.sparkplug.broker import _GuardedClient
+from valvemap.sparkplug.commands import Commands
+from valvemap.sparkplug.edge_node import Message
 from valvemap.sparkplug.host import PrimaryHost
+from valvemap.sparkplug.outbox import Outbox
 from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
-from valvemap.sparkplug.schema import Payload
+from valvemap.sparkplug.schema import DataType, Payload
 from valvemap.sparkplug.sender import _asks_for_births
+from valvemap.sparkplug.shown import Shown, Variable
 from valvemap.storage import alarm_changes
 from valvemap.storage.history_blocks import (
     checksum,
@@ -87,6 +91,7 @@ from valvemap.storage.history_cells import WIDTHS, cells_of
 from valvemap.storage.models import load_model, save_model
 from valvemap.storage.points import read_points
 from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.vocabulary.commands import NAMED
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 BUDGET = Budget(10_000, 10_000, 100_000, 16)
@@ -281,6 +286,7 @@ def _of_messages():
             PrimaryHost("SCADA").hear, lambda: [b'{"online": true, "timestamp": 5}']
         ),
         "Sparkplug: commands": Decoder(_asks_for_births, lambda: [_command()]),
+        "Sparkplug: device commands": Decoder(_device_commands(), _demands),
         "MQTT: packets": Decoder(
             lambda data: PacketGuard("mqtt://x").receive(data), _packets, (PacketRefused,)
         ),
@@ -637,6 +643,31 @@ def _command():
     payload = Payload(timestamp=5)
     payload.metrics.add(name="Node Control/Rebirth", datatype=11, boolean_value=True)
     return payload.SerializeToString()
+
+
+def _demands():
+    """A demand by name, and one by alias in an instance of a template."""
+    payload, instance = Payload(timestamp=5), Payload(timestamp=5)
+    payload.metrics.add(name="Inverse/FlowDemand", datatype=10, double_value=60.0)
+    payload.metrics.add(name="Alarms/Changed/Acknowledge", datatype=12, string_value="seen")
+    template = instance.metrics.add(alias=2**24, datatype=19).template_value
+    template.metrics.add(alias=1, double_value=60.0)
+    return [payload.SerializeToString(), instance.SerializeToString()]
+
+
+def _device_commands():
+    """Check commands to a valve with a demand, and take those that are valid."""
+    shown = Shown(Outbox(10), 0)
+    demand = NAMED["demand"]
+    flow = Variable("V1.Q", "V1", "Inverse/FlowDemand", DataType.DOUBLE, action=demand)
+    shown.find([flow], {}, 0)
+
+    def hear(data):
+        commands = Commands(("demand",), shown, "Valve/", max_age_s=600.0)
+        commands.hear("V1", Message("topic", data), 0)
+        return list(commands.take(0))
+
+    return hear
 
 
 def _packets():

@@ -84,6 +84,11 @@ class Host:
         self._process.stdin.write(b"births\n")
         self._process.stdin.flush()
 
+    def command(self, device, path, value):
+        line = json.dumps({"device": device, "path": path, "value": value})
+        self._process.stdin.write(f"{line}\n".encode())
+        self._process.stdin.flush()
+
     def complaints(self):
         """Warnings and errors of Tahu."""
         lines = self._log.read_text(encoding="utf-8").splitlines()

@@ -5,7 +5,7 @@ import json
 from dataclasses import dataclass, field
 
 from support import readings
-from valvemap.errors import SinkLost, SourceLost, SourceRejected
+from valvemap.errors import CommandRejected, SinkLost, SourceLost, SourceRejected
 from valvemap.sparkplug.edge_node import Message
 from valvemap.sparkplug.metrics import Meaning
 from valvemap.sparkplug.schema import Payload
@@ -49,6 +49,7 @@ class FakeBroker:
 
     url = "mqtt://fake:1"
     refused_packets = 0
+    lost_messages = 0
 
     def __init__(self):
         self.up = True
@@ -71,6 +72,13 @@ class FakeBroker:
             message.metrics.add(name=name, boolean_value=True)
             payload = message.SerializeToString()
         self.sessions[-1].asked.append(Message(self.topics[0], payload))
+
+    def command(self, device, payload, *, retained=False):
+        """Send a command to a device of who is connected, if it has subscribed to commands."""
+        start = self.topics[0].replace("/NCMD/", "/DCMD/")
+        assert f"{start}/+" in self.topics
+        message = Message(f"{start}/{device}", payload, retained=retained)
+        self.sessions[-1].asked.append(message)
 
     def say_state(self, online, timestamp):
         """Say what a primary host says of itself."""
@@ -96,7 +104,10 @@ class Read(readings.Read):
 
 
 class FakeService:
-    """Fulfils `valvemap.sparkplug.ports.Service`: ``variables`` by id, each (type, Read)."""
+    """Fulfils `valvemap.sparkplug.ports.Service`: ``variables`` by id, each (type, Read).
+
+    ``given`` are the commands that it carried out; ``may_write`` is the role of the log-in.
+    """
 
     url = "opc.tcp://fake:1/service/"
 
@@ -105,6 +116,7 @@ class FakeService:
         self.up, self.has_room, self.lost = True, True, 0
         self.sent, self.watched, self.browsed = [], (), []
         self.version = "1"
+        self.given, self.may_write = [], True
 
     async def connect(self):
         self._check()
@@ -125,7 +137,8 @@ class FakeService:
             if whole.startswith(start):
                 name = start + whole[len(start) :].partition(".")[0]
                 found[name] = readings.Node(name, is_variable=name in self.variables)
-        return [*found.values(), readings.Node(f"{start}Reset", is_method=True)]
+        methods = ("Acknowledge", "Confirm") if ".Alarms." in start else ("Reset",)
+        return [*found.values(), *(readings.Node(f"{start}{m}", is_method=True) for m in methods)]
 
     async def scalar_types(self, ids):
         return [self.variables[id_][0] for id_ in ids]
@@ -147,6 +160,19 @@ class FakeService:
         if not self.has_room:
             raise SourceRejected("opc.tcp://fake: BadTooManyMonitoredItems")
         self.watched = tuple(ids)
+
+    async def write(self, id_, value):
+        self._give(id_, value)
+
+    async def call(self, owner, method, inputs):
+        self._give(f"{owner}.{method}", inputs)
+        return [()]
+
+    def _give(self, id_, value):
+        self._check()
+        if not self.may_write:
+            raise CommandRejected(f"{id_}: refused by the server, BadUserAccessDenied")
+        self.given.append((id_, value))
 
     def changes(self):
         self._check()

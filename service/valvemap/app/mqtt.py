@@ -13,6 +13,7 @@ from valvemap.opcua_client.results_client import ResultsClient
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.runtime.backoff import backoff
 from valvemap.sparkplug.broker import PahoBroker
+from valvemap.sparkplug.commands import Commands
 from valvemap.sparkplug.edge_node import EdgeNode
 from valvemap.sparkplug.host import PrimaryHost
 from valvemap.sparkplug.outbox import Outbox
@@ -47,9 +48,12 @@ async def run_mqtt(
     structure: Structure = Templates() if config.structure == "templates" else Flat()
     node = EdgeNode(config.group, config.edge_node, structure)
     every_s = config.interval_s
-    reader = Reader(service, shown, config.variables, every_s, clock, backoff)
+    commands = None
+    if config.commands:
+        commands = Commands(config.commands, shown, structure.prefix, config.command_max_age_s)
+    reader = Reader(service, shown, config.variables, every_s, clock, backoff, commands)
     host = None if config.primary_host is None else PrimaryHost(config.primary_host)
-    sender = Sender(broker, node, shown, outbox, every_s, clock, backoff, host)
+    sender = Sender(broker, node, shown, outbox, every_s, clock, backoff, host, commands)
     with exported(address, partial(mqtt_points, shown, outbox, sender, config.most_waiting)):
         await _run_until_stopped(reader, sender, stop)
 

@@ -2,11 +2,12 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from valvemap.config.sections import Section
+from valvemap.vocabulary.commands import BY_MQTT
 
 _URL: Final = r"^(mqtts?)://([^\s/:@\[\]]+|\[[0-9A-Fa-f:.]+\])(?::(\d{1,5}))?$"
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
@@ -15,6 +16,10 @@ _Topic = Annotated[
     str, Field(pattern=r"^[^/+#\x00-\x20]+( [^/+#\x00-\x20]+)*$", max_length=64)
 ]  # words separated by a space
 _Pattern = Annotated[str, Field(min_length=1, max_length=200)]
+if TYPE_CHECKING:
+    _Command = str
+else:
+    _Command = Literal[BY_MQTT]
 
 
 class MqttConfig(Section):
@@ -54,6 +59,17 @@ class MqttConfig(Section):
         "flat",
         description="flat: a metric for each variable; templates: each valve is one metric, the "
         "instance of a template",
+    )
+    commands: tuple[_Command, ...] = Field(
+        (),
+        description="commands that MQTT clients may give, with the rights of our log-in at the "
+        "service: demand, acknowledge; none = no client can command a valve",
+    )
+    command_max_age_s: float = Field(
+        5.0,
+        ge=0.5,
+        le=600.0,
+        description="greatest difference between a command's timestamp and this machine's clock",
     )
     interval_s: float = Field(
         1.0, ge=0.1, le=3_600.0, description="interval at which changes are sent"
@@ -104,4 +120,9 @@ class MqttConfig(Section):
             raise ValueError("ca_file and certificate_file need broker = mqtts://…")
         if not self.tls and self.user is not None and host not in _LOOPBACK:
             raise ValueError("a password on mqtt:// can be read on the way: mqtts:// is needed")
+        if self.commands and self.user is None and self.certificate_file is None:
+            raise ValueError(
+                "commands need user and password_file, or certificate_file: the broker's accounts "
+                "and access list decide who may send commands"
+            )
         return self

@@ -6,10 +6,10 @@ import ssl
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from threading import Thread
+from threading import Lock, Thread
 from typing import Any, Final
 
-from paho.mqtt.client import MQTT_ERR_SUCCESS, Client, MQTTv311
+from paho.mqtt.client import MQTT_ERR_SUCCESS, Client, MQTTv311, topic_matches_sub
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.reasoncodes import ReasonCode
 
@@ -18,8 +18,10 @@ from valvemap.sparkplug.edge_node import Message
 from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
 from valvemap.sparkplug.settings import BrokerSettings
 
-_MOST_RECEIVED: Final = 100  # messages; capacity of the receive buffer, which drops the oldest
-_LARGEST: Final = 65_536  # bytes; larger payloads are neither a rebirth request nor a STATE message
+_MOST_RECEIVED: Final = (
+    100  # messages; capacity of a filter's receive buffer, which drops the oldest
+)
+_LARGEST: Final = 65_536  # bytes; larger payloads are neither a command nor a STATE message
 _FAREWELL_S: Final = 2.0
 _SERVER_UNAVAILABLE: Final = "Server unavailable"  # the only refusal that is worth a retry
 
@@ -37,6 +39,7 @@ class PahoBroker:
         self._settings = settings
         self._tls = _tls(settings) if settings.tls else None
         self.refused_packets = 0
+        self.lost_messages = 0
 
     @property
     def url(self) -> str:
@@ -69,16 +72,13 @@ class PahoBroker:
             client.username_pw_set(settings.user, settings.password)
         if self._tls is not None:
             client.tls_set_context(self._tls)
-        session = PahoSession(client, settings, topics, guard, self._count_refused)
+        session = PahoSession(client, settings, topics, guard, self)
         try:
             await session.begin()
         except BaseException:
             await session.close()
             raise
         return session
-
-    def _count_refused(self) -> None:
-        self.refused_packets += 1
 
 
 class PahoSession:
@@ -90,14 +90,17 @@ class PahoSession:
         settings: BrokerSettings,
         topics: Sequence[str],
         guard: PacketGuard,
-        count_refused: Callable[[], None],
+        counts: PahoBroker,
     ) -> None:
         self._client, self._settings, self._topics = client, settings, topics
-        self._guard, self._count_refused = guard, count_refused
+        self._guard, self._counts = guard, counts
         self._loop = asyncio.get_running_loop()
         self._accepted: asyncio.Future[bool] = self._loop.create_future()
         self._confirmed: dict[int, asyncio.Future[bool]] = {}
-        self._received: deque[Message] = deque(maxlen=_MOST_RECEIVED)
+        self._received: dict[str, deque[Message]] = {
+            topic: deque(maxlen=_MOST_RECEIVED) for topic in topics
+        }
+        self._receiving = Lock()
         self._failure: SinkError | None = None
         self._ended = asyncio.Event()
         client.on_connect = self._on_connect
@@ -141,7 +144,11 @@ class PahoSession:
     def received(self) -> list[Message]:
         """Return the messages received since the last call."""
         self._check()
-        return [self._received.popleft() for _ in range(len(self._received))]
+        with self._receiving:
+            found = [message for some in self._received.values() for message in some]
+            for some in self._received.values():
+                some.clear()
+        return found
 
     async def close(self) -> None:
         """Disconnect; idempotent, also after a loss."""
@@ -200,8 +207,17 @@ class PahoSession:
         self._soon(self._take_confirmation, number, reasons[0])
 
     def _on_message(self, _client: Client, _userdata: object, message: Any) -> None:  # noqa: ANN401
-        if len(message.payload) <= _LARGEST:  # paho's thread; a deque is thread-safe
-            self._received.append(Message(message.topic, message.payload, message.qos))
+        """Store a message; runs in paho's thread."""
+        received = Message(message.topic, message.payload, message.qos, bool(message.retain))
+        matches = (t for t in self._received if topic_matches_sub(t, received.topic))
+        topic = next(matches, None)
+        if topic is None or len(received.payload) > _LARGEST:
+            self._counts.lost_messages += 1
+            return
+        with self._receiving:
+            some = self._received[topic]
+            self._counts.lost_messages += len(some) == _MOST_RECEIVED
+            some.append(received)
 
     def _on_disconnect(
         self,
@@ -231,7 +247,7 @@ class PahoSession:
         self._ended.set()
         if self._failure is None and self._guard.refusal is not None:
             self._failure = self._guard.refusal
-            self._count_refused()
+            self._counts.refused_packets += 1
         if self._failure is None:
             self._failure = SinkLost(f"{self._settings.url}: the connection broke: {reason}")
         for answer in (self._accepted, *self._confirmed.values()):

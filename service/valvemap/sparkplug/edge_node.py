@@ -19,11 +19,12 @@ _METRICS_AT_ONCE: Final = 500  # metrics in one DATA message: some 25 kB
 
 @dataclass(frozen=True)
 class Message:
-    """A message to publish; never retained."""
+    """A message to publish, never retained; or one received, retained by the broker or not."""
 
     topic: str
     payload: bytes
     qos: int = 0
+    retained: bool = False
 
 
 class EdgeNode:
@@ -65,6 +66,20 @@ class EdgeNode:
     def commands(self) -> str:
         """Topic of commands to the node (NCMD)."""
         return self._topic("NCMD")
+
+    @property
+    def device_commands(self) -> str:
+        """Filter of the topics of commands to all devices (DCMD)."""
+        return self._topic("DCMD", "+")
+
+    def device_of(self, topic: str) -> str | None:
+        """Return the device to which a command was sent; None if the topic is another.
+
+        >>> EdgeNode("G", "N").device_of("spBv1.0/G/DCMD/N/V1")
+        'V1'
+        """
+        start = self._topic("DCMD", "")
+        return topic[len(start) :] if topic.startswith(start) else None
 
     def will(self, now: int) -> Message:
         """Return the will of the next connection: an NDEATH with the next bdSeq."""

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from valvemap.clock import utc_ns
 from valvemap.sparkplug.schema import DataType, Payload
+from valvemap.vocabulary.commands import Action
 
 GOOD: Final = 0
 BAD_NO_COMMUNICATION: Final = 0x8031_0000
@@ -36,7 +37,8 @@ class Meaning:
 class Tag:
     """A metric: its device (None: the edge node), name, data type and alias.
 
-    ``id`` is the identifier of the variable behind it.
+    ``id`` is the identifier of the variable behind it; ``action`` the command that a client gives
+    by writing the metric, if the configuration allows it.
     """
 
     id: str
@@ -45,6 +47,7 @@ class Tag:
     kind: DataType
     alias: int
     meaning: Meaning = Meaning()
+    action: Action | None = None
 
 
 @dataclass(frozen=True, slots=True)

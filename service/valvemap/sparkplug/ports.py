@@ -1,7 +1,7 @@
 """Ports to the service and to the broker; `valvemap.app.mqtt` connects them."""
 
 from collections.abc import Collection, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 from valvemap.readings import Child, Engineering, Reading
 from valvemap.sparkplug.edge_node import Message
@@ -48,6 +48,17 @@ class Service(Protocol):
     def changes(self) -> Sequence[tuple[str, Reading]]:
         """Return the notifications received since the last call, in order."""
 
+    async def write(self, id: str, value: float) -> None:  # noqa: A002 - OPC UA's word
+        """Write a Double. `valvemap.errors.CommandRejected`: the server refuses it."""
+
+    async def call(
+        self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]
+    ) -> Sequence[tuple[Any, ...]]:
+        """Call a method of ``owner`` for each of the inputs.
+
+        `valvemap.errors.CommandRejected`: the server refuses a call.
+        """
+
 
 class Session(Protocol):
     """A connection to the broker; all but ``close`` raise `valvemap.errors.SinkLost`."""
@@ -76,11 +87,17 @@ class Broker(Protocol):
         """Number of packets refused; each closed its connection."""
 
     @property
+    def lost_messages(self) -> int:
+        """Number of messages received and dropped: they found no room, or are too large."""
+
+    @property
     def url(self) -> str:
         """URL of the broker."""
 
     async def connect(self, will: Message, topics: Sequence[str]) -> Session:
-        """Connect, and subscribe to ``topics``; the first is the command topic.
+        """Connect, and subscribe to ``topics``, which are filters; the first is the command topic.
+
+        Messages of one filter take no room from those of another.
 
         SinkLost: a retry may succeed. SinkRejected: the broker refuses the connection, or its
         certificate is not trusted.

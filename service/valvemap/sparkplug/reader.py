@@ -7,8 +7,9 @@ from typing import Final
 import structlog
 
 from valvemap.clock import Clock
-from valvemap.errors import SourceLost, SourceRejected, ValvemapError
+from valvemap.errors import CommandRejected, SourceLost, SourceRejected, ValvemapError
 from valvemap.readings import Reading
+from valvemap.sparkplug.commands import Commands, Order
 from valvemap.sparkplug.metrics import GOOD, OVERFLOW, Value
 from valvemap.sparkplug.ports import Service
 from valvemap.sparkplug.service_variables import NODE_VERSION, find_variables
@@ -41,6 +42,8 @@ class Reader:
         Time source.
     pauses
         Makes the retry pauses, s; called after every successful connection.
+    commands
+        Commands of MQTT clients to carry out; None: none is allowed.
     """
 
     def __init__(
@@ -51,8 +54,10 @@ class Reader:
         every_s: float,
         clock: Clock,
         pauses: Callable[[], Iterator[float]],
+        commands: Commands | None = None,
     ) -> None:
         self._service, self._shown = service, shown
+        self._commands = commands
         self._wanted, self._every_s = wanted, every_s
         self._clock, self._pauses = clock, pauses
         self._overflows = 0
@@ -80,7 +85,8 @@ class Reader:
             await asyncio.sleep(pause)
 
     async def _find(self) -> None:
-        variables = await find_variables(self._service, self._wanted)
+        allowed = () if self._commands is None else self._commands.allowed
+        variables = await find_variables(self._service, self._wanted, allowed)
         ids = [one.id for one in variables if one.text is None]
         try:
             await self._service.watch(ids, self._every_s)
@@ -106,6 +112,7 @@ class Reader:
         (version,) = await self._service.read([NODE_VERSION])
         while True:
             self._take(self._service.changes())
+            await self._carry_out()
             if self._service.lost:
                 self._overflows += self._service.lost
                 raise SourceLost(f"{self._service.url}: it sent more than was read; read again")
@@ -123,6 +130,30 @@ class Reader:
     def _take(self, changes: Iterable[tuple[str, Reading]]) -> None:
         for id_, reading in changes:
             self._shown.change(id_, self._value(reading))
+
+    async def _carry_out(self) -> None:
+        """Give the service the commands that wait; its roles decide."""
+        if self._commands is None:
+            return
+        for order in self._commands.take(self._clock.now()):
+            try:
+                await self._give(order)
+            except CommandRejected as error:
+                reason = str(error).removeprefix(f"{order.tag.id}: ")
+                self._commands.refuse(order.tag.id, reason)
+            except BaseException:
+                self._commands.lost += 1  # it may have been carried out
+                raise
+            else:
+                self._commands.done += 1
+                log.info("command carried out", node=order.tag.id, value=order.value)
+
+    async def _give(self, order: Order) -> None:
+        if isinstance(order.value, str):
+            owner, _, method = order.tag.id.rpartition(".")
+            await self._service.call(owner, method, [[order.value]])
+        else:
+            await self._service.write(order.tag.id, order.value)
 
     def _value(self, reading: Reading) -> Value:
         """Convert a reading; count and clear the overflow bits of its StatusCode."""

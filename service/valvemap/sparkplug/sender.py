@@ -9,13 +9,24 @@ import structlog
 
 from valvemap.clock import Clock
 from valvemap.errors import SinkError, SinkLost
-from valvemap.sparkplug.edge_node import REBIRTH, EdgeNode
+from valvemap.foreign_text import printable
+from valvemap.sparkplug.commands import Commands
+from valvemap.sparkplug.edge_node import REBIRTH, EdgeNode, Message
 from valvemap.sparkplug.host import PrimaryHost
 from valvemap.sparkplug.metrics import flag_in
 from valvemap.sparkplug.outbox import Outbox
 from valvemap.sparkplug.ports import Broker, Session
 from valvemap.sparkplug.schema import DecodeError
-from valvemap.sparkplug.shown import CONNECTIONS, LOST, REFUSED, Shown
+from valvemap.sparkplug.shown import (
+    COMMANDS_DONE,
+    COMMANDS_LOST,
+    COMMANDS_REFUSED,
+    CONNECTIONS,
+    LAST_REFUSAL,
+    LOST,
+    REFUSED,
+    Shown,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -45,6 +56,8 @@ class Sender:
         Publishing interval.
     host
         Primary host to wait for, if any.
+    commands
+        Takes the commands to devices; None: they are not subscribed to.
     clock
         Timestamps messages.
     pauses
@@ -61,8 +74,10 @@ class Sender:
         clock: Clock,
         pauses: Callable[[], Iterator[float]],
         host: PrimaryHost | None = None,
+        commands: Commands | None = None,
     ) -> None:
         self._broker, self._node, self._host = broker, node, host
+        self._commands = commands
         self._shown, self._outbox = shown, outbox
         self._every_s, self._clock, self._pauses = every_s, clock, pauses
         self._retry = pauses()
@@ -73,6 +88,7 @@ class Sender:
         self._births_wanted = False
         self._said = ""
         self._losses_said, self._losses_said_at = 0, -_SAID_AGAIN_S
+        self._refusals_said, self._refusals_said_at = 0, -_SAID_AGAIN_S
 
     @property
     def is_sending(self) -> bool:
@@ -95,7 +111,9 @@ class Sender:
 
     async def _serve_one_connection(self) -> None:
         will = self._node.will(self._clock.now())
-        topics = [self._node.commands] + ([] if self._host is None else [self._host.topic])
+        topics = [self._node.commands]
+        topics += [] if self._host is None else [self._host.topic]
+        topics += [] if self._commands is None else [self._node.device_commands]
         session = await self._broker.connect(will, topics)
         try:
             self._connections += 1
@@ -109,6 +127,7 @@ class Sender:
             await self._say_goodbye(session)
             raise
         finally:
+            self._devices_live = False
             self._outbox.put_back()
             await session.close()
 
@@ -127,8 +146,17 @@ class Sender:
                 self._host.hear(message.payload)
             elif message.topic == self._node.commands:
                 self._births_wanted |= _asks_for_births(message.payload)
+            elif self._commands is not None:
+                self._take_command(self._commands, message)
         if self._host_is_gone:
             raise HostGone(f"{self._broker.url}: the primary host is gone")
+
+    def _take_command(self, commands: Commands, message: Message) -> None:
+        device = self._node.device_of(message.topic) or ""
+        if self._devices_live and not self._host_is_gone:
+            commands.hear(device, message, self._clock.now())
+        else:
+            commands.refuse(printable(device), "no birth of the device was published")
 
     async def _serve(self, session: Session) -> None:
         due = self._clock.monotonic() + self._every_s
@@ -193,9 +221,27 @@ class Sender:
         lost, now = self._outbox.lost, self._clock.monotonic()
         self._shown.count(LOST, lost, self._clock.now())
         self._shown.count(REFUSED, self._broker.refused_packets, self._clock.now())
+        self._count_commands(now)
         if lost != self._losses_said and now - self._losses_said_at >= _SAID_AGAIN_S:
             self._losses_said, self._losses_said_at = lost, now
             log.warning("values found no room", lost=lost)
+
+    def _count_commands(self, now: float) -> None:
+        commands = self._commands
+        if commands is None:
+            return
+        lost = commands.lost + self._broker.lost_messages
+        for name, value in (
+            (COMMANDS_DONE, commands.done),
+            (COMMANDS_REFUSED, commands.refused),
+            (COMMANDS_LOST, lost),
+            (LAST_REFUSAL, commands.last_refusal),
+        ):
+            self._shown.count(name, value, self._clock.now())
+        refused = commands.refused
+        if refused != self._refusals_said and now - self._refusals_said_at >= _SAID_AGAIN_S:
+            self._refusals_said, self._refusals_said_at = refused, now
+            log.warning("commands refused", refused=refused, last=commands.last_refusal)
 
     def _say(self, reason: str) -> None:
         """Log a reason once."""

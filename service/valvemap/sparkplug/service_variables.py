@@ -1,6 +1,6 @@
-"""Finds what the service shows of each valve by browsing it."""
+"""Finds what the service shows of each valve, and what a client may command, by browsing it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from typing import Final, NamedTuple
 
@@ -9,6 +9,7 @@ from valvemap.sparkplug.metrics import Meaning
 from valvemap.sparkplug.ports import Service
 from valvemap.sparkplug.schema import DataType
 from valvemap.sparkplug.shown import Variable
+from valvemap.vocabulary.commands import NAMED, Action, Subject
 from valvemap.vocabulary.edges import split_id
 
 _ROOT: Final = "Identification"
@@ -50,7 +51,9 @@ class _Found(NamedTuple):
         return self.dotted.replace(".", "/")
 
 
-async def find_variables(service: Service, wanted: Sequence[str]) -> list[Variable]:
+async def find_variables(
+    service: Service, wanted: Sequence[str], allowed: Collection[str]
+) -> list[Variable]:
     """Return the variables that become metrics, and metrics without a variable.
 
     Parameters
@@ -58,14 +61,18 @@ async def find_variables(service: Service, wanted: Sequence[str]) -> list[Variab
     service
         The service, connected.
     wanted
-        Patterns of names, of which one must match.
+        Patterns of names, of which one must match; an allowed command is always a metric.
+    allowed
+        Names of the commands that MQTT clients may give. Their variables have an ``action``; of a
+        command that is a method with a text, a metric of the method's name is added.
 
     Notes
     -----
     Scalars of supported types are returned. To each alarm comes a text with its meaning, which is
     the description of the alarm's node.
     """
-    variables, alarms = await _browse(service, wanted)
+    commands = [NAMED[name] for name in allowed]
+    variables, alarms, methods = await _browse(service, wanted, commands)
     types = await service.scalar_types([one.id for one in variables])
     scalars = [
         (one, _KINDS[type_]) for one, type_ in zip(variables, types, strict=True) if type_ in _KINDS
@@ -78,6 +85,7 @@ async def find_variables(service: Service, wanted: Sequence[str]) -> list[Variab
             one.metric,
             kind,
             Meaning(of.unit, of.range, of.description),
+            _written(commands, one) if kind is DataType.DOUBLE else None,
         )
         for (one, kind), of in zip(scalars, said[: len(scalars)], strict=True)
     ]
@@ -93,13 +101,16 @@ async def find_variables(service: Service, wanted: Sequence[str]) -> list[Variab
         for one, of in zip(alarms, said[len(scalars) :], strict=True)
         if _matches(f"{one.dotted}.{_MEANING}", wanted)
     ]
-    return [*found, *meanings]
+    return [*found, *meanings, *_called(commands, methods)]
 
 
-async def _browse(service: Service, wanted: Sequence[str]) -> tuple[list[_Found], list[_Found]]:
-    """Return the wanted variables and the objects of alarms."""
+async def _browse(
+    service: Service, wanted: Sequence[str], commands: Sequence[Action]
+) -> tuple[list[_Found], list[_Found], list[_Found]]:
+    """Return the wanted variables, the objects of alarms, and the methods."""
     variables: list[_Found] = []
     alarms: list[_Found] = []
+    methods: list[_Found] = []
     level: list[str | None] = [_ROOT]
     while level:
         children = [child for some in await service.browse_each(level) for child in some]
@@ -109,13 +120,15 @@ async def _browse(service: Service, wanted: Sequence[str]) -> tuple[list[_Found]
             if child.id.endswith(_VERSIONS):
                 continue
             if child.is_variable:
-                if _matches(one.dotted, wanted):
+                if _matches(one.dotted, wanted) or _written(commands, one):
                     variables.append(one)
-            elif not child.is_method and child.id.rpartition(".")[2] != _NOT_FOLLOWED:
+            elif child.is_method:
+                methods.append(one)
+            elif child.id.rpartition(".")[2] != _NOT_FOLLOWED:
                 level.append(child.id)
                 if _parent(child.id) == _ALARMS:
                     alarms.append(one)
-    return variables, alarms
+    return variables, alarms, methods
 
 
 def _found(child: Child) -> _Found:
@@ -125,6 +138,24 @@ def _found(child: Child) -> _Found:
         if device == _OF_SERVICE
         else _Found(child.id, device, name)
     )
+
+
+def _written(commands: Iterable[Action], one: _Found) -> Action | None:
+    """Return the command that is given by writing a variable of a device."""
+    last = one.id.rpartition(".")[2]
+    actions = (action for action in commands if last in action.variables)
+    return next(actions, None) if one.device is not None else None
+
+
+def _called(commands: Iterable[Action], methods: Iterable[_Found]) -> Iterator[Variable]:
+    """Yield a metric for each method of a device's alarms that is an allowed command."""
+    by_method = {action.method: action for action in commands if action.on is Subject.ALARM}
+    for one in methods:
+        owner, _, last = one.id.rpartition(".")
+        if one.device is not None and last in by_method and _parent(owner) == _ALARMS:
+            action = by_method[last]
+            words = Meaning(description=f"{action.sentence} Write a comment.")
+            yield Variable(one.id, one.device, one.metric, DataType.STRING, words, action, text="")
 
 
 def _parent(id_: str) -> str:

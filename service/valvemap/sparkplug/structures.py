@@ -4,7 +4,7 @@ Pure. The edge node's own metrics are always published one by one.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from valvemap.sparkplug.metrics import Tag, Value, add_birth, add_data
 
@@ -24,6 +24,10 @@ Bearing = Sequence[tuple[Tag, Value]]
 class Structure(Protocol):
     """Arranges the metrics of devices; its methods add to a Payload."""
 
+    @property
+    def prefix(self) -> str:
+        """Precedes a metric's name in commands that name it by its path."""
+
     def define(self, payload: Any, tags: Mapping[str | None, Sequence[Tag]], now: int) -> None:  # noqa: ANN401
         """Add to NBIRTH what the births of these devices refer to."""
 
@@ -36,6 +40,8 @@ class Structure(Protocol):
 
 class Flat:
     """One metric per variable, such as ``Auto/Residual``."""
+
+    prefix: Final = ""
 
     def define(self, payload: Any, tags: Mapping[str | None, Sequence[Tag]], now: int) -> None:  # noqa: ANN401
         """Add nothing: each metric describes itself."""

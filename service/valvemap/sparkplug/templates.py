@@ -35,6 +35,8 @@ class Templates:
     ('Valve 686a9a9b', True)
     """
 
+    prefix: Final = f"{INSTANCE}/"
+
     def __init__(self) -> None:
         self._names: dict[str, str] = {}
         self._aliases: dict[str, int] = {}

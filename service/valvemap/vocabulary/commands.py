@@ -18,7 +18,7 @@ class Subject(Enum):
     ALARM = "an alarm"
     """Its node is that of a condition, see `opcua_results.result_alarms`."""
     DEMAND = "the standing demand"
-    """It is written as two variables, see `opcua_results.result_demands`."""
+    """It is written as variables, see `opcua_results.result_demands`."""
 
 
 class Effect(Enum):
@@ -62,6 +62,10 @@ class Action:
         What is published at once.
     in_fleet
         Whether a fleet carries it out.
+    variables
+        Names of the variables that give it when they are written, in place of a method.
+    by_mqtt
+        Whether the configuration may allow it to MQTT clients.
     """
 
     name: str
@@ -72,6 +76,8 @@ class Action:
     values: int = 0
     effect: Effect = Effect.NONE
     in_fleet: bool = True
+    variables: tuple[str, ...] = ()
+    by_mqtt: bool = False
 
 
 _LAM = Input("ForgettingFactor", "0 < λ <= 1", 0.0, 1.0)
@@ -101,7 +107,15 @@ ACTIONS: Final = (
         inputs=(_LAM,),
         values=1,
     ),
-    Action("demand", "demand", Subject.DEMAND, "Set flow and pressure drop.", values=2),
+    Action(
+        "demand",
+        "demand",
+        Subject.DEMAND,
+        "Set flow and pressure drop.",
+        values=2,
+        variables=("FlowDemand", "PressureDrop"),
+        by_mqtt=True,
+    ),
     Action(
         "approve",
         "Approve",
@@ -133,6 +147,7 @@ ACTIONS: Final = (
         "Acknowledge the alarm: it was seen. Changed also ends then; all other alarms end when "
         "the measured value is back within the limit.",
         values=1,
+        by_mqtt=True,
     ),
     Action(
         "confirm",
@@ -161,6 +176,8 @@ ACTIONS: Final = (
 )
 
 NAMED: Final = {action.name: action for action in ACTIONS}
+BY_MQTT: Final = tuple(action.name for action in ACTIONS if action.by_mqtt)
+"""Names of the commands that the configuration may allow to MQTT clients."""
 
 
 def actions_on(subject: Subject) -> tuple[Action, ...]:
