@@ -68,7 +68,7 @@ async def test_which_valve_is_worst_why_and_since_when_by_keyboard():
         first = visitor.page.locator(".rows tbody tr:has(a)").first
         await first.locator("a", has_text="V2").wait_for()
         assert "A sensor has failed." in await first.inner_text()
-        since = page.observer.rows[1].since
+        since = page.observer.standings.rows[1].since
         shown_time = await visitor.page.evaluate(
             "ms => new Date(ms).toLocaleTimeString('en-GB')", since / 1e6
         )

@@ -131,7 +131,7 @@ async def test_a_map_is_asked_of_the_service_only_while_somebody_looks_at_it():
             assert seen.matrices["RLS.SurfaceQ"][:2] == (21, 17)
             assert seen.matrices["RLS.Coverage"][:2] == (2, 2)
         await gone(page)
-        assert page.viewers.wanted(page.observer.valves).live == set()
+        assert page.viewers.wanted(page.observer.places).live == set()
 
 
 async def test_what_moves_is_followed_while_somebody_looks_and_only_of_the_valve_in_view():

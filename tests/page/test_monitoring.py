@@ -47,7 +47,7 @@ async def page_text():
     await page.observer.client.connect()
     await page.observer._discover()
     await page.observer._listen()
-    await page.observer._look_around(page.viewers.wanted(page.observer.valves), thoroughly=True)
+    await page.observer._look_around(page.viewers.wanted(page.observer.places), thoroughly=True)
     page.observer.link = type(page.observer.link).UP
     await page.observer.look_at_figures()
     return page._metrics.exposition().decode()

@@ -16,7 +16,7 @@ async def test_valves_that_came_or_went_are_looked_for_anew():
     observer = page.observer
     await observer.client.connect()
     await observer._discover()
-    wanted = page.viewers.wanted(observer.valves)
+    wanted = page.viewers.wanted(observer.places)
     await observer._look_around(wanted, thoroughly=True)
     service.names = ("V1", "V2")
     service.values["Identification.NodeVersion"] = Read("another one")
@@ -24,4 +24,4 @@ async def test_valves_that_came_or_went_are_looked_for_anew():
         await observer._look_around(wanted, thoroughly=True)
     await observer._discover()
     assert [valve.name for valve in observer.valves] == ["V1", "V2"]
-    await observer._look_around(page.viewers.wanted(observer.valves), thoroughly=True)
+    await observer._look_around(page.viewers.wanted(observer.places), thoroughly=True)

@@ -3,8 +3,10 @@
 import math
 from dataclasses import dataclass, field
 
+from support import shown_parts
 from support.readings import Node, Read
 from valvemap.errors import CommandRejected, SourceLost, SourceRejected
+from valvemap.vocabulary.edges import split_id
 
 FRAME = (
     "Sequence",
@@ -76,6 +78,8 @@ class ShownService:
     history: list[tuple] = field(default_factory=list)  # what was asked for
     comments: list[tuple] = field(default_factory=list)
     more: tuple[str, ...] = ()  # parts of each valve
+    lines: tuple[str, ...] = ()  # of valves with ports, such as Boom.LineA
+    axes: tuple[str, ...] = ()
 
     async def connect(self):
         self._check()
@@ -86,7 +90,11 @@ class ShownService:
     async def browse(self, id):  # noqa: A002
         self._check()
         if id == "Identification":
-            return [Node(name) for name in self.names]
+            return [Node(name) for name in (*self.names, *self.lines, *self.axes)]
+        if part := self._part_of(id):
+            variables, objects = shown_parts.below(*part)
+            nodes = [Node(f"{id}.{name}", is_variable=True) for name in variables]
+            return [*nodes, *(Node(f"{id}.{name}") for name in objects)]
         if id in self.names:
             parts = ("RLS", "Inverse", "Diagnostics", "Signals", "Baseline", *self.more)
             return [Node(f"{id}.Frame", is_variable=True), *(Node(f"{id}.{p}") for p in parts)]
@@ -113,6 +121,10 @@ class ShownService:
             self.t += 10_000_000
         return [self._one(id_) for id_ in ids]
 
+    async def engineering(self, ids):
+        self._check()
+        return [shown_parts.engineering(id_) for id_ in ids]
+
     async def follow(self, ids, every_s):
         self._check()
         if not self.may_follow:
@@ -129,6 +141,8 @@ class ShownService:
     async def call(self, owner, method, inputs):
         self._check()
         self.calls.append((owner, method, tuple(map(tuple, inputs))))
+        if method == "Invert" and owner.rpartition(".")[0] in self.axes:
+            return [(v / 4, v / 4 - 1, v / 4 + 1, 0) for v, *_ in inputs]
         if method == "Invert":
             return [(Q / 2, Q / 2 - 1, Q / 2 + 1, 0) for Q, _, _ in inputs]
         if (owner.rpartition(".")[2], method) == ("Baseline", "Predict"):
@@ -179,12 +193,24 @@ class ShownService:
         if not self.up:
             raise SourceLost("gone")
 
+    def _part_of(self, id_):
+        """The variables of the line or axis that a node belongs to, and the node's prefix there."""
+        for names, known in ((self.lines, shown_parts.LINE), (self.axes, shown_parts.AXIS)):
+            for name in names:
+                if id_ == name or id_.startswith(f"{name}."):
+                    return known, id_.removeprefix(name).lstrip(".") + "." * (id_ != name)
+        return None
+
     def _one(self, id_):
         if id_ in self.values:
             return self.values[id_]
         if isinstance(id_, int):
             return Read(id_ - 2_270)
-        name = id_.partition(".")[2]
+        if part := self._part_of(id_):
+            names, prefix = part
+            name = prefix.removesuffix(".")
+            return Read(names[name], 0, self.t) if name in names else Read(None, 0x80340000)
+        name = split_id(id_)[1]
         count = self.t / 1e7
         known = {
             "Frame": [count, 10.0, 0.1, 0.2, 0.3, count, 0.0, 1.5, 30.0, 0.0, *SIGNALS],

@@ -2,22 +2,20 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime
 
-from valvemap.clock import Clock, utc_ns
+from valvemap.clock import Clock
 from valvemap.errors import SourceRejected
 from valvemap.page.layout import Valve, Variables, sort_variables
 from valvemap.page.play_out import PlayOut
 from valvemap.page.points import Points
 from valvemap.page.ports import Client, Wanted
 from valvemap.page.reading import read_all
-from valvemap.page.store import Store
+from valvemap.page.store import Store, store_readings
 from valvemap.readings import Reading
 from valvemap.vocabulary.edges import split_id
 
 TICK_S = 0.1  # s; poll interval of a valve that is in view
 _FOLLOWED_EVERY_S = 0.5  # s; publishing interval: a message costs more than five results in it
-_BAD_NODE_ID_UNKNOWN = 0x8034_0000
 _BAD_NO_DATA = 0x80B1_0000
 _BAD = 0x8000_0000
 _FRAME = "Frame"
@@ -79,7 +77,7 @@ class CloseUp:
             frame, *others = await read_all(self._client, self._ids(number, names))
             self._newest[number] = frame
             self.show(number, frame)
-            self.take(number, names[1:], others)
+            store_readings(self._store, number, names[1:], others)
 
     def newest(self, number: int) -> Reading | None:
         """Return the newest frame of a valve, None if it is not subscribed."""
@@ -104,7 +102,7 @@ class CloseUp:
             if name == _FRAME:
                 frames.setdefault(number, []).append(reading)
             else:
-                self.take(number, [name], [reading])
+                store_readings(self._store, number, [name], [reading])
         for number, some in frames.items():
             self._newest[number] = some[-1]
             results = self._frames.setdefault(number, PlayOut(_FOLLOWED_EVERY_S, TICK_S))
@@ -143,15 +141,6 @@ class CloseUp:
             lost = name.startswith("Signals.") and math.isnan(value)
             self._store.put(number, name, value, _BAD_NO_DATA if lost else frame.code, frame.t)
         self._take_point(number)
-
-    def take(self, number: int, names: Sequence[str], readings: Sequence[Reading]) -> None:
-        """Store the readings of a valve's variables."""
-        for name, reading in zip(names, readings, strict=True):
-            if reading.code != _BAD_NODE_ID_UNKNOWN:
-                value = reading.value
-                if isinstance(value, datetime):
-                    value = utc_ns(value) * 1e-6
-                self._store.put(number, name, value, reading.code, reading.t)
 
     async def _follow(self) -> None:
         ids = [

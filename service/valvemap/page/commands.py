@@ -25,6 +25,9 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
             name = _checked(valve)
             await log_in.service.write(f"{name}.Inverse.PressureDrop", _finite(dp))
             await log_in.service.write(f"{name}.Inverse.FlowDemand", _finite(Q))
+        case {"demand": str() as axis, "v": float() | int() | None as v}:
+            speed = math.nan if v is None else _finite(v)
+            await log_in.service.write(f"{_checked(axis)}.Inverse.SpeedDemand", speed)
         case {
             "alarm": str() as alarm,
             "of": str() as owner,

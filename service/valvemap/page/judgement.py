@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from valvemap.vocabulary.health import DeviceHealth
-from valvemap.vocabulary.statuses import Adaptation, Described, InverseStatus, Status
+from valvemap.vocabulary.statuses import Adaptation, AxisStatus, Described, InverseStatus, Status
 
 STALE_AFTER_S = 3.0  # s; maximum age of the newest sample: three rounds of the page
 CHANGE_SHOWN_S = 600.0  # s; how long an abrupt change stays the valve's reason
@@ -80,6 +80,11 @@ INVERSE_SEVERITIES = {
     InverseStatus.NOT_FINITE: Severity.NOTE,
     InverseStatus.OUTSIDE: Severity.WARNING,
     InverseStatus.EXTRAPOLATING: Severity.WARNING,
+}
+AXIS_SEVERITIES = {  # the others are warnings
+    AxisStatus.OK: Severity.GOOD,
+    AxisStatus.TOO_SHORT: Severity.NOTE,
+    AxisStatus.FAILED: Severity.ALARM,
 }
 
 _BY_STATUS: Mapping[int, Reason] = {

@@ -2,11 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+
+from valvemap.vocabulary.edges import EDGES, LINE_PARTS, PARTS
 
 ROOT = "Identification"
 VERSION = f"{ROOT}.NodeVersion"  # changes when valves are added or removed
 NO_ESTIMATORS = frozenset(
     {
+        *EDGES,
         *("Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"),
         *("Commission", "Dynamics"),
     }
@@ -51,6 +55,46 @@ class Valve:
         'Auto'
         """
         return PREFERRED if PREFERRED in self.estimators else self.estimators[0]
+
+
+class PartKind(StrEnum):
+    """What a part of a machine without estimators is."""
+
+    LINE = "line"
+    AXIS = "axis"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A line of a valve with ports, or an axis."""
+
+    name: str
+    kind: PartKind
+
+
+def part_of(name: str, objects: Sequence[str]) -> Part | None:
+    """Return the part that a folder without estimators is, from the names of its objects.
+
+    >>> part_of("Boom.LineA", ("Signals", "Inverse"))
+    Part(name='Boom.LineA', kind=<PartKind.LINE: 'line'>)
+    >>> part_of("Press", ("PA", "AT", "PB", "BT", "Inverse")).kind
+    <PartKind.AXIS: 'axis'>
+    >>> part_of("Service", ("Alarms",)) is None
+    True
+    """
+    if name.rpartition(".")[2] in LINE_PARTS:
+        return Part(name, PartKind.LINE)
+    return Part(name, PartKind.AXIS) if set(EDGES) & set(objects) else None
+
+
+def family_of(name: str) -> str:
+    """Return the valve with ports that an edge or line belongs to; empty for any other valve.
+
+    >>> family_of("Boom.PA"), family_of("Boom.LineB"), family_of("Boom")
+    ('Boom', 'Boom', '')
+    """
+    owner, _, part = name.rpartition(".")
+    return owner if part in PARTS else ""
 
 
 @dataclass(frozen=True)

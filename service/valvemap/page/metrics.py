@@ -63,13 +63,13 @@ class Metrics:
             yield Point(series.PAGE_REFUSED, count, (why,))
 
     def _of_valves(self) -> Iterator[Point]:
-        for number, row in self._observer.rows.items():
+        for number, row in self._observer.standings.rows.items():
             name = (self._observer.valves[number].name,)
             yield Point(series.VALVE_SEVERITY, float(row.reason.severity), name)
             yield Point(series.FIRST_RMSE, row.rmse, name)
             yield Point(series.SAMPLES, row.samples, name)
-            yield Point(series.SILENT, self._observer.silent_s(number), name)
-        for number, columns in self._observer.frames.items():
+            yield Point(series.SILENT, self._observer.standings.silent_s(number), name)
+        for number, columns in self._observer.standings.frames.items():
             valve = self._observer.valves[number]
             for estimator in valve.estimators:
                 for quantity, one in series.QUANTITIES.items():

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from valvemap.readings import Child, ConditionChange, Course, Reading
+from valvemap.readings import Child, ConditionChange, Course, Engineering, Reading
 
 
 class Client(Protocol):
@@ -28,6 +28,9 @@ class Client(Protocol):
 
     async def read(self, ids: Sequence[str | int]) -> Sequence[Reading]:
         """Read variables; a number is the identifier of a standard node."""
+
+    async def engineering(self, ids: Sequence[str]) -> Sequence[Engineering]:
+        """Return units, ranges and descriptions of variables."""
 
     async def follow(self, ids: Collection[str], every_s: float) -> None:
         """Subscribe to exactly these variables; an empty collection ends the subscription.
@@ -75,7 +78,8 @@ class Client(Protocol):
 
 @dataclass
 class Wanted:
-    """The valves in view, by number."""
+    """What is in view, by number: valves, maps of estimators, parts without estimators."""
 
     live: set[int] = field(default_factory=set)
+    parts: set[int] = field(default_factory=set)
     maps: set[tuple[int, str]] = field(default_factory=set)

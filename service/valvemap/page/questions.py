@@ -5,7 +5,7 @@ from typing import Any
 
 from valvemap.errors import CommandRejected, ValvemapError
 from valvemap.page.alarm_list import MOST_PAST, row_of
-from valvemap.page.layout import Valve
+from valvemap.page.layout import PartKind, Valve
 from valvemap.page.messages import pack_text, pack_trend
 from valvemap.page.observer import Observer
 from valvemap.page.trends import MOST_INTERVALS, MOST_NAMES, STEPS_MS, recorded
@@ -14,6 +14,7 @@ _MS = 1_000_000  # ns
 _LATEST_MS = 4_102_444_800_000  # the year 2100
 _LONGEST_MS = 400 * 86_400_000
 _NAN = float("nan")
+_PRESSURES_AND_T = 5  # further inputs of an axis' Invert
 
 
 class Senseless(Exception):  # noqa: N818 - it says what came
@@ -32,7 +33,11 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
     try:
         match question:
             case {"invert": str() as name, "Q": float() | int() as Q, "dp": float() | int() as dp}:
-                answer = await _invert(observer, _valve(observer, name), float(Q), float(dp))
+                _check_place(observer, name, PartKind.LINE)
+                answer = await _invert(observer, name, float(Q), float(dp))
+            case {"invert": str() as name, "v": float() | int() as v}:
+                _check_place(observer, name, PartKind.AXIS)
+                answer = await _invert_speed(observer, name, float(v))
             case {
                 "trend": str() as name,
                 "names": list() as names,
@@ -58,12 +63,20 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
     return pack_text({"answer": number, **answer})
 
 
-async def _invert(observer: Observer, valve: Valve, Q: float, dp: float) -> dict[str, Any]:
-    """Ask for the voltage of a flow."""
+async def _invert(observer: Observer, name: str, Q: float, dp: float) -> dict[str, Any]:
+    """Ask for the voltage of a flow, of a valve or a line."""
     ((U, lower, upper, status),) = await observer.client.call(
-        f"{valve.name}.Inverse", "Invert", [(Q, dp, _NAN)]
+        f"{name}.Inverse", "Invert", [(Q, dp, _NAN)]
     )
     return {"Q": Q, "dp": dp, "U": U, "lower": lower, "upper": upper, "status": status}
+
+
+async def _invert_speed(observer: Observer, axis: str, v: float) -> dict[str, Any]:
+    """Ask for the voltage of a speed at the newest pressures of an axis."""
+    ((U, lower, upper, status),) = await observer.client.call(
+        f"{axis}.Inverse", "Invert", [(v, *[_NAN] * _PRESSURES_AND_T)]
+    )
+    return {"v": v, "U": U, "lower": lower, "upper": upper, "status": status}
 
 
 async def _past(observer: Observer, start: int, end: int) -> dict[str, Any]:
@@ -83,6 +96,15 @@ async def _compare(observer: Observer, valve: Valve, estimator: str) -> dict[str
         f"{valve.name}.Baseline", "Compare", [[estimator]]
     )
     return {"mean": mean, "largest": largest, "U": U, "dp": dp, "points": points}
+
+
+def _check_place(observer: Observer, name: str, kind: PartKind) -> None:
+    """Refuse what is neither a valve, whose flow a line's resembles, nor a part of the kind."""
+    known = {part.name for part in observer.parts if part.kind is kind}
+    if kind is PartKind.LINE:
+        known |= {valve.name for valve in observer.valves}
+    if name not in known:
+        raise Senseless
 
 
 def _valve(observer: Observer, name: str) -> Valve:

@@ -1,8 +1,14 @@
 """Newest value of each variable, with revisions for incremental updates of the viewers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
+
+from valvemap.clock import utc_ns
+from valvemap.readings import Reading
+
+_BAD_NODE_ID_UNKNOWN = 0x8034_0000
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +60,18 @@ class Store:
         """Drop all values, after the set of valves has changed."""
         self._valves.clear()
         self.revision += 1
+
+
+def store_readings(
+    store: Store, number: int, names: Sequence[str], readings: Sequence[Reading]
+) -> None:
+    """Store the readings of variables that exist; a DateTime becomes ms since 1970."""
+    for name, reading in zip(names, readings, strict=True):
+        if reading.code != _BAD_NODE_ID_UNKNOWN:
+            value = reading.value
+            if isinstance(value, datetime):
+                value = utc_ns(value) * 1e-6
+            store.put(number, name, value, reading.code, reading.t)
 
 
 def _same(a: Any, b: Any) -> bool:  # noqa: ANN401 - as read

@@ -16,19 +16,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from guarded_opcua.admission import Admission
 from valvemap.clock import Clock
-from valvemap.page.judgement import INVERSE_SEVERITIES, Reason
-from valvemap.page.layout import Valve
+from valvemap.page.greeting import greeting
+from valvemap.page.layout import Part, Valve
 from valvemap.page.messages import pack_rows, pack_text
 from valvemap.page.observer import Observer
 from valvemap.page.packing import Packing
 from valvemap.page.ports import Wanted
 from valvemap.page.questions import Senseless, answer_to
 from valvemap.page.rates import TokenBucket
-from valvemap.vocabulary.alarm_guide import GUIDES
-from valvemap.vocabulary.health import DeviceHealth
-from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
-from valvemap.vocabulary.signals import SENSORS, Signal
-from valvemap.vocabulary.statuses import InverseStatus, Status
 
 _SLOW_READER_S = 10.0  # s; timeout of sending one message
 _OPENED_PER_S = 50  # WebSockets of one address a second; starting a wall of screens opens some 20
@@ -108,16 +103,20 @@ class Viewers:
         for viewer in self._open:
             viewer.changed.set()
 
-    def wanted(self, valves: tuple[Valve, ...]) -> Wanted:
-        """Return the valves and maps in view on any page."""
-        numbers = {valve.name: number for number, valve in enumerate(valves)}
+    def wanted(self, places: Sequence[Valve | Part]) -> Wanted:
+        """Return the valves, parts and maps in view on any page."""
+        numbers = {place.name: number for number, place in enumerate(places)}
         wanted = Wanted()
         for viewer in self._open:
             number = numbers.get(viewer.watched or "")
             if number is None:
                 continue
+            place = places[number]
+            if isinstance(place, Part):
+                wanted.parts.add(number)
+                continue
             wanted.live.add(number)
-            if viewer.estimator in valves[number].estimators:
+            if viewer.estimator in place.estimators:
                 wanted.maps.add((number, viewer.estimator))
         return wanted
 
@@ -222,13 +221,13 @@ class Viewers:
 
     def _unseen(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
         """Yield messages with all updates this viewer has not received yet."""
-        greeting = (observer.generation, observer.link.value, observer.link_text)
-        if viewer.greeted != greeting:
-            if viewer.greeted is None or viewer.greeted[0] != greeting[0]:
+        present = (observer.generation, observer.link.value, observer.link_text)
+        if viewer.greeted != present:
+            if viewer.greeted is None or viewer.greeted[0] != present[0]:
                 viewer.seen = 0
                 viewer.rows_seen.clear()
-            viewer.greeted = greeting
-            yield pack_text(_greeting(observer))
+            viewer.greeted = present
+            yield pack_text(greeting(observer))
         events = observer.time_line.after(viewer.events_seen)
         if events:
             viewer.events_seen = events[-1].number
@@ -248,7 +247,7 @@ class Viewers:
             )
         if viewer.overview:
             yield from self._new_rows(viewer, observer)
-        numbers = {valve.name: number for number, valve in enumerate(observer.valves)}
+        numbers = {place.name: number for number, place in enumerate(observer.places)}
         number = numbers.get(viewer.watched or "")
         if number is not None:
             yield from self._new_values(viewer, observer, number)
@@ -256,7 +255,7 @@ class Viewers:
     def _new_rows(self, viewer: Viewer, observer: Observer) -> Iterator[bytes]:
         new = [
             (number, row)
-            for number, row in observer.rows.items()
+            for number, row in observer.standings.rows.items()
             if viewer.rows_seen.get(number) is not row
         ]
         if new:
@@ -287,47 +286,6 @@ class Viewers:
 
 def _host_of(viewer: Viewer) -> str:
     return viewer.socket.client.host if viewer.socket.client else ""
-
-
-def _signals() -> Iterator[tuple[str, tuple[str, str]]]:
-    """Yield name, caption and unit of each signal, the pressure drop behind its pressures."""
-    for signal in SENSORS:
-        yield signal.label, (signal.caption, signal.unit)
-        if signal is Signal.P2:
-            yield "dp", ("Δp", "bar")
-
-
-def _greeting(observer: Observer) -> dict[str, Any]:
-    return {
-        "link": observer.link.value,
-        "text": observer.link_text,
-        "since": observer.link_since / 1e6,
-        "url": observer.client.url,
-        "generation": observer.generation,
-        "valves": [
-            {"name": valve.name, "estimators": valve.estimators, "primary": valve.primary}
-            for valve in observer.valves
-        ],
-        "quantities": [
-            {
-                "name": q.name,
-                "heading": q.heading,
-                "unit": q.unit,
-                "decimals": q.decimals,
-                "about": q.sentence,
-            }
-            for q in ESTIMATOR_QUANTITIES
-            if q.heading
-        ],
-        "words": {
-            "status": [(status.label, status.sentence) for status in Status],
-            "inverse": [(INVERSE_SEVERITIES[s], s.sentence) for s in InverseStatus],
-            "reason": [(reason.label, reason.sentence, reason.is_old) for reason in Reason],
-            "health": [(health.label, health.sentence) for health in DeviceHealth],
-            "guides": {name: (guide.quantity, guide.action) for name, guide in GUIDES.items()},
-            "signals": dict(_signals()),
-        },
-    }
 
 
 def _request(text: str | None) -> dict[str, Any]:

@@ -67,7 +67,7 @@ class Page:
         self.observer = Observer(
             client,
             clock,
-            lambda: self.viewers.wanted(self.observer.valves),
+            lambda: self.viewers.wanted(self.observer.places),
             self.viewers.wake,
             past,
         )
