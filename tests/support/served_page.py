@@ -10,10 +10,13 @@ from valvemap.page.web import Page
 
 
 @asynccontextmanager
-async def served(shown, **settings):
-    """The page of a service on a free port: (Page, URL); users log in to the same service."""
+async def served(shown, rig=None, **settings):
+    """The page of a service on a free port: (Page, URL); users log in to the same service.
+
+    With a URL of a rig, the page is that of a demo.
+    """
     own = PageSettings(port=0, **settings)
-    page = Page(shown, lambda *_: (shown, None), own, SystemClock())
+    page = Page(shown, lambda *_: (shown, shown if rig else None), own, SystemClock(), rig)
     listening, stop = open_socket(own), asyncio.Event()
     tasks = [
         asyncio.create_task(serve(page.guard, own, listening, stop, page.door)),

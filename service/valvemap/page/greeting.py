@@ -11,7 +11,7 @@ from valvemap.vocabulary.alarm_guide import GUIDES
 from valvemap.vocabulary.health import DeviceHealth
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
 from valvemap.vocabulary.signals import SENSORS, Signal
-from valvemap.vocabulary.statuses import InverseStatus, Status
+from valvemap.vocabulary.statuses import Adaptation, InverseStatus, Status
 
 
 def greeting(observer: Observer) -> dict[str, Any]:
@@ -48,6 +48,7 @@ def greeting(observer: Observer) -> dict[str, Any]:
         ],
         "words": {
             "status": [(status.label, status.sentence) for status in Status],
+            "adaptation": [(state.label, state.sentence) for state in Adaptation],
             "inverse": [(INVERSE_SEVERITIES[s], s.sentence) for s in InverseStatus],
             "reason": [(reason.label, reason.sentence, reason.is_old) for reason in Reason],
             "health": [(health.label, health.sentence) for health in DeviceHealth],

@@ -28,6 +28,13 @@ _CODES: Final[Mapping[PartKind, Mapping[str, type[Described]]]] = {
     },
     PartKind.AXIS: {"Status": AxisStatus, "Inverse.RequiredUStatus": InverseStatus},
 }
+_OF_SPEED: Final = (
+    ("flow", "speed"),
+    ("a larger pressure drop", "more pressure"),
+    ("this pressure drop", "these pressures"),
+    ("the pressure drop", "a pressure"),
+    ("pressure drop", "pressures"),
+)
 _NAMES, _UNITS, _SENTENCES = "Described.Names", "Described.Units", "Described.Sentences"
 
 
@@ -39,11 +46,21 @@ def words_of_codes() -> dict[str, dict[str, list[tuple[int, str, str]]]]:
     """
     return {
         kind: {
-            name: [(_severity(code), code.label, code.sentence) for code in codes]
+            name: [(_severity(code), code.label, _sentence(kind, code)) for code in codes]
             for name, codes in by_name.items()
         }
         for kind, by_name in _CODES.items()
     }
+
+
+def _sentence(kind: PartKind, code: Described) -> str:
+    """Of an axis, the inverse's flow means speed."""
+    if kind is not PartKind.AXIS or not isinstance(code, InverseStatus):
+        return code.sentence
+    words = code.sentence
+    for of_flow, of_speed in _OF_SPEED:
+        words = words.replace(of_flow, of_speed)
+    return words
 
 
 def _severity(code: Described) -> Severity:

@@ -3,6 +3,7 @@
 import { decimals, spreadShown, toShown } from "./units.js";
 
 export const NAN = "–";
+export const KINDS = { status: "state", change: "change", alarm: "alarm", action: "action", link: "service" }; // of events
 
 /** A number with a fixed count of decimals; a true minus sign. */
 export function fixed(value, decimals = 1) {
@@ -46,14 +47,16 @@ export function clock(ms) {
 
 // Filled with the service's own words when the page connects: [label, sentence], for the inverse
 // [severity, sentence], by number, of reasons also whether the values are old; of signals [caption, unit], by name.
-export const STATUS = [], INVERSE_STATUS = [], REASONS = [], SIGNALS = {};
+export const STATUS = [], ADAPTATION = [], INVERSE_STATUS = [], REASONS = [], SIGNALS = {};
 export const HEALTH = []; // by NAMUR NE 107: [label, sentence]
 export const GUIDES = {}; // of alarms, by name: [quantity, what to do]
+export const CODES = {}; // of lines and axes: by kind and variable, by number, [severity, label, sentence]
 
-export function learnWords({ status, inverse, reason, signals, health, guides }) {
+export function learnWords({ status, adaptation, inverse, reason, signals, health, guides, codes }) {
   Object.assign(SIGNALS, signals);
+  Object.assign(CODES, codes);
   Object.assign(GUIDES, guides);
-  [[STATUS, status], [INVERSE_STATUS, inverse], [REASONS, reason], [HEALTH, health]].forEach(([kept, words]) => kept.splice(0, Infinity, ...words));
+  [[STATUS, status], [ADAPTATION, adaptation], [INVERSE_STATUS, inverse], [REASONS, reason], [HEALTH, health]].forEach(([kept, words]) => kept.splice(0, Infinity, ...words));
 }
 
 /** SensorFrozen → Sensor frozen. */

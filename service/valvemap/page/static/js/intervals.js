@@ -20,6 +20,14 @@ export function activeSpans(changes) {
   return found;
 }
 
+/** Spans of a valve's states, the oldest first: {from, to, severity, text}; from the events of the time line, and the present state {since, severity, text}. */
+export function stateSpans(events, valve, present) {
+  const changes = events.filter((event) => event.kind === "status" && event.valve === valve).sort((a, b) => a.t - b.t);
+  const begun = changes.map(({ t, severity, text }) => ({ from: t, severity, text }));
+  if (present && !(begun.at(-1)?.from >= present.since)) begun.push({ from: present.since, severity: present.severity, text: present.text });
+  return begun.map((one, k) => ({ ...one, to: begun[k + 1]?.from ?? null }));
+}
+
 /** Past and present changes without doubles, by EventId. */
 export function merged(...lists) {
   const found = new Map();

@@ -19,6 +19,7 @@ export class Live extends EventTarget {
   text = "";
   url = "";
   valves = [];
+  parts = []; // lines and axes: {name, kind, family}; their numbers follow those of the valves
   quantities = []; // of each estimator: name, heading, decimals, about
   rows = new Map(); // valve number → {severity, reason, since, rmse, noise, samples, silent, predicted, health}
   courses = new Map(); // valve number → [[t in ms, Q̂], …] of the last two minutes
@@ -36,6 +37,7 @@ export class Live extends EventTarget {
   #question = 0;
   #generation = null;
   #opened = false;
+  #newest = { t: 0, at: 0 }; // of the watched part: time of its newest value, and when that came
 
   constructor() {
     super();
@@ -46,7 +48,10 @@ export class Live extends EventTarget {
   watch(valve, estimator = null, overview = true) {
     const wish = { valve, estimator, overview };
     if (JSON.stringify(wish) === JSON.stringify(this.#watch)) return;
-    if (valve !== this.#watch.valve) this.#values.clear();
+    if (valve !== this.#watch.valve) {
+      this.#values.clear();
+      this.#newest = { t: 0, at: performance.now() };
+    }
     this.#watch = wish;
     this.#send({ watch: wish });
   }
@@ -82,6 +87,7 @@ export class Live extends EventTarget {
   /** The same of one valve, whose samples may have ended while all else goes on. */
   oldOf(valve) {
     if (this.old) return this.old;
+    if (this.part(valve)) return this.#oldPart();
     const row = this.rows.get(this.valves.findIndex(({ name }) => name === valve));
     if (!row) return null;
     if (REASONS[row.reason][2]) return { state: "valve", why: REASONS[row.reason][1], since: row.since, advice: "See Alarms for what to do." };
@@ -89,8 +95,24 @@ export class Live extends EventTarget {
     return null;
   }
 
+  /** A line or axis has no row in the overview: its own values tell. */
+  #oldPart() {
+    const { t, at } = this.#newest, required = this.quality("Inverse.RequiredU"), silent = (performance.now() - at) / 1000;
+    if (required !== "bad" && silent <= STALE_S) return null;
+    return { state: "valve", why: "No new sample arrives.", since: t || Date.now() - 1000 * silent, advice: "Check the source of its signals." };
+  }
+
+  /** The line or axis of that name. */
+  part(name) { return this.parts.find((known) => known.name === name); }
+
+  /** Where a valve, edge, line or axis is shown. */
+  hrefOf(name) { return `#/${this.part(name)?.kind ?? "valve"}/${encodeURIComponent(name)}`; }
+
   /** Which voltage a flow demands: the service's own answer; nothing is written. */
   invert(valve, Q, dp) { return this.#ask({ invert: valve, Q, dp }); }
+
+  /** The same for a speed of an axis, at its newest pressures. */
+  invertSpeed(axis, v) { return this.#ask({ invert: axis, v }); }
 
   /** Courses of variables over a span in ms: {start, step, since (ms), kept, courses: [[mean, least, largest], …]}. */
   trend(valve, names, from, to, step) { return this.#ask({ trend: valve, names, from: Math.floor(from), to: Math.ceil(to), step }); }
@@ -153,6 +175,7 @@ export class Live extends EventTarget {
       this.since = message.since;
       Object.assign(this, { link: message.link, text: message.text }); // views are drawn on what is so now
       this.valves = message.valves;
+      this.parts = message.parts;
       this.quantities = message.quantities;
       learnWords(message.words);
       if (this.#generation !== message.generation) {
@@ -184,7 +207,7 @@ export class Live extends EventTarget {
     }
   }
 
-  #isWatched(number) { return this.valves[number]?.name === this.#watch.valve; }
+  #isWatched(number) { return (this.valves[number] ?? this.parts[number - this.valves.length])?.name === this.#watch.valve; }
 
   #takeBinary(view) {
     const kind = view.getUint8(0);
@@ -199,11 +222,9 @@ export class Live extends EventTarget {
     const n = view.getUint32(4, true);
     const times = 8 + 8 * n, codes = times + 8 * n, names = codes + 4 * n;
     for (let k = 0; k < n; k++) {
-      this.#values.set(this.#names[view.getUint16(names + 2 * k, true)], {
-        value: view.getFloat64(8 + 8 * k, true),
-        t: view.getFloat64(times + 8 * k, true),
-        code: view.getUint32(codes + 4 * k, true),
-      });
+      const t = view.getFloat64(times + 8 * k, true);
+      this.#values.set(this.#names[view.getUint16(names + 2 * k, true)], { value: view.getFloat64(8 + 8 * k, true), t, code: view.getUint32(codes + 4 * k, true) });
+      if (t > this.#newest.t) this.#newest = { t, at: performance.now() };
     }
     this.dispatchEvent(new Event("values"));
   }

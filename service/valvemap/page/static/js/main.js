@@ -1,6 +1,7 @@
-// The frame around the views: which is shown, of which valve; theme, log-in, how the connection stands.
+// The frame around the views: which is shown, of which valve, line or axis; theme, log-in, how the connection stands.
 
 import { h, mark, say } from "./dom.js";
+import { familyTabs } from "./family.js";
 import { clock, span } from "./format.js";
 import { Live } from "./live.js";
 import { tour } from "./tour.js";
@@ -10,77 +11,105 @@ import { alarmsView } from "./views/alarms.js";
 import { commissioningView } from "./views/commissioning.js";
 import { mapView } from "./views/map.js";
 import { overviewView } from "./views/overview.js";
+import { partView } from "./views/part.js";
 import { rigView } from "./views/rig.js";
 import { timelineView } from "./views/timeline.js";
 import { trendView } from "./views/trend.js";
 import { valveView } from "./views/valve.js";
 
 const VIEWS = [
-  { key: "valve", digit: "1", title: "Valve", draw: valveView, ofValve: true },
-  { key: "trend", digit: "t", title: "Trend", draw: trendView, ofValve: true },
-  { key: "map", digit: "2", title: "Map", draw: mapView, ofValve: true, withMap: true },
+  { key: "valve", digit: "1", title: "Valve", draw: valveView, of: "valve" },
+  { key: "trend", digit: "t", title: "Trend", draw: trendView, of: "valve" },
+  { key: "map", digit: "2", title: "Map", draw: mapView, of: "valve", withMap: true },
   { key: "alarms", digit: "a", title: "Alarms", draw: alarmsView },
   { key: "overview", digit: "3", title: "Overview", draw: overviewView },
-  { key: "commissioning", digit: "4", title: "Commissioning", draw: commissioningView, ofValve: true, withMap: true },
+  { key: "commissioning", digit: "4", title: "Commissioning", draw: commissioningView, of: "valve", withMap: true },
+  { key: "axis", digit: "x", title: "Axis", draw: partView, of: "axis" },
+  { key: "line", title: "Line", draw: partView, of: "line", isTab: true },
   { key: "timeline", digit: "5", title: "Time line", draw: timelineView },
-  { key: "rig", digit: "6", title: "Rig", draw: rigView, ofValve: true, onlyWithRig: true },
+  { key: "rig", digit: "6", title: "Rig", draw: rigView, of: "valve", onlyWithRig: true },
 ];
+
+// Keys that lead to a field: of this view, or else of another one.
+const FIELDS = { "/": ["overview", ".overview-search"], q: ["map", ".inverse input[type=number]"] };
 
 const live = new Live();
 const root = document.querySelector("main"), nav = document.querySelector(".views"), strip = document.querySelector(".strip");
 const link = document.querySelector(".link"), linkText = document.querySelector(".link-text");
-let close = () => {}, shown = null, chosen = { trend: sessionStorage.getItem("trend") ?? "" }, searching = false, wasOld = "";
+let close = () => {}, shown = null, chosen = { trend: sessionStorage.getItem("trend") ?? "" }, wanted = "", wasOld = "";
 
-function views() { return VIEWS.filter((view) => !view.onlyWithRig || user.hasRig); }
+const itemsOf = (of) => (of === "valve" ? live.valves : live.parts.filter(({ kind }) => kind === of));
+
+const hasItems = () => live.valves.length > 0 || live.parts.length > 0;
+
+/** The views of which there is something; those of valves while nothing is known yet, too. */
+function views() {
+  const isEmpty = !live.valves.length && !live.parts.length;
+  return VIEWS.filter(({ onlyWithRig, of }) => (!onlyWithRig || user.hasRig) && (!of || itemsOf(of).length || (isEmpty && of === "valve")));
+}
 
 /** #/view/valve?what=is&seen=there */
 function place() {
   const [path, query = ""] = location.hash.replace(/^#\//, "").split("?");
   const [key, name] = path.split("/").map(decodeURIComponent);
-  const view = views().find((known) => known.key === key) ?? VIEWS[0];
-  const valve = live.valves.find((known) => known.name === name) ?? live.valves.find((known) => known.name === chosen.valve) ?? live.valves[0];
-  return { view, valve, query: new URLSearchParams(query) };
+  const view = views().find((known) => known.key === key) ?? views().find(({ of }) => of) ?? VIEWS[0];
+  const items = itemsOf(view.of ?? "valve"), of = (wanted) => items.find((known) => known.name === wanted);
+  const item = of(name) ?? of(chosen[view.of]) ?? of(chosen.valve) ?? items[0];
+  return { view, item, query: new URLSearchParams(query) };
 }
 
 /** Keep in the URL what a view shows, so that a reload, a bookmark and a colleague see the same. */
-function keep(view, valve, query) {
-  const path = `#/${view.key}${view.ofValve && valve ? `/${encodeURIComponent(valve.name)}` : ""}`;
+function keep(view, item, query) {
+  const path = `#/${view.key}${view.of && item ? `/${encodeURIComponent(item.name)}` : ""}`;
   const text = query.toString();
   history.replaceState(null, "", text ? `${path}?${text}` : path);
-  if (view.key === "trend") { chosen.trend = text; sessionStorage.setItem("trend", text); drawNav(view, valve); }
+  if (view.key === "trend") { chosen.trend = text; sessionStorage.setItem("trend", text); drawNav(view); }
 }
 
-const hrefOf = (view, valve) => `#/${view.key}${view.ofValve && valve ? `/${encodeURIComponent(valve.name)}` : ""}${view.key === "trend" && chosen.trend ? `?${chosen.trend}` : ""}`;
+/** A view of the item that was last shown there. */
+function hrefOf(view, item = itemsOf(view.of).find(({ name }) => name === chosen[view.of]) ?? itemsOf(view.of)[0]) {
+  return `#/${view.key}${view.of && item ? `/${encodeURIComponent(item.name)}` : ""}${view.key === "trend" && chosen.trend ? `?${chosen.trend}` : ""}`;
+}
 
 function show() {
-  const { view, valve, query } = place();
-  drawNav(view, valve);
-  const key = `${view.key}/${valve?.name}/${query}/${live.valves.length > 0}`;
+  const { view, item, query } = place();
+  if (item && view.of) chosen[view.of] = item.name;
+  drawNav(view);
+  const key = `${view.key}/${item?.name}/${query}/${hasItems()}`;
   if (key === shown) return;
   shown = key;
   close();
   close = () => {};
   root.replaceChildren();
   root.dataset.view = view.key;
-  mark(root, "stale", live.old !== null && live.valves.length > 0);
-  document.title = valve && view.ofValve ? `${valve.name} · ${view.title} · valvemap` : `${view.title} · valvemap`;
-  if (!live.valves.length) {
+  mark(root, "stale", live.old !== null && hasItems());
+  document.title = item && view.of ? `${item.name} · ${view.title} · valvemap` : `${view.title} · valvemap`;
+  if (!hasItems()) {
     live.watch(null);
     root.append(nothing());
     return;
   }
-  if (valve) chosen.valve = valve.name;
+  const keepQuery = (kept) => { keep(view, item, kept); shown = `${view.key}/${item?.name}/${place().query}/true`; };
+  const common = { live, user, query, keep: keepQuery };
+  document.querySelector(".which").replaceChildren(...(view.of === "valve" && live.valves.length > 1 ? valvePicker(view, item) : []));
+  const tabs = view.of && item ? familyTabs(live, view, item) : null;
+  if (tabs) root.append(tabs);
+  if (view.of === "valve") close = showValve(view, item, common);
+  else {
+    live.watch(view.of ? item.name : null);
+    close = view.draw(root, { ...common, part: item }) ?? (() => {});
+  }
+  if (wanted) { root.querySelector(wanted)?.select(); wanted = ""; }
+}
+
+function showValve(view, valve, common) {
   const estimator = valve.estimators.includes(chosen.estimator) ? chosen.estimator : valve.primary;
   const choose = (name) => {
     chosen.estimator = name;
     if (view.withMap) live.watch(valve.name, name);
   };
-  live.watch(view.ofValve ? valve.name : null, view.withMap ? estimator : null);
-  document.querySelector(".which").replaceChildren(...(view.ofValve && live.valves.length > 1 ? valvePicker(view, valve) : []));
-  const keepQuery = (kept) => { keep(view, valve, kept); shown = `${view.key}/${valve?.name}/${place().query}/true`; };
-  const isChosen = chosen.estimator === estimator;
-  close = view.draw(root, { live, valve, estimator, isChosen, choose, user, query, keep: keepQuery }) ?? (() => {});
-  if (searching) { searching = false; root.querySelector("input[type=search]")?.focus(); }
+  live.watch(valve.name, view.withMap ? estimator : null);
+  return view.draw(root, { ...common, valve, estimator, isChosen: chosen.estimator === estimator, choose }) ?? (() => {});
 }
 
 function nothing() {
@@ -104,10 +133,10 @@ function valvePicker(view, valve) {
   return [input, list];
 }
 
-function drawNav(view, valve) {
+function drawNav(view) {
   const unseen = live.alarms.filter(({ acked }) => !acked).length;
-  nav.replaceChildren(...views().map((known) => h("a", {
-    href: hrefOf(known, valve), "aria-current": known === view ? "page" : null, title: `Key ${known.digit}`, "aria-keyshortcuts": known.digit,
+  nav.replaceChildren(...views().filter(({ isTab }) => !isTab).map((known) => h("a", {
+    href: hrefOf(known), "aria-current": known === view ? "page" : null, title: `Key ${known.digit}`, "aria-keyshortcuts": known.digit,
   }, known.title, known.key === "alarms" && unseen ? h("span.bubble", { "aria-label": `${unseen} not acknowledged` }, String(unseen)) : null)));
 }
 
@@ -115,12 +144,12 @@ function drawLink() {
   const old = live.old, state = old?.state ?? "up";
   mark(link, "link", state);
   say(linkText, { up: "Live", lost: "Service lost", refused: "Refused", page: "Page server lost", connecting: "Connecting …" }[state]);
-  strip.hidden = !old || state === "connecting" || !live.valves.length;
+  strip.hidden = !old || state === "connecting" || !hasItems();
   if (!strip.hidden) {
     const since = old.since ? ` for ${span((Date.now() - old.since) / 1000)}, since ${clock(old.since)}` : "";
     strip.replaceChildren(`${old.why.replace(/\.$/, "")}${since}. What you see is old. ${old.advice}`, h("small", {}, state === "page" ? "" : live.text));
   }
-  if (old && live.valves.length) mark(root, "stale", true);
+  if (old && hasItems()) mark(root, "stale", true);
   else if (wasOld && !old) mark(root, "stale", false);
   if (wasOld !== (old?.state ?? "")) {
     wasOld = old?.state ?? "";
@@ -146,20 +175,22 @@ document.addEventListener("keydown", (event) => {
   if (event.target.matches?.("input:not([type=range]), select, textarea") || document.querySelector("dialog[open]")) return;
   const view = views().find(({ digit }) => digit === event.key);
   if (view) {
-    location.hash = hrefOf(view, place().valve);
+    location.hash = hrefOf(view);
     root.focus();
-  } else if (event.key === "/") {
+  } else if (FIELDS[event.key]) {
+    const [key, field] = FIELDS[event.key], other = views().find((known) => known.key === key), here = root.querySelector(field);
+    if (!here && !other) return;
     event.preventDefault();
-    if (place().view.key === "overview") root.querySelector("input[type=search]")?.focus();
-    else { searching = true; location.hash = "#/overview"; }
+    if (here) here.select();
+    else { wanted = field; location.hash = hrefOf(other); }
   }
 });
 
 addEventListener("hashchange", show);
 live.addEventListener("layout", () => { shown = null; show(); });
-live.addEventListener("link", () => { drawLink(); if (!live.valves.length) { shown = null; show(); } });
+live.addEventListener("link", () => { drawLink(); if (!hasItems()) { shown = null; show(); } });
 user.addEventListener("change", show);
-live.addEventListener("alarms", () => { const { view, valve } = place(); drawNav(view, valve); });
+live.addEventListener("alarms", () => drawNav(place().view));
 addEventListener("units", () => { shown = null; show(); });
 document.addEventListener("click", (event) => {
   const units = document.querySelector(".units");

@@ -100,7 +100,7 @@ export function alarmsView(root, { live, query, keep, user }) {
         causes.length ? [h("dt", {}, "What it may be"), h("dd", {}, h("ul", {}, causes.map((cause) => h("li", {}, cause))))] : [],
         action ? [h("dt", {}, "What to do"), h("dd.action", {}, inUnits(action))] : [],
         alarm.comment || alarm.user ? [h("dt", {}, "Last remark"), h("dd", {}, `${alarm.comment ? `“${alarm.comment}”` : "no comment"}${alarm.user ? `, ${alarm.user}` : ""}`)] : []),
-      isService ? null : h("p.links", {}, h("a.button", { href: `#/trend/${encodeURIComponent(alarm.source)}?${trend}` }, "Trend at that time"),
+      isService ? null : live.part(alarm.source) ? h("p.links", {}, h("a.button", { href: live.hrefOf(alarm.source) }, "Line")) : h("p.links", {}, h("a.button", { href: `#/trend/${encodeURIComponent(alarm.source)}?${trend}` }, "Trend at that time"),
         h("a.button", { href: `#/map/${encodeURIComponent(alarm.source)}?at=${Math.round(alarm.t)}` }, "Place in the map"),
         h("a.button", { href: `#/valve/${encodeURIComponent(alarm.source)}` }, "Valve")),
       h("form.form.remark", { onsubmit: (event) => { event.preventDefault(); act(alarm.acked ? "Comment" : "Acknowledge"); } },

@@ -4,14 +4,15 @@ import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, inUnit, span, spreadInUnit } from "../format.js";
 import { shown } from "../units.js";
 import { guidedRun } from "./guided_run.js";
+import { sheetCard } from "./sheet_card.js";
 
 const REFRESH_MS = 1000;
 const RATE_S = 10; // over which rates are taken: what comes in bursts is counted evenly
 const COUNTERS = {
-  Aligned: "samples whose signals found together", Late: "signals that came too late", Missing: "samples given up: a signal did not come",
-  Duplicates: "signals that came twice", ClockSteps: "jumps of the source's clock", Gaps: "samples lost, by Sequence", LostByTime: "samples lost, by time",
-  BadStatus: "rejected: OPC UA status", NotFinite: "rejected: no finite number", OutOfRange: "rejected: beyond what a sensor can say",
-  Frozen: "rejected: a signal stood still", TooFast: "rejected: a signal changed too fast", Spike: "rejected: spikes", BeyondRange: "not learnt from: U beyond range", TooFastForLag: "not learnt from: too fast for the lags",
+  Aligned: "samples with all signals aligned", Late: "signals too late", Missing: "samples dropped: a signal was missing",
+  Duplicates: "signals received twice", ClockSteps: "jumps of the source's clock", Gaps: "samples lost, by Sequence", LostByTime: "samples lost, by time",
+  BadStatus: "rejected: OPC UA status", NotFinite: "rejected: no finite number", OutOfRange: "rejected: outside the sensor's range",
+  Frozen: "rejected: a signal was frozen", TooFast: "rejected: a signal changed too fast", Spike: "rejected: spikes", BeyondRange: "not learnt from: U beyond range", TooFastForLag: "not learnt from: too fast for the lags",
 };
 const NOT_FOUND = "not found yet"; // what Diagnostics.Timing says first
 const FRESH_S = 600; // an older region wants another visit
@@ -20,7 +21,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
   let selected = estimator, seen = [];
   const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; choose(selected); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
-  const run = guidedRun({ live, valve });
+  const run = guidedRun({ live, valve }), sheet = sheetCard({ live, valve });
   const checks = h("ul.checks"), heat = h("canvas.heat", { role: "img", "aria-label": "Uncertainty over control voltage and pressure drop" });
   const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted"), coming = h("ul.words.coming");
 
@@ -33,13 +34,14 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
           h("span", {}, h("i", { style: { "--c": "#b3261e", height: "9px" } }), "unsure"), h("span", {}, h("i.dot", { style: { "--c": "var(--ink)" } }), "next test point"))),
           heat, heatWords),
         h("section.card", {}, h("header", {}, h("h2", {}, "The next test point")), next),
+        sheet.element,
       ),
       h("div.grid", {},
         run.element,
         h("section.card", {}, h("header", {}, h("h2", {}, "What is missing for a map")), checks),
-        h("section.card", {}, h("header", {}, h("h2", {}, "What becomes of the data"), h("span.fill"), rate, rateWords),
+        h("section.card", {}, h("header", {}, h("h2", {}, "Samples, lost and rejected"), h("span.fill"), rate, rateWords),
           h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Count"), h("th.number", {}, "per s"))), counters),
-          h("p.words", {}, "How the signals come, as found at the start:"), coming),
+          h("p.words", {}, "How the signals arrive, as found at the start:"), coming),
       ),
     ),
   );
@@ -64,6 +66,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     showComing();
     drawHeat(of);
     run.update();
+    sheet.update();
     seen.push({ now, counts, selected });
   }
 
@@ -76,7 +79,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const old = live.old, isStale = live.oldOf(valve.name) !== null;
     mark(root, "stale", isStale);
     const lines = old ? [[false, `${old.why} ${old.advice} Nothing else is known now.`]] : [
-      [live.link === "up" && arriving, arriving ? "Signals arrive and find together." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
+      [live.link === "up" && arriving, arriving ? "Signals arrive and are aligned." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],

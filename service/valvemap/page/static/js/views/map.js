@@ -2,7 +2,10 @@
 
 import { lineChart } from "../charts.js";
 import { css, h, mark, onTheme, say } from "../dom.js";
-import { clock, counted, fixed, INVERSE_STATUS, inUnit, spreadInUnit } from "../format.js";
+import { clock, counted, fixed, inUnit, spreadInUnit } from "../format.js";
+import { inverseCard } from "../inverse_card.js";
+import { slider } from "../slider.js";
+import { approvedCard } from "./approved_card.js";
 import { decimals, inUnits, shown, spreadShown, toShown } from "../units.js";
 
 const COLOURINGS = [
@@ -11,13 +14,11 @@ const COLOURINGS = [
 const EXTRAPOLATING = 6;
 const NEAR_BAR = 10; // points so near to a section are drawn on it
 const AROUND_MS = 3000; // before an alarm, for the place where it arose
-const COMPARE_MS = 10000; // between two comparisons with the approved map
-const ASK_MS = 150; // between two questions while a slider moves
 
 export function mapView(root, { live, valve, estimator, isChosen, choose, user, query }) {
   const closers = [];
-  let colouring = "Q", kept = null, plotted = null, section = 100, redraw = 0, asking = false, asked = 0;
-  let selected = estimator, place = null, comparison = null, old = null;
+  let colouring = "Q", kept = null, plotted = null, section = 100, redraw = 0;
+  let selected = estimator, place = null;
 
   const which = h("select", { "aria-label": "Estimator", onchange: () => { isChosen = true; select(which.value); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
@@ -28,15 +29,16 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   const words = h("p.words");
   const sectionChart = h("div.chart"), sectionWords = h("span.muted");
   const best = h("strong"), reason = h("p"), placeWords = h("p.words");
-  const beforeWords = h("p"), beforeDone = h("p.words", { role: "status" }), show = h("button.quiet", { type: "button", onclick: () => { kept = null; keepButton(); colouring = "change"; schedule(true); } }, "Show both maps"), beforeHint = h("p.words");
-  const approve = h("button", { type: "button", disabled: true, onclick: () => baseline("Approve") }, "Approve this map");
-  const rollBack = h("button.quiet", { type: "button", disabled: true, onclick: () => baseline("RollBack") }, "Keep the approved one");
+  const approved = approvedCard({ live, user, valve, onShow: () => { kept = null; keepButton(); colouring = "change"; schedule(true); } });
   const sectionSlider = slider("Pressure drop", "bar", 0, 200, 1, section, (value) => { section = value; drawSection(); schedule(); });
-  const Q = slider("Flow", "l/min", 0, 200, 0.5, 60, ask), dp = slider("Pressure drop", "bar", 1, 200, 1, 100, ask);
-  const answer = h("span.value", { "aria-live": "off" }, "–"), interval = h("span.muted"), verdict = h("span.badge");
-  const write = h("button", { type: "button", disabled: true, onclick: demand }, "Write as FlowDemand");
-  const written = h("p.words", { role: "status" });
-  const standing = h("p.words");
+  const inverse = inverseCard({
+    live, user, name: valve.name, title: "Which U for which flow?", quantity: "FlowDemand",
+    sliders: [slider("Flow", "l/min", 0, 200, 0.5, 60), slider("Pressure drop", "bar", 1, 200, 1, 100)],
+    ask: ([flow, dp]) => live.invert(valve.name, flow, dp),
+    demand: ([flow, dp]) => ({ demand: valve.name, Q: flow, dp }),
+    words: ([flow, dp]) => `${inUnit(flow, "l/min", 1)} ${shown("l/min")} at ${inUnit(dp, "bar", 0)} ${shown("bar")}`,
+    inForce: () => [live.number("Inverse.FlowDemand"), live.number("Inverse.PressureDrop")],
+  });
 
   root.append(
     h("div.head", {}, h("h1", {}, `${valve.name}: map`), h("span.fill"), h("span.together", {}, h("span.muted", {}, "Colour"), colourings), keep),
@@ -45,16 +47,11 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
       h("div.grid", {},
         h("section.card.best", {}, h("header", {}, h("h2", {}, "Recommended map"), best), reason,
           h("details.diagnostics", {}, h("summary", {}, "Diagnostics: the map of another estimator"), h("label", {}, "Estimator ", which))),
-        h("section.card.inverse", {},
-          h("header", {}, h("h2", {}, "Which U for which flow?")),
-          Q.element, dp.element,
-          h("div.answer", {}, h("span.muted", {}, "U ="), answer, interval, verdict),
-          h("div.answer", { style: { "margin-top": "8px" } }, write), written, standing),
+        inverse.element,
         h("section.card", {},
           h("header", {}, h("h2", {}, "Section at one pressure drop"), h("span.fill"), sectionWords),
           sectionChart, sectionSlider.element),
-        h("section.card.before", {}, h("header", {}, h("h2", {}, "Against the approved map")), beforeWords,
-          h("div.buttons", {}, show, beforeHint, rollBack, approve), beforeDone),
+        approved.element,
       ),
     ),
   );
@@ -70,10 +67,9 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     selected = name;
     which.value = name;
     kept = null;
-    comparison = null;
     choose(selected);
     keepButton();
-    compare();
+    approved.select(selected);
   }
 
   /** The recommended map is shown, unless another one was chosen. */
@@ -82,38 +78,6 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     if (!isChosen && recommended && recommended !== selected && valve.estimators.includes(recommended)) select(recommended);
     say(best, of ? "not known now" : recommended ? (recommended === selected ? recommended : `${recommended} (shown: ${selected})`) : `none yet (shown: ${selected})`);
     say(reason, inUnits(why || "No estimator stands out yet: places must be visited again."));
-  }
-
-  async function compare() {
-    const version = live.get("Baseline.Version")?.value;
-    if (!version || live.old) { comparison = null; showBefore(); return; }
-    const found = await live.compare(valve.name, selected);
-    comparison = found.error ? null : found;
-    showBefore();
-  }
-
-  function showBefore() {
-    const version = live.get("Baseline.Version")?.value, when = live.number("Baseline.Time"), unit = shown("l/min");
-    if (!version) say(beforeWords, "No map is approved yet. Approve one when the valve is new: later maps are compared with it.");
-    else if (!comparison) say(beforeWords, `Approved: version ${version}${when > 0 ? `, ${clock(when)}` : ""}. The comparison is not known.`);
-    else if (!comparison.points) say(beforeWords, `Approved: version ${version}. Both maps rest on measurements at no common point yet.`);
-    else {
-      const since = live.number(`${selected}.ChangeCount`) > 0 ? ` The last abrupt change was at ${clock(live.number(`${selected}.ChangeTime`))}.` : "";
-      say(beforeWords, `Now minus approved (version ${version}${when > 0 ? `, ${clock(when)}` : ""}): ${spreadInUnit(comparison.mean, "l/min", 1)} ${unit} on average; largest ${spreadInUnit(comparison.largest, "l/min", 1)} ${unit} at U ${fixed(comparison.U, 0)} %, Δp ${inUnit(comparison.dp, "bar", 0)} ${shown("bar")}; ${comparison.points} points.${since}`);
-    }
-    show.hidden = !version;
-    const why = live.old ? `${live.old.why} Nothing can be written.` : !user.name ? "To approve a map, log in as an operator." : "";
-    approve.disabled = Boolean(why) || Boolean(live.oldOf(valve.name));
-    rollBack.disabled = Boolean(why) || !version;
-    say(beforeHint, why);
-  }
-
-  async function baseline(what) {
-    const question = what === "Approve" ? "Approve the present maps of all estimators? Later maps are compared with them." : "Go back to the approved map? What all estimators learnt since is dropped.";
-    if (!confirm(question)) return;
-    const problem = await user.command({ baseline: valve.name, do: what });
-    say(beforeDone, problem ?? { Approve: "Approved.", RollBack: "The estimators are as they were when the map was approved." }[what]);
-    compare();
   }
 
   /** Where the valve worked when an alarm arose. */
@@ -227,79 +191,22 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     say(sectionWords, `Δp ${inUnit(section, "bar", 0)} ${shown("bar")} · ${counted(near.length, "point")} within ± ${inUnit(NEAR_BAR, "bar", 0)} ${shown("bar")}`);
   }
 
-  function ask() {
-    clearTimeout(asked);
-    asked = setTimeout(question, ASK_MS);
-  }
-
-  async function question() {
-    if (asking) { ask(); return; }
-    old = live.oldOf(valve.name);
-    showUser();
-    if (live.old) {
-      say(answer, "–"); say(interval, ""); mark(verdict, "severity", 3); say(verdict, `not known: ${live.old.why}`);
-      delete answer.dataset.for; delete answer.dataset.u;
-      return;
-    }
-    asking = true;
-    const wanted = [Q.value, dp.value];
-    const found = await live.invert(valve.name, ...wanted);
-    asking = false;
-    if (found.error) {
-      say(answer, "–"); say(interval, ""); mark(verdict, "severity", 3); say(verdict, found.error);
-    } else {
-      const [known, sentence] = INVERSE_STATUS[found.status] ?? [1, ""], severity = old ? 3 : known;
-      say(answer, `${fixed(found.U ?? NaN, 2)} %`); // as finely as its interval
-      say(interval, found.lower === null ? "" : `95 %: ${fixed(found.lower, 2)} to ${fixed(found.upper, 2)} %`);
-      mark(verdict, "severity", severity);
-      say(verdict, old ? `not of now: ${old.why}` : sentence);
-      mark(answer, "u", found.U ?? "");
-      mark(answer, "for", `${found.Q}@${found.dp}`);
-    }
-    if (wanted[0] !== Q.value || wanted[1] !== dp.value) ask();
-  }
-
-  async function demand() {
-    const [flow, drop] = [Q.value, dp.value];
-    const problem = await user.command({ demand: valve.name, Q: flow, dp: drop });
-    say(written, problem ?? `Written: FlowDemand ${inUnit(flow, "l/min", 1)} ${shown("l/min")} at ${inUnit(drop, "bar", 0)} ${shown("bar")}.`);
-  }
-
-  function showUser() {
-    const of = live.oldOf(valve.name);
-    write.disabled = !user.name || of !== null;
-    write.title = of ? of.why : user.name ? "" : "Log in as an operator of the service first";
-    if (of) say(written, `Nothing can be written: ${of.why}${of.since ? ` Since ${clock(of.since)}.` : ""} ${of.advice}`);
-    else if (!user.name) say(written, "Asking writes nothing. To write FlowDemand, log in as an operator.");
-    else if (!written.textContent.startsWith("Written")) say(written, "");
-    mark(root, "stale", of !== null);
-    showBefore();
-  }
-
   function showStanding() {
-    const U = live.number("Inverse.RequiredU"), flow = live.number("Inverse.FlowDemand"), drop = live.number("Inverse.PressureDrop");
-    say(standing, live.old ? "" : Number.isFinite(flow)
-      ? `In force: FlowDemand ${inUnit(flow, "l/min", 1)} ${shown("l/min")} at ${inUnit(drop, "bar", 0)} ${shown("bar")}, RequiredU ${fixed(U, 1)} %.`
-      : "No FlowDemand is in force.");
+    mark(root, "stale", live.oldOf(valve.name) !== null);
     followRecommended();
   }
 
   const onMatrix = ({ detail }) => { if (detail === `${selected}.SurfaceStatus` || detail === `${selected}.ApprovedStatus` || detail === "Points") schedule(); };
   live.addEventListener("matrix", onMatrix);
   live.addEventListener("values", showStanding);
-  user.addEventListener("change", showUser);
-  live.addEventListener("standing", question);
-  closers.push(() => live.removeEventListener("standing", question));
-  const comparing = setInterval(compare, COMPARE_MS), first = setTimeout(compare, 1500);
-  closers.push(() => clearInterval(comparing), () => clearTimeout(first));
+  live.addEventListener("standing", showStanding);
+  const again = setInterval(showStanding, 1000);
+  closers.push(onTheme(() => schedule(true)), inverse.close, approved.close, () => clearInterval(again), () => live.removeEventListener("standing", showStanding),
+    () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding), () => plotted?.purge(plot));
+  approved.select(selected);
   findPlace();
-  const again = setInterval(ask, 1000); // the map moves on
-  closers.push(onTheme(() => schedule(true)), () => clearInterval(again), () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding),
-    () => user.removeEventListener("change", showUser), () => plotted?.purge(plot));
-  showUser();
   showStanding();
   schedule(true);
-  ask();
   return () => closers.forEach((close) => close());
 }
 
@@ -316,15 +223,6 @@ function plotly() {
     document.head.append(script);
   });
   return loading;
-}
-
-function slider(title, unit, min, max, step, value, onChange) {
-  const id = `s${Math.random().toString(36).slice(2)}`;
-  const output = h("output", { for: id }), input = h("input", { id, type: "range", min, max, step, value });
-  const say_ = () => { say(output, `${inUnit(Number(input.value), unit, step < 1 ? 1 : 0)} ${shown(unit)}`); input.setAttribute("aria-valuetext", output.textContent); };
-  input.addEventListener("input", () => { say_(); onChange(Number(input.value)); });
-  say_();
-  return { element: h("div.slider", {}, h("label", { for: id }, title), input, output), get value() { return Number(input.value); }, set: (to) => { input.value = to; say_(); } };
 }
 
 function interpolate(x, y, at) {

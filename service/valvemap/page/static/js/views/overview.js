@@ -21,7 +21,7 @@ export function overviewView(root, { live }) {
     ["predicted", `Q̂, ${shown("l/min")}`, "92px", ".number"], ["course", "Last 2 min", "120px", ""], ["samples", "Samples", "104px", ".number"],
   ];
   const COLUMNS = columns();
-  const search = h("input", { type: "search", placeholder: "Search valves and reasons  ( / )", "aria-label": "Search", size: 30 });
+  const search = h("input.overview-search", { type: "search", placeholder: "Search valves and reasons  ( / )", "aria-label": "Search", size: 30 });
   const grouping = h("select", { "aria-label": "Group by", onchange: () => { localStorage.setItem("grouping", grouping.value); sort(); } },
     [["", "no groups"], ["health", "by health"], ["part", "by part of the plant"]].map(([value, text]) => h("option", { value, selected: value === (localStorage.getItem("grouping") ?? "") }, text)));
   const counts = h("span.counts"), table = h("tbody"), body = h("div.rows.card", { tabindex: 0, role: "region", "aria-label": "Valves" });
@@ -161,6 +161,12 @@ export function overviewView(root, { live }) {
 
   const sortSoon = soon(sort);
   search.addEventListener("input", sortSoon);
+  search.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter") return;
+    sort();
+    const first = items.find(({ group }) => !group);
+    if (first) location.hash = live.hrefOf(first.name);
+  });
   body.addEventListener("scroll", soon(draw), { passive: true });
   const resize = new ResizeObserver(() => { seen = body.clientHeight; sort(); });
   resize.observe(body);

@@ -1,6 +1,10 @@
 // The virtual rig of a demo: scenarios to run, things to break.
 
 import { h, say } from "../dom.js";
+import { clock, KINDS } from "../format.js";
+import { inUnits } from "../units.js";
+
+const MOST_REPORTS = 12;
 
 const SCENARIOS = [
   ["demo", "what the demo begins with"], ["scattered", "U and Δp jump over the whole range"], ["structured", "U in steps, Δp swept at each"],
@@ -18,7 +22,7 @@ export function rigView(root, { live, valve, user }) {
   const kind = h("select", { name: "kind" }, FAULTS.map(([name, text]) => h("option", { value: name }, text)));
   const size = h("input", { name: "size", type: "number", step: "any", required: true }), unit = h("span.muted");
   const duration = h("input", { name: "duration", type: "number", min: 0, step: "any", value: 10, required: true });
-  const done = h("p.words", { role: "status" }), hint = h("p.muted");
+  const reports = h("ol.events"), done = h("p.words", { role: "status" }), hint = h("p.muted");
   const start = h("button", { type: "button", onclick: () => act({ scenario: scenario.value }, `Scenario ${scenario.value} runs.`) }, "Start");
   const stop = h("button.quiet", { type: "button", onclick: () => act({ scenario: "" }, "The scenario is stopped.") }, "Stop");
   const inject = h("button", { type: "submit" }, "Inject");
@@ -30,11 +34,17 @@ export function rigView(root, { live, valve, user }) {
       h("section.card", {}, h("header", {}, h("h2", {}, `Break something of ${valve.name}`)),
         h("form.form", { onsubmit: (event) => {
           event.preventDefault();
-          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. Alarms shows within seconds what the service makes of it.`);
-        } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject))),
+          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`);
+        } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject)), done),
     ),
-    done,
+    h("section.card.reports", {}, h("header", {}, h("h2", {}, `What the service reports of ${valve.name}`), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), reports),
   );
+
+  function showReports() {
+    const found = live.events.filter((event) => event.valve === valve.name).sort((a, b) => b.t - a.t || b.number - a.number).slice(0, MOST_REPORTS);
+    reports.replaceChildren(...found.map((event) => h("li", {}, h("time.muted", {}, clock(event.t)), h("span", {}, h("span.badge", { "data-severity": event.severity }, KINDS[event.kind] ?? event.kind)), h("span", {}, inUnits(event.text)))));
+    if (!found.length) reports.append(h("li.muted", {}, "Nothing yet."));
+  }
 
   function choose() {
     const [, , of, usual] = FAULTS.find(([name]) => name === kind.value);
@@ -56,6 +66,8 @@ export function rigView(root, { live, valve, user }) {
   user.addEventListener("change", showUser);
   choose();
   showUser();
+  showReports();
   live.addEventListener("standing", showUser);
-  return () => { user.removeEventListener("change", showUser); live.removeEventListener("standing", showUser); };
+  live.addEventListener("events", showReports);
+  return () => { live.removeEventListener("events", showReports); user.removeEventListener("change", showUser); live.removeEventListener("standing", showUser); };
 }

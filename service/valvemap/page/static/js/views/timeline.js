@@ -1,10 +1,9 @@
 // What happened: how valves stood, what changed, what operators did.
 
 import { h } from "../dom.js";
-import { clock, spaced } from "../format.js";
+import { clock, KINDS, spaced } from "../format.js";
 import { inUnits } from "../units.js";
 
-const KINDS = { status: "state", change: "change", alarm: "alarm", action: "action", link: "service" };
 const PAST_MS = 7 * 86400e3;
 
 export function timelineView(root, { live }) {
@@ -15,7 +14,7 @@ export function timelineView(root, { live }) {
 
   function fillValves() {
     const chosen = which.value;
-    which.replaceChildren(h("option", { value: "" }, "all"), ...live.valves.map(({ name }) => h("option", { value: name }, name)));
+    which.replaceChildren(h("option", { value: "" }, "all"), ...[...live.valves, ...live.parts].map(({ name }) => h("option", { value: name }, name)));
     which.value = chosen;
   }
 
@@ -39,7 +38,7 @@ export function timelineView(root, { live }) {
     list.replaceChildren(...shown.map((event) => h("li", { "data-kind": event.kind },
       h("time.muted", { datetime: new Date(event.t).toISOString() }, clock(event.t)),
       h("span", {}, h("span.badge", { "data-severity": event.severity }, KINDS[event.kind] ?? event.kind)),
-      event.valve ? h("a", { href: `#/valve/${encodeURIComponent(event.valve)}` }, event.valve) : h("span.muted", {}, "service"),
+      event.valve ? h("a", { href: live.hrefOf(event.valve) }, event.valve) : h("span.muted", {}, "service"),
       h("span", {}, inUnits(event.text)))));
     if (!shown.length) list.append(h("li.muted", {}, "Nothing has happened since this page began to look."));
   }

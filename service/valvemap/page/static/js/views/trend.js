@@ -1,20 +1,17 @@
 // What the signals of a valve did: from the service's history, live data on top.
 
 import { timeChart } from "../charts.js";
-import { css, h, mark, onTheme, pen, say } from "../dom.js";
-import { clock, counted, fixed, NAN, SIGNALS, span as spanText, spaced } from "../format.js";
-import { activeSpans, merged } from "../intervals.js";
+import { h, mark, onTheme, say } from "../dom.js";
+import { clock, fixed, KINDS, NAN, span as spanText, spaced } from "../format.js";
+import { merged } from "../intervals.js";
 import { bounded, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
-import { decimals, inUnits, shown, spreadShown, toShown } from "../units.js";
+import { trendLanes } from "../trend_lanes.js";
+import { addNewest, emptyRows, joined, tabled } from "../trend_rows.js";
+import { decimals, inUnits, shown } from "../units.js";
 
 const REFRESH_MS = 30000; // what is live is read again so often, from the history
 const ASK_MS = 120; // between two reads while zooming
-const GAP_STEPS = 3, GAP_MS = 3000; // no line is drawn over a longer silence
-const LANE = 18; // px
-const MOST_LANES = 4;
 const BEFORE = [[0, "nothing"], [3600e3, "an hour before"], [86400e3, "a day before"], [7 * 86400e3, "a week before"]];
-const KINDS = { link: "service", status: "state" };
-const SEVERITY = ["--good", "--note", "--warning", "--alarm"];
 
 export function trendView(root, { live, valve, query, keep }) {
   const closers = [], state = readSpan(query), estimator = live.get("Recommended")?.value || valve.primary;
@@ -25,7 +22,7 @@ export function trendView(root, { live, valve, query, keep }) {
     ["Signals.p1", "p₁", "bar", "--line-1"], ["Signals.p2", "p₂", "bar", "--line-2"], ["Signals.dp", "Δp", "bar", "--line-3"],
   ];
   const names = SERIES.map(([name]) => name);
-  let rows = empty(), others = null, changes = [], reading = 0, timer = 0, readAt = 0, failed = "", source = null, hover = null;
+  let rows = emptyRows(SERIES, state.span), others = null, changes = [], reading = 0, timer = 0, readAt = 0, failed = "", source = null, hover = null;
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
@@ -35,7 +32,7 @@ export function trendView(root, { live, valve, query, keep }) {
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name }) => name !== valve.name).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
-  const lanes = h("canvas.lanes", { role: "img", "aria-label": "Alarms over time" });
+  const lanes = trendLanes({ live, valve, span: () => [from(), to()], changes: () => changes, silences: () => rows.silences });
   const charts = [["Flow", [0, 1]], ["Residual Q − Q̂", [2]], ["Control voltage and oil temperature", [4, 5]], ["Pressures", [6, 7, 8]]];
   const bodies = charts.map(() => h("div.chart.fit"));
   const readout = h("tbody"), when = h("h2"), list = h("ol.marks");
@@ -44,7 +41,7 @@ export function trendView(root, { live, valve, query, keep }) {
     h("div.head", {}, title, badge, note, h("span.fill"), h("label", {}, "Compare ", live.valves.length > 1 ? otherValve : null, before)),
     h("div.head", {}, spans, moves),
     h("div.trend-grid", {},
-      h("section.card.stack", { "aria-label": "Charts" }, lanes, charts.map(([name, of], k) => h("div.lane", {}, h("header", {}, h("h2", {}, name), h("span.fill"), legend(of)), bodies[k]))),
+      h("section.card.stack", { "aria-label": "Charts" }, lanes.canvas, charts.map(([name, of], k) => h("div.lane", {}, h("header", {}, h("h2", {}, name), h("span.fill"), legend(of)), bodies[k]))),
       h("div.side", {},
         h("section.card", {}, h("header", {}, when), h("table.readout", {}, h("thead", {}, h("tr", {}, h("th", {}, "Signal"), h("th.number", {}, "Value"), h("th.number", {}, "Least"), h("th.number", {}, "Largest"))), readout)),
         h("section.card.grow", {}, h("header", {}, h("h2", {}, "What happened in this span")), list)),
@@ -60,7 +57,7 @@ export function trendView(root, { live, valve, query, keep }) {
   const to = () => state.end ?? Date.now(), from = () => to() - state.span;
   const cursor = { sync: { key: `trend-${valve.name}` }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => null } };
   const hooks = {
-    drawClear: [drawBands], draw: [drawMarks],
+    drawClear: [lanes.shade], draw: [lanes.mark],
     setCursor: [(chart) => { const t = chart.cursor.left >= 0 ? chart.posToVal(chart.cursor.left, "x") : null; if (t !== hover) { hover = t; showReadout(); } }],
     setSelect: [(chart) => {
       if (chart.select.width < 5) return;
@@ -70,12 +67,12 @@ export function trendView(root, { live, valve, query, keep }) {
     }],
   };
   const plain = (label, colour, more = {}) => ({ label, colour, ...more });
-  const spread = (label, colour, more = {}) => [plain(`${label} largest`, colour, { width: 0, ...more }), plain(`${label} least`, colour, { width: 0, ...more }), plain(label, colour, more)];
+  const spread = (label, colour, more = {}) => [plain(`${label} largest`, colour, { ...more, width: 0 }), plain(`${label} least`, colour, { ...more, width: 0 }), plain(label, colour, more)];
   const compare = (more = {}) => plain("compared", "--line-5", { width: 1.25, dash: [4, 4], ...more });
   const options = (unit, more = {}) => ({ unit, cursor, hooks, span: range, ...more });
   const drawn = [
     timeChart(bodies[0], null, [...spread("Q", "--measured", { width: 1.25 }), plain("Q̂ upper", "--line-1", { width: 0 }), plain("Q̂ lower", "--line-1", { width: 0 }), plain("Q̂", "--line-1"), compare()],
-      options(`Q in ${shown("l/min")}`, { hooks: { ...hooks, draw: [drawMarks, () => drawLanes()] }, bands: [[1, 2, "--measured", "30"], [4, 5, "--line-1"]], right: 64 })),
+      options(`Q in ${shown("l/min")}`, { hooks: { ...hooks, draw: [lanes.mark, lanes.draw] }, bands: [[1, 2, "--measured", "30"], [4, 5, "--line-1"]], right: 64 })),
     timeChart(bodies[1], null, [...spread("residual", "--line-1"), plain("+2σ", "--line-6", { width: 0 }), plain("−2σ", "--line-6", { width: 0 }), compare()],
       options(shown("l/min"), { bands: [[1, 2, "--line-1", "40"], [4, 5, "--line-6"]], right: 64 })),
     timeChart(bodies[2], null, [...spread("U", "--line-1"), plain("T", "--line-2", { scale: "second" }), compare()], options("U in %", { unit2: `T in ${shown("°C")}`, bands: [[1, 2, "--line-1", "40"]] })),
@@ -109,59 +106,22 @@ export function trendView(root, { live, valve, query, keep }) {
     mark(root, "reading", false);
     readAt = performance.now();
     failed = found.error ?? "";
-    if (!found.error) { rows = tabled(found); source = { kept: found.kept, since: found.since }; }
-    others = other && !other.error ? tabled(other, otherAt) : null;
+    if (!found.error) { rows = tabled(SERIES, found); source = { kept: found.kept, since: found.since }; }
+    others = other && !other.error ? tabled(SERIES, other, otherAt) : null;
     if (past.past) changes = past.past;
     draw();
   }
 
-  /** The newest values, in intervals like those read. */
+  /** The newest values, in intervals like those read; the first one that comes may be from before this view. */
   function addLive() {
     if (state.end !== null || live.oldOf(valve.name)) return;
-    const t = Date.now(), step = rows.step;
-    const values = SERIES.map(([name, , unit, , isSpread]) => {
-      let value = live.number(name);
-      if (name === "Signals.Q" && Number.isNaN(value)) value = live.number(`${estimator}.PredictedFlow`) + live.number(`${estimator}.Residual`);
-      return isSpread ? spreadShown(value, unit) : toShown(value, unit);
-    });
     const at = live.get(`${estimator}.PredictedFlow`)?.t || live.get("Signals.U")?.t || 0;
-    if (!at || at <= rows.newest || Math.abs(t - at) > 3600e3 || !values.some(Number.isFinite)) return;
-    rows.newest = at;
-    const place = (Math.floor(at / step) * step + step / 2) / 1000, last = rows.t.length - 1;
-    if (rows.t[last] > place) return;
-    if (rows.t[last] !== place) {
-      rows.t.push(place);
-      rows.count = 0;
-      rows.of.forEach((columns) => columns.forEach((column) => column.push(null)));
-    }
-    rows.count = (rows.count ?? 1) + 1;
-    const k = rows.t.length - 1;
-    values.forEach((value, c) => {
-      if (!Number.isFinite(value)) return;
-      const [mean, least, largest] = rows.of[c];
-      mean[k] = mean[k] === null ? value : mean[k] + (value - mean[k]) / rows.count;
-      least[k] = least[k] === null ? value : Math.min(least[k], value);
-      largest[k] = largest[k] === null ? value : Math.max(largest[k], value);
+    if (!rows.newest) { rows.newest = at; return; }
+    const values = names.map((name) => {
+      const value = live.number(name);
+      return name === "Signals.Q" && Number.isNaN(value) ? live.number(`${estimator}.PredictedFlow`) + live.number(`${estimator}.Residual`) : value;
     });
-  }
-
-  function empty() { return { t: [], of: SERIES.map(() => [[], [], []]), step: stepOf(state.span), newest: 0, count: 0 }; }
-
-  /** Intervals without any value are left out; a long silence is a gap. */
-  function tabled(found, shift = 0) {
-    const made = { ...empty(), step: found.step }, n = found.courses[0]?.[0].length ?? 0, gap = Math.max(GAP_STEPS * found.step, GAP_MS) / 1000;
-    for (let k = 0; k < n; k++) {
-      if (!found.courses.some(([mean]) => Number.isFinite(mean[k]))) continue;
-      const t = (found.start + shift + (k + 0.5) * found.step) / 1000, last = made.t.at(-1);
-      if (last !== undefined && t - last > gap) { made.t.push((last + t) / 2); made.of.forEach((columns) => columns.forEach((column) => column.push(null))); }
-      made.t.push(t);
-      found.courses.forEach((course, c) => {
-        const [, , unit, , isSpread] = SERIES[c];
-        course.forEach((of, j) => made.of[c][j].push(Number.isFinite(of[k]) ? (isSpread ? spreadShown(of[k], unit) : toShown(of[k], unit)) : null));
-      });
-    }
-    made.newest = (made.t.at(-1) ?? 0) * 1000 + found.step / 2 - shift;
-    return made;
+    addNewest(rows, SERIES, values, at);
   }
 
   const wide = (c) => [rows.of[c][2], rows.of[c][1], rows.of[c][0]];
@@ -185,68 +145,6 @@ export function trendView(root, { live, valve, query, keep }) {
     showMarks();
   }
 
-  /** Spans of alarms of this valve and of the service. */
-  function active() {
-    return activeSpans(merged(changes, live.alarms)).filter(({ source: of, from: a, to: b }) => (of === valve.name || of === "Service") && a < to() && (b ?? Infinity) > from());
-  }
-
-  const xOf = (chart, ms) => Math.min(Math.max(chart.valToPos(ms / 1000, "x", true), chart.bbox.left), chart.bbox.left + chart.bbox.width);
-
-  function drawBands(chart) {
-    if (!chart.data[0].length && state.span === 0) return;
-    const { ctx } = chart;
-    ctx.save();
-    for (const { from: a, to: b, severity, source: of } of active()) {
-      if (of === "Service") continue; // its lane shows it
-      ctx.fillStyle = `${css(SEVERITY[severity])}1c`;
-      const [left, right] = [xOf(chart, a), xOf(chart, b ?? to())];
-      ctx.fillRect(left, chart.bbox.top, Math.max(right - left, 1), chart.bbox.height);
-    }
-    ctx.restore();
-  }
-
-  function marksInView() {
-    return live.events.filter(({ t, valve: of, kind }) => t >= from() && t <= to() && (of === valve.name || !of) && kind !== "alarm");
-  }
-
-  function drawMarks(chart) {
-    const { ctx } = chart;
-    ctx.save();
-    ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
-    for (const { t, severity } of marksInView()) {
-      ctx.strokeStyle = css(SEVERITY[severity]);
-      ctx.beginPath();
-      ctx.moveTo(xOf(chart, t), chart.bbox.top);
-      ctx.lineTo(xOf(chart, t), chart.bbox.top + chart.bbox.height);
-      ctx.stroke();
-    }
-    ctx.restore();
-  }
-
-  /** A lane for each alarm: how long it was active. */
-  function drawLanes() {
-    const found = active(), kinds = [...new Set(found.map(({ source: of, name }) => `${of === "Service" ? "Service " : ""}${name}`))].slice(0, MOST_LANES);
-    lanes.hidden = !kinds.length;
-    if (!kinds.length) return;
-    lanes.style.height = `${kinds.length * LANE}px`;
-    const { context } = pen(lanes), { bbox } = drawn[0].chart, [left, width] = [bbox.left, bbox.width].map((x) => x / devicePixelRatio);
-    context.font = "11px system-ui, sans-serif";
-    context.textBaseline = "middle";
-    for (const { from: a, to: b, severity, source: of, name } of found) {
-      const lane = kinds.indexOf(`${of === "Service" ? "Service " : ""}${name}`);
-      if (lane < 0) continue;
-      const x = (ms) => left + width * Math.min(Math.max((ms - from()) / state.span, 0), 1);
-      context.fillStyle = css(SEVERITY[severity]);
-      context.fillRect(x(a), lane * LANE + 3, Math.max(x(b ?? to()) - x(a), 2), LANE - 6);
-    }
-    context.fillStyle = css("--ink");
-    kinds.forEach((kind, k) => {
-      const text = spaced(kind), wide_ = context.measureText(text).width;
-      context.fillStyle = css("--card"); context.fillRect(left - 1, k * LANE + 2, wide_ + 12, LANE - 4);
-      context.fillStyle = css("--ink"); context.fillText(text, left + 6, (k + 0.5) * LANE);
-    });
-  }
-
   function showReadout() {
     const at = hover ?? null;
     let k = rows.t.length - 1;
@@ -268,7 +166,7 @@ export function trendView(root, { live, valve, query, keep }) {
     const old = live.oldOf(valve.name), step = rows.step / 1000;
     mark(badge, "severity", old ? 3 : state.end === null ? 0 : 1);
     say(badge, old ? "not live" : state.end === null ? "live" : "past");
-    const read = source?.kept === false
+    const read = !source ? "Reading the service's history …" : source.kept === false
       ? `The service keeps no history ([history] in its configuration). Shown is what this page has seen${source.since ? ` since ${clock(source.since)}` : ""}.`
       : `${clock(from())} to ${clock(to())}. Mean, least and largest of ${step < 1 ? `${rows.step} ms` : spanText(step)} each, from the service's history.`;
     say(note, failed ? `Not read: ${failed}` : old ? `${old.why} ${old.since ? `Since ${clock(old.since)}.` : ""} ${old.advice}` : read);
@@ -276,8 +174,8 @@ export function trendView(root, { live, valve, query, keep }) {
 
   function showMarks() {
     const found = [
-      ...active().map(({ from: a, to: b, severity, name, text, source: of, raised }) => ({ t: a, severity, head: `${of === "Service" ? "Service: " : ""}${spaced(name)}`, text: `${b === null ? "active" : a > 0 ? `${spanText((b - a) / 1000)} long` : `until ${clock(b)}`}. ${text.split(" It may be: ")[0]}`, href: `#/alarms?alarm=${encodeURIComponent(`${of}/${raised.name}`)}` })),
-      ...marksInView().map(({ t, severity, text, kind }) => ({ t, severity, head: KINDS[kind] ?? kind, text })),
+      ...lanes.active().map(({ from: a, to: b, severity, name, text, source: of, raised }) => ({ t: a, severity, head: `${of === "Service" ? "Service: " : ""}${spaced(name)}`, text: `${b === null ? "active" : a > 0 ? `${spanText((b - a) / 1000)} long` : `until ${clock(b)}`}. ${text.split(" It may be: ")[0]}`, href: `#/alarms?alarm=${encodeURIComponent(`${of}/${raised.name}`)}` })),
+      ...lanes.marks().map(({ t, severity, text, kind }) => ({ t, severity, head: KINDS[kind] ?? kind, text })),
     ].sort((a, b) => b.t - a.t).slice(0, 60);
     const key = JSON.stringify(found);
     if (list.dataset.key === key) return;
@@ -318,12 +216,4 @@ export function trendView(root, { live, valve, query, keep }) {
   draw();
   read();
   return () => closers.forEach((close) => close());
-}
-
-/** Columns over the common times of two tables. */
-function joined(t, columns, otherT, other) {
-  if (!otherT?.length) return [t, ...columns, t.map(() => null)];
-  const times = [...new Set([...t, ...otherT])].sort((a, b) => a - b);
-  const place = new Map(t.map((at, k) => [at, k])), otherPlace = new Map(otherT.map((at, k) => [at, k]));
-  return [times, ...columns.map((column) => times.map((at) => (place.has(at) ? column[place.get(at)] : undefined))), times.map((at) => (otherPlace.has(at) ? other[otherPlace.get(at)] : undefined))];
 }

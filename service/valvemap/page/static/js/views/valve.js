@@ -2,7 +2,7 @@
 
 import { History, SECOND_AXIS, timeChart } from "../charts.js";
 import { css, h, lineVariable, mark, onTheme, paced, pen, say } from "../dom.js";
-import { clock, count, fixed, inUnit, REASONS, short, SIGNALS, span, spreadInUnit, STATUS } from "../format.js";
+import { ADAPTATION, clock, count, fixed, inUnit, REASONS, short, SIGNALS, span, spreadInUnit, STATUS } from "../format.js";
 import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
 import { decimals as decimalsOf, inUnits, shown as shownUnit, spreadShown, toShown } from "../units.js";
 
@@ -254,7 +254,7 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
       lines.push(["Lag", `${Number.isFinite(lagU) ? `U ${fixed(1000 * lagU, 0)} ms` : "U unknown"}, ${Number.isFinite(lagQ) ? `Q ${fixed(1000 * lagQ, 0)} ms` : "Q unknown"}`]);
     }
     const adaptation = of("Adaptation");
-    if (Number.isFinite(adaptation)) lines.push(["Adaptation", ["steady", "undecided: misfit or drift, a place must be seen again", "misfit: the structure cannot follow", "drift: the valve moves, the map follows", "U reacts to the noise of Q: the map is biased"][adaptation]]);
+    if (ADAPTATION[adaptation]) lines.push(["Adaptation", ADAPTATION[adaptation].join(": ")]);
     const structure = live.get(`${selected}.Structure`)?.value;
     if (structure) lines.push(["Structure", structure]);
     const share = of("CoverageShare");

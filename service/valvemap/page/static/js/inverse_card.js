@@ -1,0 +1,90 @@
+// Which U for which flow or speed: the service is asked, and an operator may write the demand.
+
+import { h, mark, say } from "./dom.js";
+import { clock, fixed, INVERSE_STATUS } from "./format.js";
+
+const ASK_MS = 150; // between two questions while a slider moves
+const AGAIN_MS = 1000; // the map moves on
+
+/**
+ * `ask(values)` answers {U, lower, upper, status} or {error}; `demand(values)` is the command that writes, `withdraw` (optional)
+ * the one that ends it; `words(values)` says the demand; `inForce()` are the values of the demand in force, NaN without one.
+ */
+export function inverseCard({ live, user, name, title, quantity, sliders, ask, demand, withdraw = null, words, inForce, beside = [], verdicts = INVERSE_STATUS }) {
+  const answer = h("span.value", { "aria-live": "off" }, "–"), interval = h("span.muted"), verdict = h("span.badge");
+  const write = h("button", { type: "button", disabled: true, onclick: () => act(demand(values()), `Written: ${quantity} ${words(values())}.`) }, `Write as ${quantity}`);
+  const end = withdraw ? h("button.quiet", { type: "button", disabled: true, onclick: () => act(withdraw, `${quantity} is withdrawn.`) }, "Withdraw") : null;
+  const written = h("p.words", { role: "status" }), standing = h("p.words");
+  const element = h("section.card.inverse", {}, h("header", {}, h("h2", {}, title)), sliders.map((one) => one.element), beside,
+    h("div.answer", {}, h("span.muted", {}, "U ="), answer, interval, verdict), h("div.answer.writes", {}, write, end), written, standing);
+  let isAsking = false, timer = 0;
+
+  const values = () => sliders.map((one) => one.value);
+
+  function soon() {
+    clearTimeout(timer);
+    timer = setTimeout(question, ASK_MS);
+  }
+
+  function unknown(text) {
+    say(answer, "–");
+    say(interval, "");
+    mark(verdict, "severity", 3);
+    say(verdict, text);
+    delete answer.dataset.for;
+    delete answer.dataset.u;
+  }
+
+  async function question() {
+    show();
+    if (live.old) { unknown(`not known: ${live.old.why}`); return; }
+    if (isAsking) { soon(); return; }
+    isAsking = true;
+    const wanted = values(), found = await ask(wanted), old = live.oldOf(name);
+    isAsking = false;
+    if (found.error) unknown(found.error);
+    else {
+      const [severity, sentence] = verdicts[found.status] ?? [1, ""];
+      say(answer, `${fixed(found.U ?? NaN, 2)} %`); // as finely as its interval
+      say(interval, found.lower === null ? "" : `95 %: ${fixed(found.lower, 2)} to ${fixed(found.upper, 2)} %`);
+      mark(verdict, "severity", old ? 3 : severity);
+      say(verdict, old ? `not of now: ${old.why}` : sentence);
+      mark(answer, "u", found.U ?? "");
+      mark(answer, "for", wanted.join("@"));
+    }
+    if (wanted.some((value, k) => value !== sliders[k].value)) soon();
+  }
+
+  async function act(command, done) {
+    say(written, (await user.command(command)) ?? done);
+  }
+
+  function show() {
+    const old = live.oldOf(name);
+    for (const button of [write, end]) if (button) button.disabled = !user.name || old !== null;
+    write.title = old ? old.why : user.name ? "" : "Log in as an operator of the service first";
+    if (old) say(written, `Nothing can be written: ${old.why}${old.since ? ` Since ${clock(old.since)}.` : ""} ${old.advice}`);
+    else if (!user.name) say(written, `Asking writes nothing. To write ${quantity}, log in as an operator.`);
+    else if (!/Written|withdrawn/.test(written.textContent)) say(written, "");
+    const demanded = inForce();
+    say(standing, live.old ? "" : Number.isFinite(demanded[0]) ? `In force: ${quantity} ${words(demanded)}, RequiredU ${fixed(live.number("Inverse.RequiredU"), 1)} %.` : `No ${quantity} is in force.`);
+  }
+
+  for (const input of sliders.flatMap((one) => one.inputs)) input.addEventListener("input", soon);
+  const again = setInterval(soon, AGAIN_MS);
+  live.addEventListener("standing", question);
+  live.addEventListener("values", show);
+  user.addEventListener("change", show);
+  show();
+  soon();
+  return {
+    element,
+    close: () => {
+      clearInterval(again);
+      clearTimeout(timer);
+      live.removeEventListener("standing", question);
+      live.removeEventListener("values", show);
+      user.removeEventListener("change", show);
+    },
+  };
+}

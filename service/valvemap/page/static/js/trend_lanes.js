@@ -1,0 +1,101 @@
+// Over a trend: the valve's state and its alarms as lanes, alarms as shaded spans, other events as marks.
+
+import { css, h, pen } from "./dom.js";
+import { REASONS, spaced } from "./format.js";
+import { activeSpans, merged, stateSpans } from "./intervals.js";
+
+const LANE = 18; // px
+const MOST_LANES = 4; // of alarms
+const INSET = 6; // px before the name of a lane
+const SEVERITY = ["--good", "--note", "--warning", "--alarm"];
+const FONT = "11px system-ui, sans-serif";
+const SILENT = "no samples";
+
+/** `span()` is [from, to] in ms; `changes()` are the changes of alarms, `silences()` the [from, to] without samples. */
+export function trendLanes({ live, valve, span, changes, silences }) {
+  const canvas = h("canvas.lanes", { role: "img", "aria-label": "State of the valve and alarms over time" });
+
+  /** Spans of alarms of this valve and of the service. */
+  function active() {
+    const [from, to] = span();
+    return activeSpans(merged(changes(), live.alarms)).filter(({ source, from: a, to: b }) => (source === valve.name || source === "Service") && a < to && (b ?? Infinity) > from);
+  }
+
+  /** Events that are not alarms. */
+  function marks() {
+    const [from, to] = span();
+    return live.events.filter(({ t, valve: of, kind }) => t >= from && t <= to && (of === valve.name || !of) && kind !== "alarm");
+  }
+
+  /** Spans of the valve's state, with its label; silences over them. */
+  function states() {
+    const row = live.rows.get(live.valves.findIndex(({ name }) => name === valve.name)), isOld = live.oldOf(valve.name) !== null;
+    const present = row ? { since: row.since, severity: row.severity, text: REASONS[row.reason][1] } : null;
+    const label = (text) => REASONS.find(([, sentence]) => sentence === text)?.[0] ?? text;
+    const known = stateSpans(live.events, valve.name, present).map((one) => ({ ...one, to: one.to ?? (isOld && live.old ? live.old.since : null), label: label(one.text) }));
+    return [...known, ...silences().map(([from, to]) => ({ from, to, severity: 3, label: SILENT }))];
+  }
+
+  const xOf = (chart, ms) => Math.min(Math.max(chart.valToPos(ms / 1000, "x", true), chart.bbox.left), chart.bbox.left + chart.bbox.width);
+
+  function shade(chart) {
+    const { ctx } = chart, [, to] = span();
+    ctx.save();
+    for (const { from: a, to: b, severity, source } of active()) {
+      if (source === "Service") continue; // its lane shows it
+      ctx.fillStyle = `${css(SEVERITY[severity])}1c`;
+      const [left, right] = [xOf(chart, a), xOf(chart, b ?? to)];
+      ctx.fillRect(left, chart.bbox.top, Math.max(right - left, 1), chart.bbox.height);
+    }
+    ctx.restore();
+  }
+
+  function mark(chart) {
+    const { ctx } = chart;
+    ctx.save();
+    ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
+    for (const { t, severity } of marks()) {
+      ctx.strokeStyle = css(SEVERITY[severity]);
+      ctx.beginPath();
+      ctx.moveTo(xOf(chart, t), chart.bbox.top);
+      ctx.lineTo(xOf(chart, t), chart.bbox.top + chart.bbox.height);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  /** A lane for the state, and one for each alarm: how long it was active. */
+  function draw(chart) {
+    const found = active(), laneOf = ({ source, name }) => `${source === "Service" ? "Service " : ""}${name}`;
+    const kinds = [...new Set(found.map(laneOf))].slice(0, MOST_LANES), [from, to] = span();
+    canvas.style.height = `${(kinds.length + 1) * LANE}px`;
+    const { context } = pen(canvas), [left, width] = [chart.bbox.left, chart.bbox.width].map((x) => x / devicePixelRatio);
+    context.font = FONT;
+    context.textBaseline = "middle";
+    const x = (ms) => left + width * Math.min(Math.max((ms - from) / (to - from), 0), 1);
+    const bar = (lane, a, b, colour) => { context.fillStyle = colour; context.fillRect(x(a), lane * LANE + 2, Math.max(x(b) - x(a), 2), LANE - 4); };
+    const isSeen = (a, b) => b > from && a < to;
+    for (const one of states()) {
+      const end = one.to ?? to;
+      if (!isSeen(one.from, end)) continue;
+      bar(0, one.from, end, css(one.severity ? SEVERITY[one.severity] : "--good-ground"));
+      if (x(end) - x(one.from) < context.measureText(one.label).width + 2 * INSET) continue;
+      context.fillStyle = css(one.severity ? "--card" : "--good");
+      context.fillText(one.label, x(one.from) + INSET, LANE / 2);
+    }
+    for (const one of found) if (kinds.includes(laneOf(one))) bar(kinds.indexOf(laneOf(one)) + 1, one.from, one.to ?? to, css(SEVERITY[one.severity]));
+    ["State", ...kinds.map(spaced)].forEach((name, k) => {
+      context.textAlign = "right";
+      context.fillStyle = css("--soft");
+      if (k === 0) context.fillText(name, left - INSET, LANE / 2);
+      context.textAlign = "left";
+      if (k === 0) return;
+      context.fillStyle = css("--card");
+      context.fillRect(left - 1, k * LANE + 2, context.measureText(name).width + 2 * INSET, LANE - 4);
+      context.fillStyle = css("--ink");
+      context.fillText(name, left + INSET, (k + 0.5) * LANE);
+    });
+  }
+
+  return { canvas, active, marks, states, shade, mark, draw };
+}

@@ -1,0 +1,60 @@
+// Intervals of a trend as columns of a chart: read from the history, continued with live values. Pure.
+
+import { stepOf } from "./spans.js";
+import { spreadShown, toShown } from "./units.js";
+
+const GAP_STEPS = 3, GAP_MS = 3000; // no line is drawn over a longer silence
+const LATEST_MS = 3600e3; // a live value of another time is not of this trend
+
+const shownOf = (value, [, , unit, , isSpread]) => (isSpread ? spreadShown(value, unit) : toShown(value, unit));
+
+/** No intervals yet, of `series` [name, caption, unit, colour, spread]. */
+export const emptyRows = (series, span) => ({ t: [], of: series.map(() => [[], [], []]), step: stepOf(span), newest: 0, count: 0, silences: [] });
+
+/** What was read: intervals without any value are left out; a long silence is a gap, and kept as [from, to] in ms. */
+export function tabled(series, found, shift = 0) {
+  const made = { ...emptyRows(series, 0), step: found.step }, n = found.courses[0]?.[0].length ?? 0, gap = Math.max(GAP_STEPS * found.step, GAP_MS) / 1000;
+  for (let k = 0; k < n; k++) {
+    if (!found.courses.some(([mean]) => Number.isFinite(mean[k]))) continue;
+    const t = (found.start + shift + (k + 0.5) * found.step) / 1000, last = made.t.at(-1);
+    if (last !== undefined && t - last > gap) {
+      made.silences.push([1000 * last + found.step / 2, 1000 * t - found.step / 2]);
+      made.t.push((last + t) / 2);
+      made.of.forEach((columns) => columns.forEach((column) => column.push(null)));
+    }
+    made.t.push(t);
+    found.courses.forEach((course, c) => course.forEach((of, j) => made.of[c][j].push(Number.isFinite(of[k]) ? shownOf(of[k], series[c]) : null)));
+  }
+  made.newest = (made.t.at(-1) ?? 0) * 1000 + found.step / 2 - shift;
+  return made;
+}
+
+/** Add the newest values (in the service's units), of time `at` in ms. */
+export function addNewest(rows, series, values, at) {
+  if (!at || at <= rows.newest || Math.abs(Date.now() - at) > LATEST_MS || !values.some(Number.isFinite)) return;
+  rows.newest = at;
+  const place = (Math.floor(Date.now() / rows.step) * rows.step + rows.step / 2) / 1000, last = rows.t.length - 1;
+  if (rows.t[last] > place) return;
+  if (rows.t[last] !== place) {
+    rows.t.push(place);
+    rows.count = 0;
+    rows.of.forEach((columns) => columns.forEach((column) => column.push(null)));
+  }
+  rows.count = (rows.count ?? 1) + 1;
+  const k = rows.t.length - 1;
+  values.forEach((of, c) => {
+    if (!Number.isFinite(of)) return;
+    const value = shownOf(of, series[c]), [mean, least, largest] = rows.of[c];
+    mean[k] = mean[k] === null ? value : mean[k] + (value - mean[k]) / rows.count;
+    least[k] = least[k] === null ? value : Math.min(least[k], value);
+    largest[k] = largest[k] === null ? value : Math.max(largest[k], value);
+  });
+}
+
+/** Columns over the common times of two tables. */
+export function joined(t, columns, otherT, other) {
+  if (!otherT?.length) return [t, ...columns, t.map(() => null)];
+  const times = [...new Set([...t, ...otherT])].sort((a, b) => a - b);
+  const place = new Map(t.map((at, k) => [at, k])), otherPlace = new Map(otherT.map((at, k) => [at, k]));
+  return [times, ...columns.map((column) => times.map((at) => (place.has(at) ? column[place.get(at)] : undefined))), times.map((at) => (otherPlace.has(at) ? other[otherPlace.get(at)] : undefined))];
+}

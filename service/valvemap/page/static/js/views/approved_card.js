@@ -1,0 +1,66 @@
+// The present map against the approved one: approve it, or go back.
+
+import { h, say } from "../dom.js";
+import { clock, fixed, inUnit, spreadInUnit } from "../format.js";
+import { shown } from "../units.js";
+
+const COMPARE_MS = 10000; // between two comparisons
+const FIRST_MS = 1500; // the version is read by then
+
+/** The card; `onShow` draws both maps. */
+export function approvedCard({ live, user, valve, onShow }) {
+  let selected = valve.primary, comparison = null;
+  const words = h("p"), done = h("p.words", { role: "status" }), hint = h("p.words");
+  const both = h("button.quiet", { type: "button", onclick: onShow }, "Show both maps");
+  const approve = h("button", { type: "button", disabled: true, onclick: () => act("Approve") }, "Approve this map");
+  const rollBack = h("button.quiet", { type: "button", disabled: true, onclick: () => act("RollBack") }, "Keep the approved one");
+  const element = h("section.card.before", {}, h("header", {}, h("h2", {}, "Against the approved map")), words, h("div.buttons", {}, both, hint, rollBack, approve), done);
+
+  async function compare() {
+    const of = selected, found = live.get("Baseline.Version")?.value && !live.old ? await live.compare(valve.name, of) : { error: "" };
+    if (of !== selected) return;
+    comparison = found.error === undefined ? found : null;
+    show();
+  }
+
+  function show() {
+    const version = live.get("Baseline.Version")?.value, when = live.number("Baseline.Time"), unit = shown("l/min"), old = live.oldOf(valve.name);
+    const name = `version ${version}${when > 0 ? `, ${clock(when)}` : ""}`;
+    if (live.old) say(words, `Not known: ${live.old.why}`);
+    else if (!version) say(words, "No map is approved yet. Approve one when the valve is new: later maps are compared with it.");
+    else if (!comparison) say(words, `Approved: ${name}. The comparison is not known.`);
+    else if (!comparison.points) say(words, `Approved: version ${version}. Both maps rest on measurements at no common point yet.`);
+    else {
+      const since = live.number(`${selected}.ChangeCount`) > 0 ? ` The last abrupt change was at ${clock(live.number(`${selected}.ChangeTime`))}.` : "";
+      say(words, `Now minus approved (${name}): ${spreadInUnit(comparison.mean, "l/min", 1)} ${unit} on average; largest ${spreadInUnit(comparison.largest, "l/min", 1)} ${unit} at U ${fixed(comparison.U, 0)} %, Δp ${inUnit(comparison.dp, "bar", 0)} ${shown("bar")}; ${comparison.points} points.${since}`);
+    }
+    both.hidden = !version;
+    const why = live.old ? `${live.old.why} Nothing can be written.` : !user.name ? "To approve a map, log in as an operator." : "";
+    approve.disabled = Boolean(why) || old !== null;
+    rollBack.disabled = Boolean(why) || !version;
+    say(hint, why);
+  }
+
+  async function act(what) {
+    const question = what === "Approve" ? "Approve the present maps of all estimators? Later maps are compared with them." : "Go back to the approved map? What all estimators learnt since is dropped.";
+    if (!confirm(question)) return;
+    const problem = await user.command({ baseline: valve.name, do: what });
+    say(done, problem ?? { Approve: "Approved.", RollBack: "The estimators are as they were when the map was approved." }[what]);
+    compare();
+  }
+
+  const comparing = setInterval(compare, COMPARE_MS), first = setTimeout(compare, FIRST_MS);
+  for (const what of ["standing", "values"]) live.addEventListener(what, show);
+  user.addEventListener("change", show);
+  show();
+  return {
+    element,
+    select: (estimator) => { if (estimator !== selected) { selected = estimator; comparison = null; compare(); } },
+    close: () => {
+      clearInterval(comparing);
+      clearTimeout(first);
+      for (const what of ["standing", "values"]) live.removeEventListener(what, show);
+      user.removeEventListener("change", show);
+    },
+  };
+}

@@ -1,0 +1,126 @@
+"""Edges, lines and axes in a browser: what the nodes say, written by who may, nothing pretended."""
+
+from contextlib import asynccontextmanager
+
+import pytest
+
+from support.browser import Visit, axe, chromium, serious
+from support.readings import Read
+from support.served_page import served
+from support.shown_service import ShownService
+
+pytestmark = pytest.mark.chromium
+
+BAD_NO_COMMUNICATION = 0x8031_0000
+EDGES = ("Boom.PA", "Boom.AT", "Boom.PB", "Boom.BT")
+LINES = ("Boom.LineA", "Boom.LineB")
+
+
+def plant(**more):
+    return ShownService(names=EDGES, lines=LINES, axes=("Press",), **more)
+
+
+@asynccontextmanager
+async def visit(shown, view, theme="light", size=(1280, 800)):
+    async with served(shown) as (page, url), chromium() as browser:
+        width, height = size
+        view_ = {"width": width, "height": height}
+        context = await browser.new_context(viewport=view_, color_scheme=theme)
+        visitor = Visit(await context.new_page(), url, "any")
+        await visitor.open(view)
+        await visitor.page.locator("main h1").wait_for()
+        yield visitor, page
+        assert visitor.problems == []
+
+
+async def test_the_edges_and_lines_of_a_valve_are_tabs_of_one_view():
+    async with visit(plant(), "map/Boom.PA") as (visitor, _):
+        tabs = visitor.page.locator(".tabs a")
+        assert await tabs.all_inner_texts() == ["PA", "AT", "PB", "BT", "Line A", "Line B"]
+        await tabs.nth(2).click()
+        await visitor.page.locator("h1", has_text="Boom.PB: map").wait_for()
+        await tabs.nth(4).click()
+        await visitor.page.locator("h1", has_text="Boom.LineA").wait_for()
+        await visitor.page.locator("td", has_text="Identified, and following.").first.wait_for()
+        await visitor.page.locator(".tabs a", has_text="BT").click()
+        await visitor.page.locator("h1", has_text="Boom.BT").wait_for()
+
+
+async def test_a_plant_of_axes_alone_begins_with_its_axis():
+    async with visit(ShownService(names=(), axes=("Press",)), "") as (visitor, _):
+        await visitor.page.locator("h1", has_text="Press").wait_for()
+        assert await visitor.page.locator(".views a", has_text="Valve").count() == 0
+
+
+async def test_a_speed_is_written_and_withdrawn_by_an_operator():
+    shown = plant()
+    async with visit(shown, "axis/Press") as (visitor, _):
+        write = visitor.page.get_by_role("button", name="Write as SpeedDemand")
+        assert await write.is_disabled()
+        await visitor.log_in()
+        await visitor.page.locator(".inverse input[type=number]").fill("120")
+        await write.click()
+        await visitor.page.locator("[role=status]", has_text="Written").wait_for()
+        assert shown.writes == [("Press.Inverse.SpeedDemand", 120.0)]
+        shown.values["Press.Inverse.SpeedDemand"] = Read(120.0, 0, shown.t)
+        shown.values["Press.Inverse.RequiredU"] = Read(30.0, 0, shown.t)
+        said = "In force: SpeedDemand 120 mm/s, RequiredU 30.0 %."
+        await visitor.page.locator(".inverse p", has_text=said).wait_for()
+        await visitor.page.get_by_role("button", name="Withdraw").click()
+        await visitor.page.locator("[role=status]", has_text="is withdrawn").wait_for()
+
+
+async def test_a_flow_of_a_line_is_written_by_an_operator():
+    shown = plant()
+    async with visit(shown, "line/Boom.LineA") as (visitor, _):
+        await visitor.log_in()
+        await visitor.page.get_by_role("button", name="Write as FlowDemand").click()
+        await visitor.page.locator("[role=status]", has_text="Written").wait_for()
+        assert shown.writes == [
+            ("Boom.LineA.Inverse.PressureDrop", 100.0),
+            ("Boom.LineA.Inverse.FlowDemand", 60.0),
+        ]
+
+
+@pytest.mark.parametrize("how", ["source lost", "still"])
+async def test_an_axis_without_samples_says_so_and_takes_no_demand(how):
+    shown = plant()
+    async with visit(shown, "axis/Press") as (visitor, _):
+        await visitor.log_in()
+        badge = visitor.page.locator("main .head .badge")
+        await badge.and_(visitor.page.locator("text=ok")).wait_for()
+        write = visitor.page.get_by_role("button", name="Write as SpeedDemand")
+        await visitor.page.locator("button:enabled", has_text="Write as SpeedDemand").wait_for()
+        if how == "still":
+            shown.moving = False
+        else:
+            shown.values["Press.Inverse.RequiredU"] = Read(None, BAD_NO_COMMUNICATION, shown.t)
+        await badge.and_(visitor.page.locator("text=no new samples")).wait_for()
+        await visitor.page.locator(".sentence", has_text="Since").wait_for()
+        await visitor.page.locator("p", has_text="Nothing can be written").wait_for()
+        assert await write.is_disabled()
+        shown.moving = True
+        shown.values.pop("Press.Inverse.RequiredU", None)
+        await badge.and_(visitor.page.locator("text=ok")).wait_for()
+
+
+async def test_the_sheet_tells_how_it_is_made():
+    shown = ShownService(names=("V1",), more=("Commission",))
+    shown.values["V1.Commission.State"] = Read(6)
+    shown.values["V1.Commission.Recording"] = Read("data/commission/V1.csv")
+    async with visit(shown, "commissioning/V1") as (visitor, _):
+        card = visitor.page.locator(".sheet")
+        await card.locator("p", has_text="data/commission/V1.csv").wait_for()
+        told = await card.locator("code").inner_text()
+        assert told == "valvemap sheet V1 --config valvemap.toml --out V1.html"
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1280, 800), (820, 1180)], ids=["desk", "tablet"])
+async def test_axe_finds_nothing_serious(theme, size, request):
+    script = axe(request.config.cache.mkdir("axe"))
+    async with visit(plant(), "axis/Press", theme, size) as (visitor, _):
+        for view in ("axis/Press", "line/Boom.LineA", "valve/Boom.PA", "map/Boom.PA"):
+            await visitor.open(view)
+            await visitor.page.wait_for_timeout(1_500)
+            assert await serious(visitor, script) == [], view

@@ -1,0 +1,148 @@
+"""What an operator asks, by keyboard alone, in at most three actions; answers are the nodes'."""
+
+import time
+from contextlib import asynccontextmanager
+
+import pytest
+
+from support.browser import Visit, chromium
+from support.keyboard import Keyboard
+from support.readings import Read
+from support.served_page import served
+from support.shown_parts import AXIS, LINE
+from support.shown_service import Alarm, ShownService
+
+pytestmark = pytest.mark.chromium
+
+S = 1_000_000_000
+MINUTE_MS = 60_000
+
+
+def plant():
+    frozen = Alarm(
+        name="SensorFrozen",
+        severity=700,
+        t=time.time_ns() - 1_500 * S,
+        text="p2 was constant to the last digit for 34.0 s while other signals varied (limit 10 s),"
+        " since 2026-11-25 22:20:10 UTC. It may be: a dead sensor; a coarse resolution.",
+    )
+    return ShownService(
+        names=("V1", "Boom.PA", "Boom.AT"),
+        lines=("Boom.LineA",),
+        axes=("Press",),
+        alarms=[frozen],
+        past=[frozen],
+    )
+
+
+@asynccontextmanager
+async def asked(shown):
+    async with served(shown) as (page, url), chromium() as browser:
+        context = await browser.new_context(viewport={"width": 1280, "height": 800})
+        visitor = Visit(await context.new_page(), url)
+        await visitor.open("valve/V1")
+        await visitor.page.locator("main h1").wait_for()
+        await visitor.page.locator(".signals .value", has_text="60.0").wait_for()
+        yield visitor.page, Keyboard(visitor.page), page.observer.client
+        assert visitor.problems == []
+
+
+async def test_how_long_has_p2_been_frozen_and_what_to_check():
+    shown = plant()
+    async with asked(shown) as (page, keys, _):
+        await keys.press("a")
+        detail = page.locator(".alarm-detail")
+        await detail.locator("dd", has_text="p2 was constant").wait_for()
+        minutes = round((time.time_ns() - shown.alarms[0].t) / 60 / S)
+        told = await detail.inner_text()
+        assert f"{minutes} min" in told
+        assert shown.alarms[0].text.split(" It may be")[0] in told
+        assert "Check the named sensor" in told
+
+
+async def test_may_i_trust_60_l_min_at_120_bar():
+    shown = plant()
+    async with asked(shown) as (page, keys, client):
+        await keys.press("q")
+        await page.locator(".inverse input[type=number]:focus").wait_for()
+        await keys.type("60")
+        await page.keyboard.press("Tab")  # over the slider of the pressure drop
+        await keys.type("120")
+        await page.locator(".answer .value[data-for='60@120']").wait_for()
+        ((U, lower, upper, _),) = await client.call("V1.Inverse", "Invert", [(60.0, 120.0, 0.0)])
+        told = await page.locator(".inverse").inner_text()
+        assert f"{U:.2f} %" in told
+        assert f"95 %: {lower:.2f} to {upper:.2f} %" in told
+        assert "U delivers the demanded flow at this pressure drop." in told
+        assert shown.writes == []
+
+
+async def test_how_far_is_the_map_from_the_approved_one_and_where():
+    shown = plant()
+    shown.values["V1.Baseline.Version"] = Read("7")
+    async with asked(shown) as (page, keys, client):
+        await keys.press("2")
+        words = page.locator(".before p", has_text="on average")
+        await words.wait_for()
+        ((mean, largest, U, dp, points),) = await client.call("V1.Baseline", "Compare", [["RLS"]])
+        told = (await words.inner_text()).replace("−", "-")
+        for part in ("version 7", f"{mean:.1f} l/min", f"{largest:.1f} l/min at U {U:.0f} %"):
+            assert part in told
+        assert f"{dp:.0f} bar; {points} points" in told
+
+
+async def test_what_did_the_flow_do_in_the_last_hour():
+    shown = plant()
+    async with asked(shown) as (page, keys, _):
+        await keys.press("t")
+        await keys.open(page.locator("button[data-span='3600000']"))
+        row = page.locator(".readout tr:has(td)").first
+        await page.locator(".segments [aria-pressed=true]", has_text="1 h").wait_for()
+        await row.locator("td", has_text="99.0").wait_for()  # the courses count to 99
+        assert (await row.locator("td").all_inner_texts())[2] == "0.0"
+
+
+async def test_which_valve_is_this_among_many():
+    shown = plant()
+    shown.names = tuple(f"V{k}" for k in range(1, 40))
+    async with asked(shown) as (page, keys, _):
+        await keys.press("/")
+        await page.locator("input[type=search]:focus").wait_for()
+        await page.keyboard.type("V37")
+        await keys.press("Enter")
+        await page.locator("main h1", has_text="V37").wait_for()
+
+
+async def test_how_soft_is_the_oil_of_an_axis_and_how_sure_is_that():
+    async with asked(plant()) as (page, keys, _):
+        await keys.press("x")
+        row = page.locator(".described tr", has_text="Bulk modulus")
+        await row.wait_for()
+        told = await row.inner_text()
+        assert f"{AXIS['BulkModulus']:.5f}" in told
+        assert f"{1.96 * AXIS['BulkModulusStd']:.5f}" in told
+        assert "GPa" in told
+
+
+async def test_which_u_does_a_speed_demand():
+    async with asked(plant()) as (page, keys, client):
+        await keys.press("x")
+        await page.locator("h1", has_text="Press").wait_for()
+        await keys.press("q")
+        await keys.type("-80")
+        await page.locator(".answer .value[data-for='-80']").wait_for()
+        ((U, *_),) = await client.call("Press.Inverse", "Invert", [(-80.0, *[0.0] * 5)])
+        told = await page.locator(".inverse").inner_text()
+        assert f"{U:.2f} %".replace("-", "−") in told
+        assert "U delivers the demanded speed" in told
+
+
+async def test_which_edge_passes_the_flow_and_how_much_leaks():
+    async with asked(plant()) as (page, keys, _):
+        await page.locator(".which input").fill("Boom.PA")
+        await page.locator(".which input").press("Enter")
+        await page.locator("h1", has_text="Boom.PA").wait_for()
+        await keys.open(page.locator(".tabs a", has_text="Line A"))
+        await page.locator(".inverse p", has_text="Edge in use: P to A").wait_for()
+        row = page.locator(".described tr", has_text="Leakage")
+        assert f"{LINE['Leakage']:.5f}" in await row.inner_text()
