@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
@@ -43,35 +43,35 @@ def main() -> None:
 def figures() -> dict[str, float]:
     """What the page costs, and what it costs the service."""
     bare = _bare_asyncua_mb()
-    with tempfile.TemporaryDirectory() as folder, _demo(Path(folder) / "demo.log") as (demo, log):
-        found = asyncio.run(_measure(demo, log))
+    with tempfile.TemporaryDirectory() as folder, demo(Path(folder) / "demo.log") as (pid, log):
+        found = asyncio.run(_measure(pid, log))
     found["bare asyncua import, MB"] = bare
     found["page above a bare asyncua import, MB"] = found["page, MB, with 20 viewers"] - bare
     return found
 
 
 @contextmanager
-def _demo(log: Path) -> Iterator[tuple[int, Path]]:
+def demo(log: Path, environment: Mapping[str, str] | None = None) -> Iterator[tuple[int, Path]]:
     """Run a demo; its process id, and its log."""
-    env = {"VALVEMAP_SOURCE__URL": _RIG, "VALVEMAP_SERVER__URL": _SERVICE}
+    env = {"VALVEMAP_SOURCE__URL": _RIG, "VALVEMAP_SERVER__URL": _SERVICE, **(environment or {})}
     with log.open("wb") as out:
-        demo = subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-u", "-m", "valvemap", "demo"],
             stdout=out,
             env={**os.environ, **env, "VALVEMAP_PAGE_LISTEN": "127.0.0.1:0"},
         )
     try:
-        yield demo.pid, log
+        yield process.pid, log
     finally:
-        demo.send_signal(signal.SIGINT)
-        demo.wait()
+        process.send_signal(signal.SIGINT)
+        process.wait()
 
 
-async def _measure(demo: int, log: Path) -> dict[str, float]:
-    url = await _page_url(log)
-    page = _child(demo, "dashboard")
+async def _measure(pid: int, log: Path) -> dict[str, float]:
+    url = await page_url(log)
+    page = child(pid, "dashboard")
     await asyncio.sleep(YOUNG_S)
-    stretches = [await _with(viewers, url, demo, page) for viewers in VIEWERS]
+    stretches = [await _with(viewers, url, pid, page) for viewers in VIEWERS]
     found: dict[str, float] = {}
     for viewers in sorted(set(VIEWERS)):
         alike = [s for n, s in zip(VIEWERS, stretches, strict=True) if n == viewers]
@@ -101,9 +101,9 @@ async def _with(viewers: int, url: str, service: int, page: int) -> tuple[float,
     """Service and page in % of a core, memory of the page in MB."""
     watching = [asyncio.create_task(_watch(url)) for _ in range(viewers)]
     await asyncio.sleep(_SETTLE_S)
-    before = _cpu_s(service), _cpu_s(page)
+    before = cpu_s(service), cpu_s(page)
     await asyncio.sleep(SPAN_S)
-    after = _cpu_s(service), _cpu_s(page)
+    after = cpu_s(service), cpu_s(page)
     memory = _rss_mb(page)
     for task in watching:
         task.cancel()
@@ -123,7 +123,8 @@ async def _watch(url: str) -> None:
             pass
 
 
-async def _page_url(log: Path) -> str:
+async def page_url(log: Path) -> str:
+    """Wait for a demo's page; its URL."""
     for _ in range(1_500):  # the very first start compiles
         if url := _said(log, "page"):
             return url
@@ -136,7 +137,8 @@ def _said(log: Path, what: str) -> str | None:
     return next((line.split()[-1] for line in lines if line.startswith(what)), None)
 
 
-def _child(parent: int, command: str) -> int:
+def child(parent: int, command: str) -> int:
+    """Process id of the child with this word in its command line."""
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             words = (entry / "cmdline").read_bytes().split(b"\0")
@@ -148,7 +150,8 @@ def _child(parent: int, command: str) -> int:
     raise RuntimeError(f"no {command} below {parent}")
 
 
-def _cpu_s(pid: int) -> float:
+def cpu_s(pid: int) -> float:
+    """Seconds of a core that a process has used."""
     stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(stat[11]) + int(stat[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -131,3 +131,24 @@ def test_a_row_that_comes_twice_counts_once_and_no_number_is_none():
     seen.add(NOW, {"Signals.Q": 5.0})
     seen.add(NOW + S, {"Signals.Q": math.nan})
     assert seen.bucketed("Signals.Q", NOW, 2 * S, 1).ravel().tolist() == [1.0, 1.0, 1.0]
+
+
+async def test_a_week_is_read_in_few_requests_and_holds_the_same_intervals():
+    shown = ShownService()
+    read, week = trends(shown), 7 * 86_400 * S
+    found = await read.read(V1, NAMES, (NOW - week, NOW), 600 * S)
+    assert len(shown.history) <= 2 * len(NAMES) + 3
+    wanted = np.arange((NOW - week) // (600 * S), NOW // (600 * S)) % 100
+    n = len(wanted)
+    assert all(np.array_equal(course[0][:n], wanted) for course in found.courses)
+
+
+async def test_a_service_that_answers_slowly_is_asked_for_little_at_once():
+    class Slow(ShownService):
+        async def courses(self, asked, span, every_ns):
+            clock.advance(2.0)
+            return await super().courses(asked, span, every_ns)
+
+    clock, shown = AtNow(), Slow()
+    await Trends(shown, clock).read(V1, NAMES, (NOW - 7 * 86_400 * S, NOW), 600 * S)
+    assert all(span[1] - span[0] <= 120 * 600 * S for _, span, _ in shown.history)

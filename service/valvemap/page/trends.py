@@ -34,6 +34,8 @@ _TILE = 120  # intervals
 _MOST_TILES = 3_000  # 1.5 kB each
 _SETTLES_S = 20.0  # rows of the history may come so late
 _TOGETHER_S = 900.0  # longer tiles are read one variable at a time: no request takes long
+_MOST_AT_ONCE = MOST_INTERVALS // _TILE + 1  # longer tiles of one request
+_QUICK_S, _SLOW_S = 0.25, 1.0  # a request after which more, or single tiles, are read at once
 _KINDS = ("Average", "Minimum", "Maximum")
 _MS = 1_000_000  # ns
 
@@ -96,6 +98,7 @@ class Trends:
         self._seen: dict[str, Seen] = {}
         self._keeps_none = self._is_connected = False
         self._is_shared = is_shared
+        self._at_once = 1  # tiles
         self._turn = asyncio.Lock()
 
     def forget(self) -> None:
@@ -176,38 +179,61 @@ class Trends:
         self, valve: str, names: Sequence[str], first: int, last: int, step: int
     ) -> None:
         """Read the tiles that are missing or not past yet."""
-        now = self._clock.now()
-        width = _TILE * step
-        for index in range(first, last + 1):
-            if index * width > now:
-                continue
-            missing = [name for name in names if (valve, name, step, index) not in self._tiles]
-            together = len(missing) if width <= _TOGETHER_S * 1e9 else 1
-            end = min((index + 1) * width, -(-now // step) * step)
-            for k in range(0, len(missing), max(together, 1)):
-                some = missing[k : k + together]
-                tiles = await self._read_tiles(valve, some, (index * width, end), step)
-                for name, tile in zip(some, tiles, strict=True):
-                    self._tiles[valve, name, step, index] = tile
+        now, width = self._clock.now(), _TILE * step
+        last = min(last, now // width)
+        is_short = width <= _TOGETHER_S * 1e9
+        for some in [tuple(names)] if is_short else [(name,) for name in names]:
+            index = first
+            while index <= last:
+                missing = self._missing(valve, some, step, index)
+                count = 1
+                if missing and not is_short:
+                    while (
+                        count < self._at_once
+                        and index + count <= last
+                        and self._missing(valve, some, step, index + count) == missing
+                    ):
+                        count += 1
+                if missing:
+                    end = min((index + count) * width, -(-now // step) * step)
+                    began = self._clock.monotonic()
+                    await self._read_tiles(valve, missing, index, (index * width, end), step)
+                    self._pace(self._clock.monotonic() - began)
+                index += count
         while len(self._tiles) > _MOST_TILES:
             self._tiles.popitem(last=False)
 
+    def _missing(self, valve: str, names: Sequence[str], step: int, index: int) -> list[str]:
+        return [name for name in names if (valve, name, step, index) not in self._tiles]
+
+    def _pace(self, took_s: float) -> None:
+        """Ask for more tiles at once if they come quickly.
+
+        They do from summaries; a service that has just started reads all values instead.
+        """
+        if took_s > _SLOW_S:
+            self._at_once = 1
+        elif took_s < _QUICK_S:
+            self._at_once = min(2 * self._at_once, _MOST_AT_ONCE)
+
     async def _read_tiles(
-        self, valve: str, names: Sequence[str], span: tuple[int, int], step: int
-    ) -> list[NDArray[np.float32]]:
+        self, valve: str, names: Sequence[str], first: int, span: tuple[int, int], step: int
+    ) -> None:
+        """Keep successive tiles, the first one of which has this index."""
         asked = [(f"{valve}.{name}", kind) for name in names for kind in _KINDS]
         found = await self._client.courses(asked, span, step)
         if all(course.code in _NO_HISTORY for course in found):
             raise CommandRejected("no history is kept")
-        tiles = []
-        for k in range(0, len(found), len(_KINDS)):
-            tile = np.full((3, _TILE), np.nan, np.float32)
-            for row, course in enumerate(found[k : k + len(_KINDS)]):
+        count = -(-(span[1] - span[0]) // (_TILE * step))
+        for k, name in enumerate(names):
+            tiles = np.full((count, 3, _TILE), np.nan, np.float32)
+            for row, course in enumerate(found[k * len(_KINDS) : (k + 1) * len(_KINDS)]):
                 places = (np.array(course.times, np.int64) - span[0]) // step
-                inside = (places >= 0) & (places < _TILE)
-                tile[row, places[inside]] = np.array(course.values, np.float32)[inside]
-            tiles.append(tile)
-        return tiles
+                inside = (places >= 0) & (places < count * _TILE)
+                tile, column = np.divmod(places[inside], _TILE)
+                tiles[tile, row, column] = np.array(course.values, np.float32)[inside]
+            for place, tile_ in enumerate(tiles):
+                self._tiles[valve, name, step, first + place] = tile_.copy()
 
     def _cut(self, valve: str, name: str, first: int, last: int, step: int) -> NDArray[np.float32]:
         """Join tiles; forget those that may still grow."""

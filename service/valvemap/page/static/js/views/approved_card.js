@@ -6,6 +6,7 @@ import { shown } from "../units.js";
 
 const COMPARE_MS = 10000; // between two comparisons
 const FIRST_MS = 1500; // the version is read by then
+const SHOW_MS = 1000; // a valve that falls silent sends nothing that would draw it
 
 /** The card; `onShow` draws both maps. */
 export function approvedCard({ live, user, valve, onShow }) {
@@ -49,7 +50,7 @@ export function approvedCard({ live, user, valve, onShow }) {
     compare();
   }
 
-  const comparing = setInterval(compare, COMPARE_MS), first = setTimeout(compare, FIRST_MS);
+  const comparing = setInterval(compare, COMPARE_MS), first = setTimeout(compare, FIRST_MS), showing = setInterval(show, SHOW_MS);
   for (const what of ["standing", "values"]) live.addEventListener(what, show);
   user.addEventListener("change", show);
   show();
@@ -58,6 +59,7 @@ export function approvedCard({ live, user, valve, onShow }) {
     select: (estimator) => { if (estimator !== selected) { selected = estimator; comparison = null; compare(); } },
     close: () => {
       clearInterval(comparing);
+      clearInterval(showing);
       clearTimeout(first);
       for (const what of ["standing", "values"]) live.removeEventListener(what, show);
       user.removeEventListener("change", show);

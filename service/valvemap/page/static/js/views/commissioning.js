@@ -111,7 +111,8 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const U = live.get("Diagnostics.CoverageU")?.value, dp = live.get("Diagnostics.CoverageDp")?.value;
     const [u, p] = [of("SuggestedU"), of("SuggestedDp")];
     say(next, Number.isFinite(u) ? `U ${fixed(u, 0)} % at Δp ${inUnit(p, "bar", 0)} ${shown("bar")} would make the map surer than any other point.` : "No point stands out yet.");
-    if (!Array.isArray(std) || !U || !dp) { say(heatWords, "The service has not surveyed this map yet."); return; }
+    heat.hidden = !Array.isArray(std) || !U || !dp;
+    if (heat.hidden) { say(heatWords, "The service has not surveyed this map yet."); return; }
     const { context, width, height } = pen(heat), left = 42, bottom = 34;
     const w = (width - left - 8) / dp.length, hgt = (height - bottom - 4) / U.length;
     const known = std.flatMap((row) => [...row]).filter(Number.isFinite).sort((a, b) => a - b);

@@ -10,7 +10,8 @@ import { addNewest, emptyRows, joined, tabled } from "../trend_rows.js";
 import { decimals, inUnits, shown } from "../units.js";
 
 const REFRESH_MS = 30000; // what is live is read again so often, from the history
-const ASK_MS = 120; // between two reads while zooming
+const ASK_MS = 250; // between two reads while zooming
+const DAY_MS = 86400e3;
 const BEFORE = [[0, "nothing"], [3600e3, "an hour before"], [86400e3, "a day before"], [7 * 86400e3, "a week before"]];
 
 export function trendView(root, { live, valve, query, keep }) {
@@ -22,7 +23,7 @@ export function trendView(root, { live, valve, query, keep }) {
     ["Signals.p1", "p₁", "bar", "--line-1"], ["Signals.p2", "p₂", "bar", "--line-2"], ["Signals.dp", "Δp", "bar", "--line-3"],
   ];
   const names = SERIES.map(([name]) => name);
-  let rows = emptyRows(SERIES, state.span), others = null, changes = [], reading = 0, timer = 0, readAt = 0, failed = "", source = null, hover = null;
+  let rows = emptyRows(SERIES, state.span), others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, isClosed = false, pastFrom = Infinity, failed = "", source = null, hover = null;
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
@@ -86,8 +87,7 @@ export function trendView(root, { live, valve, query, keep }) {
     if (state.end !== null && state.end > Date.now()) state.end = null;
     keep(writeSpan(state));
     draw();
-    clearTimeout(timer);
-    timer = setTimeout(read, ASK_MS);
+    readSoon();
   }
   const pan = (share) => go({ end: to() + share * state.span });
   const zoom = (factor, around = state.end === null ? to() : to() - state.span / 2) => {
@@ -95,20 +95,41 @@ export function trendView(root, { live, valve, query, keep }) {
     go({ span, end: state.end === null && share === 0 ? null : around + share * span });
   };
 
+  /** One read at a time, and no more often than the page's server takes questions. */
+  function readSoon() {
+    clearTimeout(timer);
+    timer = setTimeout(read, Math.max(readAt + ASK_MS - performance.now(), 0));
+  }
+
   async function read() {
-    const number = ++reading, [a, b] = [from(), to()], step = stepOf(state.span);
+    if (isReading) { isBehind = true; return; }
+    [isReading, isBehind, readAt] = [true, false, performance.now()];
     mark(root, "reading", true);
-    const wanted = [live.trend(valve.name, names, a, b, step), live.past(a - 86400e3, b)];
-    const otherName = state.other || valve.name, otherAt = state.before;
-    const compared = state.other || state.before ? live.trend(otherName, names.map((name) => (state.other ? name.replace(estimator, live.valves.find((v) => v.name === otherName)?.primary ?? estimator) : name)), a - otherAt, b - otherAt, step) : null;
-    const [found, past, other] = [await wanted[0], await wanted[1], await compared];
-    if (number !== reading) return;
-    mark(root, "reading", false);
-    readAt = performance.now();
+    const [a, b] = [from(), to()], step = stepOf(state.span), { other: otherName, before: otherAt } = state;
+    const otherOf = live.valves.find(({ name }) => name === otherName)?.primary ?? estimator;
+    const wanted = live.trend(valve.name, names, a, b, step);
+    const compared = otherName || otherAt ? live.trend(otherName || valve.name, names.map((name) => (otherName ? name.replace(estimator, otherOf) : name)), a - otherAt, b - otherAt, step) : null;
+    const found = await wanted, other = await compared;
+    isReading = false;
+    if (isClosed) return;
     failed = found.error ?? "";
     if (!found.error) { rows = tabled(SERIES, found); source = { kept: found.kept, since: found.since }; }
     others = other && !other.error ? tabled(SERIES, other, otherAt) : null;
-    if (past.past) changes = past.past;
+    draw();
+    mark(root, "reading", false);
+    readPast();
+    if (isBehind) readSoon();
+  }
+
+  /** Changes of alarms from a day before the span on: what was active when it begins. */
+  async function readPast() {
+    const first = from() - DAY_MS, last = Math.min(pastFrom, Date.now());
+    if (first >= pastFrom) return;
+    pastFrom = first;
+    const found = await live.past(first, last);
+    if (isClosed) return;
+    if (found.past) changes = merged(changes, found.past);
+    else pastFrom = Infinity;
     draw();
   }
 
@@ -164,6 +185,7 @@ export function trendView(root, { live, valve, query, keep }) {
 
   function showStanding() {
     const old = live.oldOf(valve.name), step = rows.step / 1000;
+    mark(root, "stale", old !== null && (state.end === null || live.old !== null));
     mark(badge, "severity", old ? 3 : state.end === null ? 0 : 1);
     say(badge, old ? "not live" : state.end === null ? "live" : "past");
     const read = !source ? "Reading the service's history …" : source.kept === false
@@ -210,7 +232,7 @@ export function trendView(root, { live, valve, query, keep }) {
     if (state.end === null) { draw(); if (performance.now() - readAt > REFRESH_MS && !live.old) read(); }
     tick = setTimeout(again, pace());
   }, 250);
-  closers.push(() => clearTimeout(tick), () => clearTimeout(timer), () => { reading = -1; }, () => document.removeEventListener("keydown", onKey),
+  closers.push(() => clearTimeout(tick), () => clearTimeout(timer), () => { isClosed = true; }, () => document.removeEventListener("keydown", onKey),
     () => live.removeEventListener("values", addLive), () => live.removeEventListener("alarms", onAlarms), () => live.removeEventListener("standing", onStanding), onTheme(draw));
   keep(writeSpan(state));
   draw();

@@ -1,0 +1,165 @@
+"""How soon a trend of seven days is seen, and what it costs: ``python -m benchmarks.page_trend``.
+
+A history of seven days of six signals at 10 Hz, with the results of an estimator, is made and given
+to a demo, whose valve of 100 Hz is identified meanwhile. Chromium opens the trend: the first
+picture with nothing read before; zooms, until the picture follows and until the finer intervals
+are there. Then stretches with and without an open trend of seven days, in turns: what the service
+takes of a core. Eight minutes.
+"""
+
+import asyncio
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from playwright.async_api import Page, async_playwright
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from benchmarks import results_file
+from benchmarks.page import child, cpu_s, demo, page_url
+from valvemap.pipeline.ports import Piece
+from valvemap.storage.history import HistoryFile
+from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
+from valvemap.vocabulary.signals import PUBLISHED
+
+VALVE = "Valvistor"
+DAYS, HZ = 7, 10
+ROWS_AT_ONCE = 20_000
+CHECKED_S = 120.0  # the service checks a file of this size meanwhile, and reads no summaries
+ROUNDS = 3  # stretches with a trend, each between two without
+STRETCH_S = 30.0
+ZOOMS = 8
+_S = 1_000_000_000
+_WEEK_S = DAYS * 86_400
+_OPENED = """hash => new Promise(done => {
+    const begun = performance.now(), view = document.querySelector('main');
+    location.hash = hash;
+    const look = () => {
+        if (view.dataset.view === 'trend' && view.dataset.reading === 'false') {
+            requestAnimationFrame(() => setTimeout(() => done(performance.now() - begun)));
+        } else setTimeout(look, 2);
+    };
+    setTimeout(look);
+})"""
+_ZOOMED = """key => new Promise(done => {
+    const begun = performance.now(), view = document.querySelector('main');
+    let seen = 0;
+    document.dispatchEvent(new KeyboardEvent('keydown', { key }));
+    requestAnimationFrame(() => setTimeout(() => { seen = performance.now() - begun; }));
+    let began = false;
+    const look = () => {
+        began = began || view.dataset.reading === 'true';
+        if (seen && began && view.dataset.reading === 'false') {
+            requestAnimationFrame(() => setTimeout(() => done([seen, performance.now() - begun])));
+        } else setTimeout(look, 2);
+    };
+    look();
+})"""
+
+
+def main() -> None:
+    """Measure, print, write."""
+    found = figures()
+    for name, value in found.items():
+        print(f"{name:58s} {value:10.1f}")
+    results_file.keep(Path(__file__).parent / "results" / "page_trend.json", found)
+
+
+def figures() -> dict[str, float]:
+    """Milliseconds until pictures are there; what an open trend costs the service."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        kept = folder / "history.sqlite"
+        make_week(kept, time.time_ns() // _S - _WEEK_S)
+        environment = {"VALVEMAP_HISTORY__FILE": str(kept)}
+        with demo(folder / "demo.log", environment) as (pid, log):
+            return asyncio.run(_measure(pid, log))
+
+
+def make_week(path: Path, start_s: int) -> None:
+    """Save seven days of signals and results: a working cycle with noise."""
+    rng = np.random.default_rng(0)
+    names = [quantity.name for quantity in HISTORY_QUANTITIES]
+    with HistoryFile(path) as store:
+        for first in range(0, _WEEK_S * HZ, ROWS_AT_ONCE):
+            k = np.arange(first, first + ROWS_AT_ONCE)
+            t, good = start_s * _S + k * (_S // HZ), np.zeros(len(k), np.uint32)
+            cycle = 50.0 + 40.0 * np.sin(2.0 * np.pi * k / (HZ * 60.0))
+            noise = rng.normal(size=(len(PUBLISHED) + len(names), len(k))).round(2)
+            signals = {name: cycle + noise[j] for j, name in enumerate(PUBLISHED)}
+            results = {name: cycle + noise[len(PUBLISHED) + j] for j, name in enumerate(names)}
+            store.save(
+                [
+                    Piece(f"{VALVE}.Signals", t, good, signals),
+                    Piece(f"{VALVE}.Auto", t, good, results),
+                ]
+            )
+
+
+async def _measure(pid: int, log: Path) -> dict[str, float]:
+    url = await page_url(log)
+    async with async_playwright() as driver:
+        browser = await driver.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )
+        page = await browser.new_page(viewport={"width": 1280, "height": 800})
+        await page.add_init_script("localStorage.setItem('tour', 'closed')")
+        await page.goto(f"{url}/#/overview")
+        await page.locator(".rows a", has_text=VALVE).wait_for()
+        await asyncio.sleep(CHECKED_S)
+        found = await _pictures(page)
+        found |= await _cost(page, url, pid, child(pid, "dashboard"))
+        await browser.close()
+    return found
+
+
+async def _pictures(page: Page) -> dict[str, float]:
+    trend = f"#/trend/{VALVE}?span={_WEEK_S}"
+    first = await page.evaluate(_OPENED, trend)
+    seen, finer = [], []
+    for _ in range(ZOOMS):
+        picture, read = await page.evaluate(_ZOOMED, "+")
+        seen.append(picture)
+        finer.append(read)
+        await page.wait_for_timeout(1_000)
+    return {
+        "first picture of seven days, ms (bar 1000)": first,
+        "zoom: the picture follows, ms (bar 200)": median(seen),
+        "zoom: the slowest, ms": max(seen),
+        "zoom: finer intervals are there, ms": median(finer),
+        "zoom: the slowest finer intervals, ms": max(finer),
+    }
+
+
+async def _cost(page: Page, url: str, service: int, server: int) -> dict[str, float]:
+    """Compare stretches with an open trend of seven days with those before and after."""
+    stretches = []
+    for k in range(2 * ROUNDS + 1):
+        await page.goto("about:blank")
+        if k % 2:
+            await page.goto(f"{url}/#/trend/{VALVE}?span={_WEEK_S}")
+            await page.locator("main[data-reading=false]").wait_for()
+        await asyncio.sleep(2.0)
+        before = cpu_s(service), cpu_s(server)
+        await asyncio.sleep(STRETCH_S)
+        after = cpu_s(service), cpu_s(server)
+        stretches.append([100.0 * (b - a) / STRETCH_S for a, b in zip(before, after, strict=True)])
+    of_service = [stretch[0] for stretch in stretches]
+    more = [
+        of_service[k] - (of_service[k - 1] + of_service[k + 1]) / 2.0
+        for k in range(1, len(stretches), 2)
+    ]
+    return {
+        "service without a trend, % of a core": median(of_service[::2]),
+        "service with one, more, % of a core (bar 2)": median(more),
+        "page with one, % of a core": median(stretch[1] for stretch in stretches[1::2]),
+    }
+
+
+if __name__ == "__main__":
+    main()
