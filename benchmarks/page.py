@@ -28,7 +28,7 @@ SPAN_S = 30.0
 YOUNG_S = 60.0
 _SETTLE_S = 5.0
 _RIG = "opc.tcp://127.0.0.1:4850/valvemap/rig/"
-_SERVICE = "opc.tcp://127.0.0.1:4851/valvemap/service/"
+SERVICE = "opc.tcp://127.0.0.1:4851/valvemap/service/"
 _WATCH = json.dumps({"watch": {"valve": "Valvistor", "estimator": None, "overview": True}})
 
 
@@ -53,7 +53,7 @@ def figures() -> dict[str, float]:
 @contextmanager
 def demo(log: Path, environment: Mapping[str, str] | None = None) -> Iterator[tuple[int, Path]]:
     """Run a demo; its process id, and its log."""
-    env = {"VALVEMAP_SOURCE__URL": _RIG, "VALVEMAP_SERVER__URL": _SERVICE, **(environment or {})}
+    env = {"VALVEMAP_SOURCE__URL": _RIG, "VALVEMAP_SERVER__URL": SERVICE, **(environment or {})}
     with log.open("wb") as out:
         process = subprocess.Popen(
             [sys.executable, "-u", "-m", "valvemap", "demo"],
@@ -79,7 +79,7 @@ async def _measure(pid: int, log: Path) -> dict[str, float]:
             found[f"{what}, with {viewers} viewers"] = median(s[k] for s in alike)
         if viewers:
             found[f"service, {viewers} viewers against none, %"] = _more(viewers, stretches)
-    client = ResultsClient(SourceSettings(url=_SERVICE), NAMESPACE)
+    client = ResultsClient(SourceSettings(url=SERVICE), NAMESPACE)
     await client.connect()
     (gaps,) = await client.read(["Valvistor.Diagnostics.Gaps"])
     found["samples lost"] = float(gaps.value)

@@ -1,7 +1,7 @@
 // All valves, worst first: health, why, since when, what it did lately; and the alarms that wait for an operator.
 
 import { css, h, mark, pen, say } from "../dom.js";
-import { clock, count, counted, fixed, HEALTH, inUnit, NAN, REASONS, span, spaced, spreadInUnit } from "../format.js";
+import { clock, count, counted, HEALTH, inUnit, NAN, REASONS, span, spaced, spreadInUnit } from "../format.js";
 import { parts } from "../intervals.js";
 import { inUnits, shown } from "../units.js";
 

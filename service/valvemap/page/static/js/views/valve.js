@@ -1,13 +1,13 @@
 // One valve, live: signals, measured and predicted flow, residuals, parameters, estimators side by side.
 
 import { History, SECOND_AXIS, timeChart } from "../charts.js";
-import { css, h, lineVariable, mark, onTheme, paced, pen, say } from "../dom.js";
+import { css, h, mark, onTheme, paced, pen, say } from "../dom.js";
 import { ADAPTATION, clock, count, fixed, inUnit, REASONS, short, SIGNALS, span, spreadInUnit, STATUS } from "../format.js";
-import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
-import { decimals as decimalsOf, inUnits, shown as shownUnit, spreadShown, toShown } from "../units.js";
+import { inUnits, shown as shownUnit, spreadShown, toShown } from "../units.js";
+import { estimatorTable } from "./estimator_table.js";
+import { drawnResiduals } from "./residuals.js";
 
 const RESIDUALS = 600; // of the newest minute
-const LAGS = 20;
 const MOST_PARAMETERS = 100; // a network has hundreds, of which none says anything alone
 const MINUTE_MS = 60000, STEP_MS = 100; // of history, with which the charts begin
 const REDRAW_MS = 250; // of what is counted rather than seen
@@ -31,8 +31,7 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
   } });
   const table = estimatorTable(estimators, live.quantities, (name) => select(name));
   const parameters = h("tbody"), parametersTitle = h("h2");
-  const spread = h("canvas.bars", { role: "img", "aria-label": "Histogram of the residuals" }), follow = h("canvas.bars", { role: "img", "aria-label": "Autocorrelation of the residuals" });
-  const spreadWords = h("p.words"), followWords = h("p.words");
+  const residualCards = drawnResiduals();
   const facts = h("dl.facts");
   const flowChart = h("div.chart"), residualChart = h("div.chart"), driveChart = h("div.chart");
   for (const body of [flowChart, residualChart, driveChart]) body.classList.add("fit");
@@ -50,10 +49,7 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
       h("div.grid", {},
         h("section.card.best", {}, h("header", {}, h("h2", {}, "Recommended map"), best), bestReason, bestLinks,
           table.element, more),
-        h("div.grid.two", {},
-          h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, how large")), spread, spreadWords),
-          h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, do they repeat")), follow, followWords),
-        ),
+        residualCards.element,
         h("section.card.parameters", {}, h("header", {}, parametersTitle),
           h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Parameters" },
             h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th.number", {}, "Value"), h("th.number", {}, "± 2 σ"), h("th", {}, "relative"))), parameters))),
@@ -138,8 +134,7 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
     if (performance.now() - drawnAt < REDRAW_MS) return;
     drawnAt = performance.now();
     standing();
-    drawSpread();
-    drawFollow();
+    residualCards.draw(bySelected, live.number(`${selected}.NoiseStd`));
     showParameters();
     showFacts();
   });
@@ -182,49 +177,6 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
     const since = row.severity ? ` since ${clock(row.since)}` : "";
     const next = row.severity > 1 ? " See Alarms for what to do." : "";
     say(sentence, `${row.severity ? `${REASONS[row.reason][1].replace(/\.$/, "")}${since}.${next} ` : ""}${selected}: ${STATUS[status]?.[1].split(". ")[0].replace(/\.?$/, ".") ?? "nothing known yet"} ${count(live.number(`${selected}.SampleCount`))} samples.`);
-  }
-
-  function drawSpread() {
-    const { context, width, height } = pen(spread);
-    if (bySelected.length < 20) { say(spreadWords, `collecting: ${bySelected.length} of 20`); return; }
-    const limit = Math.max(quantile(bySelected.map(Math.abs), 0.99) * 1.15, 1e-9), bins = 31;
-    const shares = histogram(bySelected, limit, bins), highest = Math.max(...shares);
-    const noise = live.number(`${selected}.NoiseStd`), base = height - 14;
-    context.fillStyle = css("--line-1");
-    shares.forEach((share, k) => {
-      const bar = (share / highest) * (base - 6);
-      context.fillRect((k * width) / bins + 0.5, base - bar, width / bins - 1, bar);
-    });
-    if (noise > 0) { // what white noise of the published size would look like
-      context.strokeStyle = css("--ink"); context.lineWidth = 1.5; context.beginPath();
-      for (let x = 0; x <= width; x += 2) {
-        const e = (x / width) * 2 * limit - limit;
-        const share = ((2 * limit) / bins) * Math.exp(-0.5 * (e / noise) ** 2) / (noise * Math.sqrt(2 * Math.PI));
-        context.lineTo(x, base - Math.min(share / highest, 1.1) * (base - 6));
-      }
-      context.stroke();
-    }
-    axisText(context, width, height, [`−${spreadInUnit(limit, "l/min", 1)}`, "0", `${spreadInUnit(limit, "l/min", 1)} ${shownUnit("l/min")}`]);
-    const mean = bySelected.reduce((a, b) => a + b, 0) / bySelected.length;
-    say(spreadWords, `${bySelected.length} residuals; mean ${spreadInUnit(mean, "l/min", 2)}, noise ${spreadInUnit(noise, "l/min", 2)} ${shownUnit("l/min")} (line)`);
-  }
-
-  function drawFollow() {
-    const { context, width, height } = pen(follow);
-    if (bySelected.length < 60) { say(followWords, `collecting: ${bySelected.length} of 60`); return; }
-    const found = autocorrelation(bySelected, LAGS), bound = whiteBound(bySelected.length);
-    const middle = (height - 14) / 2, y = (r) => middle - r * (middle - 2);
-    context.fillStyle = `${css("--soft")}33`;
-    context.fillRect(0, y(bound), width, y(-bound) - y(bound));
-    found.forEach((r, k) => {
-      context.fillStyle = Math.abs(r) > bound ? css("--warning") : css("--line-1");
-      context.fillRect((k * width) / LAGS + 2, Math.min(y(r), middle), width / LAGS - 4, Math.max(Math.abs(y(r) - middle), 1));
-    });
-    axisText(context, width, height, ["lag 1", "", `${LAGS}`]);
-    const outside = found.filter((r) => Math.abs(r) > bound).length;
-    say(followWords, outside <= 2
-      ? `White: ${LAGS - outside} of ${LAGS} lags within the grey band of chance.`
-      : `Not white: ${outside} of ${LAGS} lags are larger than chance (grey).`);
   }
 
   function showParameters() {
@@ -314,31 +266,6 @@ function signalTile(name) {
   };
 }
 
-function estimatorTable(estimators, quantities, onSelect) {
-  const rows = estimators.map((name, k) => h("tr", { "data-estimator": name },
-    h("td", {}, h("button", { type: "button", onclick: () => onSelect(name), "aria-label": `Show ${name}` },
-      h("i.swatch", { style: { "--c": lineVariable(k) } }), name)),
-    h("td"), quantities.map(() => h("td.number"))));
-  const element = h("table.estimators", {},
-    h("thead", {}, h("tr", {}, h("th", {}, `in ${shownUnit("l/min")}`), h("th", {}, "Status"), quantities.map(({ heading, about }) => h("th.number", { title: about }, heading)))),
-    h("tbody", {}, rows));
-  return {
-    element,
-    rows,
-    show(live, selected, old) {
-      const best = live.get("Recommended")?.value;
-      estimators.forEach((name, k) => {
-        const of = (what) => live.number(`${name}.${what}`), cells = rows[k].cells;
-        const chosen = String(name === selected);
-        if (rows[k].getAttribute("aria-selected") !== chosen) rows[k].setAttribute("aria-selected", chosen);
-        mark(rows[k], "best", name === best);
-        say(cells[1], old ? "not known" : STATUS[of("Status")]?.[0] ?? "–");
-        quantities.forEach(({ name: what, decimals, unit }, j) => say(cells[j + 2], unit === "l/min" ? fixed(spreadShown(of(what), unit), decimalsOf(unit, decimals)) : fixed(of(what), decimals)));
-      });
-    },
-  };
-}
-
 function card(title, body, extra = null) {
   return h("section.card", {}, h("header", {}, h("h2", {}, title), h("span.fill"), extra), body);
 }
@@ -352,16 +279,6 @@ function flowLegend() {
     h("span", {}, h("i.dot", { style: { "--c": "var(--measured)" } }), "measured"),
     h("span", {}, h("i", { style: { "--c": "var(--line-1)" } }), "predicted"),
     h("span", {}, h("i", { style: { "--c": "color-mix(in srgb, var(--line-1) 25%, transparent)", height: "9px" } }), "95 % of measurements"));
-}
-
-function axisText(context, width, height, [left, middle, right]) {
-  context.fillStyle = css("--soft");
-  context.font = "11px system-ui, sans-serif";
-  context.textBaseline = "bottom";
-  for (const [text, x, align] of [[left, 0, "left"], [middle, width / 2, "center"], [right, width, "right"]]) {
-    context.textAlign = align;
-    context.fillText(text, x, height);
-  }
 }
 
 /** Where a parameter lies, and how far it may be off, relative to its size. */
