@@ -1,5 +1,6 @@
 """The page's memory in a browser: trends, alarms, units; and that nothing pretends."""
 
+import math
 import time
 from contextlib import asynccontextmanager
 
@@ -91,6 +92,31 @@ async def test_a_trend_is_there_after_a_change_of_view_a_reload_and_in_another_b
         await value.wait_for()
         assert await page.evaluate("location.hash") == kept
         assert visitor.problems == []
+
+
+async def test_the_state_alarms_and_silences_are_bands_over_the_trend():
+    shown, frozen = alarmed()
+    silent = time.time_ns() - 300 * S, time.time_ns() - 200 * S
+    whole = shown.courses
+
+    async def with_a_gap(asked, span, every_ns):
+        found = await whole(asked, span, every_ns)
+        for course in found:
+            for k, t in enumerate(course.times):
+                if silent[0] <= t < silent[1]:
+                    course.values[k] = math.nan
+        return found
+
+    shown.courses = with_a_gap
+    async with visit(shown) as (visitor, _):
+        await visitor.open("trend/V1?span=600")
+        lanes = visitor.page.locator("canvas.lanes")
+        for said in ("failure from", "no samples from", "Sensor frozen from"):
+            await lanes.and_(visitor.page.locator(f"[aria-label*='{said}']")).wait_for()
+        begun = await visitor.page.evaluate(
+            "ms => new Date(ms).toLocaleTimeString('en-GB')", frozen.t / 1e6
+        )
+        assert f"Sensor frozen from {begun} on" in await lanes.get_attribute("aria-label")
 
 
 async def test_without_a_history_the_trend_says_so():

@@ -1,7 +1,7 @@
 // From the changes of alarms to the spans in which they were active. Pure.
 
-/** Changes [{source, name, t, active, …}], any order → [{source, name, from, to, severity, text, raised}], the oldest first; `to` is null while active. */
-export function activeSpans(changes) {
+/** Changes [{source, name, t, active, …}], any order → [{source, name, from, to, severity, text, raised}], the oldest first; `to` is null while active. Where not all changes are known, a span whose begin is missing has none. */
+export function activeSpans(changes, areAllKnown = true) {
   const open = new Map(), found = [];
   for (const change of [...changes].sort((a, b) => a.t - b.t)) {
     const key = `${change.source}/${change.name}`, since = open.get(key);
@@ -13,7 +13,7 @@ export function activeSpans(changes) {
       since.to = change.t;
       open.delete(key);
     } else if (!change.active && !since && !found.some((one) => one.source === change.source && one.name === change.name)) {
-      found.push({ source: change.source, name: change.name, from: -Infinity, to: change.t, severity: change.severity, text: change.text, raised: change });
+      found.push({ source: change.source, name: change.name, from: areAllKnown ? -Infinity : change.t, to: change.t, severity: change.severity, text: change.text, raised: change });
     }
     if (change.active && since) since.severity = Math.max(since.severity, change.severity);
   }

@@ -1,7 +1,7 @@
 // Over a trend: the valve's state and its alarms as lanes, alarms as shaded spans, other events as marks.
 
 import { css, h, pen } from "./dom.js";
-import { REASONS, spaced } from "./format.js";
+import { clock, REASONS, spaced } from "./format.js";
 import { activeSpans, merged, stateSpans } from "./intervals.js";
 
 const LANE = 18; // px
@@ -11,14 +11,14 @@ const SEVERITY = ["--good", "--note", "--warning", "--alarm"];
 const FONT = "11px system-ui, sans-serif";
 const SILENT = "no samples";
 
-/** `span()` is [from, to] in ms; `changes()` are the changes of alarms, `silences()` the [from, to] without samples. */
-export function trendLanes({ live, valve, span, changes, silences }) {
-  const canvas = h("canvas.lanes", { role: "img", "aria-label": "State of the valve and alarms over time" });
+/** `span()` is [from, to] in ms; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples. */
+export function trendLanes({ live, valve, span, changes, areAllKnown, silences }) {
+  const canvas = h("canvas.lanes", { role: "img", "aria-label": "State" });
 
   /** Spans of alarms of this valve and of the service. */
   function active() {
     const [from, to] = span();
-    return activeSpans(merged(changes(), live.alarms)).filter(({ source, from: a, to: b }) => (source === valve.name || source === "Service") && a < to && (b ?? Infinity) > from);
+    return activeSpans(merged(changes(), live.alarms), areAllKnown()).filter(({ source, from: a, to: b }) => (source === valve.name || source === "Service") && a < to && (b ?? Infinity) > from);
   }
 
   /** Events that are not alarms. */
@@ -75,9 +75,11 @@ export function trendLanes({ live, valve, span, changes, silences }) {
     const x = (ms) => left + width * Math.min(Math.max((ms - from) / (to - from), 0), 1);
     const bar = (lane, a, b, colour) => { context.fillStyle = colour; context.fillRect(x(a), lane * LANE + 2, Math.max(x(b) - x(a), 2), LANE - 4); };
     const isSeen = (a, b) => b > from && a < to;
-    for (const one of states()) {
+    const seen = states().filter((one) => isSeen(one.from, one.to ?? to));
+    const said = [...seen, ...found.map((one) => ({ ...one, label: spaced(laneOf(one)) }))].map(({ label, from: a, to: b }) => `${label} ${a > 0 ? `from ${clock(a)}` : ""} ${b === null ? "on" : `to ${clock(b)}`}`);
+    canvas.setAttribute("aria-label", `State and alarms: ${said.join("; ") || "none known"}`);
+    for (const one of seen) {
       const end = one.to ?? to;
-      if (!isSeen(one.from, end)) continue;
       bar(0, one.from, end, css(one.severity ? SEVERITY[one.severity] : "--good-ground"));
       if (x(end) - x(one.from) < context.measureText(one.label).width + 2 * INSET) continue;
       context.fillStyle = css(one.severity ? "--card" : "--good");

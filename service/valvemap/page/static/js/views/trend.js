@@ -23,7 +23,7 @@ export function trendView(root, { live, valve, query, keep }) {
     ["Signals.p1", "p₁", "bar", "--line-1"], ["Signals.p2", "p₂", "bar", "--line-2"], ["Signals.dp", "Δp", "bar", "--line-3"],
   ];
   const names = SERIES.map(([name]) => name);
-  let rows = emptyRows(SERIES, state.span), others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, isClosed = false, pastFrom = Infinity, failed = "", source = null, hover = null;
+  let rows = emptyRows(SERIES, state.span), others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, isClosed = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
@@ -33,7 +33,7 @@ export function trendView(root, { live, valve, query, keep }) {
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name }) => name !== valve.name).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
-  const lanes = trendLanes({ live, valve, span: () => [from(), to()], changes: () => changes, silences: () => rows.silences });
+  const lanes = trendLanes({ live, valve, span: () => [from(), to()], changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences });
   const charts = [["Flow", [0, 1]], ["Residual Q − Q̂", [2]], ["Control voltage and oil temperature", [4, 5]], ["Pressures", [6, 7, 8]]];
   const bodies = charts.map(() => h("div.chart.fit"));
   const readout = h("tbody"), when = h("h2"), list = h("ol.marks");
@@ -128,8 +128,9 @@ export function trendView(root, { live, valve, query, keep }) {
     pastFrom = first;
     const found = await live.past(first, last);
     if (isClosed) return;
+    isPastKnown = Boolean(found.past && found.kept);
     if (found.past) changes = merged(changes, found.past);
-    else pastFrom = Infinity;
+    else pastFrom = Infinity; // asked again with the next read
     draw();
   }
 
