@@ -23,8 +23,12 @@ AXIS = {
 }
 LINE = {
     "DeviceHealth": 0,
-    "Frame": [1.0],
-    "FrameNames": ["Sequence"],
+    "Frame": [1.0, 0.1, 0.0, 0.2, 0.3, 100.0, 0.0],
+    "FrameNames": [
+        *("Sequence", "Leak.PredictedFlow", "Leak.Residual", "Leak.ResidualRmse"),
+        *("Leak.NoiseStd", "Leak.SampleCount", "Leak.Status"),
+    ],
+    "Leak.PredictedFlow": 0.1,
     "Leakage": 0.02,
     "LeakageStd": 0.001,
     "Signals.U": 40.0,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from valvemap.page.judgement import INVERSE_SEVERITIES, Reason
-from valvemap.page.layout import family_of
+from valvemap.page.layout import family_of, part_of
 from valvemap.page.machine_parts import words_of_codes
 from valvemap.page.observer import Observer
 from valvemap.vocabulary.alarm_guide import GUIDES
@@ -28,13 +28,11 @@ def greeting(observer: Observer) -> dict[str, Any]:
                 "estimators": valve.estimators,
                 "primary": valve.primary,
                 "family": family_of(valve.name),
+                "kind": part.kind if (part := part_of(valve)) else "",
             }
             for valve in observer.valves
         ],
-        "parts": [
-            {"name": part.name, "kind": part.kind, "family": family_of(part.name)}
-            for part in observer.parts
-        ],
+        "parts": [{"name": axis.name, "kind": axis.kind, "family": ""} for axis in observer.parts],
         "quantities": [
             {
                 "name": q.name,

@@ -58,7 +58,7 @@ class Valve:
 
 
 class PartKind(StrEnum):
-    """What a part of a machine without estimators is."""
+    """What is shown by all variables of its nodes, instead of by estimators."""
 
     LINE = "line"
     AXIS = "axis"
@@ -72,19 +72,29 @@ class Part:
     kind: PartKind
 
 
-def part_of(name: str, objects: Sequence[str]) -> Part | None:
-    """Return the part that a folder without estimators is, from the names of its objects.
+def axis_of(name: str, objects: Sequence[str]) -> Part | None:
+    """Return the axis that a folder without estimators is, from the names of its objects.
 
-    >>> part_of("Boom.LineA", ("Signals", "Inverse"))
-    Part(name='Boom.LineA', kind=<PartKind.LINE: 'line'>)
-    >>> part_of("Press", ("PA", "AT", "PB", "BT", "Inverse")).kind
-    <PartKind.AXIS: 'axis'>
-    >>> part_of("Service", ("Alarms",)) is None
+    >>> axis_of("Press", ("PA", "AT", "PB", "BT", "Inverse"))
+    Part(name='Press', kind=<PartKind.AXIS: 'axis'>)
+    >>> axis_of("Service", ("Alarms",)) is None
     True
     """
-    if name.rpartition(".")[2] in LINE_PARTS:
-        return Part(name, PartKind.LINE)
     return Part(name, PartKind.AXIS) if set(EDGES) & set(objects) else None
+
+
+def part_of(place: Valve | Part) -> Part | None:
+    """Return what a place is besides, or instead of, a valve: a line or an axis; None: neither.
+
+    >>> part_of(Valve("Boom.LineA", ("Leak",), ()))
+    Part(name='Boom.LineA', kind=<PartKind.LINE: 'line'>)
+    >>> part_of(Valve("Boom.PA", ("Auto",), ())) is None
+    True
+    """
+    if isinstance(place, Part):
+        return place
+    is_line = place.name.rpartition(".")[2] in LINE_PARTS
+    return Part(place.name, PartKind.LINE) if is_line else None
 
 
 def family_of(name: str) -> str:

@@ -1,7 +1,7 @@
 """Lines and axes in view: their variables as the service describes them, read once a second.
 
-A line or an axis has no estimators of its own. It has few variables, so that all are shown, with
-the units and descriptions of their nodes.
+An axis has no estimators, and a line one without a map. Both have few variables, so that all are
+shown, with the units and descriptions of their nodes.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -46,7 +46,7 @@ def words_of_codes() -> dict[str, dict[str, list[tuple[int, str, str]]]]:
     """
     return {
         kind: {
-            name: [(_severity(code), code.label, _sentence(kind, code)) for code in codes]
+            name: [(int(_severity(code)), code.label, _sentence(kind, code)) for code in codes]
             for name, codes in by_name.items()
         }
         for kind, by_name in _CODES.items()

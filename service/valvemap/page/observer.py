@@ -11,7 +11,7 @@ from valvemap.page.close_up import TICK_S, CloseUp
 from valvemap.page.drawn_maps import DrawnMaps
 from valvemap.page.figures import Figures
 from valvemap.page.judgement import Severity
-from valvemap.page.layout import NO_ESTIMATORS, ROOT, VERSION, Part, Valve, part_of
+from valvemap.page.layout import NO_ESTIMATORS, ROOT, VERSION, Part, Valve, axis_of, part_of
 from valvemap.page.machine_parts import MachineParts
 from valvemap.page.ports import Client, Wanted
 from valvemap.page.reading import read_all
@@ -159,8 +159,8 @@ class Observer:
             await asyncio.sleep(max(begun + step * TICK_S - self._clock.monotonic(), 0.01))
 
     async def _watch_parts(self, wanted: Wanted) -> None:
-        first = len(self.valves)
-        await self._parts.watch({number: self.parts[number - first] for number in wanted.parts})
+        parts = {number: part_of(self.places[number]) for number in wanted.parts}
+        await self._parts.watch({number: part for number, part in parts.items() if part})
 
     async def _discover(self) -> None:
         """Browse all valves; increment the generation if they have changed."""
@@ -175,8 +175,8 @@ class Observer:
             estimators = tuple(e for e in objects if e not in NO_ESTIMATORS)
             if estimators and columns.value:
                 found.append(Valve(name, estimators, tuple(columns.value)))
-            elif part := part_of(name, objects):
-                parts.append(part)
+            elif axis := axis_of(name, objects):
+                parts.append(axis)
         if (*found, *parts) != self.places or not self.generation:
             self.generation += 1
             self.valves, self.parts = tuple(found), tuple(parts)

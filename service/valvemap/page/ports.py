@@ -78,7 +78,7 @@ class Client(Protocol):
 
 @dataclass
 class Wanted:
-    """What is in view, by number: valves, maps of estimators, parts without estimators."""
+    """What is in view, by number: valves, maps of estimators, lines and axes."""
 
     live: set[int] = field(default_factory=set)
     parts: set[int] = field(default_factory=set)

@@ -5,7 +5,7 @@ from typing import Any
 
 from valvemap.errors import CommandRejected, ValvemapError
 from valvemap.page.alarm_list import MOST_PAST, row_of
-from valvemap.page.layout import PartKind, Valve
+from valvemap.page.layout import Valve
 from valvemap.page.messages import pack_text, pack_trend
 from valvemap.page.observer import Observer
 from valvemap.page.trends import MOST_INTERVALS, MOST_NAMES, STEPS_MS, recorded
@@ -33,10 +33,10 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
     try:
         match question:
             case {"invert": str() as name, "Q": float() | int() as Q, "dp": float() | int() as dp}:
-                _check_place(observer, name, PartKind.LINE)
-                answer = await _invert(observer, name, float(Q), float(dp))
+                answer = await _invert(observer, _valve(observer, name), float(Q), float(dp))
             case {"invert": str() as name, "v": float() | int() as v}:
-                _check_place(observer, name, PartKind.AXIS)
+                if name not in {axis.name for axis in observer.parts}:
+                    raise Senseless
                 answer = await _invert_speed(observer, name, float(v))
             case {
                 "trend": str() as name,
@@ -63,10 +63,10 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
     return pack_text({"answer": number, **answer})
 
 
-async def _invert(observer: Observer, name: str, Q: float, dp: float) -> dict[str, Any]:
-    """Ask for the voltage of a flow, of a valve or a line."""
+async def _invert(observer: Observer, valve: Valve, Q: float, dp: float) -> dict[str, Any]:
+    """Ask for the voltage of a flow."""
     ((U, lower, upper, status),) = await observer.client.call(
-        f"{name}.Inverse", "Invert", [(Q, dp, _NAN)]
+        f"{valve.name}.Inverse", "Invert", [(Q, dp, _NAN)]
     )
     return {"Q": Q, "dp": dp, "U": U, "lower": lower, "upper": upper, "status": status}
 
@@ -96,15 +96,6 @@ async def _compare(observer: Observer, valve: Valve, estimator: str) -> dict[str
         f"{valve.name}.Baseline", "Compare", [[estimator]]
     )
     return {"mean": mean, "largest": largest, "U": U, "dp": dp, "points": points}
-
-
-def _check_place(observer: Observer, name: str, kind: PartKind) -> None:
-    """Refuse what is neither a valve, whose flow a line's resembles, nor a part of the kind."""
-    known = {part.name for part in observer.parts if part.kind is kind}
-    if kind is PartKind.LINE:
-        known |= {valve.name for valve in observer.valves}
-    if name not in known:
-        raise Senseless
 
 
 def _valve(observer: Observer, name: str) -> Valve:

@@ -17,7 +17,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from guarded_opcua.admission import Admission
 from valvemap.clock import Clock
 from valvemap.page.greeting import greeting
-from valvemap.page.layout import Part, Valve
+from valvemap.page.layout import Part, Valve, part_of
 from valvemap.page.messages import pack_rows, pack_text
 from valvemap.page.observer import Observer
 from valvemap.page.packing import Packing
@@ -112,8 +112,9 @@ class Viewers:
             if number is None:
                 continue
             place = places[number]
-            if isinstance(place, Part):
+            if part_of(place) is not None:
                 wanted.parts.add(number)
+            if isinstance(place, Part):
                 continue
             wanted.live.add(number)
             if viewer.estimator in place.estimators:

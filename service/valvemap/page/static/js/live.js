@@ -19,7 +19,7 @@ export class Live extends EventTarget {
   text = "";
   url = "";
   valves = [];
-  parts = []; // lines and axes: {name, kind, family}; their numbers follow those of the valves
+  parts = []; // axes: {name, kind, family}; their numbers follow those of the valves, among which lines are
   quantities = []; // of each estimator: name, heading, decimals, about
   rows = new Map(); // valve number → {severity, reason, since, rmse, noise, samples, silent, predicted, health}
   courses = new Map(); // valve number → [[t in ms, Q̂], …] of the last two minutes
@@ -87,7 +87,7 @@ export class Live extends EventTarget {
   /** The same of one valve, whose samples may have ended while all else goes on. */
   oldOf(valve) {
     if (this.old) return this.old;
-    if (this.part(valve)) return this.#oldPart();
+    if (this.parts.some(({ name }) => name === valve)) return this.#oldPart();
     const row = this.rows.get(this.valves.findIndex(({ name }) => name === valve));
     if (!row) return null;
     if (REASONS[row.reason][2]) return { state: "valve", why: REASONS[row.reason][1], since: row.since, advice: "See Alarms for what to do." };
@@ -95,7 +95,7 @@ export class Live extends EventTarget {
     return null;
   }
 
-  /** A line or axis has no row in the overview: its own values tell. */
+  /** An axis has no row in the overview: its own values tell. */
   #oldPart() {
     const { t, at } = this.#newest, required = this.quality("Inverse.RequiredU"), silent = (performance.now() - at) / 1000;
     if (required !== "bad" && silent <= STALE_S) return null;
@@ -103,7 +103,7 @@ export class Live extends EventTarget {
   }
 
   /** The line or axis of that name. */
-  part(name) { return this.parts.find((known) => known.name === name); }
+  part(name) { return [...this.parts, ...this.valves].find((known) => known.kind && known.name === name); }
 
   /** Where a valve, edge, line or axis is shown. */
   hrefOf(name) { return `#/${this.part(name)?.kind ?? "valve"}/${encodeURIComponent(name)}`; }

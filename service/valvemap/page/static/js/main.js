@@ -38,7 +38,7 @@ const root = document.querySelector("main"), nav = document.querySelector(".view
 const link = document.querySelector(".link"), linkText = document.querySelector(".link-text");
 let close = () => {}, shown = null, chosen = { trend: sessionStorage.getItem("trend") ?? "" }, wanted = "", wasOld = "";
 
-const itemsOf = (of) => (of === "valve" ? live.valves : live.parts.filter(({ kind }) => kind === of));
+const itemsOf = (of) => (of === "valve" ? live.valves.filter(({ kind }) => !kind) : [...live.valves, ...live.parts].filter(({ kind }) => kind === of));
 
 const hasItems = () => live.valves.length > 0 || live.parts.length > 0;
 
@@ -91,7 +91,7 @@ function show() {
   }
   const keepQuery = (kept) => { keep(view, item, kept); shown = `${view.key}/${item?.name}/${place().query}/true`; };
   const common = { live, user, query, keep: keepQuery };
-  document.querySelector(".which").replaceChildren(...(view.of === "valve" && live.valves.length > 1 ? valvePicker(view, item) : []));
+  document.querySelector(".which").replaceChildren(...(view.of === "valve" && itemsOf("valve").length > 1 ? valvePicker(view, item) : []));
   const tabs = view.of && item ? familyTabs(live, view, item) : null;
   if (tabs) root.append(tabs);
   if (view.of === "valve") close = showValve(view, item, common);
@@ -124,9 +124,9 @@ function nothing() {
 }
 
 function valvePicker(view, valve) {
-  const list = h("datalist", { id: "valves" }, live.valves.map(({ name }) => h("option", { value: name })));
+  const list = h("datalist", { id: "valves" }, itemsOf("valve").map(({ name }) => h("option", { value: name })));
   const input = h("input", { list: "valves", value: valve.name, "aria-label": "Valve", title: "Which valve", size: 14, onfocus: () => input.select(), onchange: () => {
-    const other = live.valves.find(({ name }) => name === input.value);
+    const other = itemsOf("valve").find(({ name }) => name === input.value);
     if (other) location.hash = hrefOf(view, other);
     else input.value = valve.name;
   } });

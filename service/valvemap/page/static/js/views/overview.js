@@ -113,7 +113,7 @@ export function overviewView(root, { live }) {
     const old = live.old;
     mark(state.firstChild, "severity", old ? 1 : row.severity);
     say(state.firstChild, old ? "not known" : REASONS[row.reason][0]);
-    const href = `#/valve/${encodeURIComponent(row.name)}`;
+    const href = live.hrefOf(row.name);
     if (name.firstChild.getAttribute("href") !== href) name.firstChild.setAttribute("href", href);
     say(name.firstChild, row.name);
     mark(health.firstChild, "severity", old ? 1 : HEALTH_SEVERITY[row.health] ?? 1);

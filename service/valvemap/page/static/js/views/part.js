@@ -49,8 +49,9 @@ export function partView(root, { live, part, user }) {
   }
 
   function showStanding() {
-    const old = live.oldOf(part.name), state = isAxis ? "Status" : "DeviceHealth";
-    const [severity, label, about] = codes[state]?.[live.number(state)] ?? [1, "not known yet", ""];
+    const old = live.oldOf(part.name), row = live.rows.get(live.valves.findIndex(({ name }) => name === part.name));
+    const known = isAxis ? codes.Status?.[live.number("Status")] : row && [row.severity, ...REASONS[row.reason]];
+    const [severity, label, about] = known ?? [1, "not known yet", ""];
     mark(root, "stale", old !== null);
     mark(badge, "severity", old ? 3 : severity);
     say(badge, old ? (old.state === "valve" ? "no new samples" : "not known") : label);
@@ -136,7 +137,7 @@ function edgesOfLine(live, part) {
   const table = h("tbody"), words = h("p.words");
   const element = h("section.card", {}, h("header", {}, h("h2", {}, "Edges of this valve")),
     h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "Edge"), h("th", {}, "State"), h("th", {}, "Why"), h("th.number", {}, `RMSE, ${shown("l/min")}`))), table), words);
-  const edges = live.valves.map(({ name, family }, number) => ({ name, family, number })).filter(({ family }) => family === part.family);
+  const edges = live.valves.map(({ name }, number) => ({ name, number })).filter(({ number }) => live.valves[number].family === part.family && !live.valves[number].kind);
   table.append(...edges.map(({ name }) => h("tr", {}, h("td", {}, h("a", { href: live.hrefOf(name) }, name)), h("td", {}, h("span.badge")), h("td"), h("td.number"))));
 
   function update() {

@@ -14,7 +14,7 @@ export function timelineView(root, { live }) {
 
   function fillValves() {
     const chosen = which.value;
-    which.replaceChildren(h("option", { value: "" }, "all"), ...[...live.valves, ...live.parts].map(({ name }) => h("option", { value: name }, name)));
+    which.replaceChildren(h("option", { value: "" }, "all"), ...live.valves.map(({ name }) => h("option", { value: name }, name)));
     which.value = chosen;
   }
 

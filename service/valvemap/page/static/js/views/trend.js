@@ -31,7 +31,7 @@ export function trendView(root, { live, valve, query, keep }) {
   const now = button("Now", "Now: follow the newest data (N)", () => go({ end: null }));
   const moves = h("span.together", {}, button("◀", "◀ earlier (←)", () => pan(-0.5)), button("▶", "▶ later (→)", () => pan(0.5)), button("+", "+ zoom in", () => zoom(0.5)), button("−", "− zoom out", () => zoom(2)), now);
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
-    h("option", { value: "" }, "no other valve"), live.valves.filter(({ name }) => name !== valve.name).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
+    h("option", { value: "" }, "no other valve"), live.valves.filter(({ name, kind }) => name !== valve.name && !kind).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
   const lanes = trendLanes({ live, valve, span: () => [from(), to()], changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences });
   const charts = [["Flow", [0, 1]], ["Residual Q − Q̂", [2]], ["Control voltage and oil temperature", [4, 5]], ["Pressures", [6, 7, 8]]];
