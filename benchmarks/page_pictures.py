@@ -53,7 +53,7 @@ PICTURES = (
     Picture("commissioning", "commissioning/Boom", _MISSING, look_s=75.0),
     Picture("rig", "rig/Arm", "Injected"),
     Picture("overview", "overview", "valve changed"),
-    Picture("timeline", "timeline", "Auto found an abrupt change"),
+    Picture("timeline", "timeline", "found an abrupt change"),
     Picture("alarms", "alarms?alarm=Arm%2FChanged", "What to do", look_s=5.0),
     Picture("trend", "trend/Arm?span=600", "Arm: trend", look_s=15.0),
     Picture("trend", "trend/Arm?span=600", "Arm: trend", look_s=15.0, theme="dark"),
