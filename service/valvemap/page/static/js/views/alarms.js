@@ -11,10 +11,10 @@ const AROUND_S = 600; // of a trend, around the time of an alarm
 const keyOf = ({ source, name }) => `${source}/${name}`;
 
 export function alarmsView(root, { live, query, keep, user }) {
-  let tab = TABS.some(([key]) => key === query.get("show")) ? query.get("show") : null, chosen = query.get("alarm") ?? "", at = Number(query.get("t")) || 0;
+  let picked = TABS.some(([key]) => key === query.get("show")) ? query.get("show") : null, tab = null, chosen = query.get("alarm") ?? "", at = Number(query.get("t")) || 0;
   let past = [], kept = true, why = "", shown = [];
 
-  const tabs = h("span.segments", { role: "group", "aria-label": "Which alarms" }, TABS.map(([key]) => h("button", { type: "button", "data-tab": key, onclick: () => { tab = key; chosen = ""; at = 0; update(); } })));
+  const tabs = h("span.segments", { role: "group", "aria-label": "Which alarms" }, TABS.map(([key]) => h("button", { type: "button", "data-tab": key, onclick: () => { picked = key; chosen = ""; at = 0; update(); } })));
   const search = h("input", { type: "search", placeholder: "Search alarms", "aria-label": "Search alarms", size: 22 });
   const list = h("ul.alarm-list", { "aria-label": "Alarms" }), note = h("p.words"), detail = h("section.card.alarm-detail", { "aria-live": "off" });
   root.append(h("div.head", {}, h("h1", {}, "Alarms"), tabs, h("span.fill"), search), h("div.alarm-grid", {}, h("section.card.alarm-side", {}, list, note), detail));
@@ -35,7 +35,7 @@ export function alarmsView(root, { live, query, keep, user }) {
   }
 
   function update() {
-    tab ??= live.alarms.some(({ active }) => active) ? "active" : live.alarms.length ? "unacked" : "active";
+    tab = picked ?? (live.alarms.some(({ active }) => active) || !live.alarms.length ? "active" : "unacked");
     const counts = { active: live.alarms.filter(({ active }) => active).length, unacked: live.alarms.filter(({ acked }) => !acked).length };
     for (const one of tabs.children) {
       one.setAttribute("aria-pressed", String(one.dataset.tab === tab));
@@ -47,7 +47,7 @@ export function alarmsView(root, { live, query, keep, user }) {
     const found = shown.find((alarm) => keyOf(alarm) === chosen && (!at || alarm.t === at)) ?? shown.find((alarm) => keyOf(alarm) === chosen) ?? shown[0];
     drawList(found);
     drawDetail(found);
-    const next = new URLSearchParams({ show: tab });
+    const next = new URLSearchParams(picked ? { show: picked } : {});
     if (chosen) next.set("alarm", chosen);
     if (at) next.set("t", String(at));
     keep(next);
