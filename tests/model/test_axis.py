@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from valvemap.model import axis_search
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, fit
 from valvemap.model.axis_search import fitted, identify
 from valvemap.vocabulary.edges import EDGES
@@ -165,6 +166,15 @@ def test_at_an_end_stop_and_below_three_bar_nothing_is_learnt(block):
     empty.pB[:] = 1.0
     result = identify(empty, GEOMETRY, searched=False)
     assert result.status is AxisStatus.LOW_PRESSURE
+
+
+def test_a_recording_of_rest_is_refused_before_a_search(block, monkeypatch):
+    monkeypatch.setattr(axis_search, "_searched", None)
+    still = of(block)
+    still.x[:], still.U[:] = 400.0, 0.0
+    result = identify(still, GEOMETRY)
+    assert result.status is AxisStatus.TOO_SHORT
+    assert result.left_out["at rest"] > 11_000
 
 
 def test_pressures_in_another_unit_give_an_implausible_bulk_modulus(block):

@@ -120,7 +120,7 @@ def test_lines_meet_however_they_are_cut_and_bad_samples_are_left_out(samples):
         one.take_line(0, line_A[start:end])
     for start, end in ((0, 250), (250, 260), (270, 600)):  # ten never come
         one.take_line(1, line_B[start:end])
-    whole = axes.joined(one._window)
+    whole = one.window()
     assert len(whole) == 590
     assert np.isnan(whole.pA[200:210]).all()
     good = np.delete(np.arange(600), np.r_[200:210, 260:270])
@@ -143,7 +143,42 @@ def test_the_window_is_bounded(samples, monkeypatch):
     one = Axis(PLAN)
     for start in range(0, 12_000, 100):
         one.take(samples[start : start + 100])
-    assert len(axes.joined(one._window)) <= 2_100
+    assert len(one.window()) <= 2_100
+
+
+def at_rest(samples, seconds):
+    """The axis at its last place, for so long, from the next sample on."""
+    n, last = round(100 * seconds), samples[-1:]
+    rng = np.random.default_rng(3)
+    held = {name: np.full(n, getattr(last, name)[0]) for name in SIGNALS}
+    held["U"][:], held["x"] = 0.0, held["x"] + 0.5 * rng.standard_normal(n)
+    return AxisSamples.of(last.t[0] + 10_000_000 * np.arange(1, n + 1), **held)
+
+
+def test_a_resting_axis_neither_searches_nor_forgets(samples, axis):
+    done(axis)
+    before, kept_s = axis.results(), axis._to_search_s
+    rest = at_rest(samples[:7_100], 3_600)
+    for start in range(0, len(rest), 1_000):
+        axis.take(rest[start : start + 1_000])
+        assert done(axis) in ([], ["_Known"])
+    after = axis.results()
+    assert after.t == rest.t[-1]
+    assert after.used_s - before.used_s < 60.0
+    assert kept_s - axis._to_search_s < 60.0
+    assert after.map.known.tolist() == pytest.approx(before.map.known.tolist(), abs=5.0)
+
+
+def test_refused_searches_become_rare(samples, found, monkeypatch):
+    refused = dataclasses.replace(found, status=AxisStatus.BULK_MODULUS, sentence="too soft")
+    monkeypatch.setattr(axes, "identify", lambda *_, **__: refused)
+    one, waits = Axis(PLAN), []
+    for _ in range(7):
+        one.take(samples[:100])
+        one._to_search_s = 0.0
+        done(one)
+        waits.append(one._to_search_s)
+    assert waits == [30.0, 60.0, 120.0, 240.0, 480.0, 600.0, 600.0]
 
 
 def test_a_state_goes_on_with_the_same_bits(samples, axis):

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from valvemap.model.kernels import axis_rows as kernel
 from valvemap.model.kernels.flow_basis import axis as spline_axis
-from valvemap.model.samples import Codes, Floats, Times
+from valvemap.model.samples import Codes, Flags, Floats, Times
 from valvemap.vocabulary.edges import EDGES
 
 BREAKS: Final = np.array([0.0, *range(2, 14, 2), *range(15, 31, 3), *range(35, 101, 5)])
@@ -105,7 +105,7 @@ class AxisSamples:
     def __len__(self) -> int:
         return len(self.t)
 
-    def __getitem__(self, rows: slice) -> "AxisSamples":
+    def __getitem__(self, rows: slice | Flags) -> "AxisSamples":
         return AxisSamples(self.t[rows], *(getattr(self, s)[rows] for s in (*_SIGNALS, "T")))
 
 

@@ -16,6 +16,7 @@ from valvemap.model.axis import (
     fit,
     with_theta,
 )
+from valvemap.model.axis_rest import Rest
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
 
@@ -38,8 +39,9 @@ class AxisResult:
     """Result of :func:`identify`: a fit, or the reason why there is none.
 
     ``status`` other than OK: ``fit`` must not be used, and ``sentence`` says why and what to do.
-    ``left_out`` has the number of intervals by reason. ``state`` continues the fit sample by
-    sample; ``of_shape`` (n, n) is the part of its covariance that is due to play and spool.
+    ``left_out`` has the number of intervals by reason, and of samples at rest. ``state`` continues
+    the fit sample by sample; ``of_shape`` (n, n) is the part of its covariance that is due to play
+    and spool.
     """
 
     status: AxisStatus
@@ -79,24 +81,18 @@ def identify(
     if refused is not None:
         return refused
     regression = AxisRegression(geometry, period_s)
+    _, moves = Rest.initial().update(samples)
+    resting, samples = int(np.sum(~moves)), samples[moves]
+    left_out, refused = _too_little(regression, samples, resting)
+    if refused is not None:
+        return refused
     if searched:
         regression = _searched(regression, samples[:_SEARCHED])
     state, found = fitted(replace(regression, memory_s=memory_s), samples)
     of_shape = _of_shape(found, state, samples) if searched else np.zeros_like(found.covariance)
     found = replace(found, covariance=found.covariance + of_shape)
-    left_out = state.reasons()
-    use_s = state.rows * period_s
     status, detail = AxisStatus.OK, ""
-    if left_out["end stop"] > _LEAST_SHARE * len(samples) and use_s < _LEAST_S:
-        status, detail = AxisStatus.END_STOPS, f"{left_out['end stop']} of {len(samples)} samples"
-    elif left_out["low pressure"] > _LEAST_SHARE * len(samples) and use_s < _LEAST_S:
-        status, detail = AxisStatus.LOW_PRESSURE, f"{left_out['low pressure']} samples"
-    elif use_s < _LEAST_S:
-        status, detail = AxisStatus.TOO_SHORT, f"{use_s:.0f} s of use"
-    elif min(np.nanmax(samples.U), -np.nanmin(samples.U)) < _LEAST_SWING:
-        status = AxisStatus.UNEXCITED
-        detail = f"U from {np.nanmin(samples.U):.0f} to {np.nanmax(samples.U):.0f} %"
-    elif not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
+    if not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
         status, detail = AxisStatus.BULK_MODULUS, f"{found.bulk_modulus[0]:.2f} GPa"
     sentence = f"{status.sentence} ({detail})" if detail else status.sentence
     return AxisResult(status, sentence, found, left_out, state, of_shape)
@@ -108,6 +104,33 @@ def fitted(regression: AxisRegression, samples: AxisSamples) -> tuple[AxisState,
     start = with_theta(regression.initial_state(), fit(regression, first).theta)
     state, _ = regression.update(start, samples)
     return state, fit(regression, state)
+
+
+def _too_little(
+    regression: AxisRegression, samples: AxisSamples, resting: int
+) -> tuple[dict[str, int], AxisResult | None]:
+    """Return the intervals by reason, and the refusal of samples too few of which can be used.
+
+    Neither depends on play and spool, so that a search, which takes long, is not begun in vain.
+    """
+    state, _ = regression.update(regression.initial_state(), samples)
+    left_out = {**state.reasons(), "at rest": resting}
+    use_s, n = state.rows * regression.period_s, len(samples)
+
+    def refused(status: AxisStatus, detail: str) -> tuple[dict[str, int], AxisResult]:
+        sentence = f"{status.sentence} ({detail})"
+        return left_out, AxisResult(status, sentence, None, left_out)
+
+    if use_s < _LEAST_S:
+        if left_out["end stop"] > _LEAST_SHARE * n:
+            return refused(AxisStatus.END_STOPS, f"{left_out['end stop']} of {n} samples")
+        if left_out["low pressure"] > _LEAST_SHARE * n:
+            return refused(AxisStatus.LOW_PRESSURE, f"{left_out['low pressure']} samples")
+        return refused(AxisStatus.TOO_SHORT, f"{use_s:.0f} s of use")
+    low, high = float(np.nanmin(samples.U)), float(np.nanmax(samples.U))
+    if min(high, -low) < _LEAST_SWING:
+        return refused(AxisStatus.UNEXCITED, f"U from {low:.0f} to {high:.0f} %")
+    return left_out, None
 
 
 def _period(samples: AxisSamples) -> tuple[float, AxisResult | None]:

@@ -3,7 +3,8 @@
 An axis is read as two rows of signals, one for each of its lines: U, the pressures on both sides of
 the line's edges, and the position. A search over the newest minutes finds play and spool, and takes
 seconds: the caller runs it beside everything else, as it does the solution of the sums. Between
-two searches the sums continue sample by sample.
+two searches the sums continue sample by sample. An axis at rest neither learns nor forgets nor
+searches: all times but that of the newest sample are of movement.
 """
 
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from valvemap.model.axis import (
     fit,
 )
 from valvemap.model.axis_inverse import AxisTable, axis_table, invert
+from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_search import AxisResult, identify
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Floats, Samples, Times
@@ -30,14 +32,15 @@ from valvemap.pipeline.edges import MOST_WAITING, paired
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
 
-WINDOW_S: Final = 200.0  # s; length of a search: more does not move play and spool
+WINDOW_S: Final = 200.0  # s of movement; length of a search: more does not move play and spool
 MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
-SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of samples until the first searches
-AGAIN_S: Final = 600.0  # s of samples between two later searches
-REFUSED_AGAIN_S: Final = 30.0  # s; after a search that found nothing
-REFIT_S: Final = 5.0  # s of samples between two fits of the sums
+SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of movement until the first searches
+AGAIN_S: Final = 600.0  # s of movement between two later searches
+REFUSED_AGAIN_S: Final = 30.0  # s of movement after a refused search; doubled by each further one
+REFIT_S: Final = 5.0  # s of movement between two fits of the sums
 SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # up to these differences the sums continue
 _RATED_BAR: Final = 70.0
+_LONGEST_STEP_S: Final = 1.0  # s; a longer step from sample to sample counts as this
 _NO_TIME: Final = np.empty(0, np.int64)
 
 
@@ -75,10 +78,11 @@ class Axis:
     def __init__(self, plan: AxisPlan) -> None:
         self.plan = plan
         self._unmet: list[tuple[Times, Floats]] = [(_NO_TIME, np.empty((5, 0)))] * 2
-        self._window: list[AxisSamples] = []
+        self._rest = Rest.initial()
+        self._window: list[tuple[float, AxisSamples]] = []  # s of movement, and its samples
         self._since: list[AxisSamples] | None = None  # while a search runs
         self._works = False
-        self._searches = 0
+        self._searches = self._refusals = 0
         self._to_search_s, self._to_refit_s = SEARCHES_S[0], REFIT_S
         self._refused: AxisResult | None = None
         self._state: AxisState | None = None
@@ -109,14 +113,18 @@ class Axis:
             self.take(AxisSamples.of(t_A[rows], U=U, x=x, pA=pA, pB=pB, pS=pS, pT=pT, T=T))
 
     def take(self, samples: AxisSamples) -> None:
-        """Take whole samples."""
-        span_s = 1e-9 * float(samples.t[-1] - (self.t or samples.t[0]))
+        """Take whole samples; where the axis rests, they count for the present pressures alone."""
+        steps_s = 1e-9 * np.diff(samples.t, prepend=self.t or samples.t[0])
         self.t = int(samples.t[-1])
         newest = (getattr(samples, name)[-1] for name in ("x", "pA", "pB", "pS", "pT"))
         self._newest = tuple(float(value) for value in newest)
-        self._window.append(samples)
+        self._rest, moves = self._rest.update(samples)
+        if not moves.any():
+            return
+        passed_s = float(np.clip(steps_s, 0.0, _LONGEST_STEP_S)[moves].sum())
+        samples = samples[moves]
+        self._window.append((passed_s, samples))
         self._trim()
-        passed_s = min(max(span_s, 0.0), WINDOW_S)
         self._to_search_s -= passed_s
         if self._since is not None:
             self._since.append(samples)
@@ -126,10 +134,11 @@ class Axis:
 
     def _trim(self) -> None:
         """Drop what is older than the window, batch by batch."""
-        since = self.t - round(WINDOW_S * 1e9)
-        n = sum(map(len, self._window))
-        while len(self._window) > 1 and (self._window[0].t[-1] < since or n > MOST_SAMPLES):
-            n -= len(self._window.pop(0))
+        length_s = sum(passed_s for passed_s, _ in self._window)
+        n = sum(len(samples) for _, samples in self._window)
+        while len(self._window) > 1 and (length_s > WINDOW_S or n > MOST_SAMPLES):
+            passed_s, oldest = self._window.pop(0)
+            length_s, n = length_s - passed_s, n - len(oldest)
 
     def job(self) -> Job | None:
         """Return the work that is due, for another thread; None: there is none, or one is done.
@@ -140,12 +149,21 @@ class Axis:
             return None
         if self._to_search_s <= 0.0 and self._window:
             self._works, self._since = True, []
-            plan, window = self.plan, joined(self._window)
+            plan, window = self.plan, self.window()
             return partial(identify, window, plan.geometry, memory_s=plan.memory_s)
         if self._to_refit_s <= 0.0 and self._state is not None:
             self._works, self._to_refit_s = True, REFIT_S
             return partial(_solved, self._regression, self._state, self._of_shape)
         return None
+
+    def window(self) -> AxisSamples:
+        """Return the newest samples with movement, which the next search is over."""
+        batches = [samples for _, samples in self._window]
+        names = [name for name in vars(batches[0]) if name != "t"]
+        return AxisSamples.of(
+            np.concatenate([batch.t for batch in batches]),
+            **{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names},
+        )
 
     def accept(self, outcome: Outcome) -> None:
         """Apply the outcome of a job; a refusal changes no map that there is."""
@@ -155,9 +173,10 @@ class Axis:
             return
         since, self._since = self._since or [], None
         if outcome.status or outcome.fit is None or outcome.state is None:
-            self._to_search_s, self._refused = REFUSED_AGAIN_S, outcome
+            self._to_search_s = min(REFUSED_AGAIN_S * 2.0**self._refusals, AGAIN_S)
+            self._refusals, self._refused = min(self._refusals + 1, 10), outcome
             return
-        self._searches, self._refused = self._searches + 1, None
+        self._searches, self._refusals, self._refused = self._searches + 1, 0, None
         k = self._searches
         self._to_search_s = SEARCHES_S[k] - SEARCHES_S[k - 1] if k < len(SEARCHES_S) else AGAIN_S
         if outcome.of_shape is not None:
@@ -269,15 +288,6 @@ def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _
             flow_std=table.spread * np.sqrt(_RATED_BAR),
             known=table.known,
         ),
-    )
-
-
-def joined(batches: list[AxisSamples]) -> AxisSamples:
-    """Return batches as one."""
-    names = [name for name in vars(batches[0]) if name != "t"]
-    return AxisSamples.of(
-        np.concatenate([batch.t for batch in batches]),
-        **{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names},
     )
 
 
