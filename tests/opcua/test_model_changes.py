@@ -297,3 +297,17 @@ async def test_a_standing_demand_is_asked_of_the_new_operator():
             await server.follow([BUCKET, BOOM], Asked())
     ((valve, Q, _),) = demands
     assert (valve, Q) == ("Boom", 50.0)
+
+
+async def test_axes_that_come_and_go_are_said_and_versioned():
+    async with served([BOOM]) as server, Client(server.url) as client:
+        await server.follow_axes(["Press"], None)
+        assert await version_of(server, "Identification") == version_of_root([BOOM], ["Press"])
+        events = await heard(client, client.nodes.server)
+        await server.follow_axes(["Press"], None)
+        await server.follow_axes([], None)
+        assert await version_of(server, "Identification") == version_of_root([BOOM])
+        await server.follow_axes(["Lift"], None)
+        await until(lambda: len(events) == 2)
+    said = [event.Message.Text for event in events]
+    assert said == ["Axes removed: Press", "Axes added: Lift"]

@@ -16,19 +16,22 @@ from valvemap.pipeline.ports import ValveDescription
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
 _KIND = ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType)
 _SEVERITY = 100
-_MOST_NAMED = 10  # valves, in the message
+_MOST_NAMED = 10  # valves or axes, in the message
 _Verb = ua.ModelChangeStructureVerbMask
 _Types = ua.VariantType
 
 
-def version_of_root(valves: Iterable[ValveDescription]) -> str:
-    """NodeVersion of ``s=Identification``: changes when a valve is added, removed or changed.
+def version_of_root(valves: Iterable[ValveDescription], axes: Iterable[str] = ()) -> str:
+    """NodeVersion of ``s=Identification``: changes when a valve or an axis comes, goes or changes.
 
     >>> one, two = ValveDescription("V1", ()), ValveDescription("V2", ())
     >>> version_of_root([one, two]) == version_of_root([two, one]) != version_of_root([one])
     True
+    >>> version_of_root([one], ["Press"]) != version_of_root([one])
+    True
     """
-    return _digest(sorted((valve.name, version_of_valve(valve)) for valve in valves))
+    versions = sorted((valve.name, version_of_valve(valve)) for valve in valves)
+    return _digest((versions, sorted(axes)))
 
 
 def version_of_valve(valve: ValveDescription) -> str:
@@ -60,13 +63,36 @@ def model_change(
     came = [name for name in new if name not in old]
     went = [name for name in old if name not in new]
     changed = [name for name in new if name in old and old[name] != new[name]]
+    return _told("Valves", came, went, changed, index, valve_type, now)
+
+
+def axes_change(before: Sequence[str], after: Sequence[str], index: int, now: int) -> Event | None:
+    """Return the event that lists added and removed axes; None if there are none.
+
+    Axes that stay are re-created, with a reload that changes nothing of their nodes.
+    """
+    came = [name for name in after if name not in before]
+    went = [name for name in before if name not in after]
+    kind = ua.NodeId(ua.ObjectIds.BaseObjectType)
+    return _told("Axes", came, went, [], index, kind, now)
+
+
+def _told(
+    what: str,
+    came: Sequence[str],
+    went: Sequence[str],
+    changed: Sequence[str],
+    index: int,
+    kind: ua.NodeId,
+    now: int,
+) -> Event | None:
     if not (came or went or changed):
         return None
     root = ua.NodeId(ROOT, index)
     verbs = [(name, _Verb.NodeAdded) for name in came]
     verbs += [(name, _Verb.NodeDeleted) for name in went]
     verbs += [(name, _Verb.NodeAdded | _Verb.NodeDeleted) for name in changed]  # re-created
-    changes = [_change(ua.NodeId(name, index), valve_type, verb) for name, verb in verbs]
+    changes = [_change(ua.NodeId(name, index), kind, verb) for name, verb in verbs]
     if came or went:
         verb = (_Verb.ReferenceAdded if came else 0) | (_Verb.ReferenceDeleted if went else 0)
         changes.append(_change(root, ua.NodeId(ua.ObjectIds.BaseObjectType), verb))
@@ -75,7 +101,7 @@ def model_change(
         for word, names in (("added", came), ("removed", went), ("changed", changed))
         if names
     )
-    return _event(changes, f"Valves {said}", root, now)
+    return _event(changes, f"{what} {said}", root, now)
 
 
 def _event(

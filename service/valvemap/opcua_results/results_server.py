@@ -28,7 +28,7 @@ from valvemap.opcua_results.information_model import (
     check_axis_names,
     check_names,
 )
-from valvemap.opcua_results.model_changes import model_change, version_of_root
+from valvemap.opcua_results.model_changes import axes_change, model_change, version_of_root
 from valvemap.opcua_results.past import AlarmsPast, ResultsPast
 from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_blocks import Generations
@@ -122,6 +122,7 @@ class ResultsServer(Startable):
         self._nodes: ResultNodes
         self._service: ResultService
         self._axes: AxisNodes
+        self._axis_names: tuple[str, ...] | None = None  # none were asked for yet
         self._commissions: CommissionNodes
 
     @property
@@ -213,8 +214,16 @@ class ResultsServer(Startable):
             if a name is invalid.
         """
         check_axis_names(axes)
+        before = tuple(axes) if self._axis_names is None else self._axis_names
+        self._axis_names = tuple(axes)
         with many_nodes():
             await self._axes.follow(axes, operator)
+        server = self._server
+        if server is not None:
+            self._renew_version(server, self._slots.shown)
+            event = axes_change(before, axes, server.namespace_index, self._clock.now())
+            if event is not None:
+                server.say(event, _SAID_FOR_S)
 
     def show_axis(self, axis: str, results: AxisResults) -> None:
         """Publish the results of one axis; fulfils `AxisSink`."""
@@ -327,6 +336,10 @@ class ResultsServer(Startable):
         kind, now = type_of(server, VALVE), self._clock.now()
         event = model_change(before, after, server.namespace_index, kind, now)
         if event is not None:
-            version = ua.NodeId(f"{ROOT}.{NODE_VERSION}", server.namespace_index)
-            server.write_property(version, ua.Variant(version_of_root(after)))
+            self._renew_version(server, after)
             server.say(event, _SAID_FOR_S)
+
+    def _renew_version(self, server: HardenedServer, valves: Sequence[ValveDescription]) -> None:
+        node = ua.NodeId(f"{ROOT}.{NODE_VERSION}", server.namespace_index)
+        version = version_of_root(valves, self._axis_names or ())
+        server.write_property(node, ua.Variant(version, ua.VariantType.String))
