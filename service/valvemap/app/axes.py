@@ -15,6 +15,7 @@ from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
+from valvemap.pipeline.ports import KeptElsewhere
 from valvemap.runtime.axes import LINES, LiveAxes
 from valvemap.runtime.sources import supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
@@ -38,10 +39,11 @@ async def run_axes(
     stop: asyncio.Event,
     ready: Callable[[], Awaitable[None]],
     supervision: SupervisorSettings,
+    note_states: Callable[[KeptElsewhere], None],
 ) -> None:
     """Identify the axes of a configuration until ``stop`` is set; without axes, show none.
 
-    ``ready`` is awaited before the first samples.
+    ``ready`` is awaited before the first samples; ``note_states`` gets the keeper of the states.
 
     Raises
     ------
@@ -55,6 +57,7 @@ async def run_axes(
         live = build_live_axes(config, server, store, clock)
         await server.follow_axes(live.names, live)
         live.start()
+        note_states(live.keeper)
         try:
             await supervise_all(build_axis_sources(config, ready), live, clock, stop, supervision)
         finally:

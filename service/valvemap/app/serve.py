@@ -175,7 +175,15 @@ async def _live(
         await _together(
             ended,
             supervise_all(plan.source, pulse, clock, ended, supervision),
-            run_axes(config, server, clock, ended, plan.compiled.ended, supervision),
+            run_axes(
+                config,
+                server,
+                clock,
+                ended,
+                plan.compiled.ended,
+                supervision,
+                live.note_states_elsewhere,
+            ),
         )
     finally:
         server.take_no_commands()

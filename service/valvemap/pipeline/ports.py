@@ -620,6 +620,16 @@ class Operator(Protocol):
         """Return the state of all alarms of a valve or (None) of the service."""
 
 
+class KeptElsewhere(Protocol):
+    """States that are saved beside the valves', in a file of their own."""
+
+    failures: int
+    """Saves that failed."""
+
+    def age_s(self, now: float) -> float:
+        """Time since the last save, monotonic s; ∞: the file was lost."""
+
+
 class CheckpointStore(Protocol):
     """Stores the newest state of every estimator over restarts."""
 

@@ -8,7 +8,7 @@ import numpy as np
 import structlog
 
 from valvemap.clock import Clock
-from valvemap.errors import CommandRejected, SourceError, StorageError
+from valvemap.errors import CommandRejected, SourceError
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
@@ -16,7 +16,8 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis, AxisPlan, Job
 from valvemap.pipeline.axis_ports import AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import Checkpoint, CheckpointStore
+from valvemap.pipeline.ports import CheckpointStore
+from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.reorder_wait import ReorderWait
@@ -24,7 +25,6 @@ from valvemap.vocabulary.statuses import AxisStatus
 
 LINES = 2  # rows of signals of an axis
 SHOWN_S = 0.1  # s; shortest time between two results of an axis
-ESTIMATOR = "Axis"  # under which a state is stored
 
 log = structlog.get_logger(__name__)
 
@@ -65,8 +65,9 @@ class LiveAxes:
         now = clock.monotonic()
         self.axes = [Axis(plan) for plan in plans]
         self._numbers = {plan.name: number for number, plan in enumerate(plans)}
-        self._arrivals, self._sink, self._store, self._clock = arrivals, sink, store, clock
-        self._stale_after_s, self._interval_s = stale_after_s, checkpoint_interval_s
+        self._arrivals, self._sink, self._clock = arrivals, sink, clock
+        self._stale_after_s = stale_after_s
+        self.keeper = AxisKeeper(self.axes, store, clock, checkpoint_interval_s)
         self._held = ReorderWait(LINES * len(plans), reorder_s, now)
         self._connected = np.zeros(LINES * len(plans), np.bool_)
         self._heard_at = np.full(len(plans), -np.inf)
@@ -75,7 +76,6 @@ class LiveAxes:
         self._started = np.zeros(LINES * len(plans), np.int64)
         self._jobs: dict[int, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Semaphore(1)
-        self._save_due = now + checkpoint_interval_s
 
     @property
     def names(self) -> list[str]:
@@ -84,11 +84,11 @@ class LiveAxes:
 
     def start(self) -> None:
         """Resume from the stored states, and show every axis."""
-        stored = {one.valve: one for one in self._store.load() if one.estimator == ESTIMATOR}
+        stored = self.keeper.stored()
         for number, axis in enumerate(self.axes):
             if axis.plan.name in stored:
                 try:
-                    axis.resume(stored[axis.plan.name].state)
+                    axis.resume(stored[axis.plan.name])
                 except StateMismatchError as error:
                     log.warning("axis starts afresh", axis=axis.plan.name, why=str(error))
             self._show(number)
@@ -117,9 +117,7 @@ class LiveAxes:
             self._begin_job(number)
             if now - self._shown_at[number] > self._stale_after_s:
                 self._show(number)
-        if now >= self._save_due:
-            self._save_due = now + self._interval_s
-            await self._save()
+        await self.keeper.keep_if_due()
 
     async def lost(
         self,
@@ -135,7 +133,7 @@ class LiveAxes:
             task.cancel()
         await asyncio.gather(*self._jobs.values(), return_exceptions=True)
         log_missing(self._arrivals.left_out())
-        await self._save()
+        await self.keeper.keep()
 
     def demand_speed(self, axis: str, v: float) -> None:
         """Demand a speed, mm/s; NaN withdraws the demand."""
@@ -215,28 +213,3 @@ class LiveAxes:
         elif now - self._heard_at[number] > self._stale_after_s:
             found = replace(found, is_stale=True)
         return found if not found.is_stale else replace(found, required=RequiredU())
-
-    async def _save(self) -> None:
-        """Save the states; an error is logged, and the next save tries again.
-
-        They are packed here: a job's outcome must not change one halfway.
-        """
-        kept = []
-        for axis in self.axes:
-            packed = axis.to_bytes()
-            if packed is not None:
-                kept.append(
-                    Checkpoint(
-                        axis.plan.name,
-                        ESTIMATOR,
-                        axis.key,
-                        axis.t,
-                        packed,
-                        lam=None,
-                        frozen=False,
-                    )
-                )
-        try:
-            await asyncio.to_thread(self._store.save, kept)
-        except StorageError as error:
-            log.warning("states of axes not kept", reason=str(error))

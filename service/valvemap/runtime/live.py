@@ -26,6 +26,7 @@ from valvemap.pipeline.ports import (
     Checkpoint,
     CheckpointStore,
     Health,
+    KeptElsewhere,
     PastCounters,
     Results,
     ResultSink,
@@ -139,6 +140,7 @@ class LiveService:
         self._keeper = StateKeeper(
             identification, source, store, clock, settings.checkpoint_interval_s
         )
+        self._kept_elsewhere: KeptElsewhere | None = None
         self._map_due = now + settings.map_interval_s
         self._under_way = False
         self._connected = np.zeros(len(identification.plans), np.bool_)
@@ -148,6 +150,10 @@ class LiveService:
         self._feed_forward = FeedForwardWriter(
             identification, source, clock, self._situation, self._note_new
         )
+
+    def note_states_elsewhere(self, kept: KeptElsewhere) -> None:
+        """Include the states of another keeper in the alarm Checkpoint and the counters."""
+        self._kept_elsewhere = kept
 
     async def complete(self, whole: Identification) -> None:
         """Let ``whole`` repeat all calls of the preview so far, and replace it."""
@@ -361,15 +367,20 @@ class LiveService:
         if now < self._health_due:
             return
         self._health_due = now + HEALTH_EVERY_S
-        alarms = self._watch_service(now)
+        elsewhere = self._kept_elsewhere
+        other_s = math.nan if elsewhere is None else elsewhere.age_s(now)
+        alarms = self._watch_service(now, other_s)
+        known_s = other_s if math.isfinite(other_s) else math.nan
+        age_s = float(np.fmax(now - self._keeper.kept_at, known_s))
+        failures = self._keeper.failures + (0 if elsewhere is None else elsewhere.failures)
         await self._sink.show_health(
             Health(
                 age_s=self._ages(),
                 waiting=self.identification.pending(),
                 source=self._source.counters,
                 source_states=self._source.states,
-                checkpoint_age_s=now - self._keeper.kept_at,
-                checkpoint_failures=self._keeper.failures,
+                checkpoint_age_s=age_s,
+                checkpoint_failures=failures,
                 checkpoints_refused=self._refused,
                 checkpoint_bytes=self._store.size,
                 history=PastCounters() if self._past is None else self._past.counters,
@@ -378,7 +389,11 @@ class LiveService:
             )
         )
 
-    def _watch_service(self, now: float) -> Sequence[AlarmReport]:
+    def _watch_service(self, now: float, other_s: float) -> Sequence[AlarmReport]:
+        """Watch the service; ``other_s`` is the age of states kept elsewhere, NaN: there are none.
+
+        The keeper's own age is 0 without valves.
+        """
         passed, worked = now - self._worked_since, self._worked_s
         self._worked_s, self._worked_since = 0.0, now
         until, utc = self._settings.certificate_until_ns, self._clock.now()
@@ -386,7 +401,7 @@ class LiveService:
         age_s, self._keeper.file_lost = self._keeper.age_s(now), False
         return self.identification.watch_service(
             utc,
-            checkpoint_age_s=age_s,
+            checkpoint_age_s=float(np.fmax(age_s, other_s)),
             days_left=(until - utc) / DAY_NS if until else math.nan,
             load=1.0 if self._to_publish.late else share,
             history_waits_s=math.nan if self._past is None else self._past.waits_s(now),

@@ -1,0 +1,81 @@
+"""States of axes that cannot be saved: counted, alarmed, and saved once they can be."""
+
+import numpy as np
+import pytest
+import structlog
+
+from valvemap.errors import StateFileLost, StorageError
+from valvemap.model.axis import AxisGeometry
+from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.runtime.axis_keeper import AxisKeeper
+from valvemap.runtime.live import LiveService, LiveSettings
+
+
+class Store:
+    error = None
+    saved = 0
+
+    def save(self, checkpoints):
+        del checkpoints
+        if self.error is not None:
+            raise self.error
+        self.saved += 1
+
+    def load(self):
+        return []
+
+
+@pytest.fixture
+def disk():
+    return Store()
+
+
+@pytest.fixture
+def keeper(disk, clock):
+    return AxisKeeper([Axis(AxisPlan("Press", AxisGeometry(63, 45, 800, 1, 1)))], disk, clock, 10.0)
+
+
+async def turn(live, keeper, clock, seconds=10.0):
+    clock.advance(seconds)
+    await keeper.keep_if_due()
+    await live.tick()
+    await live.settle()
+
+
+def alarm_of(sink):
+    (alarm,) = [a for a in sink.health.alarms if a.name == "Checkpoint"]
+    return alarm
+
+
+async def test_failed_saves_raise_the_alarm_until_one_succeeds(
+    keeper, disk, identification, source, sink, store, clock
+):
+    live = LiveService(identification, source, sink, store, clock, LiveSettings())
+    await live.start()
+    live.note_states_elsewhere(keeper)
+    await turn(live, keeper, clock)
+    assert disk.saved == 1
+    disk.error = StorageError("disk full")
+    with structlog.testing.capture_logs() as logs:
+        for _ in range(8):
+            await turn(live, keeper, clock)
+    assert keeper.failures == 8
+    assert sink.health.checkpoint_failures == 8
+    assert sink.health.checkpoint_age_s == pytest.approx(80.0, abs=1.0)
+    assert alarm_of(sink).active
+    assert logs[0]["reason"] == "disk full"
+    disk.error = None
+    await turn(live, keeper, clock)
+    assert not alarm_of(sink).active
+
+
+async def test_a_lost_file_raises_it_at_once(
+    keeper, disk, identification, source, sink, store, clock
+):
+    live = LiveService(identification, source, sink, store, clock, LiveSettings())
+    await live.start()
+    live.note_states_elsewhere(keeper)
+    disk.error = StateFileLost("removed")
+    await turn(live, keeper, clock)
+    assert alarm_of(sink).active
+    assert not np.isinf(sink.health.checkpoint_age_s)
