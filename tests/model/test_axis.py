@@ -96,6 +96,17 @@ def test_missing_values_and_gaps_are_left_out_and_harm_nothing(block):
     assert error(machine(), found) < 0.2
 
 
+def test_where_intervals_are_left_out_the_position_s_noise_is_not_learnt(block):
+    noisy = of(block)
+    noisy.x[:] += 0.5 * np.random.default_rng(1).standard_normal(len(noisy))
+    _, whole = fitted(KNOWN, noisy)
+    for start in range(100, 12_000, 200):
+        noisy.pA[start : start + 3] = 1.0
+    state, broken = fitted(KNOWN, noisy)
+    assert state.reasons()["low pressure"] > 200
+    assert broken.residual_std < 1.1 * whole.residual_std
+
+
 def test_a_wrong_piston_area_scales_the_flows_and_not_the_speeds(block):
     larger = AxisGeometry(63 * 1.1**0.5, 45 * 1.1**0.5, 800, 1.2, 1.2)
     own = fitted(KNOWN, of(block))[1]

@@ -35,6 +35,7 @@ SPOOL_DAMPING: Final = 0.8  # of the assumed spool; its frequency is found
 _SIGNALS: Final = ("U", "x", "pA", "pB", "pS", "pT")
 _SETTLING_S: Final = 0.1  # s; after a gap, until the spool's course is known again
 _BLOCK_S: Final = 1.0  # s; of the block sums that tell how far residuals hang together
+_FADED: Final = 6.0  # times the filter's; an impulse then has 4 % of its largest effect
 _ROW_S: Final = 0.04  # s; from row to row: a fraction of the filter's time
 _LONGEST: Final = 2.5  # sampling periods; a longer interval is a gap
 _CORNER: Final = 0.015  # share of the third difference; tuned on simulated axes
@@ -242,6 +243,7 @@ class AxisRegression:
                 max(1.0, round(_SETTLING_S / self.period_s)),
                 max(1.0, round(_BLOCK_S / (stride * self.period_s))),
                 stride,
+                max(1.0, round(_FADED / (2.0 * math.pi * self.filter_hz * self.period_s))),
             ]
         )
 

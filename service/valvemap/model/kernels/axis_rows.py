@@ -4,7 +4,8 @@ Over the interval between two samples the mean of each term is known: of the spe
 positions, of ṗ from the two pressures, of an edge's basis from the spool's course in `PARTS` parts.
 All terms of a row then pass the same low-pass of 2nd order (state-variable filter), so that
 nothing is differentiated and left bare, and the equation holds for the filtered terms as for the
-bare ones. An interval that is left out is left out of every term.
+bare ones. An interval that is left out is left out of every term. The noise of the position where
+it ends then stays in the filter, so that rows begin again once it has faded.
 
 Columns: for the edges PA, AT, PB, BT ``knots`` spline functions and one for the departure from √Δp,
 then 1/β, c and free air.
@@ -28,7 +29,11 @@ ROOT: Final = 10.0  # √bar; where the departure from √Δp changes its sign
 
 USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
 
-MEMORY: Final = ("held", "spool", "speed", "U", "x", "pA", "pB", "pS", "pT", "known", "settling")
+MEMORY: Final = (
+    *("held", "spool", "speed"),
+    *("U", "x", "pA", "pB", "pS", "pT"),
+    *("known", "settling", "withheld"),
+)
 _RENEWED: Final = 100  # rows; forgetting is applied at every hundredth one
 
 
@@ -129,7 +134,8 @@ def axis_rows(
     settings
         Sampling period (s), half the play (%), the spool's transition (2, 2) and input (2,), the
         filter's share per sample, forgetting per row, lowest pressure (bar), margin at the stops
-        (mm), longest gap (s), settling intervals, length of a block (rows), stride.
+        (mm), longest gap (s), settling intervals, length of a block (rows), stride, intervals
+        without a row after one that is left out.
     places
         Columns of line A and of line B, (2, ·).
     status, residual
@@ -154,8 +160,7 @@ def axis_rows(
         if not finite:
             status[i] = MISSING
             counts[1 + MISSING] += 1
-            memory[9] = 0.0
-            continue
+            continue  # as if it had not come: too long an interval is a gap
         if memory[9] == 0.0 or dt <= 0.0 or dt > settings[12]:
             held = now[0] if memory[9] == 0.0 else _held(memory[0], now[0], half)
             memory[0], memory[1], memory[2] = held, held, 0.0
@@ -190,6 +195,7 @@ def axis_rows(
                 reason = END_STOP
             elif min(pA, pB, now[2], now[3]) < settings[10]:
                 reason = LOW_PRESSURE
+        memory[11] = max(memory[11] - 1.0, 0.0) if reason == USED else settings[16]
         if reason == USED:
             x = 0.5 * (memory[4] + now[1])
             drop = 0.5 * (pA + now[2] - pB - now[3])
@@ -203,11 +209,11 @@ def axis_rows(
                     V, before, after = geometry[4] + 1e-4 * A_B * (stroke - x), pB, now[3]
                     rows[1, n - 2] = PER_LEAKAGE * drop
                 taken = 60.0 * V * (after - before) / dt
-                absolute = 0.5 * (before + after) + ATMOSPHERE_BAR
+                square = (before + ATMOSPHERE_BAR) * (after + ATMOSPHERE_BAR)  # exact for air
                 rows[line, n - 3] = -PER_COMPLIANCE * taken
-                rows[line, n - 1] = -PER_AIR * taken * ATMOSPHERE_BAR / (absolute * absolute)
+                rows[line, n - 1] = -PER_AIR * taken * ATMOSPHERE_BAR / square
             counts[0] += 1
-            is_row = counts[0] % stride == 0
+            is_row = counts[0] % stride == 0 and memory[11] == 0.0
             if forget < 1.0 and counts[0] % _RENEWED == 0:
                 factor = forget**_RENEWED
                 for j in range(n):
