@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from valvemap.model import axis_search
-from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, fit
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, fit, leakage_share
 from valvemap.model.axis_search import fitted, identify
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus
@@ -57,7 +57,7 @@ def test_edges_bulk_modulus_and_leakage_are_the_rigs(block):
     beta, std = found.bulk_modulus
     assert beta == pytest.approx(0.9, rel=0.02)
     assert 0 < std < 0.02
-    assert found.leakage[0] == pytest.approx(0.00206, rel=0.1)
+    assert found.leakage[0] == pytest.approx(0.002, rel=0.1)
     assert state.reasons()["used"] > 11_000
 
 
@@ -115,6 +115,18 @@ def test_a_wrong_piston_area_scales_the_flows_and_not_the_speeds(block):
     ratio = wrong.flow("PA", U, dp) / own.flow("PA", U, dp)
     assert ratio == pytest.approx(larger.A_A / GEOMETRY.A_A, rel=0.01)
     assert wrong.residual_std < 2 * own.residual_std
+
+
+def test_the_leakage_of_warm_oil_is_that_at_forty_degrees():
+    axis = machine(leakage_l_min_bar=0.01)
+    warm = axis.model_copy(update={"supply": axis.supply.model_copy(update={"tank_C": 60.0})})
+    block = played(warm)
+    assert fitted(KNOWN, of(block))[1].leakage[0] == pytest.approx(0.01, rel=0.03)
+    blind = fitted(KNOWN, of(block, "T"))[1].leakage[0]
+    assert blind == pytest.approx(0.01 * leakage_share(60.0), rel=0.03)
+    absurd = of(block)
+    absurd.T[5_000:5_010] = [np.nan, np.inf, 1e308, -1e308, -273.15, 1e4, -300.0, 0.0, 0.0, 60.0]
+    assert fitted(KNOWN, absurd)[1].leakage[0] == pytest.approx(0.01, rel=0.03)
 
 
 def test_forgetting_follows_a_damaged_edge():

@@ -4,7 +4,8 @@ For line A of a 4/3 valve on a cylinder (B likewise), with V_A(x) = V_0A + A_A·
 
     A_A·ẋ + (V_A/β)·ṗ_A = Q_PA(U, p_S - p_A) - Q_AT(U, p_A - p_T) - c·(p_A - p_B)
 
-It is linear in the edges' maps, in 1/β and in c. An edge's map is K(y)·√Δp with K a quadratic
+It is linear in the edges' maps, in 1/β and in c at 40 °C; at another temperature c is in inverse
+proportion to the viscosity of an oil of ISO VG 46. An edge's map is K(y)·√Δp with K a quadratic
 spline of the spool's position y, and a departure from √Δp proportional to y. The spool's position
 comes from U through play and a lag of 2nd order, which are found by the residual
 (:mod:`~valvemap.model.axis_search`). Smoothness is a Gaussian prior on the slope of K; its size is
@@ -195,7 +196,7 @@ class AxisRegression:
         status, residual = np.empty(n, np.uint8), np.empty((n, 2))
         kernel.axis_rows(
             samples.t,
-            np.ascontiguousarray(np.stack([getattr(samples, s) for s in _SIGNALS], axis=1)),
+            np.ascontiguousarray(np.stack([getattr(samples, s) for s in (*_SIGNALS, "T")], axis=1)),
             after.last,
             after.memory,
             after.filtered,
@@ -217,6 +218,11 @@ class AxisRegression:
         )
         return after, AxisTrace(status, residual)
 
+    @property
+    def row_s(self) -> float:
+        """Time from row to row, s."""
+        return max(1.0, round(_ROW_S / self.period_s)) * self.period_s
+
     @cached_property
     def _geometry_numbers(self) -> Floats:
         g = self.geometry
@@ -226,7 +232,7 @@ class AxisRegression:
     def _settings(self) -> Floats:
         share = -math.expm1(-2.0 * math.pi * self.filter_hz * self.period_s)
         forget = math.exp(-self.period_s / self.memory_s)
-        stride = max(1.0, round(_ROW_S / self.period_s))
+        stride = round(self.row_s / self.period_s)
         spool = spool_transition(self.spool_hz, self.period_s / kernel.PARTS)
         return np.array(
             [
@@ -244,6 +250,7 @@ class AxisRegression:
                 max(1.0, round(_BLOCK_S / (stride * self.period_s))),
                 stride,
                 max(1.0, round(_FADED / (2.0 * math.pi * self.filter_hz * self.period_s))),
+                *_WALTHER,
             ]
         )
 
@@ -308,7 +315,7 @@ class AxisFit:
 
     @property
     def leakage(self) -> tuple[float, float]:
-        """Leakage c and its standard deviation, l/min/bar."""
+        """Leakage c at 40 °C (without T: as it is) and its standard deviation, l/min/bar."""
         value, std = self._common(1)
         return kernel.PER_LEAKAGE * value, kernel.PER_LEAKAGE * math.hypot(std, _ASSUMED * value)
 
@@ -408,6 +415,16 @@ def _prior(slope: float) -> Floats:
     return P
 
 
+def leakage_share(T: float) -> float:
+    """Return the leakage at T (°C) over that at 40 °C; 1 where T is not a number.
+
+    >>> round(leakage_share(60.0), 2), leakage_share(math.nan)
+    (2.23, 1.0)
+    """
+    share = float(kernel.thinness(T, *_WALTHER))
+    return share if math.isfinite(share) else 1.0
+
+
 def _columns(edge: str) -> slice:
     at = EDGES.index(edge) * KNOTS
     return slice(at, at + KNOTS)
@@ -429,6 +446,15 @@ def edge_regressors(U: ArrayLike, dp: ArrayLike) -> Floats:
     return X
 
 
+def _walther(nu_40: float, nu_100: float) -> tuple[float, float]:
+    """Return a and b of lg lg(ν + 0.7) = a - b·lg(T in K) from two viscosities, mm²/s."""
+    at_40, at_100 = (math.log10(math.log10(nu + kernel.WALTHER_SHIFT)) for nu in (nu_40, nu_100))
+    lg_40, lg_100 = (math.log10(T + kernel.KELVIN) for T in (40.0, 100.0))
+    b = (at_40 - at_100) / (lg_100 - lg_40)
+    return at_40 + b * lg_40, b
+
+
+_WALTHER: Final = _walther(46.0, 6.8)  # mm²/s; ISO VG 46 with a viscosity index near 100
 _SPLINE: Final = spline_axis(BREAKS)
 _PLACES: Final = np.array(
     [

@@ -27,6 +27,7 @@ from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 _SPEEDS: Final = (-5_000.0, 5_000.0)  # mm/s; faster than any cylinder
 _PERCENT: Final = (-100.0, 100.0)
 _PRESSURES: Final = (0.0, 1_000.0)
+_TEMPERATURES: Final = (-50.0, 200.0)
 _DOUBLE, _TEXT = ua.VariantType.Double, ua.VariantType.String
 _CODES: Final = ua.StatusCodes
 
@@ -114,7 +115,10 @@ def axis_variables(axis: str) -> tuple[VariableNode, ...]:
         of("Reason", "Status in words, with the figures behind it.", _TEXT),
         of("BulkModulus", "Bulk modulus of oil and hoses, GPa."),
         of("BulkModulusStd", "Standard deviation of BulkModulus, GPa."),
-        of("Leakage", "Leakage between the lines A and B, in (l/min)/bar."),
+        of(
+            "Leakage",
+            "Leakage between the lines A and B, in (l/min)/bar; at 40 °C, if there is T.",
+        ),
         of("LeakageStd", "Standard deviation of Leakage, in (l/min)/bar."),
         of("Air", "Free air in the lines at atmospheric pressure, % of their volume."),
         of("AirStd", "Standard deviation of Air, %."),
@@ -213,7 +217,11 @@ async def _add_invert(
     )
     speed = Argument("v", "Speed", unit=Unit.MILLIMETRE_PER_SECOND, value_range=_SPEEDS)
     temperature = Argument(
-        "T", "Oil temperature; the map has none yet", unit=Unit.DEGREE_CELSIUS, or_nan=True
+        "T",
+        "Oil temperature, which moves the leakage; NaN takes the newest",
+        unit=Unit.DEGREE_CELSIUS,
+        value_range=_TEMPERATURES,
+        or_nan=True,
     )
     numbered = ", ".join(f"{member.value} {member.name}" for member in InverseStatus)
     await add_method(
@@ -250,9 +258,7 @@ def _invert(
     pT: float,
     T: float,
 ) -> Answer[tuple[float, float, float, int]]:
-    del T
-
     def numbers(found: RequiredU) -> tuple[float, float, float, int]:
         return found.U, found.lower, found.upper, int(found.status)
 
-    return answered(partial(operator.invert_speed, axis, v, pA, pB, pS, pT), numbers)
+    return answered(partial(operator.invert_speed, axis, v, pA, pB, pS, pT, T), numbers)

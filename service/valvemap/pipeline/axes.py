@@ -21,6 +21,7 @@ from valvemap.model.axis import (
     AxisSamples,
     AxisState,
     fit,
+    leakage_share,
 )
 from valvemap.model.axis_inverse import AxisTable, axis_table, invert
 from valvemap.model.axis_rest import Rest
@@ -89,7 +90,7 @@ class Axis:
         self._regression = AxisRegression(plan.geometry)
         self._of_shape: Floats = np.zeros((SIZE, SIZE))
         self._known: _Known | None = None
-        self._newest: tuple[float, ...] = (np.nan,) * 5  # x, pA, pB, pS, pT
+        self._newest: tuple[float, ...] = (np.nan,) * 6  # x, T, pA, pB, pS, pT
         self.t = 0  # of the newest sample, UTC ns
         self._demand = np.nan
         self._held_U = np.nan
@@ -116,7 +117,7 @@ class Axis:
         """Take whole samples; where the axis rests, they count for the present pressures alone."""
         steps_s = 1e-9 * np.diff(samples.t, prepend=self.t or samples.t[0])
         self.t = int(samples.t[-1])
-        newest = (getattr(samples, name)[-1] for name in ("x", "pA", "pB", "pS", "pT"))
+        newest = (getattr(samples, name)[-1] for name in ("x", "T", "pA", "pB", "pS", "pT"))
         self._newest = tuple(float(value) for value in newest)
         self._rest, moves = self._rest.update(samples)
         if not moves.any():
@@ -218,15 +219,19 @@ class Axis:
         pB: float = np.nan,
         pS: float = np.nan,
         pT: float = np.nan,
+        T: float = np.nan,
     ) -> RequiredU:
-        """Return the signal for a speed, in the middle of its loop; NaN: the newest pressure."""
+        """Return the signal for a speed, in the middle of its loop; NaN: the newest sample's."""
         if self._known is None:
             return RequiredU()
-        x, *newest = self._newest
+        x, newest_T, *newest = self._newest
         asked = zip((pA, pB, pS, pT), newest, strict=True)
         p_A, p_B, p_S, p_T = (there if np.isnan(one) else one for one, there in asked)
         place = None if np.isnan(x) else x
-        found = invert(self._known.table, v, p_A, p_B, p_S, p_T, place)
+        table = self._known.table
+        share = leakage_share(newest_T if np.isnan(T) else T)
+        table = replace(table, leakage=share * table.leakage)
+        found = invert(table, v, p_A, p_B, p_S, p_T, place)
         U, lower, upper = (float(column[0]) for column in (found.U, found.lower, found.upper))
         return RequiredU(U, lower, upper, InverseStatus(int(found.status[0])))
 

@@ -74,9 +74,12 @@ class AxisOperator(Protocol):
         """Demand a speed; NaN withdraws the demand."""
 
     def invert_speed(
-        self, axis: str, v: float, pA: float, pB: float, pS: float, pT: float
+        self, axis: str, v: float, pA: float, pB: float, pS: float, pT: float, T: float
     ) -> RequiredU:
-        """Return the signal for a speed at these pressures, bar; NaN: at the newest sample's."""
+        """Return the signal for a speed at these pressures (bar) and T (°C).
+
+        NaN takes that of the newest sample.
+        """
 
 
 class AxisSink(Protocol):

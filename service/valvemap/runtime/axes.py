@@ -142,10 +142,10 @@ class LiveAxes:
         self._show(number)
 
     def invert_speed(
-        self, axis: str, v: float, pA: float, pB: float, pS: float, pT: float
+        self, axis: str, v: float, pA: float, pB: float, pS: float, pT: float, T: float
     ) -> RequiredU:
-        """Return the signal for a speed at these pressures; NaN: those of the newest sample."""
-        return self.axes[self._number(axis)].invert(v, pA, pB, pS, pT)
+        """Return the signal for a speed at these pressures and T; NaN: those of the newest."""
+        return self.axes[self._number(axis)].invert(v, pA, pB, pS, pT, T)
 
     def _number(self, axis: str) -> int:
         if axis not in self._numbers:

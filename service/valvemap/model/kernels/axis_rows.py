@@ -8,7 +8,7 @@ bare ones. An interval that is left out is left out of every term. The noise of 
 it ends then stays in the filter, so that rows begin again once it has faded.
 
 Columns: for the edges PA, AT, PB, BT ``knots`` spline functions and one for the departure from √Δp,
-then 1/β, c and free air.
+then 1/β, c at 40 °C and free air.
 """
 
 import math
@@ -32,8 +32,10 @@ USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
 MEMORY: Final = (
     *("held", "spool", "speed"),
     *("U", "x", "pA", "pB", "pS", "pT"),
-    *("known", "settling", "withheld"),
+    *("known", "settling", "withheld", "thinness"),
 )
+KELVIN: Final = 273.15
+WALTHER_SHIFT: Final = 0.7  # mm²/s, as of ASTM D341
 _RENEWED: Final = 100  # rows; forgetting is applied at every hundredth one
 
 
@@ -45,6 +47,16 @@ def _held(memory: float, U: float, half: float) -> float:
 @inner
 def _root(drop: float) -> float:
     return math.copysign(math.sqrt(abs(drop)), drop)
+
+
+@kernel
+def thinness(T: float, a: float, b: float) -> float:
+    """Return the viscosity at 40 °C over that at T (°C), by Walther's equation; NaN without T."""
+    if not -50.0 < T < 200.0:
+        return math.nan
+    at_40: float = 10.0 ** (10.0 ** (a - b * math.log10(40.0 + KELVIN))) - WALTHER_SHIFT
+    at_T: float = 10.0 ** (10.0 ** (a - b * math.log10(T + KELVIN))) - WALTHER_SHIFT
+    return at_40 / at_T
 
 
 @inner
@@ -118,7 +130,8 @@ def axis_rows(
     Parameters
     ----------
     t, signals
-        UTC ns (N,), and U, x, pA, pB, pS, pT (N, 6) in %, mm and bar.
+        UTC ns (N,), and U, x, pA, pB, pS, pT, T (N, 7) in %, mm, bar and °C. Without T, that of
+        the last sample with one holds; without any, 40 °C.
     last, memory, filtered
         Time of the last sample (1,); ``MEMORY``; the filter's two stages per line (2, 2, n + 1).
     M, b, squares, counts
@@ -135,7 +148,7 @@ def axis_rows(
         Sampling period (s), half the play (%), the spool's transition (2, 2) and input (2,), the
         filter's share per sample, forgetting per row, lowest pressure (bar), margin at the stops
         (mm), longest gap (s), settling intervals, length of a block (rows), stride, intervals
-        without a row after one that is left out.
+        without a row after one that is left out, Walther's a and b of the oil.
     places
         Columns of line A and of line B, (2, ·).
     status, residual
@@ -155,6 +168,9 @@ def axis_rows(
         finite = True
         for k in range(6):
             finite = finite and math.isfinite(now[k])
+        thin = thinness(signals[i, 6], settings[17], settings[18])
+        if math.isfinite(thin):
+            memory[12] = thin
         residual[i, 0] = math.nan
         residual[i, 1] = math.nan
         if not finite:
@@ -198,7 +214,7 @@ def axis_rows(
         memory[11] = max(memory[11] - 1.0, 0.0) if reason == USED else settings[16]
         if reason == USED:
             x = 0.5 * (memory[4] + now[1])
-            drop = 0.5 * (pA + now[2] - pB - now[3])
+            drop = 0.5 * (pA + now[2] - pB - now[3]) * (memory[12] if memory[12] > 0.0 else 1.0)
             rows[0, n] = 6e-3 * A_A * (now[1] - memory[4]) / dt
             rows[1, n] = -6e-3 * A_B * (now[1] - memory[4]) / dt
             for line in range(2):
