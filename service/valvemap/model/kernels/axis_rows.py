@@ -30,10 +30,11 @@ ROOT: Final = 10.0  # √bar; where the departure from √Δp changes its sign
 USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
 
 MEMORY: Final = (
-    *("held", "spool", "speed"),
+    *("held", "spool", "speed"),  # "held" is the lower end of where the play may be, see "upper"
     *("U", "x", "pA", "pB", "pS", "pT"),
-    *("known", "settling", "withheld", "thinness"),
+    *("known", "settling", "withheld", "thinness", "upper"),
 )
+PLAY_KNOWN: Final = 0.1  # %; up to this the place in the play is known
 KELVIN: Final = 273.15
 WALTHER_SHIFT: Final = 0.7  # mm²/s, as of ASTM D341
 _RENEWED: Final = 100  # rows; forgetting is applied at every hundredth one
@@ -178,14 +179,17 @@ def axis_rows(
             counts[1 + MISSING] += 1
             continue  # as if it had not come: too long an interval is a gap
         if memory[9] == 0.0 or dt <= 0.0 or dt > settings[12]:
-            held = now[0] if memory[9] == 0.0 else _held(memory[0], now[0], half)
-            memory[0], memory[1], memory[2] = held, held, 0.0
+            memory[0], memory[1], memory[2] = now[0] - half, now[0], 0.0
+            memory[13] = now[0] + half
             memory[10] = settings[13]
             reason = GAP
         rows[:] = 0.0
         if reason == USED:
             pA, pB, pS, pT = memory[5], memory[6], memory[7], memory[8]
             memory[0] = _held(memory[0], memory[3], half)
+            memory[13] = _held(memory[13], memory[3], half)
+            if memory[13] - memory[0] > PLAY_KNOWN:
+                memory[10] = settings[13]  # U has not yet shown where in its play the spool is
             for part in range(PARTS):
                 before, speed = memory[1], memory[2]
                 off = before - memory[0]
