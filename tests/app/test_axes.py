@@ -14,8 +14,7 @@ from support.served import PASSWORD, serving
 from valvemap.app.axes import axes_file, plan_of
 from valvemap.app.serve import serve
 from valvemap.config.loading import load_config
-from valvemap.pipeline.axes import Axis
-from valvemap.runtime.axis_keeper import ESTIMATOR
+from valvemap.pipeline.axes import LEARNT, Axis
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
@@ -98,7 +97,7 @@ async def test_an_axis_is_served_and_its_map_survives_a_restart(
                 assert not await seen.client.get_node(alarm).read_value()
         with CheckpointFile(axes_file(config)) as store:
             (kept,) = store.load()
-        assert (kept.valve, kept.estimator) == ("Press", ESTIMATOR)
+        assert (kept.valve, kept.estimator) == ("Press", LEARNT)
         async with serving(serve, config, settings, "Press", "Status") as seen:
             async with asyncio.timeout(30):
                 await seen.until("Status", lambda status: status == AxisStatus.OK)

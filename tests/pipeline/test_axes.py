@@ -183,8 +183,8 @@ def test_refused_searches_become_rare(samples, found, monkeypatch):
 
 def test_a_state_goes_on_with_the_same_bits(samples, axis):
     done(axis)
-    packed, again = axis.to_bytes(), Axis(PLAN)
-    again.resume(packed)
+    packed, again = axis.to_bytes()[axes.LEARNT], Axis(PLAN)
+    again.resume(axes.LEARNT, packed)
     assert done(again) == ["_Known"]
     assert again.results().status is AxisStatus.OK
     for one in (axis, again):
@@ -192,9 +192,78 @@ def test_a_state_goes_on_with_the_same_bits(samples, axis):
     for name, array in vars(axis._state).items():
         assert array.tobytes() == getattr(again._state, name).tobytes(), name
     with pytest.raises(StateMismatchError, match="other hyper-parameters"):
-        Axis(dataclasses.replace(PLAN, meaning="other nodes")).resume(packed)
+        Axis(dataclasses.replace(PLAN, meaning="other nodes")).resume(axes.LEARNT, packed)
     with pytest.raises(StateMismatchError):
-        Axis(PLAN).resume(packed[:-100])
+        Axis(PLAN).resume(axes.LEARNT, packed[:-100])
+
+
+def watched(axis, samples):
+    """Feed samples second by second, doing what is due."""
+    for start in range(0, len(samples), 100):
+        axis.take(samples[start : start + 100])
+        done(axis)
+    return axis.results()
+
+
+@pytest.fixture
+def reference(samples, axis, monkeypatch):
+    """An axis whose play and spool are settled, so that its map is the reference of findings."""
+    monkeypatch.setattr(axes, "SEARCHES_S", (70.0,))
+    assert axis.results().findings is None
+    done(axis)
+    return axis
+
+
+def damaged(samples, share=0.9):
+    """The work as if the piston moved more slowly while it extends: PA and BT pass less."""
+    v = np.diff(samples.x, prepend=samples.x[0])
+    x = np.clip(samples.x[0] + np.cumsum(np.where(v > 0.0, share * v, v)), 5.0, 795.0)
+    return dataclasses.replace(samples, x=x)
+
+
+def test_a_change_is_found_kept_over_a_restart_and_gone_with_a_new_reference(samples, reference):
+    healthy = watched(reference, samples[7_100:9_500])
+    assert healthy.findings == ()
+    changed = watched(reference, damaged(samples[9_500:]))
+    assert changed.findings
+    assert changed.findings[0].probability > 0.5
+    again = Axis(PLAN)
+    for name, packed in reference.to_bytes().items():
+        again.resume(name, packed)
+    assert again.results().findings == changed.findings
+    reference.set_reference()
+    assert reference.results().findings is None
+    assert reference.results().map is not None
+    assert reference.to_bytes() == {}
+
+
+def test_a_weighing_under_way_loses_no_window_and_outlives_no_reference(samples, reference):
+    one = reference
+    for start in range(7_100, 8_300, 100):
+        one.take(samples[start : start + 100])
+        if one._watch.closed:
+            break
+    one._to_refit_s = 1e9
+    job = one.job()
+    for later in range(start + 100, start + 1_300, 100):
+        one.take(samples[later : later + 100])
+    running = one._watch.running
+    one.accept(job())
+    assert len(one._watch.closed) == 1
+    assert one._watch.running.M.tobytes() == running.M.tobytes()
+    job = one.job()
+    one.set_reference()
+    one.accept(job())
+    assert one.results().findings is None
+
+
+def test_a_damaged_reference_is_refused_and_the_map_is_not(reference):
+    packed = reference.to_bytes()
+    again = Axis(PLAN)
+    with pytest.raises(StateMismatchError):
+        again.resume(axes.WATCH, packed[axes.WATCH][:-100])
+    again.resume(axes.LEARNT, packed[axes.LEARNT])
+    assert done(again) == ["_Known"]
 
 
 def test_u_is_approached_from_the_side_of_the_demand(axis):

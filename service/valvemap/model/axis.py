@@ -302,10 +302,17 @@ class AxisFit:
         """
         X, own = edge_regressors(U, dp), _columns(edge)
         random = np.einsum("...i,ij,...j->...", X, self.covariance[own, own], X)
-        third = np.abs(np.diff(self.theta[own][:-1], 3))
-        worst = np.maximum.reduce([np.pad(third, (k, 3 - k)) for k in range(4)])
-        corner = _CORNER * (np.abs(X[..., :-1]) @ worst)
+        corner = _CORNER * (np.abs(X[..., :-1]) @ self.bends(edge))
         return np.asarray(np.sqrt(random + corner**2))
+
+    def bends(self, edge: str) -> Floats:
+        """Return the largest third difference near each spline coefficient, (KNOTS - 1,).
+
+        In l/min/√bar. Where K has a corner, it is the jump of its slope times the knots' distance.
+        """
+        third = np.abs(np.diff(self.theta[_columns(edge)][:-1], 3))
+        worst = np.maximum.reduce([np.pad(third, (k, 3 - k)) for k in range(4)])
+        return np.asarray(worst)
 
     @property
     def bulk_modulus(self) -> tuple[float, float]:

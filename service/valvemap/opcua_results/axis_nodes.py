@@ -7,27 +7,32 @@ from typing import Any, Final
 from asyncua import ua
 
 from guarded_opcua import (
-    Argument,
     HardenedServer,
-    Role,
     Unit,
     Variable,
-    add_method,
     add_object,
 )
 from valvemap.clock import Clock
 from valvemap.opcua_results.answers import answered
-from valvemap.opcua_results.information_model import INVERSE, ROOT, VariableNode, sentences_of
+from valvemap.opcua_results.axis_methods import SPEEDS, add_invert, add_set_reference
+from valvemap.opcua_results.information_model import (
+    DIAGNOSTICS,
+    FINDING_CODES,
+    FINDING_PROBABILITIES,
+    FINDINGS,
+    INVERSE,
+    ROOT,
+    VariableNode,
+    finding_variables,
+    sentences_of,
+)
 from valvemap.opcua_results.result_variables import add_described
-from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, RequiredU
+from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.ports import Answer
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 
-_SPEEDS: Final = (-5_000.0, 5_000.0)  # mm/s; faster than any cylinder
 _PERCENT: Final = (-100.0, 100.0)
-_PRESSURES: Final = (0.0, 1_000.0)
-_TEMPERATURES: Final = (-50.0, 200.0)
 _DOUBLE, _TEXT = ua.VariantType.Double, ua.VariantType.String
 _CODES: Final = ua.StatusCodes
 
@@ -75,12 +80,18 @@ class AxisNodes:
             for node in edge_variables(name, edge):
                 await self._add_variable(parent, node)
         parent = await add_object(
+            server, folder, f"{name}.{DIAGNOSTICS}", description="What has changed at the axis."
+        )
+        for node in finding_variables(name):
+            await self._add_variable(parent, node)
+        await add_set_reference(server, parent, name, operator)
+        parent = await add_object(
             server, folder, f"{name}.{INVERSE}", description="The control voltage for a speed."
         )
         demand = partial(_demand, operator, name)
         for node in inverse_variables(name):
             await self._add_variable(parent, node, demand if node.writable else None)
-        await _add_invert(server, parent, name, operator)
+        await add_invert(server, parent, name, operator)
 
     async def _add_variable(
         self,
@@ -154,7 +165,7 @@ def inverse_variables(axis: str) -> tuple[VariableNode, ...]:
             f"{prefix}.SpeedDemand",
             "Speed of the piston that is demanded; above 0 extends, NaN withdraws the demand.",
             unit=Unit.MILLIMETRE_PER_SECOND,
-            range=_SPEEDS,
+            range=SPEEDS,
             writable=True,
         ),
         VariableNode(
@@ -195,6 +206,12 @@ def values_of(results: AxisResults) -> Iterator[tuple[str, Any, int]]:
             yield f"{edge}.Flow", flow.tolist(), code
             yield f"{edge}.FlowStd", std.tolist(), code
             yield f"{edge}.KnownTo", float(to), code
+    findings, known_code = results.findings or (), code
+    if results.findings is None:
+        known_code = int(_CODES.UncertainInitialValue)
+    yield FINDINGS, [one.sentence for one in findings], known_code
+    yield FINDING_CODES, [int(one.code) for one in findings], known_code
+    yield FINDING_PROBABILITIES, [one.probability for one in findings], known_code
     code = int(_CODES.BadNoCommunication if results.is_stale else _CODES.Good)
     yield f"{INVERSE}.RequiredU", required.U, code
     yield f"{INVERSE}.RequiredULower", required.lower, code
@@ -202,63 +219,5 @@ def values_of(results: AxisResults) -> Iterator[tuple[str, Any, int]]:
     yield f"{INVERSE}.RequiredUStatus", int(required.status), code
 
 
-async def _add_invert(
-    server: HardenedServer, parent: ua.NodeId, axis: str, operator: AxisOperator
-) -> None:
-    pressures = tuple(
-        Argument(
-            name,
-            "Pressure; NaN takes the one measured last",
-            unit=Unit.BAR,
-            value_range=_PRESSURES,
-            or_nan=True,
-        )
-        for name in ("pA", "pB", "pS", "pT")
-    )
-    speed = Argument("v", "Speed", unit=Unit.MILLIMETRE_PER_SECOND, value_range=_SPEEDS)
-    temperature = Argument(
-        "T",
-        "Oil temperature, which moves the leakage; NaN takes the newest",
-        unit=Unit.DEGREE_CELSIUS,
-        value_range=_TEMPERATURES,
-        or_nan=True,
-    )
-    numbered = ", ".join(f"{member.value} {member.name}" for member in InverseStatus)
-    await add_method(
-        server,
-        parent,
-        f"{axis}.{INVERSE}.Invert",
-        partial(_invert, operator, axis),
-        inputs=(speed, *pressures, temperature),
-        outputs=(
-            Argument("U", "Control voltage; NaN if none can be trusted", unit=Unit.PERCENT),
-            Argument("Lower", "Lower end of its 95 % interval", unit=Unit.PERCENT),
-            Argument("Upper", "Upper end of its 95 % interval", unit=Unit.PERCENT),
-            Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32),
-        ),
-        required=Role.OBSERVER,
-        description="Control voltage U (%) for a speed v (mm/s, above 0 extends) at these "
-        "pressures (bar), in the middle of the loop of Play: add half of it while U rises, "
-        "subtract half while U falls. Lower and Upper are the ends of its 95 % interval. "
-        f"Status: {numbered}.",
-    )
-
-
 def _demand(operator: AxisOperator, axis: str, v: float) -> Answer[None]:
     return answered(partial(operator.demand_speed, axis, v), lambda _: None)
-
-
-def _invert(
-    operator: AxisOperator,
-    axis: str,
-    v: float,
-    pA: float,
-    pB: float,
-    pS: float,
-    pT: float,
-    T: float,
-) -> Answer[tuple[float, float, float, int]]:
-    def numbers(found: RequiredU) -> tuple[float, float, float, int]:
-        return found.U, found.lower, found.upper, int(found.status)
-
-    return answered(partial(operator.invert_speed, axis, v, pA, pB, pS, pT, T), numbers)

@@ -16,6 +16,7 @@ import numpy as np
 
 from valvemap.model.axis import (
     SIZE,
+    AxisFit,
     AxisGeometry,
     AxisRegression,
     AxisSamples,
@@ -29,10 +30,13 @@ from valvemap.model.axis_search import AxisResult, identify
 from valvemap.model.estimator import key_of
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.pipeline.axis_watch import AxisWatch
 from valvemap.pipeline.edges import MOST_WAITING, paired
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
+from valvemap.pipeline.kept_watches import pack_watch, unpack_watch
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
 
+LEARNT, WATCH = "Axis", "AxisWatch"  # names of what is stored
 WINDOW_S: Final = 200.0  # s of movement; length of a search: more does not move play and spool
 MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
 SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of movement until the first searches
@@ -57,13 +61,22 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class _Known:
-    """The solution of the sums: the table that is searched, and the map that is shown."""
+    """The solution of the sums: the fit, the table that is searched, and the map that is shown."""
 
+    fit: AxisFit
     table: AxisTable
     map: AxisMap
 
 
-Outcome = AxisResult | _Known
+@dataclass(frozen=True)
+class _Weighed:
+    """A watch before and after its closed windows were weighed."""
+
+    before: AxisWatch
+    after: AxisWatch
+
+
+Outcome = AxisResult | _Known | _Weighed
 Job = Callable[[], Outcome]
 
 
@@ -90,6 +103,7 @@ class Axis:
         self._regression = AxisRegression(plan.geometry)
         self._of_shape: Floats = np.zeros((SIZE, SIZE))
         self._known: _Known | None = None
+        self._watch: AxisWatch | None = None
         self._newest: tuple[float, ...] = (np.nan,) * 6  # x, T, pA, pB, pS, pT
         self.t = 0  # of the newest sample, UTC ns
         self._demand = np.nan
@@ -132,6 +146,8 @@ class Axis:
         if self._state is not None:
             self._state, _ = self._regression.update(self._state, samples)
             self._to_refit_s -= passed_s
+        if self._watch is not None:
+            self._watch = self._watch.after(samples)
 
     def _trim(self) -> None:
         """Drop what is older than the window, batch by batch."""
@@ -155,6 +171,9 @@ class Axis:
         if self._to_refit_s <= 0.0 and self._state is not None:
             self._works, self._to_refit_s = True, REFIT_S
             return partial(_solved, self._regression, self._state, self._of_shape)
+        if self._watch is not None and self._watch.closed:
+            self._works = True
+            return partial(_weighed, self._watch)
         return None
 
     def window(self) -> AxisSamples:
@@ -171,6 +190,12 @@ class Axis:
         self._works = False
         if isinstance(outcome, _Known):
             self._known = outcome
+            self._begin_watch(outcome)
+            return
+        if isinstance(outcome, _Weighed):
+            watch, before = self._watch, outcome.before
+            if watch is not None and watch.reference is before.reference:
+                self._watch = watch.accepted(before, outcome.after)
             return
         since, self._since = self._since or [], None
         if outcome.status or outcome.fit is None or outcome.state is None:
@@ -187,6 +212,19 @@ class Axis:
             for samples in since:
                 self._state, _ = self._regression.update(self._state, samples)
         self._to_refit_s = 0.0
+
+    def _begin_watch(self, known: _Known) -> None:
+        """Take the map as the reference of findings, once play and spool are settled."""
+        if self._watch is None and self._state is not None and self._searches >= len(SEARCHES_S):
+            of_shape, memory_s = self._of_shape, self.plan.memory_s
+            self._watch = AxisWatch.begin(self._state, known.fit, memory_s, of_shape)
+
+    def set_reference(self) -> None:
+        """Learn anew; the map stays until there is a new one, findings come after the searches."""
+        self._window.clear()
+        self._watch = self._state = self._since = None
+        self._searches = self._refusals = 0
+        self._to_search_s = SEARCHES_S[0]
 
     def abandon(self) -> None:
         """Note that a job ended without an outcome."""
@@ -249,21 +287,27 @@ class Axis:
             if self._refused is not None:
                 status, sentence = self._refused.status, self._refused.sentence
                 left_out = {k: n for k, n in self._refused.left_out.items() if k != "used"}
-        return AxisResults(status, sentence, self.t, used_s, left_out, known, self.required())
+        findings = None if self._watch is None else self._watch.condition.findings()
+        required = self.required()
+        return AxisResults(status, sentence, self.t, used_s, left_out, known, required, findings)
 
     @property
     def key(self) -> str:
         """The hash that a stored state is bound to."""
         return key_of(self.plan)
 
-    def to_bytes(self) -> bytes | None:
-        """Return the learnt state; None before the first search."""
-        if self._state is None:
-            return None
-        return pack(Learnt(self._regression, self._state, self._of_shape), self.key)
+    def to_bytes(self) -> dict[str, bytes]:
+        """Return the learnt state, and the reference of findings, each once there is one."""
+        found = {}
+        if self._state is not None:
+            learnt = Learnt(self._regression, self._state, self._of_shape)
+            found[LEARNT] = pack(learnt, self.key)
+        if self._watch is not None:
+            found[WATCH] = pack_watch(self._watch, self.key)
+        return found
 
-    def resume(self, packed: bytes) -> None:
-        """Resume a stored state; the next `job` gives its map.
+    def resume(self, name: str, packed: bytes) -> None:
+        """Resume a stored state of this name; the next `job` gives its map.
 
         Raises
         ------
@@ -271,6 +315,9 @@ class Axis:
             if it is damaged, or of another geometry, memory, node or unit.
         """
         regression = AxisRegression(self.plan.geometry, memory_s=self.plan.memory_s)
+        if name == WATCH:
+            self._watch = unpack_watch(packed, self.key, regression)
+            return
         learnt = unpack(packed, self.key, regression)
         self._regression, self._state = learnt.regression, learnt.state
         self._of_shape, self._to_refit_s = learnt.of_shape, 0.0
@@ -281,6 +328,7 @@ def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _
     found = replace(found, covariance=found.covariance + of_shape)
     table = axis_table(found)
     return _Known(
+        found,
         table,
         AxisMap(
             bulk_modulus=found.bulk_modulus,
@@ -294,6 +342,10 @@ def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _
             known=table.known,
         ),
     )
+
+
+def _weighed(watch: AxisWatch) -> _Weighed:
+    return _Weighed(watch, watch.weighed())
 
 
 def _are_alike(one: AxisRegression, other: AxisRegression) -> bool:

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from valvemap.model.samples import Floats
+from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 
 
@@ -54,7 +55,8 @@ class AxisResults:
     """The state of one axis; ``t`` is the time of its newest sample, UTC ns; 0: there is none.
 
     ``left_out`` has the number of intervals by reason; ``used_s`` is the movement learnt from, s.
-    ``is_stale``: no sample has come for long.
+    ``findings`` are the changes since the reference, None: there is no reference yet. ``is_stale``:
+    no sample has come for long.
     """
 
     status: AxisStatus
@@ -64,11 +66,15 @@ class AxisResults:
     left_out: Mapping[str, int]
     map: AxisMap | None
     required: RequiredU
+    findings: tuple[Finding, ...] | None = None
     is_stale: bool = False
 
 
 class AxisOperator(Protocol):
     """Answers for axes; all speeds in mm/s, > 0 extends."""
+
+    def set_reference(self, axis: str) -> None:
+        """Learn the axis anew: findings are then relative to what it is from now on."""
 
     def demand_speed(self, axis: str, v: float) -> None:
         """Demand a speed; NaN withdraws the demand."""

@@ -13,7 +13,7 @@ from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import Axis, AxisPlan, Job
+from valvemap.pipeline.axes import LEARNT, WATCH, Axis, AxisPlan, Job
 from valvemap.pipeline.axis_ports import AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import CheckpointStore
@@ -84,13 +84,13 @@ class LiveAxes:
 
     def start(self) -> None:
         """Resume from the stored states, and show every axis."""
-        stored = self.keeper.stored()
-        for number, axis in enumerate(self.axes):
-            if axis.plan.name in stored:
+        for name, state, packed in self.keeper.stored():
+            if name in self._numbers and state in (LEARNT, WATCH):
                 try:
-                    axis.resume(stored[axis.plan.name])
+                    self.axes[self._numbers[name]].resume(state, packed)
                 except StateMismatchError as error:
-                    log.warning("axis starts afresh", axis=axis.plan.name, why=str(error))
+                    log.warning("axis starts afresh", axis=name, state=state, why=str(error))
+        for number in range(len(self.axes)):
             self._show(number)
 
     async def connected(self, source_started: int, valves: Times | None = None) -> None:
@@ -134,6 +134,13 @@ class LiveAxes:
         await asyncio.gather(*self._jobs.values(), return_exceptions=True)
         log_missing(self._arrivals.left_out())
         await self.keeper.keep()
+
+    def set_reference(self, axis: str) -> None:
+        """Learn the axis anew: findings are then relative to what it is from now on."""
+        number = self._number(axis)
+        self.axes[number].set_reference()
+        log.info("reference of axis set", axis=axis)
+        self._show(number)
 
     def demand_speed(self, axis: str, v: float) -> None:
         """Demand a speed, mm/s; NaN withdraws the demand."""

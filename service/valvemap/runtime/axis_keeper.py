@@ -11,8 +11,6 @@ from valvemap.errors import StateFileLost, StorageError
 from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.ports import Checkpoint, CheckpointStore
 
-ESTIMATOR = "Axis"  # under which a state is stored
-
 log = structlog.get_logger(__name__)
 
 
@@ -51,9 +49,9 @@ class AxisKeeper:
         lost, self._file_lost = self._file_lost, False
         return math.inf if lost else now - self._kept_at
 
-    def stored(self) -> dict[str, bytes]:
-        """Return the stored state of each axis that has one."""
-        return {one.valve: one.state for one in self._store.load() if one.estimator == ESTIMATOR}
+    def stored(self) -> list[tuple[str, str, bytes]]:
+        """Return axis, name and bytes of each stored state."""
+        return [(one.valve, one.estimator, one.state) for one in self._store.load()]
 
     async def keep_if_due(self) -> None:
         """Save the states once per interval."""
@@ -67,11 +65,10 @@ class AxisKeeper:
 
         They are packed here: a job's outcome must not change one halfway.
         """
-        packed = [(axis, axis.to_bytes()) for axis in self._axes]
         kept = [
-            Checkpoint(axis.plan.name, ESTIMATOR, axis.key, axis.t, state, lam=None, frozen=False)
-            for axis, state in packed
-            if state is not None
+            Checkpoint(axis.plan.name, name, axis.key, axis.t, state, lam=None, frozen=False)
+            for axis in self._axes
+            for name, state in axis.to_bytes().items()
         ]
         try:
             await asyncio.to_thread(self._store.save, kept)

@@ -40,6 +40,12 @@ class FindingCode(Described):
         "dynamics changed",
         "The spool has become slower or quicker than it was.",
     )
+    PA_CHANGE = 18, "edge pa changed", "The edge PA passes more or less flow than it did."
+    AT_CHANGE = 19, "edge at changed", "The edge AT passes more or less flow than it did."
+    PB_CHANGE = 20, "edge pb changed", "The edge PB passes more or less flow than it did."
+    BT_CHANGE = 21, "edge bt changed", "The edge BT passes more or less flow than it did."
+    LEAKAGE_CHANGE = 22, "leakage changed", "More or less oil leaks between the lines than did."
+    AIR = 23, "air", "Oil and hoses are softer or stiffer than they were: the oil's air changed."
 
 
 @dataclass(frozen=True)

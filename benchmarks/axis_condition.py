@@ -1,0 +1,133 @@
+"""Causes of changes of an axis: edges, leakage, air, on the rig.
+
+``python -m benchmarks.axis_condition [--seeds 3] [--first 700] [--hours 1]``: one row a seed. Each
+seed is another valve, cylinder and sensor (`benchmarks.axis`). After 300 s of identification, and
+130 s with nothing, each fault begins at a random moment; what is likeliest 60 s later counts. Then
+comes healthy work for ``--hours``, in which each listed finding is false.
+"""
+
+import argparse
+from collections.abc import Iterator
+
+import numpy as np
+
+from benchmarks.axis import GEOMETRY, NOISES_MM, machine, samples
+from valvemap.model.axis import AxisSamples
+from valvemap.model.axis_condition import CAUSES
+from valvemap.model.axis_search import identify
+from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.vocabulary.findings import FindingCode
+from valvemap_rig.faults import Fault
+from valvemap_rig.scenario import Scenario
+from valvemap_rig.simulation import Commands, RigState, advance, initial
+
+MEMORY_S = 1_800.0
+BATCH = 50  # samples
+FAULTS = {
+    **{
+        f"{edge} -10 %": (Fault(kind="damage", edge=edge, size=-10), code)
+        for edge, code in (
+            ("PA", FindingCode.PA_CHANGE),
+            ("AT", FindingCode.AT_CHANGE),
+            ("PB", FindingCode.PB_CHANGE),
+            ("BT", FindingCode.BT_CHANGE),
+        )
+    },
+    "leakage x 3": (Fault(kind="leakage", size=2), FindingCode.LEAKAGE_CHANGE),
+    "air 2 %": (Fault(kind="air", size=2), FindingCode.AIR),
+    "air 5 %": (Fault(kind="air", size=5), FindingCode.AIR),
+    "air 10 %": (Fault(kind="air", size=10), FindingCode.AIR),
+    "x lags 0.1 s": (Fault(kind="lag", signal="x", size=0.1), FindingCode.MISFIT),
+    "friction x 2": (Fault(kind="friction", size=100), None),
+}
+"""With the code that is right; None: it is not told."""
+
+
+class Run:
+    """A seed's rig and its watch."""
+
+    def __init__(self, seed: int) -> None:
+        self.noise_mm = NOISES_MM[seed % 3]
+        axis = machine(seed, self.noise_mm)
+        self.scenario = Scenario(seed=seed, valves=(), machines=(axis,), sample_rate_hz=100.0)
+        self.rig, block = self.played(initial(self.scenario, 0), 300.0)
+        found = identify(block, GEOMETRY)
+        if found.status or found.fit is None or found.state is None or found.of_shape is None:
+            raise SystemExit(f"seed {seed}: {found.sentence}")
+        self.watch = AxisWatch.begin(found.state, found.fit, MEMORY_S, found.of_shape)
+
+    def played(self, rig: RigState, seconds: float, *faults: Fault) -> tuple[RigState, AxisSamples]:
+        """Return rig and samples of so many seconds more."""
+        given = Commands(faults=tuple(("Axis", fault) for fault in faults))
+        rig, block = advance(self.scenario, rig, round(100 * seconds), given)
+        return rig, samples(block.machines["Axis"])
+
+
+def watched(watch: AxisWatch, work: AxisSamples) -> Iterator[AxisWatch]:
+    """Yield the watch after each window, and at the end."""
+    for start in range(0, len(work), BATCH):
+        watch = watch.after(work[start : start + BATCH])
+        if watch.closed:
+            watch = watch.weighed()
+            yield watch
+    yield watch
+
+
+def last(watch: AxisWatch, work: AxisSamples) -> AxisWatch:
+    """Return the watch at the end."""
+    for after in watched(watch, work):
+        watch = after
+    return watch
+
+
+def ranked(watch: AxisWatch) -> list[FindingCode | None]:
+    """Return what is likeliest, None: nothing has changed."""
+    codes: list[FindingCode | None] = [None, *CAUSES]
+    return [codes[k] for k in np.argsort(-watch.condition.probability)]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first", type=int, default=700)
+    parser.add_argument("--hours", type=float, default=1.0)
+    options = parser.parse_args()
+    exact: dict[str, list[bool]] = {name: [] for name in FAULTS}
+    within: dict[str, list[bool]] = {name: [] for name in FAULTS}
+    false, windows = 0, 0
+    for seed in range(options.first, options.first + options.seeds):
+        run = Run(seed)
+        moment_s = 130.0 + np.random.default_rng(seed).uniform(0.0, 10.0)
+        rig, work = run.played(run.rig, moment_s)
+        watch = last(run.watch, work)
+        answers = []
+        for name, (fault, right) in FAULTS.items():
+            _, work = run.played(rig, 60.0, fault)
+            after = last(watch, work)
+            order = ranked(after)
+            exact[name].append(order[0] is right)
+            within[name].append(right in order[:2])
+            size = [f"{one.probability:.2f} {one.sentence}" for one in after.condition.findings()]
+            answers.append(f"    {name}: {'; '.join(size) or 'nothing'}")
+        worst = 1.0
+        for _ in range(round(36 * options.hours)):
+            rig, work = run.played(rig, 100.0)
+            for after in watched(watch, work):
+                windows += after.condition is not watch.condition
+                watch = after
+                worst = min(worst, watch.condition.unchanged)
+                if watch.condition.findings():
+                    false += 1
+                    print(f"    false: {watch.condition.findings()}", flush=True)
+        print(f"{seed} {run.noise_mm} mm: least probability of unchanged {worst:.3f}", flush=True)
+        print("\n".join(answers), flush=True)
+    print("fault            exact  within two")
+    for name, found in exact.items():
+        print(f"{name:16s} {np.mean(found):5.2f} {np.mean(within[name]):5.2f}")
+    hours = options.hours * options.seeds
+    print(f"healthy: {false} of {windows} windows with a finding, in {hours:g} h")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""The watch of an axis as bytes: its reference and condition. Pure."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from valvemap.model.axis import SIZE, AxisRegression, with_theta
+from valvemap.model.axis_condition import CAUSES, Condition, Reference
+from valvemap.model.contents import Contents
+from valvemap.model.estimator import State
+from valvemap.pipeline.axis_watch import SUMS, AxisWatch
+
+
+@dataclass(frozen=True)
+class _KeptWatch(State):
+    """What is stored of a watch; windows that have not joined the reference are not."""
+
+    period_s: Any
+    play_percent: Any
+    lag_s: Any
+    of_shape: Any
+    theta: Any
+    precision: Any
+    variance: Any
+    together: Any
+    M: Any
+    b: Any
+    squares: Any
+    errors: Any
+    scores: Any
+    probability: Any
+    size: Any
+    std: Any
+
+    def contents(self) -> Mapping[str, Contents]:
+        """Return the permitted content."""
+        return {
+            "period_s": Contents(self.period_s).within(1e-6, 1.0),
+            "play_percent": Contents(self.play_percent).within(0.0, 100.0),
+            "lag_s": Contents(self.lag_s).within(0.0, 10.0),
+            "variance": Contents(self.variance).within(0.0),
+            "together": Contents(self.together).within(1.0),
+            "squares": Contents(self.squares).within(0.0),
+            "probability": Contents(self.probability).within(0.0, 1.0),
+            "size": Contents(self.size).or_nan(),
+            "std": Contents(self.std).or_nan(),
+        }
+
+
+def pack_watch(watch: AxisWatch, key: str) -> bytes:
+    """Return the watch as bytes, bound to ``key``."""
+    one, reference, condition = watch.regression, watch.reference, watch.condition
+    return _KeptWatch(
+        period_s=np.array(one.period_s),
+        play_percent=np.array(one.play_percent),
+        lag_s=np.array(1.0 / one.spool_hz),
+        of_shape=watch.of_shape,
+        theta=reference.theta,
+        precision=reference.precision,
+        variance=np.array(reference.variance),
+        together=np.array(reference.together),
+        **{name: getattr(watch.sums, name) for name in SUMS},
+        probability=condition.probability,
+        size=condition.size,
+        std=condition.std,
+    ).to_bytes(key)
+
+
+def unpack_watch(packed: bytes, key: str, regression: AxisRegression) -> AxisWatch:
+    """Return the watch that `pack_watch` has packed; ``regression`` has geometry and memory.
+
+    Raises
+    ------
+    StateMismatchError
+        if it is damaged, or bound to something else.
+    """
+    kept = _KeptWatch.from_bytes(packed, key)
+    initial, zero, square = regression.initial_state(), np.array(0.0), np.zeros((SIZE, SIZE))
+    causes = np.zeros(len(CAUSES))
+    like: dict[str, Any] = dict.fromkeys(
+        ("period_s", "play_percent", "lag_s", "variance", "together"), zero
+    )
+    like |= {"of_shape": square, "precision": square, "theta": np.zeros(SIZE)}
+    like |= {name: getattr(initial, name) for name in SUMS}
+    like |= {"probability": np.zeros(1 + len(CAUSES)), "size": causes, "std": causes}
+    kept.check(_KeptWatch(**like))
+    lag_s = float(kept.lag_s)
+    found = replace(
+        regression,
+        period_s=float(kept.period_s),
+        play_percent=float(kept.play_percent),
+        spool_hz=1.0 / lag_s if lag_s > 0.0 else np.inf,
+        memory_s=np.inf,
+    )
+    return AxisWatch(
+        found,
+        regression.memory_s,
+        kept.of_shape,
+        Reference(kept.theta, kept.precision, float(kept.variance), float(kept.together)),
+        replace(initial, **{name: getattr(kept, name) for name in SUMS}),
+        with_theta(initial, kept.theta),
+        Condition(kept.probability, kept.size, kept.std),
+    )
