@@ -15,8 +15,9 @@ distribution about the reference's, so that a window's evidence is Student's t. 
     χ² = |y - X·θ₀|²/σ₀² - rᵀ·(A + Λ)⁻¹·r - uᵀ·S·W·Sᵀ·u
     log evidence = ½·log|W| - (ν + n)/2·log(1 + χ²/ν) + constant(ν, n)
 
-Between windows a cause comes or goes at a small rate (forward algorithm of a hidden Markov model):
-evidence accumulates, and a repair is seen as well. Friction is in none of these equations: it needs
+Here the size has its prior distribution; later, that of the windows before. Between windows a cause
+comes or goes at a small rate (forward algorithm of a hidden Markov model): evidence accumulates,
+and a repair is seen as well. Friction is in none of these equations: it needs
 the load's force.
 """
 
@@ -43,6 +44,7 @@ CAUSES: Final = (
 )
 """Of an axis; the last is *another*."""
 _RATE_PER_S: Final = 1.0 / 360_000.0  # 1/s; one change in 100 h of movement
+_GROWS: Final = 0.01  # of a size's prior variance per window: damage goes on
 _LISTED: Final = 0.05  # least probability of a finding
 
 _GAIN: Final = 0.1  # of an edge; sizes are prior standard deviations
@@ -96,33 +98,45 @@ class Reference:
 
 
 class Weighed(NamedTuple):
-    """A window: log evidence of *unchanged* and of each cause, (1 + C,); size and std of each."""
+    """A window: log evidence of *unchanged* and of each cause, (1 + C,).
+
+    ``size`` and ``std`` (C,) of each cause, in its own unit; ``mean`` (C, 2) and ``spread``
+    (C, 2, 2) are the same of its columns of S, in prior standard deviations.
+    """
 
     log_evidence: Floats
     size: Floats
     std: Floats
+    mean: Floats
+    spread: Floats
 
 
-_UNKNOWN: Final = Weighed(
-    np.full(1 + len(CAUSES), np.nan), np.full(len(CAUSES), np.nan), np.full(len(CAUSES), np.nan)
-)
-
-
-def weigh(reference: Reference, window: WindowSums) -> Weighed:
+def weigh(reference: Reference, window: WindowSums, mean: Floats, spread: Floats) -> Weighed | None:
     """Weigh a window of samples under every cause.
 
-    Sizes are the relative change of an edge's flow, the leakage's change in (l/min)/bar, and % of
-    free air more; NaN under *another*. Where sums are too large for numbers, all is NaN.
+    Parameters
+    ----------
+    reference, window
+        What is compared.
+    mean, spread
+        What is known of the sizes before, as of :class:`Weighed`.
+
+    Returns
+    -------
+    Weighed or None
+        Sizes are the relative change of an edge's flow, the leakage's change in (l/min)/bar, and %
+        of free air more; NaN under *another*. None: the sums are too large for numbers.
     """
     with np.errstate(all="ignore"):
         try:
-            found = _weighed(reference, window)
+            found = _weighed(reference, window, mean, spread)
         except np.linalg.LinAlgError:
-            found = _UNKNOWN
-    return found if np.isfinite(found.log_evidence).all() else _UNKNOWN
+            return None
+    are_numbers = np.isfinite(found.log_evidence).all() and np.isfinite(found.spread).all()
+    return found if are_numbers else None
 
 
-def _weighed(reference: Reference, window: WindowSums) -> Weighed:
+def _weighed(reference: Reference, window: WindowSums, mean: Floats, spread: Floats) -> Weighed:
     theta, scale = reference.theta, reference.variance * reference.together
     n = window.rows / reference.together
     A = window.M / scale
@@ -132,23 +146,33 @@ def _weighed(reference: Reference, window: WindowSums) -> Weighed:
     K, u = A - A @ solved[:, :-1], r - A @ solved[:, -1]
     left = max(float(squares - r @ solved[:, -1]), 0.0)
     logs = [_student(left, n, _NOISE_KNOWN)]
-    sizes, stds = [], []
-    for code, S in _hypotheses(theta):
-        B = np.eye(S.shape[1]) + S.T @ K @ S
-        v = S.T @ u
-        at = np.linalg.solve(B, v)
-        less = max(left - float(v @ at), 0.0)
-        if code is FindingCode.MISFIT:
-            moved = _student(max(less, n), n, _NOISE_OTHER) - 0.5 * float(np.linalg.slogdet(B)[1])
-            noisier = _student(max(left, n), n, _NOISE_OTHER)
-            logs.append(float(np.logaddexp(moved, noisier)) - math.log(2.0))
-        else:
-            logs.append(_student(less, n, _NOISE_KNOWN) - 0.5 * float(np.linalg.slogdet(B)[1]))
-        unit = _unit(code, theta)
+    sizes, stds = np.full(len(CAUSES), math.nan), np.full(len(CAUSES), math.nan)
+    mean, spread = mean.copy(), spread.copy()
+    for k, S in enumerate(_columns(theta)):
+        before = np.linalg.inv(spread[k])
+        after = before + S.T @ K @ S
+        v = S.T @ u + before @ mean[k]
+        at = np.linalg.solve(after, v)
+        less = max(left - float(v @ at - mean[k] @ before @ mean[k]), 0.0)
+        volume = float(np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1])
+        logs.append(_student(less, n, _NOISE_KNOWN) - 0.5 * volume)
         noise = max(1.0, less / max(n, 1.0))
-        sizes.append(unit * float(at[0]))
-        stds.append(abs(unit) * math.sqrt(noise * float(np.linalg.inv(B)[0, 0])))
-    return Weighed(np.array(logs), np.array(sizes), np.array(stds))
+        mean[k], spread[k] = at, noise * np.linalg.inv(after)
+        unit = _unit(CAUSES[k], theta)
+        sizes[k], stds[k] = unit * at[0], unit * math.sqrt(spread[k, 0, 0])
+    logs.append(_another(theta, K, u, left, n))
+    return Weighed(np.array(logs), sizes, stds, mean, spread)
+
+
+def _another(theta: Floats, K: Floats, u: Floats, left: float, n: float) -> float:
+    """Return the log evidence of *another*."""
+    S = np.column_stack([*_columns(theta), np.diag(_ANY * theta)[:, :-COMMON]])
+    S = S[:, S.any(axis=0)]
+    B, v = np.eye(S.shape[1]) + S.T @ K @ S, S.T @ u
+    less = max(left - float(v @ np.linalg.solve(B, v)), 0.0)
+    moved = _student(max(less, n), n, _NOISE_OTHER) - 0.5 * float(np.linalg.slogdet(B)[1])
+    noisier = _student(max(left, n), n, _NOISE_OTHER)
+    return float(np.logaddexp(moved, noisier)) - math.log(2.0)
 
 
 def _student(squares: float, n: float, freedom: float) -> float:
@@ -180,22 +204,17 @@ def _common(theta: Floats, leakage: float, least: float, compliance: float, air:
     return found
 
 
-def _hypotheses(theta: Floats) -> list[tuple[FindingCode, Floats]]:
+def _columns(theta: Floats) -> list[Floats]:
+    """Return S of each cause but *another*, (n, 2); a column is 0 where one is enough."""
     gains = _GAIN * _gains(theta)
-    common = _common(theta, _LEAKAGE, _LEAKAGE_LEAST, _COMPLIANCE, _AIR)
-    each = np.diag(_ANY * theta)[:, :-COMMON]
-    return [
-        *((code, gains[:, [k]]) for k, code in enumerate(CAUSES[: len(EDGES)])),
-        (FindingCode.LEAKAGE_CHANGE, common[:, [0]]),
-        (FindingCode.AIR, common[:, [2, 1]]),
-        (FindingCode.MISFIT, np.column_stack([gains, common, each])),
-    ]
+    leakage, compliance, air = _common(theta, _LEAKAGE, _LEAKAGE_LEAST, _COMPLIANCE, _AIR).T
+    nothing = np.zeros(SIZE)
+    pairs = [*((gain, nothing) for gain in gains.T), (leakage, nothing), (air, compliance)]
+    return [np.column_stack(pair) for pair in pairs]
 
 
 def _unit(code: FindingCode, theta: Floats) -> float:
     c = float(theta[SIZE - COMMON + 1])
-    if code is FindingCode.MISFIT:
-        return math.nan
     if code is FindingCode.AIR:
         return _AIR
     if code is FindingCode.LEAKAGE_CHANGE:
@@ -207,12 +226,14 @@ def _unit(code: FindingCode, theta: Floats) -> float:
 class Condition:
     """Probabilities of *unchanged* and of each cause, (1 + C,), after the windows so far.
 
-    ``size`` and ``std`` (C,) are those of :class:`Weighed`, of the newest window.
+    The other fields are as of :class:`Weighed`.
     """
 
     probability: Floats
     size: Floats
     std: Floats
+    mean: Floats
+    spread: Floats
 
     @classmethod
     def initial(cls) -> Self:
@@ -221,26 +242,35 @@ class Condition:
         >>> Condition.initial().unchanged, Condition.initial().findings()
         (1.0, ())
         """
-        probability = np.zeros(1 + len(CAUSES))
-        probability[0] = 1.0
-        nothing = np.full(len(CAUSES), math.nan)
-        return cls(probability, nothing, nothing)
+        C = len(CAUSES)
+        nothing = np.full(C, math.nan)
+        spread = np.broadcast_to(np.eye(2), (C, 2, 2)).copy()
+        return cls(np.eye(1 + C)[0], nothing, nothing, np.zeros((C, 2)), spread)
 
     @property
     def unchanged(self) -> float:
         """Probability that nothing has changed."""
         return float(self.probability[0])
 
-    def after(self, weighed: Weighed, seconds: float) -> "Condition":
-        """Return the condition after a window of so many seconds; itself, if that is unknown."""
-        if not np.isfinite(weighed.log_evidence).all():
-            return self
+    def after(self, reference: Reference, window: WindowSums, seconds: float) -> "Condition":
+        """Return the condition after a window of so many seconds; itself, if that has no numbers.
+
+        A cause that comes has its prior size, one that stays the size found so far: both are
+        mixed by their probabilities (interacting multiple models).
+        """
         moves = -math.expm1(-seconds * _RATE_PER_S)
-        others = (1.0 - self.probability) / len(CAUSES)
-        before = (1.0 - moves) * self.probability + moves * others
+        stays = (1.0 - moves) * self.probability
+        before = stays + moves * (1.0 - self.probability) / len(CAUSES)
+        share = (stays / np.maximum(before, 1e-300))[1:, None]
+        mean = share * self.mean
+        apart = (share * (1.0 - share))[..., None] * self.mean[:, :, None] * self.mean[:, None, :]
+        spread = share[..., None] * self.spread + (1.0 - share[..., None] + _GROWS) * np.eye(2)
+        weighed = weigh(reference, window, mean, spread + apart)
+        if weighed is None:
+            return self
         logs = np.log(np.maximum(before, 1e-300)) + weighed.log_evidence
         shares = np.exp(logs - logs.max())
-        return Condition(shares / shares.sum(), weighed.size, weighed.std)
+        return Condition(shares / shares.sum(), *weighed[1:])
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the causes that are likely enough to be listed, the likeliest first."""

@@ -11,7 +11,7 @@ from typing import Final, Self
 import numpy as np
 
 from valvemap.model.axis import AxisFit, AxisRegression, AxisSamples, AxisState, fit, with_theta
-from valvemap.model.axis_condition import Condition, Reference, WindowSums, weigh
+from valvemap.model.axis_condition import Condition, Reference, WindowSums
 from valvemap.model.samples import Floats
 
 WINDOW_S: Final = 10.0  # s of used movement
@@ -88,8 +88,7 @@ class AxisWatch:
 
     def _with(self, window: AxisState) -> "AxisWatch":
         seconds = float(window.squares[2]) * self.regression.row_s
-        weight = weigh(self.reference, WindowSums.of(window))
-        condition = self.condition.after(weight, seconds)
+        condition = self.condition.after(self.reference, WindowSums.of(window), seconds)
         if condition.unchanged < _LIKELY:
             return replace(self, condition=condition, waiting=())
         waiting = (*self.waiting, window)

@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from valvemap.model.axis import SIZE, AxisRegression, with_theta
-from valvemap.model.axis_condition import CAUSES, Condition, Reference
+from valvemap.model.axis_condition import Condition, Reference
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.pipeline.axis_watch import SUMS, AxisWatch
+
+_OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class _KeptWatch(State):
     probability: Any
     size: Any
     std: Any
+    mean: Any
+    spread: Any
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
@@ -62,9 +66,7 @@ def pack_watch(watch: AxisWatch, key: str) -> bytes:
         variance=np.array(reference.variance),
         together=np.array(reference.together),
         **{name: getattr(watch.sums, name) for name in SUMS},
-        probability=condition.probability,
-        size=condition.size,
-        std=condition.std,
+        **{name: getattr(condition, name) for name in _OF_CONDITION},
     ).to_bytes(key)
 
 
@@ -78,13 +80,13 @@ def unpack_watch(packed: bytes, key: str, regression: AxisRegression) -> AxisWat
     """
     kept = _KeptWatch.from_bytes(packed, key)
     initial, zero, square = regression.initial_state(), np.array(0.0), np.zeros((SIZE, SIZE))
-    causes = np.zeros(len(CAUSES))
+    fresh = Condition.initial()
     like: dict[str, Any] = dict.fromkeys(
         ("period_s", "play_percent", "lag_s", "variance", "together"), zero
     )
     like |= {"of_shape": square, "precision": square, "theta": np.zeros(SIZE)}
     like |= {name: getattr(initial, name) for name in SUMS}
-    like |= {"probability": np.zeros(1 + len(CAUSES)), "size": causes, "std": causes}
+    like |= {name: getattr(fresh, name) for name in _OF_CONDITION}
     kept.check(_KeptWatch(**like))
     lag_s = float(kept.lag_s)
     found = replace(
@@ -101,5 +103,5 @@ def unpack_watch(packed: bytes, key: str, regression: AxisRegression) -> AxisWat
         Reference(kept.theta, kept.precision, float(kept.variance), float(kept.together)),
         replace(initial, **{name: getattr(kept, name) for name in SUMS}),
         with_theta(initial, kept.theta),
-        Condition(kept.probability, kept.size, kept.std),
+        Condition(**{name: getattr(kept, name) for name in _OF_CONDITION}),
     )
