@@ -1,8 +1,9 @@
-"""Writes the required U of standing demands to the valves armed for feed-forward."""
+"""Writes the required U of standing demands to what is armed for feed-forward."""
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Mapping
+from typing import Protocol
 
 import numpy as np
 import structlog
@@ -11,9 +12,14 @@ from numpy.typing import NDArray
 from valvemap.clock import Clock
 from valvemap.errors import SourceRejected, ValvemapError
 from valvemap.model.samples import Times
-from valvemap.pipeline.feedforward import FeedForwardState, Refusals, Situation, decide, written
-from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.lane_failures import Step
+from valvemap.pipeline.feedforward import (
+    FeedForward,
+    FeedForwardState,
+    Refusals,
+    Situation,
+    decide,
+    written,
+)
 from valvemap.pipeline.ports import AllSources
 from valvemap.vocabulary.statuses import FeedForwardStatus
 
@@ -22,65 +28,69 @@ AGAIN_S = 0.05  # s; interval of steps without new samples: each batch of sample
 log = structlog.get_logger(__name__)
 
 
+class Led(Protocol):
+    """What is led: valves, or axes. Numbers are those of the source's rows."""
+
+    @property
+    def settings(self) -> Mapping[int, FeedForward]:
+        """Settings of what has a node to write to."""
+
+    def name(self, number: int) -> str:
+        """Name for the log."""
+
+    def situation(self, number: int) -> Situation:
+        """Return whether it is armed, its sample and its answer."""
+
+    def note_status(self, number: int, status: FeedForwardStatus) -> None:
+        """Publish a new status."""
+
+    def fail(self, number: int, error: Exception) -> None:
+        """Stop it alone after an unexpected error."""
+
+
 class FeedForwardWriter:
-    """Advances feed-forward of each configured valve by one step, and logs changes of its status.
+    """Advances feed-forward of everything configured by one step, and logs changes of its status.
 
     Parameters
     ----------
-    identification
-        Provides the required U and the armed valves.
+    led
+        What is led.
+    rows
+        How many rows the source has.
     source
         The server that receives the writes.
     clock
         Time of the steps.
-    situation
-        Returns the connection, sample age and map status of a valve.
-    note_new
-        Called with the valves that have new results to publish.
     """
 
-    def __init__(
-        self,
-        identification: Identification,
-        source: AllSources,
-        clock: Clock,
-        situation: Callable[[int], Situation],
-        note_new: Callable[[Sequence[int]], None],
-    ) -> None:
-        self._identification = identification
+    def __init__(self, led: Led, rows: int, source: AllSources, clock: Clock) -> None:
+        self._led = led
         self._source = source
         self._clock = clock
-        self._situation = situation
-        self._note_new = note_new
-        self._written_at = np.full(len(identification.plans), clock.monotonic())
-        self._states = {
-            number: FeedForwardState()
-            for number, plan in enumerate(identification.plans)
-            if plan.feed_forward is not None
-        }
+        self._written_at = np.full(rows, clock.monotonic())
+        self._settings = led.settings
+        self._states = {number: FeedForwardState() for number in self._settings}
 
     def are_due(self, valves: Times, now: float) -> NDArray[np.bool_]:
-        """Return a mask of the valves whose last step is at least AGAIN_S old."""
+        """Return a mask of the rows whose last step is at least AGAIN_S old."""
         return now - self._written_at[valves] >= AGAIN_S
 
     async def write(self, valves: Times) -> None:
-        """Advance each configured valve among ``valves`` by one step, concurrently."""
+        """Advance what is configured among the rows ``valves`` by one step, concurrently."""
         self._written_at[valves] = self._clock.monotonic()
         chosen = set(valves.tolist()) & self._states.keys() if self._states else set()
         led = [valve for valve in self._states if valve in chosen]
-        steps = (self._lead(valve) for valve in led)
+        steps = (self._step(valve) for valve in led)
         outcomes = await asyncio.gather(*steps, return_exceptions=True)
         for valve, outcome in zip(led, outcomes, strict=True):
             if isinstance(outcome, Exception) and not isinstance(outcome, ValvemapError):
-                inverse = self._identification.plans[valve].inverse
-                self._identification.stop(valve, Step.INVERSE, outcome, inverse)
+                self._led.fail(valve, outcome)
             elif outcome is not None:
                 raise outcome
 
-    async def _lead(self, valve: int) -> None:
-        settings = self._identification.plans[valve].feed_forward
-        assert settings is not None  # noqa: S101 - these valves have a state
-        before, situation = self._states[valve], self._situation(valve)
+    async def _step(self, valve: int) -> None:
+        settings = self._settings[valve]
+        before, situation = self._states[valve], self._led.situation(valve)
         state, command = decide(settings, before, situation, self._clock.monotonic())
         if state.status is not before.status:
             self._say(valve, state.status)
@@ -100,9 +110,8 @@ class FeedForwardWriter:
         )
 
     def _say(self, valve: int, status: FeedForwardStatus) -> None:
-        self._identification.note_feed_forward(valve, status)
-        self._note_new([valve])
-        name = self._identification.plans[valve].name
+        self._led.note_status(valve, status)
+        name = self._led.name(valve)
         log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
 
 

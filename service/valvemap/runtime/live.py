@@ -35,6 +35,7 @@ from valvemap.pipeline.sample_clocks import SampleClocks
 from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
+from valvemap.runtime.led_valves import LedValves
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.publishing_turns import PublishingTurns
 from valvemap.runtime.restoring import REMEDY, by_reason, restore
@@ -147,9 +148,8 @@ class LiveService:
         self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
         self._clocks = SampleClocks(len(identification.plans))
         self._newest_U = np.full(len(identification.plans), np.nan)
-        self._feed_forward = FeedForwardWriter(
-            identification, source, clock, self._situation, self._note_new
-        )
+        led = LedValves(identification, self._situation, self._note_new)
+        self._feed_forward = FeedForwardWriter(led, len(identification.plans), source, clock)
 
     def note_states_elsewhere(self, kept: KeptElsewhere) -> None:
         """Include the states of another keeper in the alarm Checkpoint and the counters."""
