@@ -5,7 +5,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from asyncua import ua
+from asyncua import Client, ua
+from pydantic import SecretStr
 
 from guarded_opcua import Role
 from guarded_opcua.security.users import UserStore
@@ -17,7 +18,7 @@ from valvemap.config.loading import load_config
 from valvemap.pipeline.axes import LEARNT, Axis
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.vocabulary.edges import EDGES
-from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
+from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
 from valvemap_rig.directional import DirectionalValve, true_edge_flow
 
 pytestmark = pytest.mark.waits
@@ -40,6 +41,12 @@ pS = "nsu=urn:valvemap:rig;s=Axis.pS"
 pT = "nsu=urn:valvemap:rig;s=Axis.pT"
 T = "nsu=urn:valvemap:rig;s=Axis.T"
 sequence = "nsu=urn:valvemap:rig;s=Axis.Sequence"
+required_U = "nsu=urn:valvemap:rig;s=Axis.UCommand"
+heartbeat = "nsu=urn:valvemap:rig;s=Axis.Heartbeat"
+[axes.feed_forward]
+range_percent = [-40, 40]
+slew_percent_per_s = 200
+fallback = "hand_back"
 """
 SCENARIO = """
 name = "press"
@@ -51,6 +58,8 @@ measures = "position"
 [machines.valve]
 leakage_l_min_bar = 0.0
 play_percent = 2.0
+[machines.controller]
+lead = "external"
 """
 
 
@@ -66,7 +75,11 @@ def axis_config(config, tmp_path):
     file = tmp_path / "axis.toml"
     file.write_text(AXIS)
     loaded = load_config(file)
-    return config.model_copy(update={"axes": loaded.axes, "valves": loaded.valves})
+    source = config.source.model_copy(
+        update={"user": "operator", "password": SecretStr("password")}  # as start_rig says
+    )
+    given = {"axes": loaded.axes, "valves": loaded.valves, "source": source}
+    return config.model_copy(update=given)
 
 
 async def inverted(seen, v, *pressures):
@@ -93,6 +106,7 @@ async def test_an_axis_is_served_and_its_map_survives_a_restart(
                 await seen.until("PA.KnownTo", lambda found: found is not None)
                 await check_map(seen)
                 await check_inverse(seen)
+                await check_feed_forward(seen, rig_url(port))
                 alarm = ua.NodeId("Service.Alarms.Checkpoint.Active", seen.index)
                 assert not await seen.client.get_node(alarm).read_value()
         with CheckpointFile(axes_file(config)) as store:
@@ -131,6 +145,42 @@ async def check_inverse(seen):
     assert await seen.value("Inverse.RequiredULower") < await seen.value("Inverse.RequiredUUpper")
     await seen.node("Inverse.SpeedDemand").write_value(np.nan)
     await seen.until("Inverse.RequiredUStatus", lambda status: status == InverseStatus.NOT_FINITE)
+
+
+async def reads(node, is_so):
+    async with asyncio.timeout(20):
+        while not is_so(await node.read_value()):  # noqa: ASYNC110 - of another process
+            await asyncio.sleep(0.05)
+
+
+async def check_feed_forward(seen, url):
+    """Armed, the answer reaches the rig; without a demand the valve is handed back."""
+    inverse = seen.node("Inverse")
+
+    async def call(name):
+        await inverse.call_method(ua.NodeId(f"Press.Inverse.{name}", seen.index))
+
+    async with Client(url) as rig:
+        index = await rig.get_namespace_index("urn:valvemap:rig")
+        command = rig.get_node(ua.NodeId("Axis.UCommand", index))
+        assert await seen.value("Inverse.FeedForwardStatus") == FeedForwardStatus.DISARMED
+        await call("Arm")
+        await seen.until(
+            "Inverse.FeedForwardStatus", lambda status: status == FeedForwardStatus.NO_DEMAND
+        )
+        await seen.node("Inverse.SpeedDemand").write_value(100.0)
+        await seen.until(
+            "Inverse.FeedForwardStatus", lambda status: status == FeedForwardStatus.WRITING
+        )
+        await reads(command, lambda U: 8.0 < U < 40.0)
+        await seen.node("Inverse.SpeedDemand").write_value(np.nan)
+        await seen.until(
+            "Inverse.FeedForwardStatus", lambda status: status == FeedForwardStatus.NO_DEMAND
+        )
+        heartbeat = rig.get_node(ua.NodeId("Axis.Heartbeat", index))
+        await reads(heartbeat, lambda count: count == 0)
+        await call("Disarm")
+        await seen.until("Inverse.Armed", lambda armed: not armed)
 
 
 async def test_a_node_that_is_missing_is_named_at_the_start(axis_config, open_server, start_rig):

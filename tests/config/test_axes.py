@@ -4,6 +4,7 @@ import pytest
 
 from support.processes import run
 from valvemap.app.axes import plan_of
+from valvemap.app.build import feed_forward_of
 from valvemap.app.replay import replay
 from valvemap.config.loading import load_config
 from valvemap.errors import ConfigurationError
@@ -43,6 +44,18 @@ def test_position_is_in_mm_unless_a_unit_is_given(tmp_path):
     assert axis.signals.measure("position").scaling("Q").gain == 1000.0
 
 
+WRITTEN = NODES | {"required_U": "ns=2;s=UCommand"}
+
+
+def test_a_command_of_an_axis_has_both_signs(tmp_path):
+    (axis,) = load(tmp_path, toml(nodes=WRITTEN)).axes
+    given = feed_forward_of(axis)
+    assert given.U_range == (-100.0, 100.0)
+    assert not given.has_heartbeat
+    (axis,) = load(tmp_path, toml()).axes
+    assert feed_forward_of(axis) is None
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -60,6 +73,20 @@ def test_position_is_in_mm_unless_a_unit_is_given(tmp_path):
         (toml() + '[[valves]]\nname = "Press"\n', "axis name 'Press' is taken twice"),
         (toml(own='source = "north"'), "axes[0].source = 'north': there are no [[sources]]"),
         (toml().replace("Press", "Service"), "axis name 'Service' is taken"),
+        (toml(nodes=NODES | {"heartbeat": "ns=2;s=H"}), "heartbeat: required_U is needed, too"),
+        (toml(more="[axes.feed_forward]"), "feed_forward: nodes.required_U is needed"),
+        (
+            toml(nodes=WRITTEN, more='[axes.feed_forward]\nfallback = "hand_back"'),
+            "feed_forward.fallback = 'hand_back': nodes.heartbeat is needed",
+        ),
+        (
+            toml(nodes=WRITTEN, more="[axes.feed_forward]\nmax_age_s = 0.05"),
+            "axes[0].feed_forward.max_age_s = 0.05: must be longer than",
+        ),
+        (
+            toml(nodes=WRITTEN, more="[axes.signals.U]\nraw = [-10, 10]\nrange = [-100, 100]"),
+            "signals.required_U: unit, or raw and range, must say",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, words):

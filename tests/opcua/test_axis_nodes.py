@@ -13,7 +13,7 @@ from valvemap.errors import CommandRejected
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.axis_ports import AxisResults, RequiredU
 from valvemap.vocabulary.findings import Finding, FindingCode
-from valvemap.vocabulary.statuses import AxisStatus
+from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus
 
 T = 1_800_000_000_000_000_000
 LEAK = Finding(FindingCode.LEAKAGE_CHANGE, 0.93, "Between the lines 0.004 (l/min)/bar leak more.")
@@ -31,6 +31,9 @@ class Operator:
         if self.calls:
             raise CommandRejected("not now")
         self.calls.append(axis)
+
+    def arm_axis(self, axis, *, armed):
+        self.calls.append((axis, armed))
 
     def demand_speed(self, axis, v):
         self.calls.append((axis, v))
@@ -76,9 +79,19 @@ async def test_findings_are_shown_as_those_of_valves_and_a_reference_is_set():
             assert (await read("FindingCodes")).Value.Value == []
             method = ua.NodeId("Press.Diagnostics.SetReference", index)
             await node("Diagnostics").call_method(method)
+            for name in ("Arm", "Disarm"):
+                await node("Inverse").call_method(ua.NodeId(f"Press.Inverse.{name}", index))
+            armed = dataclasses.replace(
+                results(()), is_armed=True, feed_forward=FeedForwardStatus.WRITING
+            )
+            server.show_axis("Press", armed)
+            assert await node("Inverse.Armed").read_value() is True
+            writing = await node("Inverse.FeedForwardStatus").read_value()
+            assert writing == FeedForwardStatus.WRITING
             invert = ua.NodeId("Press.Inverse.Invert", index)
             await node("Inverse").call_method(invert, 100.0, 50.0, np.nan, np.nan, np.nan, 60.0)
     assert operator.calls[0] == "Press"
-    axis, *asked = operator.calls[1]
+    assert operator.calls[1:3] == [("Press", True), ("Press", False)]
+    axis, *asked = operator.calls[3]
     assert axis == "Press"
     assert np.array_equal(asked, [100.0, 50.0, np.nan, np.nan, np.nan, 60.0], equal_nan=True)

@@ -15,9 +15,9 @@ from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
 from valvemap.app.serve import serve
 from valvemap.cli.feedforward import commission
 from valvemap.config.estimators import AutoConfig
+from valvemap.config.feed_forward import FeedForwardConfig
 from valvemap.config.models import (
     Config,
-    FeedForwardConfig,
     NodesConfig,
     ServerConfig,
     SourceConfig,

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from valvemap.app.build import alignment_of, timing_of
+from valvemap.app.build import alignment_of, feed_forward_of, timing_of
 from valvemap.app.connections import build_axis_sources
 from valvemap.clock import Clock
 from valvemap.config.axes import AxisConfig
@@ -15,8 +15,9 @@ from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
-from valvemap.pipeline.ports import KeptElsewhere
-from valvemap.runtime.axes import LINES, LiveAxes
+from valvemap.pipeline.ports import AllSources, KeptElsewhere
+from valvemap.runtime.axes import LiveAxes
+from valvemap.runtime.led_axes import LINES
 from valvemap.runtime.sources import supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.storage.checkpoints import CheckpointFile
@@ -54,18 +55,19 @@ async def run_axes(
         await server.follow_axes([], None)
         return
     with CheckpointFile(axes_file(config)) as store:
-        live = build_live_axes(config, server, store, clock)
+        sources = build_axis_sources(config, ready)
+        live = build_live_axes(config, server, sources, store, clock)
         await server.follow_axes(live.names, live)
         live.start()
         note_states(live.keeper)
         try:
-            await supervise_all(build_axis_sources(config, ready), live, clock, stop, supervision)
+            await supervise_all(sources, live, clock, stop, supervision)
         finally:
             await live.finish()
 
 
 def build_live_axes(
-    config: Config, server: AxisServer, store: CheckpointFile, clock: Clock
+    config: Config, server: AxisServer, source: AllSources, store: CheckpointFile, clock: Clock
 ) -> LiveAxes:
     """Return the axes of a configuration, before the first sample."""
     names = [axis.name for axis in config.axes for _ in range(LINES)]
@@ -84,6 +86,7 @@ def build_live_axes(
         [plan_of(axis) for axis in config.axes],
         arrivals,
         server,
+        source,
         store,
         clock,
         reorder_s=config.alignment.reorder_ms * 1e-3,
@@ -101,6 +104,7 @@ def plan_of(axis: AxisConfig) -> AxisPlan:
         AxisGeometry(axis.piston_mm, axis.rod_mm, axis.stroke_mm, axis.dead_A_l, dead_B_l),
         axis.memory_s,
         json.dumps(meaning, sort_keys=True),
+        feed_forward_of(axis),
     )
 
 

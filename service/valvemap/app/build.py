@@ -5,6 +5,7 @@ from dataclasses import fields
 from typing import Any, Final, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
+from valvemap.config.axes import AxisConfig
 from valvemap.config.estimators import build_estimator
 from valvemap.config.models import (
     RECOMMENDED,
@@ -202,7 +203,7 @@ def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
         U_range=valve.U_range_percent,
         map_Q=shared(_axis, *valve.Q_range_l_min),
         map_dp=shared(_axis, *valve.dp_range_bar),
-        feed_forward=_feed_forward(valve),
+        feed_forward=feed_forward_of(valve),
         insist=valve.insist,
         alarms=shared(AlarmsConfig.rules, valve.alarms),
         nameplate=valve.identification.nameplate(valve.name),
@@ -253,7 +254,8 @@ def _accuracy(signals: SignalsConfig, has_dp: bool) -> SensorAccuracy:  # noqa: 
     return SensorAccuracy(**limits)
 
 
-def _feed_forward(valve: ValveConfig) -> FeedForward | None:
+def feed_forward_of(valve: ValveConfig | AxisConfig) -> FeedForward | None:
+    """Return the settings of feed-forward; None: there is no node to write to."""
     if valve.nodes.required_U is None:
         return None
     given = valve.feed_forward

@@ -98,11 +98,16 @@ _LINES: Final = (("pS", "pA"), ("pB", "pT"))  # before and behind the edge that 
 
 def _of_line(axis: AxisConfig, p1: str, p2: str) -> ValveNodes:
     words = {"U": "U", "p1": p1, "p2": p2, "Q": "position", "T": "T"}
+    measures = {signal: axis.signals.measure(word) for signal, word in words.items()}
+    measures["required_U"] = axis.signals.measure("required_U")
+    is_led = p1 == _LINES[0][0]  # the first row of an axis
     return ValveNodes(
         valve=axis.name,
         **{signal: getattr(axis.nodes, word) for signal, word in words.items()},
         sequence=axis.nodes.sequence,
-        measures={signal: axis.signals.measure(word) for signal, word in words.items()},
+        measures=measures,
+        required_U=axis.nodes.required_U if is_led else None,
+        heartbeat=axis.nodes.heartbeat if is_led else None,
         insist=axis.insist,
         kind="axis",
         words=words,
@@ -179,7 +184,9 @@ def build_live_settings(config: Config, certificate: OwnCertificate | None) -> L
 
 def build_supervisor_settings(config: Config) -> SupervisorSettings:
     """Return the supervisor's start-up timeout and tick interval."""
-    feeds_forward = any(valve.nodes.required_U is not None for valve in config.valves)
+    written = [valve.nodes.required_U for valve in config.valves]
+    written += [axis.nodes.required_U for axis in config.axes]
+    feeds_forward = any(node is not None for node in written)
     settings = SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
     if config.sources:  # an outage of one does not delay the others
         settings = replace(settings, startup_timeout_s=0.0)

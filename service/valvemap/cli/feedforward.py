@@ -14,7 +14,8 @@ import numpy as np
 from rich.table import Table
 
 from valvemap.config.estimators import AutoConfig, RlsConfig
-from valvemap.config.models import FeedForwardConfig, NodesConfig, ValveConfig
+from valvemap.config.feed_forward import FeedForwardConfig
+from valvemap.config.models import NodesConfig, ValveConfig
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Command

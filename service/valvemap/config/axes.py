@@ -5,6 +5,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import Field, create_model, field_validator, model_validator
 
+from valvemap.config.feed_forward import AxisFeedForwardConfig, check_feed_forward
 from valvemap.config.ports import check_each_once, node_id
 from valvemap.config.sections import Section
 from valvemap.config.signals import SignalConfig
@@ -15,6 +16,7 @@ _QUANTITIES: Final = {
     "position": Quantity.LENGTH,
     **dict.fromkeys(("pA", "pB", "pS", "pT"), Quantity.PRESSURE),
     "T": Quantity.TEMPERATURE,
+    "required_U": Quantity.OPENING,
 }
 """The signals of an axis."""
 _SENTENCES: Final = {
@@ -25,6 +27,7 @@ _SENTENCES: Final = {
     "pS": "supply pressure at the valve",
     "pT": "pressure in the tank line at the valve",
     "T": "oil temperature, where there is a sensor",
+    "required_U": "the command that feed-forward writes",
 }
 _PRESSURES: Final = ("pA", "pB", "pS", "pT")
 _ALONE: Final = (
@@ -50,6 +53,14 @@ class AxisNodesConfig(Section):
     pT: str | None = Field(None, description=_SENTENCES["pT"])
     T: str | None = Field(None, description=_SENTENCES["T"])
     sequence: str | None = Field(None, description="running number of the sample")
+    required_U: str | None = Field(
+        None, description="where to write the feed-forward voltage, if at all"
+    )
+    heartbeat: str | None = Field(
+        None,
+        description="UInt32 that counts while the voltage is written; the source takes its own "
+        "command when it stops or is 0",
+    )
 
     @field_validator("*")
     @classmethod
@@ -65,6 +76,12 @@ class AxisNodesConfig(Section):
             raise ValueError(
                 f"{', '.join(missing)} missing: each edge needs the pressures on both its sides"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _heartbeat_is_of_a_command(self) -> Self:
+        if self.heartbeat is not None and self.required_U is None:
+            raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
         return self
 
     @model_validator(mode="after")
@@ -104,6 +121,7 @@ class AxisConfig(Section):
     )
     nodes: AxisNodesConfig
     signals: AxisSignalsConfig = AxisSignalsConfig()
+    feed_forward: AxisFeedForwardConfig = AxisFeedForwardConfig()
     piston_mm: Millimetres = Field(description="diameter of the piston")
     rod_mm: float = Field(ge=0.0, le=20_000.0, description="diameter of the rod, on side B")
     stroke_mm: Millimetres = Field(description="way between the end stops")
@@ -119,6 +137,27 @@ class AxisConfig(Section):
     insist: bool = Field(
         default=False, description="take the source's units as they are, though they differ"
     )
+
+    @model_validator(mode="after")
+    def _feed_forward_fits(self) -> Self:
+        check_feed_forward(
+            self.feed_forward,
+            is_given="feed_forward" in self.model_fields_set,
+            is_written=self.nodes.required_U is not None,
+            has_heartbeat=self.nodes.heartbeat is not None,
+        )
+        return self
+
+    @model_validator(mode="after")
+    def _command_has_a_unit(self) -> Self:
+        is_own = self.signals.measure("U").scaling("U").is_identity
+        said = {"unit", "raw"} & self.signals.required_U.model_fields_set
+        if self.nodes.required_U is not None and not is_own and not said:
+            raise ValueError(
+                "signals.required_U: unit, or raw and range, must say in what the command is "
+                'written, because U does not come in %; unit = "%" where it does'
+            )
+        return self
 
     @model_validator(mode="after")
     def _rod_fits(self) -> Self:

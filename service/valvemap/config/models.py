@@ -23,6 +23,7 @@ from valvemap.config.estimators import (
     EstimatorConfig,
     default_estimators,
 )
+from valvemap.config.feed_forward import FeedForwardConfig, check_feed_forward
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
@@ -346,51 +347,6 @@ class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: i
         )
 
 
-Percent = Annotated[float, Field(ge=0.0, le=100.0)]
-
-
-class FeedForwardConfig(Section):
-    """How the answer to a demand is written to ``nodes.required_U``, once an operator has armed it.
-
-    It is written while the newest sample is fresh and good, the map is identified and the answer
-    within reach, range and certainty; otherwise the fallback acts.
-    """
-
-    range_percent: tuple[Percent, Percent] = Field(
-        (0.0, 100.0), description="lowest and highest U that is ever written"
-    )
-    slew_percent_per_s: float = Field(
-        100.0, gt=0.0, le=10_000.0, description="fastest change of U that is written"
-    )
-    fallback: Literal["hold", "ramp", "hand_back"] = Field(
-        "hold",
-        description="hold: keep the last U; ramp: go to fallback_percent; hand_back: let the "
-        "source take its own command",
-    )
-    fallback_percent: Percent = Field(0.0, description="U that the ramp goes to")
-    max_age_s: float = Field(
-        0.5,
-        ge=0.01,
-        le=60.0,
-        description="greatest age of the sample used, by arrival and by the clocks",
-    )
-    max_width_percent: float = Field(
-        10.0, gt=0.0, le=100.0, description="widest 95 % interval of U"
-    )
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        low, high = self.range_percent
-        if not low < high:
-            raise ValueError(f"range_percent = {[low, high]}: the first must be below the second")
-        if self.fallback == "ramp" and not low <= self.fallback_percent <= high:
-            raise ValueError(
-                f"fallback_percent = {self.fallback_percent:g}: must be within range_percent = "
-                f"{[low, high]}"
-            )
-        return self
-
-
 class ValveConfig(Section):
     """One valve."""
 
@@ -469,13 +425,12 @@ class ValveConfig(Section):
 
     @model_validator(mode="after")
     def _feed_forward_fits(self) -> Self:
-        if "feed_forward" in self.model_fields_set and self.nodes.required_U is None:
-            raise ValueError("feed_forward: nodes.required_U is needed; nothing is written without")
-        if self.feed_forward.fallback == "hand_back" and self.nodes.heartbeat is None:
-            raise ValueError(
-                "feed_forward.fallback = 'hand_back': nodes.heartbeat is needed; the source would "
-                "not know"
-            )
+        check_feed_forward(
+            self.feed_forward,
+            is_given="feed_forward" in self.model_fields_set,
+            is_written=self.nodes.required_U is not None,
+            has_heartbeat=self.nodes.heartbeat is not None,
+        )
         return self
 
     @model_validator(mode="after")
@@ -656,8 +611,8 @@ class Config(SettingsFile):
         """[source], or all [[sources]]."""
         return self.sources or (self.source,)
 
-    def source_of(self, valve: ValveConfig) -> SourceConfig:
-        """Return the server that publishes a valve's signals."""
+    def source_of(self, valve: ValveConfig | AxisConfig) -> SourceConfig:
+        """Return the server that publishes a valve's or an axis's signals."""
         return next((s for s in self.sources if s.name == valve.source), self.source)
 
     def only(self, source: str) -> Self:
@@ -674,12 +629,16 @@ class Config(SettingsFile):
 
     @model_validator(mode="after")
     def _samples_come_often_enough(self) -> Self:
-        for number, valve in enumerate(self.valves):
+        led: list[tuple[str, int, ValveConfig | AxisConfig]] = [
+            *(("valves", n, valve) for n, valve in enumerate(self.valves)),
+            *(("axes", n, axis) for n, axis in enumerate(self.axes)),
+        ]
+        for kind, number, valve in led:
             interval_s = self.source_of(valve).publishing_interval_ms * 1e-3
             max_age_s = valve.feed_forward.max_age_s
             if valve.nodes.required_U is not None and max_age_s <= interval_s:
                 raise ValueError(
-                    f"valves[{number}].feed_forward.max_age_s = {max_age_s:g}: must be longer than "
+                    f"{kind}[{number}].feed_forward.max_age_s = {max_age_s:g}: must be longer than "
                     f"source.publishing_interval_ms = {interval_s * 1e3:g}"
                 )
         return self

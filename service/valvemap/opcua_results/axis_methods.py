@@ -93,5 +93,29 @@ async def add_set_reference(
     )
 
 
+async def add_arming(
+    server: HardenedServer, parent: ua.NodeId, axis: str, operator: AxisOperator
+) -> None:
+    """Add the methods Arm and Disarm below the folder of the inverse."""
+    for name, armed, words in (
+        ("Arm", True, "Arm writing of RequiredU to the valve; a restart disarms it."),
+        ("Disarm", False, "Disarm: write nothing more; the source takes its own command."),
+    ):
+        await add_method(
+            server,
+            parent,
+            f"{axis}.{INVERSE}.{name}",
+            partial(_arm, operator, axis, armed),
+            inputs=(),
+            outputs=(),
+            required=Role.OPERATOR,
+            description=words,
+        )
+
+
+def _arm(operator: AxisOperator, axis: str, armed: bool) -> Answer[None]:  # noqa: FBT001 - a method's own
+    return answered(partial(operator.arm_axis, axis, armed=armed), lambda _: None)
+
+
 def _set_reference(operator: AxisOperator, axis: str) -> Answer[None]:
     return answered(partial(operator.set_reference, axis), lambda _: None)

@@ -14,15 +14,18 @@ from guarded_opcua import (
 )
 from valvemap.clock import Clock
 from valvemap.opcua_results.answers import answered
-from valvemap.opcua_results.axis_methods import SPEEDS, add_invert, add_set_reference
+from valvemap.opcua_results.axis_methods import SPEEDS, add_arming, add_invert, add_set_reference
 from valvemap.opcua_results.information_model import (
+    ARMED,
     DIAGNOSTICS,
+    FEED_FORWARD_STATUS,
     FINDING_CODES,
     FINDING_PROBABILITIES,
     FINDINGS,
     INVERSE,
     ROOT,
     VariableNode,
+    arming_variables,
     finding_variables,
     sentences_of,
 )
@@ -92,6 +95,7 @@ class AxisNodes:
         for node in inverse_variables(name):
             await self._add_variable(parent, node, demand if node.writable else None)
         await add_invert(server, parent, name, operator)
+        await add_arming(server, parent, name, operator)
 
     async def _add_variable(
         self,
@@ -182,6 +186,7 @@ def inverse_variables(axis: str) -> tuple[VariableNode, ...]:
             ua.VariantType.Int32,
             statuses=InverseStatus,
         ),
+        *arming_variables(prefix),
     )
 
 
@@ -217,6 +222,8 @@ def values_of(results: AxisResults) -> Iterator[tuple[str, Any, int]]:
     yield f"{INVERSE}.RequiredULower", required.lower, code
     yield f"{INVERSE}.RequiredUUpper", required.upper, code
     yield f"{INVERSE}.RequiredUStatus", int(required.status), code
+    yield f"{INVERSE}.{ARMED}", results.is_armed, int(_CODES.Good)
+    yield f"{INVERSE}.{FEED_FORWARD_STATUS}", int(results.feed_forward), int(_CODES.Good)
 
 
 def _demand(operator: AxisOperator, axis: str, v: float) -> Answer[None]:

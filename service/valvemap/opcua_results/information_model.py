@@ -288,6 +288,26 @@ def recommended_variables(valve: str) -> tuple[VariableNode, VariableNode]:
     )
 
 
+def arming_variables(prefix: str) -> tuple[VariableNode, VariableNode]:
+    """The variables of feed-forward, of a valve's or an axis's inverse."""
+    return (
+        VariableNode(
+            f"{prefix}.{ARMED}",
+            "Whether writing RequiredU to the valve is armed; see Arm and Disarm.",
+            ua.VariantType.Boolean,
+        ),
+        VariableNode(
+            f"{prefix}.{FEED_FORWARD_STATUS}",
+            "Whether RequiredU is written to the valve, and the first reason if not. With reasons "
+            "1 to 3 nothing is written. With 4 to 12 feed_forward.fallback applies: hold the "
+            "last U, ramp to fallback_percent, or hand the valve back to the source. "
+            f"{sentences_of(FeedForwardStatus)}",
+            ua.VariantType.Int32,
+            statuses=FeedForwardStatus,
+        ),
+    )
+
+
 def finding_variables(valve: str) -> tuple[VariableNode, VariableNode, VariableNode]:
     """The variables with the causes that explain a valve's samples, the likeliest first."""
     return (
@@ -500,20 +520,7 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             ua.VariantType.Int32,
             statuses=InverseStatus,
         ),
-        VariableNode(
-            f"{prefix}.{ARMED}",
-            "Whether writing RequiredU to the valve is armed; see Arm and Disarm.",
-            ua.VariantType.Boolean,
-        ),
-        VariableNode(
-            f"{prefix}.{FEED_FORWARD_STATUS}",
-            "Whether RequiredU is written to the valve, and the first reason if not. With reasons "
-            "1 to 3 nothing is written. With 4 to 12 feed_forward.fallback applies: hold the "
-            "last U, ramp to fallback_percent, or hand the valve back to the source. "
-            f"{sentences_of(FeedForwardStatus)}",
-            ua.VariantType.Int32,
-            statuses=FeedForwardStatus,
-        ),
+        *arming_variables(prefix),
         VariableNode(
             f"{prefix}.MapQ",
             "Flows of the map's rows, l/min.",

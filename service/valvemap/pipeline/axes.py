@@ -32,9 +32,10 @@ from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
 from valvemap.pipeline.axis_watch import AxisWatch
 from valvemap.pipeline.edges import MOST_WAITING, paired
+from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.pipeline.kept_watches import pack_watch, unpack_watch
-from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
+from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality, Status
 
 LEARNT, WATCH = "Axis", "AxisWatch"  # names of what is stored
 WINDOW_S: Final = 200.0  # s of movement; length of a search: more does not move play and spool
@@ -57,6 +58,7 @@ class AxisPlan:
     geometry: AxisGeometry
     memory_s: float = 1_800.0
     meaning: str = ""
+    feed_forward: FeedForward | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ class Axis:
         self._of_shape: Floats = np.zeros((SIZE, SIZE))
         self._known: _Known | None = None
         self._watch: AxisWatch | None = None
+        self.newest_U = np.nan  # of the newest sample, %
         self._newest: tuple[float, ...] = (np.nan,) * 6  # x, T, pA, pB, pS, pT
         self.t = 0  # of the newest sample, UTC ns
         self._demand = np.nan
@@ -131,6 +134,7 @@ class Axis:
         """Take whole samples; where the axis rests, they count for the present pressures alone."""
         steps_s = 1e-9 * np.diff(samples.t, prepend=self.t or samples.t[0])
         self.t = int(samples.t[-1])
+        self.newest_U = float(samples.U[-1])
         newest = (getattr(samples, name)[-1] for name in ("x", "T", "pA", "pB", "pS", "pT"))
         self._newest = tuple(float(value) for value in newest)
         self._rest, moves = self._rest.update(samples)
@@ -230,6 +234,23 @@ class Axis:
         """Note that a job ended without an outcome."""
         self._works, self._since, self._to_search_s = False, None, AGAIN_S
 
+    def situation(self) -> Situation:
+        """Return what feed-forward goes by, as of an armed axis whose sample has just come."""
+        x, _, *pressures = self._newest
+        is_whole = np.isfinite([self.newest_U, x, *pressures]).all()
+        answer = self.required()
+        status = Status.WARMING_UP if self._known is None else Status.OK
+        return Situation(
+            armed=True,
+            connected=True,
+            age_s=0.0,
+            U=self.newest_U,
+            map=status if is_whole else Status.REJECTED,
+            required_U=answer.U,
+            width=answer.upper - answer.lower,
+            answer=answer.status,
+        )
+
     def demand(self, v: float) -> None:
         """Demand a speed, mm/s; NaN withdraws the demand."""
         self._demand = v
@@ -294,7 +315,7 @@ class Axis:
     @property
     def key(self) -> str:
         """The hash that a stored state is bound to."""
-        return key_of(self.plan)
+        return key_of(replace(self.plan, feed_forward=None))
 
     def to_bytes(self) -> dict[str, bytes]:
         """Return the learnt state, and the reference of findings, each once there is one."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.findings import Finding
-from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
+from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,8 @@ class AxisResults:
     map: AxisMap | None
     required: RequiredU
     findings: tuple[Finding, ...] | None = None
+    is_armed: bool = False
+    feed_forward: FeedForwardStatus = FeedForwardStatus.NOT_CONFIGURED
     is_stale: bool = False
 
 
@@ -75,6 +77,9 @@ class AxisOperator(Protocol):
 
     def set_reference(self, axis: str) -> None:
         """Learn the axis anew: findings are then relative to what it is from now on."""
+
+    def arm_axis(self, axis: str, *, armed: bool) -> None:
+        """Let the answer to the demand be written to the valve, or no longer."""
 
     def demand_speed(self, axis: str, v: float) -> None:
         """Demand a speed; NaN withdraws the demand."""

@@ -16,14 +16,15 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import LEARNT, WATCH, Axis, AxisPlan, Job
 from valvemap.pipeline.axis_ports import AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import CheckpointStore
+from valvemap.pipeline.ports import AllSources, CheckpointStore
 from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.failure_log import log_left_out, log_missing
+from valvemap.runtime.feed_forward_writer import FeedForwardWriter
+from valvemap.runtime.led_axes import LINES, LedAxes
 from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.vocabulary.statuses import AxisStatus
 
-LINES = 2  # rows of signals of an axis
 SHOWN_S = 0.1  # s; shortest time between two results of an axis
 
 log = structlog.get_logger(__name__)
@@ -43,6 +44,8 @@ class LiveAxes:
         Converts the changes of all rows into samples.
     sink
         Shows the results.
+    source
+        Receives what feed-forward writes.
     store
         Keeps the states.
     reorder_s, stale_after_s, checkpoint_interval_s
@@ -55,6 +58,7 @@ class LiveAxes:
         plans: Sequence[AxisPlan],
         arrivals: Arrivals,
         sink: AxisSink,
+        source: AllSources,
         store: CheckpointStore,
         clock: Clock,
         *,
@@ -73,6 +77,9 @@ class LiveAxes:
         self._heard_at = np.full(len(plans), -np.inf)
         self._shown_at = np.full(len(plans), -np.inf)
         self._failed: dict[int, str] = {}
+        self._source = source
+        self.led = LedAxes(self.axes, self._age_s, self._show, self._fail)
+        self._writer = FeedForwardWriter(self.led, LINES * len(plans), source, clock)
         self._started = np.zeros(LINES * len(plans), np.int64)
         self._jobs: dict[int, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Semaphore(1)
@@ -106,8 +113,9 @@ class LiveAxes:
         self._connected[self._rows(valves)] = True
         self._arrivals.announce(changes, self._clock.monotonic())
         self._use(self._arrivals.take(changes))
+        await self._writer.write(self._rows(valves))
 
-    async def tick(self, valves: Times | None = None) -> None:  # noqa: ARG002 - all are looked at
+    async def tick(self, valves: Times | None = None) -> None:
         """Flush overdue samples, begin the jobs that are due, mark stale results, save states."""
         now = self._clock.monotonic()
         due = self._held.due(now, self._connected, self._arrivals.waits())
@@ -117,6 +125,8 @@ class LiveAxes:
             self._begin_job(number)
             if now - self._shown_at[number] > self._stale_after_s:
                 self._show(number)
+        rows = self._rows(valves)
+        await self._writer.write(rows[self._writer.are_due(rows, now)])
         await self.keeper.keep_if_due()
 
     async def lost(
@@ -125,7 +135,9 @@ class LiveAxes:
         valves: Times | None = None,
     ) -> None:
         """Mark the rows' source as disconnected."""
-        self._connected[self._rows(valves)] = False
+        rows = self._rows(valves)
+        self._connected[rows] = False
+        await self._writer.write(rows)
 
     async def finish(self) -> None:
         """Save all states; a job under way is left."""
@@ -140,6 +152,12 @@ class LiveAxes:
         number = self._number(axis)
         self.axes[number].set_reference()
         log.info("reference of axis set", axis=axis)
+        self._show(number)
+
+    def arm_axis(self, axis: str, *, armed: bool) -> None:
+        """Let the answer to the demand be written to the valve, or no longer."""
+        number = self._number(axis)
+        self.led.arm(number, armed=armed)
         self._show(number)
 
     def demand_speed(self, axis: str, v: float) -> None:
@@ -207,13 +225,24 @@ class LiveAxes:
         name = self.axes[number].plan.name
         log.error("axis failed", axis=name, why=str(error), exc_info=error)
 
+    def _age_s(self, number: int) -> float | None:
+        """Age of the newest sample, by its arrival and by the clocks; None: nothing may be led."""
+        first = LINES * number
+        if number in self._failed or not self._connected[first : first + LINES].all():
+            return None
+        offsets = np.broadcast_to(self._source.clock_offset_s, self._connected.shape)
+        ahead = float(offsets[first])
+        behind = 1e-9 * (self._clock.now() - self.axes[number].t) + ahead
+        return max(self._clock.monotonic() - float(self._heard_at[number]), behind)
+
     def _show(self, number: int) -> None:
         now, axis = self._clock.monotonic(), self.axes[number]
         self._shown_at[number] = now
         self._sink.show_axis(axis.plan.name, self._results(number, now))
 
     def _results(self, number: int, now: float) -> AxisResults:
-        found = self.axes[number].results()
+        is_armed, status = self.led.shown(number)
+        found = replace(self.axes[number].results(), is_armed=is_armed, feed_forward=status)
         if number in self._failed:
             sentence = self._failed[number]
             found = replace(found, status=AxisStatus.FAILED, sentence=sentence, is_stale=True)

@@ -1,0 +1,80 @@
+"""Configuration of feed-forward, of valves and of axes."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from valvemap.config.sections import Section
+
+Percent = Annotated[float, Field(ge=0.0, le=100.0)]
+SignedPercent = Annotated[float, Field(ge=-100.0, le=100.0)]
+
+
+class FeedForwardConfig(Section):
+    """How the answer to a demand is written to ``nodes.required_U``, once an operator has armed it.
+
+    It is written while the newest sample is fresh and good, the map is identified and the answer
+    within reach, range and certainty; otherwise the fallback acts.
+    """
+
+    range_percent: tuple[Percent, Percent] = Field(
+        (0.0, 100.0), description="lowest and highest U that is ever written"
+    )
+    slew_percent_per_s: float = Field(
+        100.0, gt=0.0, le=10_000.0, description="fastest change of U that is written"
+    )
+    fallback: Literal["hold", "ramp", "hand_back"] = Field(
+        "hold",
+        description="hold: keep the last U; ramp: go to fallback_percent; hand_back: let the "
+        "source take its own command",
+    )
+    fallback_percent: Percent = Field(0.0, description="U that the ramp goes to")
+    max_age_s: float = Field(
+        0.5,
+        ge=0.01,
+        le=60.0,
+        description="greatest age of the sample used, by arrival and by the clocks",
+    )
+    max_width_percent: float = Field(
+        10.0, gt=0.0, le=100.0, description="widest 95 % interval of U"
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        low, high = self.range_percent
+        if not low < high:
+            raise ValueError(f"range_percent = {[low, high]}: the first must be below the second")
+        if self.fallback == "ramp" and not low <= self.fallback_percent <= high:
+            raise ValueError(
+                f"fallback_percent = {self.fallback_percent:g}: must be within range_percent = "
+                f"{[low, high]}"
+            )
+        return self
+
+
+class AxisFeedForwardConfig(FeedForwardConfig):
+    """The same of an axis: U has both signs."""
+
+    range_percent: tuple[SignedPercent, SignedPercent] = Field(
+        (-100.0, 100.0), description="lowest and highest U that is ever written"
+    )
+    fallback_percent: SignedPercent = Field(0.0, description="U that the ramp goes to")
+
+
+def check_feed_forward(
+    given: FeedForwardConfig, *, is_given: bool, is_written: bool, has_heartbeat: bool
+) -> None:
+    """Check the settings against the nodes there are.
+
+    Raises
+    ------
+    ValueError
+        naming the node that is missing.
+    """
+    if is_given and not is_written:
+        raise ValueError("feed_forward: nodes.required_U is needed; nothing is written without")
+    if given.fallback == "hand_back" and not has_heartbeat:
+        raise ValueError(
+            "feed_forward.fallback = 'hand_back': nodes.heartbeat is needed; the source would "
+            "not know"
+        )
