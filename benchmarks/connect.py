@@ -13,9 +13,10 @@ from typing import Final
 import numpy as np
 
 from benchmarks.connect_plants import Plant, contradicted, plant
+from benchmarks.connect_unseen import UNSEEN
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.grouping import Group, group
-from valvemap.plant.readings import Reading
+from valvemap.plant.reading import Reading
 from valvemap.plant.verdict import Verdict, judge
 
 HELD_OUT: Final = (10_000, 10_200)
@@ -139,6 +140,11 @@ def main() -> None:
     print(table("labels right, nothing moves", still, show=asked.show))
     faulty = [outcome(contradicted(s)) for s in seeds[: max(50, len(seeds) // 4)]]
     print(table("contradicted", faulty, show=asked.show))
+    few = seeds[: max(1, len(seeds) // 20)]
+    for findable, title in ((True, "as vendors write them"), (False, "cannot be known")):
+        own = [make(s) for make in UNSEEN.values() for s in few]
+        found = [outcome(one) for one in own if one.asks is not findable]
+        print(table(title, found, show=asked.show))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from valvemap.pipeline.units import Quantity, Unit, unit_of
 from valvemap.plant.candidates import Candidate
-from valvemap.plant.readings import Record
+from valvemap.plant.reading import Record
 
 Floats = NDArray[np.float64]
 SECONDS: Final = 10.0

@@ -1,7 +1,10 @@
 """The benchmark of `connect` in short: its bars on seeds that are not the reported ones."""
 
+import pytest
+
 from benchmarks.connect import outcome
 from benchmarks.connect_plants import contradicted, plant
+from benchmarks.connect_unseen import UNSEEN
 
 RIGHT, CAUGHT = 0.9, 0.95  # shares
 
@@ -16,3 +19,14 @@ def test_right_labels_are_accepted_without_a_question_and_none_errs_in_silence()
 def test_swapped_signals_and_units_off_by_10_14_and_60_are_asked():
     found = [outcome(contradicted(seed)) for seed in range(500, 520)]
     assert sum(one.result == "asked" for one in found) >= CAUGHT * len(found)
+
+
+def test_contradictions_that_another_signal_hides_are_asked():
+    assert [outcome(contradicted(seed)).result for seed in (30_156, 30_488)] == ["asked"] * 2
+
+
+@pytest.mark.parametrize("name", UNSEEN)
+def test_no_plant_as_vendors_write_them_is_wrong_in_silence(name):
+    for seed in range(3):
+        found = outcome(UNSEEN[name](seed))
+        assert found.result != "wrong", found.story

@@ -177,12 +177,12 @@ def test_swapped_signals_are_asked(plant, moving, pair):
     assert settled.reading.nodes[Role(pair[0])].path[-1] == names[pair[1]]
 
 
-def test_a_flow_of_no_stated_unit_is_asked_and_assumed_only_when_that_is_accepted(plant, moving):
+def test_signals_of_no_stated_unit_are_asked_and_assumed_only_when_that_is_accepted(plant, moving):
     true = moving()
     for name, role in (("cmd", "U"), ("p_in", "p1"), ("p_out", "p2"), ("flow", "Q")):
         plant.add(name, true[role])
     (verdict,) = plant.verdicts()
-    assert verdict.question.about == "Q: nothing states the unit"
+    assert verdict.question.about == "p1, p2, Q: nothing states the unit"
     (accepted,) = plant.verdicts(assume=True)
     assert accepted.question is None
     gallons = next(o for o in verdict.question.options if "in gpm" in o.text)
@@ -287,3 +287,91 @@ def test_one_meter_for_two_valves_is_asked(plant, moving):
     verdicts = plant.verdicts()
     assert len(verdicts) == 2
     assert all("one meter for the valves V1, V2" in v.question.about for v in verdicts)
+
+
+def test_gauges_without_a_unit_beside_a_meter_in_gpm_are_asked(plant, moving):
+    true = moving()
+    plant.add("VLV DRIVE PCT", true["U"])
+    plant.add("PRESS IN", true["p1"])  # 180: bar, or psi as the meter's country has it
+    plant.add("PRESS OUT", true["p2"])
+    plant.add("FLOW GPM", true["Q"])
+    (verdict,) = plant.verdicts()
+    assert verdict.question.about == "p1, p2: nothing states the unit"
+    assert {"bar", "psi"} <= {option.answers[-3].rsplit("=")[-1] for option in _both(verdict)}
+
+
+def _both(verdict):
+    return [o for o in verdict.question.options if o.text.startswith("as labelled")]
+
+
+def test_a_signal_that_leaves_its_range_is_not_passed_over_for_another_one(plant, moving):
+    true = moving()
+    plant.add("Stellsignal", true["p2"] / 5, "V", (0.0, 10.0))  # exchanged with the pressure
+    plant.add("Schieberposition", true["U"], "%", (0.0, 100.0))
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["U"] / 2, "bar")
+    plant.add("Durchfluss", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert verdict.question is not None
+
+
+def test_a_valve_at_rest_with_clear_labels_is_accepted_and_backwards_it_is_asked(plant):
+    rng = np.random.default_rng(3)
+    for name, level, unit in (
+        ("Commande", 0.0, "%"), ("Pression amont", 207.0, "bar"), ("Débit", 0.0, "l/min"),
+        ("Pression aval", 3.0, "bar"),
+    ):  # fmt: skip
+        plant.add(("Banc", "V1", name), level + rng.normal(0, 0.02, 200), unit)
+        other = {207.0: 3.0, 3.0: 207.0}.get(level, level)
+        plant.add(("Banc", "V2", name), other + rng.normal(0, 0.02, 200), unit)
+    right, backwards = plant.verdicts()
+    assert right.question is None
+    assert "p2 is above p1" in backwards.question.about
+
+
+def test_a_command_in_mA_without_a_range_is_asked(plant, moving):
+    true = moving()
+    plant.add("Stellsignal", 4 + 0.16 * true["U"], "mA")
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["p2"], "bar")
+    plant.add("Durchfluss", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    scales = [answer for o in verdict.question.options for answer in o.answers if ".U=4" in answer]
+    assert scales == ["--scale=Plant.U=4..20:0..100"]
+
+
+def test_a_unit_of_another_quantity_is_named(plant, moving):
+    true = moving()
+    plant.add("Valve opening", true["U"], "%")
+    plant.add("Pressure before", true["p1"], "bar")
+    plant.add("Pressure after", true["p2"], "bar")
+    plant.add("Flow", 0.87 * true["Q"], symbol="kg/min")
+    (verdict,) = plant.verdicts()
+    assert verdict.question.about == "Q in 'kg/min', which is no unit of a flow"
+
+
+@pytest.mark.parametrize("name", ["比例阀前压力（MPa）_3号", "p_in_MPa_1", "p in [MPa] #2"])
+def test_a_unit_before_the_number_of_a_unit_is_read(plant, moving, name):
+    true = moving()
+    plant.add("V|cmd_%", true["U"])
+    plant.add(name, true["p1"] / 10)
+    plant.add("p_out", true["p2"], "bar")
+    plant.add("flow", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert seen(verdict, "p1") == pytest.approx(true["p1"].max())
+
+
+@pytest.mark.parametrize("valves", [1, 2])
+def test_a_meter_beside_a_valve_without_one_is_asked_if_it_measures_both(plant, moving, valves):
+    one, other = moving(1), moving(2)
+    for valve, true in (("V1", one), ("V2", other)):
+        plant.add(("Press", valve, "Stellsignal"), true["U"], "%")
+        plant.add(("Press", valve, "Druck vor"), true["p1"], "bar")
+        plant.add(("Press", valve, "Druck nach"), true["p2"], "bar")
+    plant.add(("Press", "V1", "Durchfluss"), one["Q"] + (valves - 1) * other["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    if valves == 1:
+        assert verdict.question is None
+        return
+    assert "its meter may measure V2, too" in verdict.question.about
+    assert any(option.answers == ("--skip=V1",) for option in verdict.question.options)

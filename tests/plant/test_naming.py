@@ -5,7 +5,7 @@ import pytest
 from valvemap.pipeline.units import unit_of
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.grouping import group
-from valvemap.plant.readings import Given, Record
+from valvemap.plant.reading import Given, Record
 from valvemap.plant.verdict import judge
 
 LANGUAGES = {

@@ -17,7 +17,7 @@ from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group, group
-from valvemap.plant.readings import Given, Record
+from valvemap.plant.reading import Given, Record
 from valvemap.plant.verdict import Verdict, judge
 from valvemap.vocabulary.signals import PER_VALVE
 
@@ -129,7 +129,7 @@ def record_of(values: Mapping[str, DataChanges], one: Group) -> Record:
     Each value is the newest at half a step past the time, so that values of one scan stamped one
     after the other are taken together.
     """
-    own = {node.node: _good(values[node.node]) for node in one.all if node.node in values}
+    own = {node.node: _good(values[node.node]) for node in one.watched if node.node in values}
     lengths = {node: len(changes) for node, changes in own.items()}
     if not lengths or max(lengths.values()) < 2:
         still = {node: c.value[-1:] for node, c in own.items() if len(c)}
@@ -201,7 +201,7 @@ async def _watch(
 
 def _lots(one: Group) -> Iterator[ValveNodes]:
     """Yield a valve's variables in lots as the source client reads them, without scaling."""
-    nodes = [candidate.node for candidate in one.all[:_MOST_OF_A_VALVE]]
+    nodes = [candidate.node for candidate in one.watched[:_MOST_OF_A_VALVE]]
     for start in range(0, len(nodes), _PER_LOT):
         lot = nodes[start : start + _PER_LOT]
         U, p1, p2, Q = (*lot, *[lot[-1]] * 3)[:4]

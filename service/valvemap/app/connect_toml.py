@@ -7,7 +7,7 @@ from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_source.client import SourceSettings
 from valvemap.opcua_source.source_units import SaidOfNode, contradiction
 from valvemap.pipeline.units import QUANTITY_OF, Measure, inside
-from valvemap.plant.readings import Reading
+from valvemap.plant.reading import Reading
 from valvemap.plant.roles import Role
 from valvemap.plant.verdict import Verdict
 from valvemap.vocabulary.signals import MEASURED

@@ -30,7 +30,7 @@ from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
-from valvemap.plant.readings import Given
+from valvemap.plant.reading import Given
 from valvemap.runtime.failure_log import log_failure
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from valvemap.foreign_text import printable
-from valvemap.plant.readings import Reading
+from valvemap.plant.reading import Reading
 from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.verdict import Verdict
 

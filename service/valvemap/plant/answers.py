@@ -7,7 +7,7 @@ from typing import Final
 
 from valvemap.errors import ConfigurationError
 from valvemap.pipeline.units import Measure, inside
-from valvemap.plant.readings import Given
+from valvemap.plant.reading import Given
 from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.scales import Scale
 from valvemap.plant.unit_texts import known_unit

@@ -169,7 +169,7 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
     },
     Concept.BEFORE: {
         "en": "before upstream inlet in admission feed entering",
-        "de": "vor vordruck zulauf eingang vorne",
+        "de": "vor vordruck zulauf zu eingang vorne",
         "fr": "amont entree avant",
         "es": "entrada arriba antes",
         "it": "ingresso monte",
@@ -178,7 +178,7 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
     },
     Concept.BEHIND: {
         "en": "after behind downstream outlet out leaving",
-        "de": "nach hinter ablauf ausgang",
+        "de": "nach hinter ablauf ab ausgang",
         "fr": "aval sortie apres",
         "es": "salida abajo despues",
         "it": "uscita valle",
@@ -209,7 +209,7 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "fr": "pilotage pilote",
         "es": "pilotaje piloto",
         "it": "pilotaggio pilota",
-        "zh": "先导",
+        "zh": "先导 控制油",
         "tags": "px",
     },
     Concept.DIFFERENCE: {

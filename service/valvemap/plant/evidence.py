@@ -6,13 +6,13 @@ Each function returns a log likelihood in nats, 0 where nothing speaks against t
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import log
+from math import inf, log
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.plant.law import LEAST_LEFT, LEAST_ROWS, Fit, quantile, quantiles
+from valvemap.plant.law import LEAST_LEFT, LEAST_ROWS, Fit, moves, quantile, quantiles
 from valvemap.plant.roles import Role
 
 Floats = NDArray[np.float64]
@@ -22,10 +22,16 @@ _SLACK: Final = 0.03  # of a range
 _TINY: Final = 0.03  # of a range; smaller values are unlikely for a pressure or a flow
 _EFFECTIVE: Final = 25.0  # independent samples at most
 _PER_SAMPLE: Final = 5.0  # samples that count as one
+_EXACT: Final = 1e-6  # of a variance; less is not told from nothing
 _REVERSED: Final = 25.0  # nats for pressures that are reversed throughout
 _FEW_REVERSED: Final = 0.05
 _NONE_EXPLAINS: Final = 0.5  # explained share of the hypothesis that no reading is right
-_SHUT, _LEAKY = 2.0, 0.3  # % of U; share of the largest flow that no shut valve lets through
+_CLEAR_DP, _MOST = 1.0, 0.8  # bar; share of the samples
+_FLOWS_SHUT: Final = -5.0  # nats
+_SHUT, _LEAKY = (
+    2.0,
+    0.3,
+)  # % of U; share of the largest flow, and of the smallest valve's, that none lets through
 
 _OF_FLOW: Final = (Role.P1, Role.P2, Role.DP, Role.Q)
 
@@ -43,6 +49,8 @@ COEFFICIENT: Final[Plateau] = (0.3, 45.0, 0.5, 0.35)  # l/min/√bar, of the val
 _MOVING, _MOVING_U = 0.3, 15.0  # share of U √Δp, and % of U, by which a valve moves
 _UNMOVED: Final = -6.0  # nats for a flow that does not move with it
 _VACUUM: Final = -2.0  # bar; a sensor's offset may be as low
+_AT_REST: Final = log(0.1)  # that a machine rests while it is watched
+_BACKWARDS: Final = log(0.03)  # that the pressure behind a valve is the higher one all the time
 OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
 
 
@@ -88,25 +96,51 @@ class Signal:
         return quantile(self._good, 0.5) if len(self._good) else float("nan")
 
     @cached_property
+    def moves(self) -> bool:
+        """Whether it moves by more than its noise."""
+        return moves(self._good)
+
+    @cached_property
     def _good(self) -> Floats:
         return self.values[np.isfinite(self.values)]
 
 
 def of_magnitudes(signals: Mapping[Role, Signal], rating: Rating) -> dict[str, float]:
-    """Judge values by what valves have and by the name plate; by sentence."""
+    """Judge values by what valves have and by the name plate; by sentence.
+
+    Of a machine at rest (:func:`rests`), nothing is too small.
+    """
+    least = 0.0 if rests(signals) else -inf
     found = {}
     for role, plateau in PLATEAUS.items():
         if role in signals:
-            found[f"{role} is unusual"] = _on_plateau(signals[role].top, plateau)
+            found[f"{role} is unusual"] = _on_plateau(signals[role].top, plateau, least)
     for role in (Role.P1, Role.P2):
         if role in signals and signals[role].median < _VACUUM:
             found[f"{role} is negative"] = -6.0
     if Role.T in signals:
         found["T is unusual"] = _of_oil(signals[Role.T].median)
-    k = coefficient({role: signals[role].values for role in _OF_FLOW if role in signals})
+    k = coefficient(_of_flow(signals))
     if k > 0.0:
-        found["Q is unusual for this Δp"] = _on_plateau(k, COEFFICIENT)
+        found["Q is unusual for this Δp"] = _on_plateau(k, COEFFICIENT, least)
     return found | _of_rating(signals, k, rating)
+
+
+def rests(signals: Mapping[Role, Signal]) -> bool:
+    """Whether the valve is hardly open all the time, and Q does not move."""
+    return signals[Role.U].top < PLATEAUS[Role.U][0] and not signals[Role.Q].moves
+
+
+def of_rest(signals: Mapping[Role, Signal]) -> float:
+    """Judge that the machine rests while it is watched."""
+    return _AT_REST if rests(signals) else 0.0
+
+
+def of_direction(values: Mapping[Role, Floats]) -> float:
+    """Judge pressures of which the one behind the valve is the higher one all the time."""
+    dp = pressure_drop(values)
+    dp = dp[np.isfinite(dp)]
+    return _BACKWARDS if len(dp) and float((dp < -_CLEAR_DP).mean()) > _MOST else 0.0
 
 
 def coefficient(values: Mapping[Role, Floats]) -> float:
@@ -127,12 +161,16 @@ def pressure_drop(values: Mapping[Role, Floats]) -> Floats:
 
 
 def of_shut_valve(signals: Mapping[Role, Signal]) -> float:
-    """Judge the flow at U = 0."""
+    """Judge the flow at U = 0, against the largest seen and against that of the smallest valve."""
     U, Q = signals[Role.U].values, signals[Role.Q].values
     shut = np.isfinite(Q) & (np.abs(U) < _SHUT)
     if shut.sum() < _PER_SAMPLE:
         return 0.0
-    return -5.0 if quantile(np.abs(Q[shut]), 0.5) > _LEAKY * signals[Role.Q].top else 0.0
+    flow = quantile(np.abs(Q[shut]), 0.5)
+    dp = np.abs(pressure_drop(_of_flow(signals))[shut])
+    root = float(np.sqrt(np.nanmedian(dp))) if np.isfinite(dp).any() else 0.0
+    leaks = _LEAKY * signals[Role.Q].top < flow and _LEAKY * COEFFICIENT[0] * root < flow
+    return _FLOWS_SHUT if leaks else 0.0
 
 
 def of_response(values: Mapping[Role, Floats], fit: Fit) -> float:
@@ -155,6 +193,16 @@ def of_law(fit: Fit) -> float:
     return total - 0.5 * _rows(fit) * log(fit.left / fit.total)
 
 
+def of_others(alone: Fit, joint: Fit) -> float:
+    """Judge that other valves' flows are in Q: what they explain of the rest, at BIC's price."""
+    least = _EXACT * alone.total
+    if not joint.rows or least == 0.0:
+        return 0.0
+    left = (joint.residual + least) / (alone.residual + least)
+    rows = _rows(joint)
+    return -0.5 * rows * log(left) - 0.5 * joint.parts_beside * log(rows)
+
+
 def most_of_law(rows: int) -> float:
     """Return the most that :func:`of_law` can give for so many samples."""
     return -0.5 * min(rows / _PER_SAMPLE, _EFFECTIVE) * log(LEAST_LEFT)
@@ -166,6 +214,10 @@ def of_no_law(fit: Fit) -> float:
         return 0.0
     left = max(_NONE_EXPLAINS * fit.total, fit.noise)
     return -0.5 * _rows(fit) * log(left / fit.total)
+
+
+def _of_flow(signals: Mapping[Role, Signal]) -> dict[Role, Floats]:
+    return {role: signals[role].values for role in _OF_FLOW if role in signals}
 
 
 def _rows(fit: Fit) -> float:
@@ -192,13 +244,15 @@ def _of_oil(T: float) -> float:
     return -0.5 * off * off
 
 
-def _on_plateau(value: float, plateau: Plateau) -> float:
+def _on_plateau(value: float, plateau: Plateau, least: float = -inf) -> float:
+    """Judge a value; one below the plateau costs no more than ``least``."""
     low, high, below, above = plateau
     if not np.isfinite(value) or value <= 0.0:
         return 0.0
     if value < low:
         off = log(low / value) / below
-    elif value > high:
+        return max(-0.5 * off * off, -50.0, least)
+    if value > high:
         off = log(value / high) / above
     else:
         return 0.0

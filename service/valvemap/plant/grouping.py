@@ -7,8 +7,8 @@ shared by the valves nearest to them in the hierarchy.
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 from valvemap.plant.candidates import Candidate
@@ -17,7 +17,7 @@ from valvemap.plant.roles import Role
 from valvemap.plant.unit_texts import split_unit
 
 _OWN: Final = frozenset({Role.Q, Role.QB, Role.DP, Role.P1, Role.P2, Role.PA, Role.PB})
-PRESSURES: Final = frozenset({Role.P1, Role.P2, Role.PA, Role.PB})
+_PRESSURES: Final = (Role.P1, Role.P2, Role.PA, Role.PB)
 _KKS_VALVE = re.compile(r"(\d{0,2}[A-Z]{3}\d{2})(?:AA|C[PTFG])\d{3}")
 _SEPARATORS = re.compile(r'"?\.(?=["A-Za-z_\u4e00-\u9fff])"?|/|\\|:')
 _LONGEST_NAME: Final = 56
@@ -27,21 +27,42 @@ Key = Callable[[Candidate], Place]
 
 
 @dataclass(frozen=True)
+class Unmetered:
+    """A valve without a flow: its command and its pressures, or Δp."""
+
+    name: str
+    nodes: Mapping[Role, Candidate]
+
+    @property
+    def pressures(self) -> tuple[Role, ...]:
+        """Roles of its pressures."""
+        return (Role.DP,) if Role.DP in self.nodes else (Role.P1, Role.P2)
+
+
+@dataclass(frozen=True)
 class Group:
     """The variables of one valve: its own, and those it shares with others.
 
-    ``one_meter`` are the names of all valves whose flows one meter measures together.
+    ``one_meter`` are the names of all valves whose flows one meter measures together;
+    ``unmetered`` are the nearest valves without a flow, which its meter may measure, too.
     """
 
     name: str
     own: tuple[Candidate, ...]
     shared: tuple[Candidate, ...] = ()
     one_meter: tuple[str, ...] = ()
+    unmetered: tuple[Unmetered, ...] = ()
 
     @property
     def all(self) -> tuple[Candidate, ...]:
         """Own and shared variables."""
         return (*self.own, *self.shared)
+
+    @property
+    def watched(self) -> tuple[Candidate, ...]:
+        """All variables, and those of the valves that its meter may measure, too."""
+        others = (node for one in self.unmetered for node in one.nodes.values())
+        return tuple(dict.fromkeys((*self.all, *others)))
 
 
 def group(candidates: Iterable[Candidate]) -> list[Group]:
@@ -54,13 +75,10 @@ def group(candidates: Iterable[Candidate]) -> list[Group]:
     for keys in ((_by_folder,), *finer, (_by_code,), (_by_number,)):
         found = _parted(relevant, keys)
         if len(found) > 1:
-            return _named(found, every)
-    whole = _parted(relevant, (_by_folder,))
-    if whole:
-        return _named(whole, every)
-    finest = [_parted(relevant, (key,)) for key in (_by_code, _by_number)]
-    if any(finest):
-        return _named(next(found for found in finest if found), every)
+            return _named(found, every, _without_flow(relevant, keys))
+    for keys in ((_by_folder,), (_by_code,), (_by_number,)):
+        if whole := _parted(relevant, keys):
+            return _named(whole, every, _without_flow(relevant, keys))
     return [Group("Valve", (*relevant, *_beside(relevant, every)))]
 
 
@@ -68,25 +86,52 @@ def _parted(
     relevant: Sequence[Candidate], keys: Sequence[Key]
 ) -> dict[Place, tuple[list[Candidate], list[Candidate]]]:
     """Return own and shared variables by place, of the places that hold a whole valve."""
+    return {
+        place: (own, shared)
+        for place, own, shared in _places(relevant, keys)
+        if _is_whole([*own, *shared])
+    }
+
+
+def _without_flow(
+    relevant: Sequence[Candidate], keys: Sequence[Key]
+) -> dict[Place, Mapping[Role, Candidate]]:
+    """Return command and pressures by place, of the places that lack no more than a flow."""
+    found: dict[Place, Mapping[Role, Candidate]] = {}
+    for place, own, shared in _places(relevant, keys):
+        best: dict[Role, Candidate] = {}
+        for one in sorted((*shared, *own), key=lambda one: one.label.evidence[one.label.role]):
+            best[one.label.role] = one
+        pressures = [best[role] for role in _PRESSURES if role in best]
+        has_flow = bool({Role.Q, Role.QB} & set(best))
+        if has_flow or not (len(pressures) > 1 or Role.DP in best):
+            continue
+        nodes = {Role.U: best[Role.U]}
+        if len(pressures) > 1:
+            found[place] = nodes | dict(zip((Role.P1, Role.P2), pressures, strict=False))
+        else:
+            found[place] = nodes | {Role.DP: best[Role.DP]}
+    return found
+
+
+def _places(
+    relevant: Sequence[Candidate], keys: Sequence[Key]
+) -> Iterator[tuple[Place, list[Candidate], list[Candidate]]]:
+    """Yield the places that hold a command: own variables, and those shared with others."""
     groups: dict[Place, list[Candidate]] = {}
     for one in relevant:
         place = tuple(part for key in keys for part in key(one))
         groups.setdefault(place, []).append(one)
     pool = [one for own in groups.values() if not _has_command(own) for one in own]
-    found = {}
     for place, own in groups.items():
-        if not _has_command(own) or not any(one.label.role in _OWN for one in own):
-            continue
-        shared = _nearest(own, pool)
-        if _is_whole([*own, *shared]):
-            found[place] = (own, shared)
-    return found
+        if _has_command(own) and any(one.label.role in _OWN for one in own):
+            yield place, own, _nearest(own, pool)
 
 
 def _nearest(own: Sequence[Candidate], pool: Sequence[Candidate]) -> list[Candidate]:
     """Return the pool's variables of roles that the valve lacks, from the nearest folder."""
     there = {one.label.role for one in own}
-    n_pressures = sum(one.label.role in PRESSURES for one in own)
+    n_pressures = sum(one.label.role in _PRESSURES for one in own)
     wanted = [
         one
         for one in pool
@@ -96,17 +141,19 @@ def _nearest(own: Sequence[Candidate], pool: Sequence[Candidate]) -> list[Candid
     if not wanted:
         return []
 
-    def nearness(one: Candidate) -> int:
-        mine, its = own[0].path[:-1], one.path[:-1]
-        return next(
-            (n for n, (a, b) in enumerate(zip(mine, its, strict=False)) if a != b),
-            min(len(mine), len(its)),
-        )
-
     best: dict[Role, int] = {}
     for one in wanted:
-        best[one.label.role] = max(nearness(one), best.get(one.label.role, -1))
-    return [one for one in wanted if nearness(one) == best[one.label.role]]
+        best[one.label.role] = max(_nearness(own[0], one), best.get(one.label.role, -1))
+    return [one for one in wanted if _nearness(own[0], one) == best[one.label.role]]
+
+
+def _nearness(one: Candidate, other: Candidate) -> int:
+    """Return the number of folders that two variables have in common."""
+    mine, its = one.path[:-1], other.path[:-1]
+    return next(
+        (n for n, (a, b) in enumerate(zip(mine, its, strict=False)) if a != b),
+        min(len(mine), len(its)),
+    )
 
 
 def _has_command(own: Sequence[Candidate]) -> bool:
@@ -115,7 +162,7 @@ def _has_command(own: Sequence[Candidate]) -> bool:
 
 def _is_whole(own: Sequence[Candidate]) -> bool:
     roles = [one.label.role for one in own]
-    pressures = sum(role in PRESSURES for role in roles)
+    pressures = sum(role in _PRESSURES for role in roles)
     has_flow = bool({Role.Q, Role.QB} & set(roles))
     return Role.U in roles and has_flow and (pressures >= 2 or Role.DP in roles)
 
@@ -147,9 +194,11 @@ def _rest(one: Candidate) -> list[str]:
 
 
 def _named(
-    found: dict[Place, tuple[list[Candidate], list[Candidate]]], every: Sequence[Candidate]
+    found: dict[Place, tuple[list[Candidate], list[Candidate]]],
+    every: Sequence[Candidate],
+    without_flow: Mapping[Place, Mapping[Role, Candidate]],
 ) -> list[Group]:
-    names = _short_names(list(found))
+    names = _short_names([*found, *without_flow])
     metered: dict[str, list[str]] = {}
     for place, (_, shared) in found.items():
         for one in shared:
@@ -160,6 +209,13 @@ def _named(
         others = [v for one in shared if (v := metered.get(one.node, [])) and len(v) > 1]
         together = tuple(others[0]) if others else ()
         groups.append(Group(names[place], (*own, *_beside(own, every)), tuple(shared), together))
+    for place, nodes in without_flow.items():
+        near = [_nearness(nodes[Role.U], one.own[0]) for one in groups]
+        other = Unmetered(names[place], nodes)
+        groups = [
+            replace(one, unmetered=(*one.unmetered, other)) if n == max(near) else one
+            for one, n in zip(groups, near, strict=True)
+        ]
     return groups
 
 

@@ -21,20 +21,28 @@ LEAST_ROWS: Final = 20  # samples; fewer test nothing
 _RIDGE: Final = 1e-6
 _CLEAR_DP: Final = 1.0  # bar
 _CLEAR_FLOW: Final = 0.1  # of the largest flow
+_CLEAR_NOISE: Final = 5.0  # times the noise of the flow
 _NOISE_STEPS: Final = 6.0**0.5 * 0.6745  # of the median of second differences
+_MOVES: Final = 0.02  # of its largest value: a part that moves
 _LEAST_NOISE: Final = 0.08  # of the spread of Q: what no law of so few parts can explain
 LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit leaves
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of the test: variances (squared unit of Q), and the share of reversed samples."""
+    """Result of the test: variances (squared unit of Q), and the share of reversed samples.
+
+    ``residual`` is what is left without the least noise; ``parts_beside`` the number of parts that
+    other valves add to the law and that move.
+    """
 
     left: float
     total: float
     noise: float
     reversed_share: float
     rows: int
+    residual: float = 0.0
+    parts_beside: int = 0
 
     @property
     def explained(self) -> float:
@@ -52,8 +60,12 @@ class Fit:
 NOT_TESTED: Final = Fit(0.0, 0.0, 0.0, 0.0, 0)
 
 
-def fit(U: Floats, dp: Floats, Q: Floats, step_s: float) -> Fit:
+def fit(
+    U: Floats, dp: Floats, Q: Floats, step_s: float, beside: Sequence[tuple[Floats, Floats]] = ()
+) -> Fit:
     """Fit the law to N samples at equal steps; NaN are left out.
+
+    ``beside`` are U and Δp of other valves whose flows are in Q, too.
 
     >>> t = np.linspace(0, 20, 400)
     >>> U, dp = 50 + 40 * np.sin(t), 90 + 60 * np.sin(0.7 * t)
@@ -62,21 +74,33 @@ def fit(U: Floats, dp: Floats, Q: Floats, step_s: float) -> Fit:
     >>> bool(fit(U, dp, 0.05 * dp * U**0.5 - U, 0.05).explained > 0.9)
     False
     """
-    good = np.isfinite(U) & np.isfinite(dp) & np.isfinite(Q)
+    good = np.isfinite(Q)
+    for signal in ((U, dp), *beside):
+        good &= np.isfinite(signal[0]) & np.isfinite(signal[1])
     if good.sum() < LEAST_ROWS:
         return NOT_TESTED
     U, dp, Q = U[good], dp[good], Q[good]
     total = float(np.var(Q))
-    root = np.sign(dp) * np.sqrt(np.abs(dp))
-    knots = np.array(sorted(set(quantiles(U, KNOTS))))
-    columns = np.stack([root, *(root * np.maximum(U - knot, 0.0) for knot in knots)], axis=1)
+    own = _parts(U, dp)
+    others = [part for U2, dp2 in beside for part in _parts(U2[good], dp2[good])]
+    columns = np.stack([*own, *others], axis=1)
     rows, parts = columns.shape
     lags = (lag / step_s for lag in LAGS_S if lag < rows * step_s or lag == 0.0)
     left = min(_left(_lagged(columns, steps), Q) for steps in lags)
     left *= rows / max(rows - parts - 1, 1)
-    second = np.abs(np.diff(Q, n=2))
-    noise = min((quantile(second, 0.5) / _NOISE_STEPS) ** 2, left) + _LEAST_NOISE**2 * total
-    return Fit(max(left, noise), total, min(noise, total), _reversed_share(dp, Q), rows)
+    residual, noise = left, min(_noise(Q), left) + _LEAST_NOISE**2 * total
+    moving = sum(float(part.std()) > _MOVES * float(np.abs(part).max()) for part in others)
+    reversed_share = 0.0 if beside else _reversed_share(dp, Q)
+    return Fit(max(left, noise), total, min(noise, total), reversed_share, rows, residual, moving)
+
+
+def moves(values: Floats) -> bool:
+    """Whether N finite values at equal steps move by more than their noise.
+
+    >>> moves(np.sin(np.arange(50) / 5)), moves(np.ones(50))
+    (True, False)
+    """
+    return len(values) >= LEAST_ROWS and float(np.var(values)) > 4.0 * _noise(values) + 1e-12
 
 
 def quantile(values: Floats, share: float) -> float:
@@ -100,6 +124,17 @@ def quantiles(values: Floats, shares: Sequence[float]) -> list[float]:
     return found
 
 
+def _parts(U: Floats, dp: Floats) -> list[Floats]:
+    root = np.sign(dp) * np.sqrt(np.abs(dp))
+    knots = sorted(set(quantiles(U, KNOTS)))
+    return [root, *(root * np.maximum(U - knot, 0.0) for knot in knots)]
+
+
+def _noise(values: Floats) -> float:
+    """Return the variance of the noise by the second differences, which a movement hardly has."""
+    return (quantile(np.abs(np.diff(values, n=2)), 0.5) / _NOISE_STEPS) ** 2
+
+
 def _left(columns: Floats, Q: Floats) -> float:
     scale = np.sqrt((columns**2).mean(axis=0)) + 1e-12
     X = columns / scale
@@ -121,9 +156,9 @@ def _lagged(columns: Floats, steps: float) -> Floats:
 
 
 def _reversed_share(dp: Floats, Q: Floats) -> float:
-    clear = (np.abs(dp) > _CLEAR_DP) & (np.abs(Q) > _CLEAR_FLOW * np.abs(Q).max(initial=0.0))
-    if clear.sum() < LEAST_ROWS:
-        clear = np.abs(dp) > _CLEAR_DP
+    """Return the share of the samples of a clear flow against the pressures; 0 without flow."""
+    least = max(_CLEAR_FLOW * float(np.abs(Q).max(initial=0.0)), _CLEAR_NOISE * _noise(Q) ** 0.5)
+    clear = (np.abs(dp) > _CLEAR_DP) & (np.abs(Q) > least)
     if not clear.any():
         return 0.0
     return float((np.sign(dp[clear]) * np.sign(Q[clear]) < 0.0).mean())

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from valvemap.pipeline.units import Measure, Quantity, Unit, inside, scaling_of, unit_of
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.roles import QUANTITY, Role
+from valvemap.plant.unit_systems import USUAL
 
 COUNTS: Final = ((0.0, 27_648.0), (0.0, 32_767.0), (0.0, 16_383.0), (0.0, 4_095.0), (0.0, 65_535.0))
 """Raw spans of analogue inputs: S7, 16 bit, 14 bit, 12 bit, unsigned 16 bit."""
@@ -24,14 +25,10 @@ _SPANS: Final = {
     "V": ((0.0, 10.0), (-10.0, 10.0), (0.0, 5.0)),
     "mV": ((0.0, 10_000.0), (-10_000.0, 10_000.0)),
 }
+_USUAL_SPAN: Final = 0.9  # probability of the first of them where no range states it
 _COUNTS_FROM: Final = 1_000.0  # an integer beyond it is none of our units, except psi and kPa
 _CLOSE: Final = 0.02  # of a span
 _MOST_PERCENT: Final = 105.0  # of U
-_UNSTATED: Final = {
-    Quantity.PRESSURE: {"bar": 0.8, "psi": 0.08, "MPa": 0.07, "kPa": 0.04, "Pa": 0.01},
-    Quantity.FLOW: {"l/min": 0.7, "gpm": 0.12, "m³/h": 0.1, "l/s": 0.05, "cm³/s": 0.03},
-    Quantity.TEMPERATURE: {"°C": 0.9, "°F": 0.08, "K": 0.02},
-}
 _ASSUMED: Final = 0.999  # of our unit, once it is accepted
 
 Floats = NDArray[np.float64]
@@ -39,12 +36,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Scale:
-    """One reading of a variable's numbers; ``prior`` in nats; ``stated`` if the plant says it."""
+    """One reading of a variable's numbers; ``prior`` in nats; ``stated`` if the plant says it.
+
+    ``guessed`` if nothing is known of the unit: its prior is that of the plant's system of units.
+    """
 
     measure: Measure
     prior: float
     reason: str
     stated: bool = True
+    guessed: bool = False
 
     def __call__(self, values: Floats, role: Role) -> Floats:
         """Return values in the internal unit of a role's quantity."""
@@ -166,8 +167,9 @@ def _of_electrical(candidate: Candidate, role: Role, values: Floats, unit: Unit)
     if role is Role.U:
         for raw in spans:
             ends = (-100.0, 100.0) if raw[0] < 0.0 else (0.0, 100.0)
-            likely = 0.97 if raw == spans[0] else 0.03 / max(len(spans) - 1, 1)
-            yield Scale(Measure(raw=raw, scaled=ends), log(likely), f"{unit.symbol} of its range")
+            likely = _USUAL_SPAN if raw == spans[0] else 1.0 - _USUAL_SPAN
+            prior = 0.0 if len(spans) == 1 else log(likely / max(len(spans) - 1, 1))
+            yield Scale(Measure(raw=raw, scaled=ends), prior, f"{unit.symbol} of its range")
         return
     usual = FLOW_METERS if role in {Role.Q, Role.QB} else PRESSURE_SENSORS
     for most in usual if role is not Role.T else (100.0,):
@@ -220,21 +222,23 @@ def _of_command(candidate: Candidate, values: Floats, *, assume: bool) -> Iterat
 
 def _of_unstated(quantity: Quantity, *, assume: bool) -> Iterator[Scale]:
     own = inside(quantity)
-    for symbol, share in _UNSTATED[quantity].items():
+    others = len(USUAL[quantity]) - 1
+    for symbol in USUAL[quantity]:
         unit = unit_of(symbol)
         assert unit is not None  # noqa: S101 - of our own table
-        sure = _ASSUMED if unit == own else (1.0 - _ASSUMED) * share
-        prior = log(sure if assume else share)
-        yield Scale(Measure(unit=unit), prior, f"no unit stated, taken as {symbol}", stated=False)
+        sure = _ASSUMED if unit == own else (1.0 - _ASSUMED) / others
+        reason = f"no unit stated, taken as {symbol}"
+        prior = log(sure) if assume else 0.0
+        yield Scale(Measure(unit=unit), prior, reason, stated=False, guessed=not assume)
 
 
 def mistaken(scale: Scale, role: Role) -> list[Scale]:
     """Return the readings in which the stated unit is a mistake for another of its quantity."""
     quantity = QUANTITY[role]
     own = scale.measure.unit or inside(quantity)
-    if scale.measure.raw is not None or quantity not in _UNSTATED:
+    if scale.measure.raw is not None or quantity not in USUAL:
         return []
-    others = [unit_of(symbol) for symbol in _UNSTATED[quantity]]
+    others = [unit_of(symbol) for symbol in USUAL[quantity]]
     return [
         Scale(Measure(unit=unit), 0.0, f"in {unit.symbol} instead of {own.symbol}", stated=False)
         for unit in others

@@ -13,6 +13,7 @@ _BOUNDARY = re.compile(
     r"\s+/\s*|\s+in\s+|\s*,\s*|[_\s.]+|(?<=[\u4e00-\u9fff])(?=[a-zA-Z%°])"
     r"|(?<=[a-z)\d])(?=MPa|kPa|Bar|PSI|Psi|GPM|Gpm|LPM|Lpm|Deg[CF])"
 )
+_NUMBER_BEHIND = re.compile(r"(?P<name>.+?)(?P<number>[_\s#.-]+\d+号?)")
 _ALSO: Final = {
     "lmin": "l/min",
     "l/mn": "l/min",
@@ -50,8 +51,19 @@ def split_unit(text: str) -> tuple[str, Unit | None, str]:
     ['kPa', 'MPa', 'MPa', 'm³/h']
     >>> split_unit("Hub [mm]"), split_unit("PT-7 supply")
     (('Hub', None, 'mm'), ('PT-7 supply', None, ''))
+    >>> split_unit("p_in_bar_2")[0], split_unit("p_in_bar_2")[1].symbol
+    ('p_in_2', 'bar')
     """
     plain = unicodedata.normalize("NFKC", text).strip()
+    whole = _split(plain)
+    number = _NUMBER_BEHIND.fullmatch(plain)
+    if whole[2] or number is None:
+        return whole
+    name, unit, shown = _split(number["name"])
+    return (f"{name}{number['number']}", unit, shown) if shown else whole
+
+
+def _split(plain: str) -> tuple[str, Unit | None, str]:
     match = _IN_BRACKETS.fullmatch(plain)
     if match is not None and match["name"] and match["unit"].strip():
         shown = match["unit"].strip()

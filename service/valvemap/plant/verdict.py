@@ -1,6 +1,6 @@
 """Decides on a valve: accepts the likeliest reading, or asks with the readings that remain."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,7 +12,8 @@ from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.law import fit
-from valvemap.plant.readings import Given, Reading, Record, readings
+from valvemap.plant.reading import Given, Reading, Record
+from valvemap.plant.readings import readings
 from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.scales import Scale
 
@@ -82,10 +83,10 @@ def judge(
         return Verdict(group.name, best, _one_meter(group, best), others, least_U)
     if best.missing:
         return Verdict(group.name, best, _missing(group, best), others)
-    if best.probability >= ACCEPTED and not best.mistake:
+    if best.probability >= ACCEPTED and not best.mistake and not best.beside:
         return Verdict(group.name, best, None, others, least_U)
     near = [r for r in found if r.probability > _NAMED and not r.missing][:_MOST_NAMED]
-    labelled = [r for r in found if not r.mistake and not r.missing][:1]
+    labelled = [r for r in found if not (r.mistake or r.missing or r.beside)][:1]
     shown = list(dict.fromkeys([r.key for r in (*near, *labelled)]))
     by_key = {r.key: r for r in found}
     options = [by_key[key] for key in shown]
@@ -99,22 +100,38 @@ def _question(
     what = ", ".join(differing) or "its signals"
     left = 1.0 - sum(r.probability for r in found)
     against = [name for name, nats in best.contradictions.items() if nats < _CLEAR]
+    foreign = [
+        f"{role} in {printable(best.nodes[role].symbol)!r}, which is no unit of a {noun}"
+        for role in differing
+        if (noun := QUANTITY[role].noun)
+        and role in best.nodes
+        and best.nodes[role].symbol
+        and not best.nodes[role].label.units
+    ]
     unstated = [
         role
         for role in differing
         if role in best.assumed and len({_node_of(r, role) for r in options}) == 1
     ]
-    if unstated and unstated == differing:
+    if any(r.beside for r in options) and not best.mistake:
+        about = f"Q: its meter may measure {_others(options)}, too, which has none of its own"
+    elif foreign:
+        about = "; ".join(foreign)
+    elif unstated and unstated == differing and not best.mistake:
         about = f"{what}: nothing states the unit"
     elif best.mistake:
         about = f"{what}: the values contradict the labels"
     elif against:
         about = f"{', '.join(against)}: its unit, its range or the node is wrong"
-    elif left > 0.2:
+    elif left > 0.2 and best.fit.moves:
         about = f"{what}: Q does not follow U and the pressures as the flow of an orifice would"
     else:
         about = f"{what}: ambiguous"
     return Question(about, tuple(_option(valve, r, differing or list(r.nodes)) for r in options))
+
+
+def _others(options: Iterable[Reading]) -> str:
+    return ", ".join(dict.fromkeys(name for r in options for name in r.beside))
 
 
 def _differing(options: Sequence[Reading]) -> list[Role]:
@@ -134,6 +151,10 @@ def _of_role(reading: Reading, role: Role) -> tuple[str, str] | None:
 
 def _option(valve: str, reading: Reading, differing: Sequence[Role]) -> Option:
     text = reading.mistake or "as labelled"
+    if reading.beside:
+        together = f"its meter measures {_others([reading])}, too"
+        consequence = f"{consequence_of(reading)}; its own flow is not measured: leave it out"
+        return Option(together, consequence, (f"--skip={valve}",), reading.probability)
     shown = [_shown(role, reading) for role in differing if role in reading.nodes]
     answers = [a for role in reading.nodes for a in _answers(valve, role, reading)]
     return Option(

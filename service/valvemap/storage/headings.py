@@ -20,7 +20,7 @@ from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.grouping import Group, group
 from valvemap.plant.names import tokens
-from valvemap.plant.readings import Given, Reading, Record
+from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import Role
 from valvemap.plant.unit_texts import split_unit
 from valvemap.plant.verdict import Verdict, judge

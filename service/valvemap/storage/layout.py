@@ -18,7 +18,7 @@ from valvemap.pipeline.units import (
     Unit,
     unit_of,
 )
-from valvemap.plant.readings import Given
+from valvemap.plant.reading import Given
 from valvemap.vocabulary import signals
 from valvemap.vocabulary.signals import MEASURED
 

@@ -1,0 +1,174 @@
+"""The score of a reading: log likelihoods of its labels, units, ranges, magnitudes, and the law."""
+
+from collections.abc import Mapping
+from math import inf, log
+from typing import Final
+
+import numpy as np
+
+from valvemap.foreign_text import printable
+from valvemap.plant import evidence
+from valvemap.plant.assignments import NEGLIGIBLE, lacks
+from valvemap.plant.candidates import Candidate
+from valvemap.plant.evidence import Rating
+from valvemap.plant.grouping import Group, Unmetered
+from valvemap.plant.law import Fit, fit
+from valvemap.plant.reading import Floats, Reading, Record
+from valvemap.plant.roles import Role
+from valvemap.plant.scales import Scale, scales
+from valvemap.plant.unit_systems import of_guesses
+
+BACKWARDS: Final = "p2 is above p1"  # in every unit
+_OF_OTHER_FLOWS: Final = ("Q does not move with U", "Q flows at U = 0")
+_UNLIKE: Final = -4.0  # nats
+_ONE_METER: Final = log(0.1)  # prior that a meter measures a valve that has none, too
+
+
+class Scores:
+    """Scores the readings of one valve's variables; keeps scaled signals and fits of the law."""
+
+    def __init__(self, group: Group, record: Record, rating: Rating) -> None:
+        self._group, self._record, self._rating = group, record, rating
+        self._fits: dict[object, Fit] = {}
+        self._signals: dict[object, evidence.Signal] = {}
+
+    def reading(
+        self,
+        nodes: Mapping[Role, Candidate],
+        chosen: Mapping[Role, Scale],
+        prior: float,
+        mistake: str = "",
+        labelled: Mapping[Role, Candidate] | None = None,
+        best: float = -inf,
+    ) -> Reading | None:
+        """Return a scored reading; ``labelled`` are the variables whose ranges belong to the roles.
+
+        None if no law could make it more than negligible beside one with the score ``best``.
+        """
+        score = prior + sum(scale.prior for scale in chosen.values()) + _of_units(chosen)
+        raw = {role: self._record.of(node) for role, node in nodes.items()}
+        signals = {role: self._signal(node, chosen[role], role) for role, node in nodes.items()}
+        values = {role: signal.values for role, signal in signals.items()}
+        if lacks(nodes):
+            return Reading(nodes, chosen, score, mistake=mistake, values=values)
+        against = {
+            f"{role} leaves its range": _of_range(node, role, chosen[role], raw[role])
+            for role, node in (labelled or nodes).items()
+        }
+        against |= evidence.of_magnitudes(signals, self._rating) | self._of_dismissed(nodes)
+        against["Q flows at U = 0"] = evidence.of_shut_valve(signals)
+        against[BACKWARDS] = evidence.of_direction(values)
+        score += sum(against.values()) + evidence.of_rest(signals)
+        if score + evidence.most_of_law(len(values[Role.Q])) < best - NEGLIGIBLE:
+            return None
+        tested = self._fit(nodes, chosen, values)
+        unmoved = against["Q does not move with U"] = evidence.of_response(values, tested)
+        score += evidence.of_law(tested) + unmoved
+        return Reading(
+            nodes, chosen, score, tested, mistake, values, contradictions=against, prior=prior
+        )
+
+    def with_others(self, reading: Reading) -> Reading | None:
+        """Return the same reading with a meter that measures the valves without one, too."""
+        if not self._group.unmetered:
+            return None
+        values, alone = reading.values, reading.fit
+        drives = (self._drive(one) for one in self._group.unmetered)
+        beside = [(U, dp) for U, dp in drives if len(U) == len(dp) == len(values[Role.Q])]
+        drop = evidence.pressure_drop(values)
+        joint = fit(values[Role.U], drop, values[Role.Q], self._record.step_s, beside)
+        relieved = {name: nats for name, nats in reading.contradictions.items()
+                    if name in _OF_OTHER_FLOWS}  # fmt: skip
+        score = reading.score - sum(relieved.values())
+        score += evidence.of_others(alone, joint) + _ONE_METER
+        return Reading(
+            reading.nodes, reading.scales, score, joint, values=values, prior=reading.prior,
+            contradictions={**reading.contradictions, **dict.fromkeys(relieved, 0.0)},
+            beside=tuple(one.name for one in self._group.unmetered),
+        )  # fmt: skip
+
+    def _drive(self, other: Unmetered) -> tuple[Floats, Floats]:
+        """Return U and Δp of another valve, in units that may be wrong by a factor."""
+        scaled = {
+            role: scales(node, role, values)[0](values, role)
+            for role, node in other.nodes.items()
+            if len(values := self._record.of(node)) > 1
+        }
+        if not {Role.U, *other.pressures} <= set(scaled):
+            return np.empty(0), np.empty(0)
+        return scaled[Role.U], evidence.pressure_drop(scaled)
+
+    def _signal(self, node: Candidate, scale: Scale, role: Role) -> evidence.Signal:
+        key = node.node, scale.text, role
+        if (found := self._signals.get(key)) is None:
+            found = evidence.Signal(scale(self._record.of(node), role))
+            self._signals[key] = found
+        return found
+
+    def _of_dismissed(self, nodes: Mapping[Role, Candidate]) -> dict[str, float]:
+        """Judge the ranges of variables that are labelled better than those taken.
+
+        That a variable leaves its range is as unlikely if another one takes its place.
+        """
+        taken = {one.node for one in nodes.values()}
+        found = {}
+        for one in self._group.all:
+            role = one.label.role
+            if one.node in taken or role not in nodes:
+                continue
+            if one.label.gain(role) >= nodes[role].label.gain(role):
+                nats = evidence.of_range(self._record.of(one), one.bounds, role)
+                found[f"{printable(one.path[-1])}, not taken for {role}, leaves its range"] = nats
+        return found
+
+    def _fit(
+        self,
+        nodes: Mapping[Role, Candidate],
+        chosen: Mapping[Role, Scale],
+        values: Mapping[Role, Floats],
+    ) -> Fit:
+        """Return the law's fit, for which the scales of U and Q do not matter."""
+        pressures = [
+            (role, nodes[role].node, chosen[role].text)
+            for role in (Role.P1, Role.P2, Role.DP)
+            if role in nodes
+        ]
+        key = nodes[Role.U].node, nodes[Role.Q].node, *pressures
+        if (found := self._fits.get(key)) is None:
+            drop = evidence.pressure_drop(values)
+            found = fit(values[Role.U], drop, values[Role.Q], self._record.step_s)
+            self._fits[key] = found
+        return found
+
+
+def _of_units(chosen: Mapping[Role, Scale]) -> float:
+    """Judge scales that nothing states: one system of units, one card, one kind of sensor."""
+    spans = {
+        abs(s.measure.raw[1]) for s in chosen.values() if not s.stated and s.measure.raw is not None
+    }
+    units = {r: s.measure.unit for r, s in chosen.items() if s.measure.unit is not None}
+    of_pressures = [chosen[role] for role in (Role.P1, Role.P2) if role in chosen]
+    ends = {s.measure.scaled for s in of_pressures}
+    unlike = (len(spans) - 1 if spans else 0) + (
+        len(ends) > 1 and not all(s.stated for s in of_pressures)
+    )
+    return _UNLIKE * unlike + of_guesses(
+        {role: unit for role, unit in units.items() if chosen[role].stated},
+        {role: unit for role, unit in units.items() if chosen[role].guessed},
+    )
+
+
+def _of_range(node: Candidate, role: Role, scale: Scale, raw: Floats) -> float:
+    """Judge raw values by a variable's range: in the stated unit, or as the range of the counts."""
+    if node.bounds is None:
+        return 0.0
+    measure = scale.measure
+    if measure.raw is not None and measure.scaled == node.bounds:
+        return evidence.of_range(raw, measure.raw, role)
+    stated = next((u for u in node.label.units if u == measure.unit), None)
+    if measure.raw is None and measure.unit is not None and stated is None and node.label.units:
+        own = node.label.units[0]
+        if own.quantity is measure.unit.quantity:  # the range is in the stated unit
+            factor = float(measure.unit.factor / own.factor)
+            return evidence.of_range(raw * factor, node.bounds, role)
+    return evidence.of_range(raw, node.bounds, role)
