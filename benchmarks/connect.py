@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks.connect_plants import Plant, contradicted, plant
+from benchmarks.connect_second import SECOND
 from benchmarks.connect_unseen import UNSEEN
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.grouping import Group, group
@@ -142,7 +143,7 @@ def main() -> None:
     print(table("contradicted", faulty, show=asked.show))
     few = seeds[: max(1, len(seeds) // 20)]
     for findable, title in ((True, "as vendors write them"), (False, "cannot be known")):
-        own = [make(s) for make in UNSEEN.values() for s in few]
+        own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]
         found = [outcome(one) for one in own if one.asks is not findable]
         print(table(title, found, show=asked.show))
 

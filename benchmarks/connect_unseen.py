@@ -4,7 +4,8 @@ Each is a function of a seed: the names are as invented here, the movement is an
 ``asks`` is set where no reader could know: a question is the only right outcome.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -69,6 +70,14 @@ class Site:
         self._values[node] = raw
         if role:
             self._truth.setdefault(valve, {})[role] = node, values
+
+    def restate(self, path: str, factor: float, unit: str, offset: float = 0.0) -> None:
+        """Replace a variable's numbers by ``factor · number + offset``, stated in ``unit``."""
+        names = tuple(path.split("|"))
+        place = next(n for n, one in enumerate(self._candidates) if one.path == names)
+        one = self._candidates[place]
+        self._candidates[place] = replace(one, unit=unit_of(unit))
+        self._values[one.node] = factor * self._values[one.node] + offset
 
     def plant(self, kind: str, *, asks: bool = False) -> Plant:
         """Return what was collected."""
@@ -351,7 +360,7 @@ def _beside_a_meter(seed: int, *, own: bool) -> Plant:
     return site.plant(f"a meter {words} beside a valve without", asks=not own)
 
 
-UNSEEN: Final[Mapping[str, Callable[[int], Plant]]] = {
+UNSEEN: Final[dict[str, Callable[[int], Plant]]] = {
     make.__name__: make
     for make in (
         german_press, italian_injection, chinese_mill, chinese_line, structure, raw_counts,

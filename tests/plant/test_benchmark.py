@@ -4,6 +4,7 @@ import pytest
 
 from benchmarks.connect import outcome
 from benchmarks.connect_plants import contradicted, plant
+from benchmarks.connect_second import SECOND
 from benchmarks.connect_unseen import UNSEEN
 
 RIGHT, CAUGHT = 0.9, 0.95  # shares
@@ -25,8 +26,8 @@ def test_contradictions_that_another_signal_hides_are_asked():
     assert [outcome(contradicted(seed)).result for seed in (30_156, 30_488)] == ["asked"] * 2
 
 
-@pytest.mark.parametrize("name", UNSEEN)
+@pytest.mark.parametrize("name", UNSEEN | SECOND)
 def test_no_plant_as_vendors_write_them_is_wrong_in_silence(name):
     for seed in range(3):
-        found = outcome(UNSEEN[name](seed))
+        found = outcome((UNSEEN | SECOND)[name](seed))
         assert found.result != "wrong", found.story

@@ -375,3 +375,41 @@ def test_a_meter_beside_a_valve_without_one_is_asked_if_it_measures_both(plant, 
         return
     assert "its meter may measure V2, too" in verdict.question.about
     assert any(option.answers == ("--skip=V1",) for option in verdict.question.options)
+
+
+def test_a_valve_that_is_shut_at_100_percent_is_asked_and_an_answer_is_obeyed(plant, moving):
+    true = moving()
+    plant.add("Stellsignal", 100 - true["U"], "%")
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["p2"], "bar")
+    plant.add("Durchfluss", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    turned = next(o for o in verdict.question.options if "the valve is shut at 100" in o.text)
+    settled = obey(plant, verdict, turned)
+    assert settled.question is None
+    assert seen(settled, "U") == pytest.approx(true["U"].max())
+
+
+def test_a_command_from_0_to_1_that_is_stated_in_percent_is_asked(plant, moving):
+    true = moving()
+    plant.add("Stellsignal", true["U"] / 100, "%")
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["p2"], "bar")
+    plant.add("Durchfluss", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    first = verdict.question.options[0]
+    assert first.text.startswith("U is in 1 instead of %")
+    assert seen(obey(plant, verdict, first), "U") == pytest.approx(true["U"].max())
+
+
+def test_flows_of_two_valves_that_are_exchanged_are_asked(plant, moving):
+    one, other = moving(1), moving(2)
+    for valve, true, Q in (("V1", one, other["Q"]), ("V2", other, one["Q"])):
+        plant.add(("Press", valve, "Stellsignal"), true["U"], "%")
+        plant.add(("Press", valve, "Druck vor"), true["p1"], "bar")
+        plant.add(("Press", valve, "Druck nach"), true["p2"], "bar")
+        plant.add(("Press", valve, "Durchfluss"), Q, "l/min")
+    for verdict, valve in zip(plant.verdicts(), ("V2", "V1"), strict=True):
+        first = verdict.question.options[0]
+        assert first.text.startswith(f"Q is labelled as that of {valve}")
+        assert f"Press/{valve}/Durchfluss" in " ".join(first.answers)

@@ -21,6 +21,7 @@ _PRESSURES: Final = (Role.P1, Role.P2, Role.PA, Role.PB)
 _KKS_VALVE = re.compile(r"(\d{0,2}[A-Z]{3}\d{2})(?:AA|C[PTFG])\d{3}")
 _SEPARATORS = re.compile(r'"?\.(?=["A-Za-z_\u4e00-\u9fff])"?|/|\\|:')
 _LONGEST_NAME: Final = 56
+_MOST_COMPARED: Final = 4  # valves of which each is compared with the others
 
 Place = tuple[str, ...]
 Key = Callable[[Candidate], Place]
@@ -44,7 +45,8 @@ class Group:
     """The variables of one valve: its own, and those it shares with others.
 
     ``one_meter`` are the names of all valves whose flows one meter measures together;
-    ``unmetered`` are the nearest valves without a flow, which its meter may measure, too.
+    ``unmetered`` are the nearest valves without a flow, which its meter may measure, too;
+    ``neighbours`` the nearest other valves' variables by role.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Group:
     shared: tuple[Candidate, ...] = ()
     one_meter: tuple[str, ...] = ()
     unmetered: tuple[Unmetered, ...] = ()
+    neighbours: tuple[tuple[str, Mapping[Role, Candidate]], ...] = ()
 
     @property
     def all(self) -> tuple[Candidate, ...]:
@@ -60,9 +63,11 @@ class Group:
 
     @property
     def watched(self) -> tuple[Candidate, ...]:
-        """All variables, and those of the valves that its meter may measure, too."""
-        others = (node for one in self.unmetered for node in one.nodes.values())
-        return tuple(dict.fromkeys((*self.all, *others)))
+        """All variables, and those of other valves with which they are compared."""
+        others = (*(one.nodes for one in self.unmetered), *(nodes for _, nodes in self.neighbours))
+        return tuple(
+            dict.fromkeys((*self.all, *(one for nodes in others for one in nodes.values())))
+        )
 
 
 def group(candidates: Iterable[Candidate]) -> list[Group]:
@@ -99,9 +104,7 @@ def _without_flow(
     """Return command and pressures by place, of the places that lack no more than a flow."""
     found: dict[Place, Mapping[Role, Candidate]] = {}
     for place, own, shared in _places(relevant, keys):
-        best: dict[Role, Candidate] = {}
-        for one in sorted((*shared, *own), key=lambda one: one.label.evidence[one.label.role]):
-            best[one.label.role] = one
+        best = _best_by_role((*shared, *own))
         pressures = [best[role] for role in _PRESSURES if role in best]
         has_flow = bool({Role.Q, Role.QB} & set(best))
         if has_flow or not (len(pressures) > 1 or Role.DP in best):
@@ -112,6 +115,13 @@ def _without_flow(
         else:
             found[place] = nodes | {Role.DP: best[Role.DP]}
     return found
+
+
+def _best_by_role(variables: Sequence[Candidate]) -> dict[Role, Candidate]:
+    best: dict[Role, Candidate] = {}
+    for one in sorted(variables, key=lambda one: one.label.evidence[one.label.role]):
+        best[one.label.role] = one
+    return best
 
 
 def _places(
@@ -216,7 +226,13 @@ def _named(
             replace(one, unmetered=(*one.unmetered, other)) if n == max(near) else one
             for one, n in zip(groups, near, strict=True)
         ]
-    return groups
+    if len(groups) > _MOST_COMPARED:
+        return groups
+    signals = {one.name: _best_by_role(one.own) for one in groups}
+    return [
+        replace(one, neighbours=tuple((v, its) for v, its in signals.items() if v != one.name))
+        for one in groups
+    ]
 
 
 def _beside(own: Sequence[Candidate], every: Sequence[Candidate]) -> list[Candidate]:

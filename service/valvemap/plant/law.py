@@ -24,6 +24,9 @@ _CLEAR_FLOW: Final = 0.1  # of the largest flow
 _CLEAR_NOISE: Final = 5.0  # times the noise of the flow
 _NOISE_STEPS: Final = 6.0**0.5 * 0.6745  # of the median of second differences
 _MOVES: Final = 0.02  # of its largest value: a part that moves
+_ENDS: Final = (0.1, 0.9)  # shares of the samples below
+_TELLS: Final = 2.0  # times more is left without U, if U tells something of the flow
+_FALLS: Final = 0.7  # share of the flow at the lower end
 _LEAST_NOISE: Final = 0.08  # of the spread of Q: what no law of so few parts can explain
 LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit leaves
 
@@ -33,7 +36,8 @@ class Fit:
     """Result of the test: variances (squared unit of Q), and the share of reversed samples.
 
     ``residual`` is what is left without the least noise; ``parts_beside`` the number of parts that
-    other valves add to the law and that move.
+    other valves add to the law and that move. A flow that ``falls`` while the valve opens is not
+    explained.
     """
 
     left: float
@@ -43,6 +47,7 @@ class Fit:
     rows: int
     residual: float = 0.0
     parts_beside: int = 0
+    falls: bool = False
 
     @property
     def explained(self) -> float:
@@ -86,12 +91,23 @@ def fit(
     columns = np.stack([*own, *others], axis=1)
     rows, parts = columns.shape
     lags = (lag / step_s for lag in LAGS_S if lag < rows * step_s or lag == 0.0)
-    left = min(_left(_lagged(columns, steps), Q) for steps in lags)
+    fits = ((*_least_squares(_lagged(columns, steps), Q), steps) for steps in lags)
+    left, weights, lag = min(fits, key=lambda one: one[0])
     left *= rows / max(rows - parts - 1, 1)
     residual, noise = left, min(_noise(Q), left) + _LEAST_NOISE**2 * total
     moving = sum(float(part.std()) > _MOVES * float(np.abs(part).max()) for part in others)
-    reversed_share = 0.0 if beside else _reversed_share(dp, Q)
-    return Fit(max(left, noise), total, min(noise, total), reversed_share, rows, residual, moving)
+    without_U, _ = _least_squares(_lagged(columns[:, [0]], lag), Q)
+    falls = without_U > _TELLS * max(left, noise) and _falls(U, weights[: len(own)])
+    return Fit(
+        left=total if falls else max(left, noise),
+        total=total,
+        noise=min(noise, total),
+        reversed_share=0.0 if beside else _reversed_share(dp, Q),
+        rows=rows,
+        residual=residual,
+        parts_beside=moving,
+        falls=falls,
+    )
 
 
 def moves(values: Floats) -> bool:
@@ -124,10 +140,12 @@ def quantiles(values: Floats, shares: Sequence[float]) -> list[float]:
     return found
 
 
-def _parts(U: Floats, dp: Floats) -> list[Floats]:
+def _parts(U: Floats, dp: Floats, at: Floats | None = None) -> list[Floats]:
+    """Return the parts of the law with knots among U, for U or ``at``."""
     root = np.sign(dp) * np.sqrt(np.abs(dp))
     knots = sorted(set(quantiles(U, KNOTS)))
-    return [root, *(root * np.maximum(U - knot, 0.0) for knot in knots)]
+    there = U if at is None else at
+    return [root, *(root * np.maximum(there - knot, 0.0) for knot in knots)]
 
 
 def _noise(values: Floats) -> float:
@@ -135,13 +153,26 @@ def _noise(values: Floats) -> float:
     return (quantile(np.abs(np.diff(values, n=2)), 0.5) / _NOISE_STEPS) ** 2
 
 
-def _left(columns: Floats, Q: Floats) -> float:
+def _falls(U: Floats, weights: Floats) -> bool:
+    """Whether f is clearly smaller where the valve is more open; U < 0 is another direction."""
+    ahead = U[U >= 0.0]
+    if len(ahead) < LEAST_ROWS:
+        return False
+    ends = np.array(quantiles(ahead, _ENDS))
+    ones = np.ones(2)
+    low, high = np.stack(_parts(U, ones, ends), axis=1) @ weights
+    return bool(high < _FALLS * low)
+
+
+def _least_squares(columns: Floats, Q: Floats) -> tuple[float, Floats]:
+    """Return the mean square of what is left, and the weight of each column."""
     scale = np.sqrt((columns**2).mean(axis=0)) + 1e-12
     X = columns / scale
     normal = X.T @ X
     normal[np.diag_indices_from(normal)] += _RIDGE * len(X)
-    residual = Q - X @ np.linalg.solve(normal, X.T @ Q)
-    return float((residual**2).mean())
+    weights = np.linalg.solve(normal, X.T @ Q)
+    residual = Q - X @ weights
+    return float((residual**2).mean()), weights / scale
 
 
 def _lagged(columns: Floats, steps: float) -> Floats:

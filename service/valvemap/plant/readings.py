@@ -3,11 +3,12 @@
 A reading assigns variables to roles and scales to variables. Its score is a sum of log likelihoods:
 names and stated units (:mod:`roles`, :mod:`candidates`), readings of numbers (:mod:`scales`),
 ranges, magnitudes, the name plate, and the orifice law (:mod:`evidence`). Competing with the
-readings by labels are those in which a label is a mistake: two signals swapped, a unit that is
-another one; and the hypothesis that none of them is right.
+readings by labels are those in which a label is a mistake: two signals swapped, one that is another
+valve's, a command that shuts at 100 %, a unit that is another one; and the hypothesis that none of
+them is right.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, islice, product
 from math import exp, log
@@ -15,14 +16,17 @@ from typing import Final
 
 from valvemap.plant import evidence
 from valvemap.plant.assignments import MISSING, NEGLIGIBLE, assignments, lacks, scales_of
+from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import Role
-from valvemap.plant.scales import mistaken
+from valvemap.plant.scales import Scale, mistaken, reversed_command
 from valvemap.plant.scores import BACKWARDS, Scores
 
 SWAPPED: Final = log(0.005 / 6)  # prior of two given signals swapped
+REVERSED: Final = log(0.005)  # prior of a valve that is shut at the upper end of U
+EXCHANGED: Final = log(0.005 / 12)  # prior of a signal exchanged with that of another valve
 MISTAKEN: Final = log(0.005 / 16)  # prior of one given unit that is another
 UNKNOWN: Final = log(0.003)  # prior of numbers in no unit of the tables
 NONE_RIGHT: Final = log(0.005)
@@ -44,7 +48,7 @@ def readings(group: Group, record: Record, given: Given, rating: Rating) -> list
         other
         for reading in found[:_WITH_MISTAKES]
         if not reading.missing
-        for other in _variations(reading, given, judge, found[0].score)
+        for other in _variations(reading, group, record, given, judge, found[0].score)
         if other is not None
     ]
     best = max(found[0].score, *(r.score for r in varied)) if varied else found[0].score
@@ -112,31 +116,69 @@ def _by_labels(group: Group, record: Record, given: Given, judge: Scores) -> Ite
 
 
 def _variations(
-    reading: Reading, given: Given, judge: Scores, best: float
+    reading: Reading, group: Group, record: Record, given: Given, judge: Scores, best: float
 ) -> Iterator[Reading | None]:
     """Yield those in which labels are mistaken, or the meter is not its own; None: negligible."""
     if Role.Q not in given.nodes:
         yield judge.with_others(reading)
-    prior = reading.prior
-    learnt = [r for r in reading.nodes if r is not Role.T and r not in given.nodes]
-    for one, other in combinations(learnt, 2):
+    for one in (*_swapped(reading, given), *_exchanged(reading, group, record, given)):
+        nodes, chosen, prior, what, labelled = one
+        yield judge.reading(nodes, chosen, reading.prior + prior, what, labelled, best)
+    for chosen, prior, what in (*_reversed(reading, given), *_in_other_units(reading, given)):
+        yield judge.reading(reading.nodes, chosen, reading.prior + prior, what, best=best)
+
+
+_Mistake = tuple[
+    Mapping[Role, Candidate], Mapping[Role, Scale], float, str, Mapping[Role, Candidate]
+]
+"""Nodes, scales, prior, words, and the nodes whose ranges belong to the roles."""
+
+
+def _learnt(reading: Reading, given: Given) -> list[Role]:
+    return [role for role in reading.nodes if role is not Role.T and role not in given.nodes]
+
+
+def _swapped(reading: Reading, given: Given) -> Iterator[_Mistake]:
+    for one, other in combinations(_learnt(reading, given), 2):
         nodes = dict(reading.nodes)
         nodes[one], nodes[other] = nodes[other], nodes[one]
-        what = f"{one} and {other} are swapped"
-        yield judge.reading(nodes, reading.scales, prior + SWAPPED, what, reading.nodes, best)
+        yield nodes, reading.scales, SWAPPED, f"{one} and {other} are swapped", reading.nodes
+
+
+def _exchanged(reading: Reading, group: Group, record: Record, given: Given) -> Iterator[_Mistake]:
+    """Yield the readings in which a signal is that of another valve."""
+    for valve, its in group.neighbours:
+        for role in _learnt(reading, given):
+            if role not in its or its[role].node == reading.nodes[role].node:
+                continue
+            nodes = {**reading.nodes, role: its[role]}
+            own = scales_of(role, its[role], record, given)
+            if own and len(record.of(its[role])) == len(record.of(reading.nodes[role])):
+                chosen = {**reading.scales, role: own[0]}
+                yield nodes, chosen, EXCHANGED, f"{role} is labelled as that of {valve}", nodes
+
+
+def _reversed(reading: Reading, given: Given) -> Iterator[tuple[Mapping[Role, Scale], float, str]]:
+    if Role.U not in given.scales:
+        scale = reversed_command(reading.scales[Role.U], reading.values[Role.U])
+        yield {**reading.scales, Role.U: scale}, REVERSED, f"the valve is {scale.reason}"
+
+
+def _in_other_units(
+    reading: Reading, given: Given
+) -> Iterator[tuple[Mapping[Role, Scale], float, str]]:
     for roles in _mistakable(reading, given):
         first = roles[0]
         for scale in mistaken(reading.scales[first], first):
-            chosen = {**reading.scales, **dict.fromkeys(roles, scale)}
             what = f"{' and '.join(roles)} {'is' if len(roles) == 1 else 'are'} {scale.reason}"
-            yield judge.reading(reading.nodes, chosen, prior + MISTAKEN, what, best=best)
+            yield {**reading.scales, **dict.fromkeys(roles, scale)}, MISTAKEN, what
 
 
 def _mistakable(reading: Reading, given: Given) -> Iterator[Sequence[Role]]:
     stated = [
         role
         for role, scale in reading.scales.items()
-        if scale.stated and role not in given.scales and role not in {Role.U, Role.T}
+        if scale.stated and role not in given.scales and role is not Role.T
     ]
     for role in stated:
         yield [role]

@@ -232,6 +232,23 @@ def _of_unstated(quantity: Quantity, *, assume: bool) -> Iterator[Scale]:
         yield Scale(Measure(unit=unit), prior, reason, stated=False, guessed=not assume)
 
 
+def reversed_command(scale: Scale, values: Floats) -> Scale:
+    """Return the reading in which the valve is shut at the other end of U; values in %.
+
+    >>> reversed_command(Scale(Measure(), 0.0, ""), np.array([20.0, 90.0])).text
+    '0..100:100..0'
+    """
+    both = bool((values < 0.0).any())
+    ends = (-100.0, 100.0) if both else (0.0, 100.0)
+    unit = scale.measure.unit or inside(Quantity.OPENING)
+    own = scaling_of(unit, scale.measure.raw, scale.measure.scaled)
+    raw = scale.measure.raw or (own.back(ends[0]), own.back(ends[1]))
+    least, most = scale.measure.scaled or ends
+    wrong_way = (-least, -most) if both else (most, least)
+    measure = Measure(raw=raw, scaled=wrong_way)
+    return Scale(measure, 0.0, f"shut at {raw[1]:g}", stated=False)
+
+
 def mistaken(scale: Scale, role: Role) -> list[Scale]:
     """Return the readings in which the stated unit is a mistake for another of its quantity."""
     quantity = QUANTITY[role]

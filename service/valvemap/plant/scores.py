@@ -127,13 +127,14 @@ class Scores:
         chosen: Mapping[Role, Scale],
         values: Mapping[Role, Floats],
     ) -> Fit:
-        """Return the law's fit, for which the scales of U and Q do not matter."""
+        """Return the law's fit, for which but the direction of U the scales of U and Q are one."""
         pressures = [
             (role, nodes[role].node, chosen[role].text)
             for role in (Role.P1, Role.P2, Role.DP)
             if role in nodes
         ]
-        key = nodes[Role.U].node, nodes[Role.Q].node, *pressures
+        ends = chosen[Role.U].measure.scaled or (0.0, 100.0)
+        key = nodes[Role.U].node, ends[0] < ends[1], nodes[Role.Q].node, *pressures
         if (found := self._fits.get(key)) is None:
             drop = evidence.pressure_drop(values)
             found = fit(values[Role.U], drop, values[Role.Q], self._record.step_s)

@@ -44,7 +44,8 @@ _RARE: Final = 1e-3  # of a unit that is not in the table
 _ONE_KIND: Final = 0.97  # of two pressures that have one unit
 
 USUAL: Final[Mapping[Quantity, tuple[str, ...]]] = {
-    quantity: tuple(shares) for quantity, shares in _SHARES["metric"][1].items()
+    Quantity.OPENING: ("%", "1"),
+    **{quantity: tuple(shares) for quantity, shares in _SHARES["metric"][1].items()},
 }
 """The units that a number without a unit may have, the likeliest first."""
 
