@@ -76,6 +76,35 @@ def test_long_format_in_any_order_of_rows(plain, tmp_path):
         assert_twin(read(file), plain)
 
 
+@pytest.mark.parametrize("times", ["numbers", "timestamps"])
+@pytest.mark.parametrize("names", ["strings", "dictionary"])
+def test_long_format_in_parquet(plain, tmp_path, times, names):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    tags = {"U": "cmd [%]", "p1": "p_in [bar]", "p2": "p_out [bar]", "Q": "flow [l/min]"}
+    t = np.tile(plain["t"], len(tags))
+    stamps = pa.array(np.rint(t * 1e9).astype(np.int64)).cast(pa.timestamp("ns"))
+    whose = pa.array(np.repeat(list(tags.values()), len(plain["t"])))
+    table = pa.table(
+        {
+            "time": pa.array(t) if times == "numbers" else stamps,
+            "tag": whose if names == "strings" else whose.dictionary_encode(),
+            "value": np.concatenate([plain[role] for role in tags]),
+        }
+    )
+    file = tmp_path / "r.parquet"
+    pq.write_table(table, file)
+    assert_twin(read(file), plain)
+
+
+def test_a_value_without_a_time_in_long_parquet_is_an_error_with_its_row(tmp_path):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    file = tmp_path / "r.parquet"
+    times = pa.array([0.0, 0.0, 1.0, None])
+    pq.write_table(pa.table({"time": times, "tag": ["p1", "Q"] * 2, "value": [1.0] * 4}), file)
+    with pytest.raises(RecordingError, match="row 4"):
+        read(file)
+
+
 def test_a_file_without_headings_is_read_by_the_columns_that_are_named(plain, tmp_path):
     file = tmp_path / "r.csv"
     columns = [plain["t"], plain["U"], 100 * plain["p1"], 100 * plain["p2"], plain["Q"]]

@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError, ValvemapError
-from valvemap.model.samples import Codes, Floats, Samples, Times
+from valvemap.model.samples import Codes, Samples
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import Cells, TextCells, with_points
 from valvemap.storage.dates import DateForm, date_form
 from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
 from valvemap.storage.layout import (
-    DEFAULT_VALVE,
     Columns,
     Layout,
     MissingColumnError,
@@ -33,7 +32,7 @@ from valvemap.storage.layout import (
     find_columns,
     with_p2,
 )
-from valvemap.storage.long_format import MOST_ROWS, LongColumns, long_columns, pivot
+from valvemap.storage.long_format import LongColumns, LongRows, long_columns
 from valvemap.vocabulary.signals import MEASURED
 
 if TYPE_CHECKING:
@@ -252,8 +251,7 @@ class CsvReader:
 
     def _pivoted(self, place: LongColumns) -> Iterator[tuple[str, Samples]]:
         """Yield the samples of a file in long format, sorted by time."""
-        times, tags, values = list[Times](), list[int](), list[Floats]()
-        known: dict[str, int] = {}
+        long = LongRows(self._path, self._layout)
         unit = seconds_per_unit(self._header[place.time])
         reader = self._reader(self._lines)
         problem, more = None, True
@@ -267,35 +265,16 @@ class CsvReader:
                 continue
             cells = TextCells(rows, self._separator, self._dates)
             try:
-                times.append(cells.times(place.time, unit))
-                values.append(cells.numbers(place.value, self._header[place.value]))
+                t = cells.times(place.time, unit)
+                values = cells.numbers(place.value, self._header[place.value])
             except CellError as error:
                 raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
-            tags += [known.setdefault(row[place.tag], len(known)) for row in rows]
-            if len(tags) > MOST_ROWS:
-                raise RecordingError(f"{self._path}: more than {MOST_ROWS:,} rows in long format")
+            long.add(t, [row[place.tag] for row in rows], values)
         if problem is not None:
             raise problem
-        if not tags:
-            return
-        t, table = pivot(
-            np.concatenate(times), np.array(tags, np.intp), np.concatenate(values), len(known)
-        )
-        headings = ["t", *known]
-        numbers = {number + 1: table[:_RECOGNISED, number] for number in range(len(known))}
-        begins = Beginning(self._path, headings, numbers, 0, t[:_RECOGNISED])
-        self._columns = _columns_of(begins, self._layout)
-        self.ignored = self._columns.ignored
-        for part in self._columns.parts:
-            own = {
-                name: scaling(table[:, column - 1])
-                for name, (column, scaling) in part.numbers.items()
-            }
-            there = np.asarray(np.isfinite(np.stack(list(own.values()))).any(axis=0))
-            for start in range(0, len(t), self._rows):
-                rows_ = np.flatnonzero(there[start : start + self._rows]) + start
-                some = {name: values_[rows_] for name, values_ in own.items()}
-                yield str(part.valve or DEFAULT_VALVE), with_p2(t[rows_], None, some)
+        for valve, samples in long.samples(self._rows):
+            self.ignored = long.ignored
+            yield valve, samples
 
     def _reader(self, lines: Iterable[str]) -> Any:  # noqa: ANN401 - the class has no public name
         return csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
@@ -413,14 +392,6 @@ class _Faults:
             raise RecordingError(
                 f"{self._path} cannot be read: {error.strerror or error}"
             ) from error
-
-
-def _columns_of(begins: Beginning, layout: Layout) -> Columns:
-    """Return the columns of a pivoted table: by our own names, else recognised."""
-    try:
-        return find_columns(begins.headings, layout, str(begins.path))
-    except MissingColumnError as missing:
-        return recognise(begins, layout, missing)
 
 
 def _is_number(cell: str) -> bool:

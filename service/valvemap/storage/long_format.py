@@ -1,20 +1,31 @@
 """Recordings in long format: a row per value, with its time and the name of its signal."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Floats, Times
+from valvemap.errors import RecordingError
+from valvemap.model.samples import Floats, Samples, Times
 from valvemap.plant.names import tokens
-from valvemap.storage.headings import time_column
+from valvemap.storage.headings import Beginning, recognise, time_column
+from valvemap.storage.layout import (
+    DEFAULT_VALVE,
+    Columns,
+    Layout,
+    MissingColumnError,
+    find_columns,
+    with_p2,
+)
 
 MOST_ROWS: Final = 20_000_000  # values of a file; they are sorted in memory
 _VALUE_WORDS: Final = frozenset(
     {"value", "wert", "messwert", "valeur", "valor", "valore", "值", "数值"}
 )
+_RECOGNISED: Final = 3_000  # rows used to recognise the names of signals
 _MOST_TAGS: Final = 200
 _LEAST_REPEATS: Final = 2  # rows per tag at the beginning of a file, on average
 
@@ -48,6 +59,103 @@ def long_columns(
     if not tags or len(chosen) != 1:
         return None
     return LongColumns(time, tags[0], chosen[0])
+
+
+class LongRows:
+    """The values of a recording in long format, collected before they are sorted by time.
+
+    ``ignored`` are the signals that belong to no valve, once the samples have been taken.
+    """
+
+    def __init__(self, path: Path, layout: Layout) -> None:
+        self._path, self._layout = path, layout
+        self._known: dict[str, int] = {}
+        self._parts: list[tuple[Times, NDArray[np.intp], Floats]] = []
+        self._rows = 0
+        self.ignored: tuple[str, ...] = ()
+
+    def add(self, times: Times, names: Sequence[str], values: Floats) -> None:
+        """Add N values with their times and the names of their signals.
+
+        Raises
+        ------
+        RecordingError
+            if there are more than can be sorted in memory.
+        """
+        tags = np.array([self._known.setdefault(n, len(self._known)) for n in names], np.intp)
+        self._rows += len(tags)
+        if self._rows > MOST_ROWS:
+            raise RecordingError(f"{self._path}: more than {MOST_ROWS:,} rows in long format")
+        self._parts.append((times, tags, values))
+
+    def samples(self, chunk_rows: int) -> Iterator[tuple[str, Samples]]:
+        """Yield (valve, samples), chunk by chunk, sorted by time.
+
+        Raises
+        ------
+        RecordingError
+            if the names are those of no whole valve, or ambiguous.
+        """
+        if not self._parts:
+            return
+        times, tags, values = (np.concatenate(x) for x in zip(*self._parts, strict=True))
+        t, table = pivot(times, tags, values, len(self._known))
+        found = self._columns(t, table)
+        self.ignored = found.ignored
+        for part in found.parts:
+            own = {
+                name: scaling(table[:, column - 1])
+                for name, (column, scaling) in part.numbers.items()
+            }
+            there = np.asarray(np.isfinite(np.stack(list(own.values()))).any(axis=0))
+            for start in range(0, len(t), chunk_rows):
+                rows = np.flatnonzero(there[start : start + chunk_rows]) + start
+                some = {name: values_[rows] for name, values_ in own.items()}
+                yield str(part.valve or DEFAULT_VALVE), with_p2(t[rows], None, some)
+
+    def _columns(self, t: Times, table: Floats) -> Columns:
+        """Return the columns of the table: by our own names, else recognised."""
+        headings = ["t", *self._known]
+        numbers = {number + 1: column[:_RECOGNISED] for number, column in enumerate(table.T)}
+        try:
+            return find_columns(headings, self._layout, str(self._path))
+        except MissingColumnError as missing:
+            begins = Beginning(self._path, headings, numbers, 0, t[:_RECOGNISED])
+            return recognise(begins, self._layout, missing)
+
+
+class LongReader:
+    """Reads blocks of times, names and values (N,) as a recording of ``total`` rows.
+
+    ``ignored`` are the signals that belong to no valve, once the first samples are there.
+    """
+
+    def __init__(
+        self,
+        rows: LongRows,
+        blocks: Iterable[tuple[Times, Sequence[str], Floats]],
+        total: int,
+        chunk_rows: int,
+        close: Callable[[], None],
+    ) -> None:
+        self._long, self._blocks, self._chunk_rows = rows, blocks, chunk_rows
+        self._done, self._total = 0, total
+        self.close = close
+        self.ignored: tuple[str, ...] = ()
+
+    @property
+    def fraction(self) -> float:
+        """The fraction read, 0 to 1."""
+        return min(self._done / self._total, 1.0) if self._total else 1.0
+
+    def chunks(self) -> Iterator[tuple[str, Samples]]:
+        """Yield (valve, samples), chunk by chunk."""
+        for times, names, values in self._blocks:
+            self._long.add(times, names, values)
+            self._done += len(times)
+        for valve, samples in self._long.samples(self._chunk_rows):
+            self.ignored = self._long.ignored
+            yield valve, samples
 
 
 def pivot(times: Times, tag: NDArray[np.intp], values: Floats, tags: int) -> tuple[Times, Floats]:

@@ -22,6 +22,7 @@ from valvemap.storage.layout import (
     find_columns,
     with_p2,
 )
+from valvemap.storage.long_format import LongColumns, LongReader, LongRows, long_columns
 from valvemap.vocabulary.signals import MEASURED
 
 try:
@@ -111,7 +112,7 @@ class ArrowReader:
             raise RecordingError(f"{self._path}, row {row}: {error}") from None
 
 
-def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
+def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader | LongReader:
     """Open a Parquet file; memory is bounded by the chunk, regardless of the row group size."""
     try:
         metadata = pq.read_metadata(path)
@@ -128,6 +129,10 @@ def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
     except _UNREADABLE as error:
         raise _damaged(path, error, 0) from error
     found = _find(path, file, headings, layout)
+    if isinstance(found, LongColumns):
+        rows = LongRows(path, layout)
+        blocks = _long_blocks(path, file, found, chunk_rows)
+        return LongReader(rows, blocks, file.metadata.num_rows, chunk_rows, file.close)
     useless = set(found.ignored)
     kept = [name for name in headings if name not in useless]
     found = _moved(found, headings, kept)
@@ -138,22 +143,46 @@ def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
     return reader
 
 
-def _find(path: Path, file: pq.ParquetFile, headings: Sequence[str], layout: Layout) -> Columns:
+def _long_blocks(
+    path: Path, file: pq.ParquetFile, place: LongColumns, rows: int
+) -> Iterator[tuple[Times, Sequence[str], Floats]]:
+    """Yield times, names of signals and values of a file in long format."""
+    names = [file.schema_arrow.names[n] for n in (place.time, place.tag, place.value)]
+    seconds, done = seconds_per_unit(names[0]), 0
+    try:
+        for batch in file.iter_batches(batch_size=rows, columns=names):
+            time, tag, value = (batch.column(batch.schema.get_field_index(n)) for n in names)
+            whose = _complete(tag, names[1], "text").to_pylist()
+            yield _times(time, seconds), whose, _numbers(value)
+            done += batch.num_rows
+    except _UNREADABLE as error:
+        raise _damaged(path, error, done) from error
+    except CellError as error:
+        raise RecordingError(f"{path}, row {done + error.row + 1}: {error}") from None
+
+
+def _find(
+    path: Path, file: pq.ParquetFile, headings: Sequence[str], layout: Layout
+) -> Columns | LongColumns:
     """Return the columns by our own names, else recognised by headings and first rows."""
     try:
         return find_columns(headings, layout, str(path))
     except MissingColumnError as missing:
-        time = time_column(headings, [_is_number(field.type) for field in file.schema_arrow])
+        numeric = [_is_number(field.type) for field in file.schema_arrow]
+        time = time_column(headings, numeric)
         if not layout.recognises or time is None:
             raise
         try:
             batch = next(file.iter_batches(batch_size=_RECOGNISED), None)
             if batch is None:
                 raise missing from None
+            long = long_columns(headings, _cells(batch), numeric)
+            if long is not None:
+                return long
             numbers = {
                 place: _numbers(batch.column(place))
-                for place, field in enumerate(file.schema_arrow)
-                if place != time and _is_number(field.type)
+                for place, is_number in enumerate(numeric)
+                if place != time and is_number
             }
             times = _times(batch.column(time), seconds_per_unit(headings[time]))
         except _UNREADABLE as error:
@@ -161,6 +190,15 @@ def _find(path: Path, file: pq.ParquetFile, headings: Sequence[str], layout: Lay
         except CellError:
             raise missing from None
         return recognise(Beginning(path, headings, numbers, time, times), layout, missing)
+
+
+def _cells(batch: pa.RecordBatch) -> list[list[str]]:
+    """Return the rows as text; of columns of other types as of missing text."""
+    texts = [
+        _plain(column).to_pylist() if _is_text(_plain(column).type) else [""] * batch.num_rows
+        for column in batch.columns
+    ]
+    return [["" if cell is None else cell for cell in row] for row in zip(*texts, strict=True)]
 
 
 def _moved(found: Columns, headings: Sequence[str], kept: Sequence[str]) -> Columns:
