@@ -106,7 +106,7 @@ def test_counts_are_asked_with_commands_that_write_their_raw_range(installed, tm
 
 
 @pytest.mark.waits
-def test_a_valve_of_four_ports_is_asked_for_its_edge(installed, tmp_path, capsys):
+def test_a_valve_of_four_ports_is_asked_for_its_edges(installed, tmp_path, capsys):
     def both(t):
         return 80 * np.sin(1.3 * t)
 
@@ -129,8 +129,18 @@ def test_a_valve_of_four_ports_is_asked_for_its_edge(installed, tmp_path, capsys
     said, failed = capsys.readouterr()
     assert code == 1
     assert "four ports" in failed
-    command = next(line for line in said.splitlines() if "answer: " in line)
-    assert run(shlex.split(command.split("answer: valvemap ")[1])) == 0, capsys.readouterr().err
+    every, one = (
+        shlex.split(line.split("answer: valvemap ")[1])
+        for line in said.splitlines()
+        if "answer: " in line
+    )
+    assert run(every) == 0, capsys.readouterr().err
+    edges = {valve.name: valve for valve in load_config(out).valves}
+    assert {"Servo.PA", "Servo.AT"} <= set(edges)
+    assert edges["Servo.AT"].nodes.p2 == "nsu=urn:plc;s=Servo/pT"
+    assert edges["Servo.AT"].signals.U.range == (-100.0, 100.0)
+    assert run(["check-config", str(out), "--online", "--watch", "2"]) == 0
+    assert run(one) == 0, capsys.readouterr().err
     (valve,) = load_config(out).valves
     assert valve.nodes.p2 == "nsu=urn:plc;s=Servo/pA"
     assert (valve.signals.U.raw, valve.signals.U.range) == ((-10.0, 10.0), (-100.0, 100.0))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from valvemap.plant.answers import of_valve, parse_answers
+from valvemap.plant.reading import Given
 from valvemap.plant.roles import Role
 
 
@@ -36,22 +37,37 @@ def test_units_in_chinese_names_are_read(plant, moving):
     assert seen(verdict, "Q") == pytest.approx(true["Q"].max())
 
 
-def test_a_servo_valve_of_four_ports_is_asked_for_its_edge_and_an_answer_is_obeyed(plant, moving):
-    true = moving()
+def servo_valve(plant, true, *, exchanged=False):
+    """A valve with four ports that works both ways, with a meter in each line."""
     U = 80 * np.sin(1.3 * true["t"]) + 10 * np.sin(3 * true["t"])
     pP, pT = true["p1"], 3 + 0 * U
     pA, pB = 60 + 20 * np.sin(0.8 * true["t"]), 50 - 20 * np.sin(0.8 * true["t"])
     a, b = 0.05 * np.abs(U), 0.045 * np.abs(U)
     QA = np.where(U > 0, a * np.sqrt(pP - pA), -a * np.sqrt(pA - pT))
     QB = np.where(U < 0, b * np.sqrt(pP - pB), -b * np.sqrt(pB - pT))
+    if exchanged:
+        QA, QB = QB, QA
     plant.add("Command", U / 10, "V", (-10.0, 10.0))
     for name, values in (("pP", pP), ("pT", pT), ("pA", pA), ("pB", pB)):
         plant.add(name, values, "bar")
     plant.add("QA", QA, "l/min")
     plant.add("QB", QB, "l/min")
+    return U
+
+
+def test_a_servo_valve_of_four_ports_is_asked_for_its_edges_and_an_answer_is_obeyed(plant, moving):
+    U = servo_valve(plant, moving())
     (verdict,) = plant.verdicts()
     assert "four ports" in verdict.question.about
-    first, second = verdict.question.options
+    every, first, second = verdict.question.options
+    assert every.answers == ("--ports=Plant",)
+    assert "100 % of the flow of BT" in every.consequence
+    (whole,) = plant.verdicts({"Plant": Given(ports=True)})
+    assert whole.question is None
+    assert whole.has_ports
+    assert nodes(whole) == {
+        "U": "Command", "p1": "pP", "p2": "pT", "pA": "pA", "pB": "pB", "Q": "QA", "QB": "QB",
+    }  # fmt: skip
     assert "100 %" in first.consequence
     edge = obey(plant, verdict, first)
     assert edge.question is None
@@ -60,6 +76,15 @@ def test_a_servo_valve_of_four_ports_is_asked_for_its_edge_and_an_answer_is_obey
     other = obey(plant, verdict, second)
     assert nodes(other) == {"U": "Command", "p1": "pP", "p2": "pB", "Q": "QB"}
     assert np.nanmax(other.reading.values[Role.U]) == pytest.approx(-U.min())
+
+
+def test_meters_of_exchanged_lines_are_not_learnt_as_edges(plant, moving):
+    servo_valve(plant, moving(), exchanged=True)
+    (verdict,) = plant.verdicts()
+    assert "QA flows against the pressures while PA is open" in verdict.question.about
+    assert ("--ports=Plant",) not in [option.answers for option in verdict.question.options]
+    (insisted,) = plant.verdicts({"Plant": Given(ports=True)})
+    assert insisted.question is not None
 
 
 def test_counts_of_an_integer_are_not_taken_for_bar(plant, moving):

@@ -28,11 +28,15 @@ _MOST_TIMES: Final = 1_500  # of a record
 
 @dataclass(frozen=True)
 class Wanted:
-    """Answers by valve, the name plate, and valves to leave out; ``assume`` accepts our units."""
+    """Answers by valve, the name plate, and valves to leave out; ``assume`` accepts our units.
+
+    All edges of the valves ``ports`` are learnt.
+    """
 
     given: Mapping[str, Given] = field(default_factory=dict)
     rating: Rating = field(default_factory=Rating)
     skip: frozenset[str] = frozenset()
+    ports: frozenset[str] = frozenset()
     assume: bool = False
 
 
@@ -81,6 +85,7 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
         if one.name in refused:
             continue
         given = of_valve(wanted.given, one.name, assume=wanted.assume)
+        given = replace(given, ports=one.name in wanted.ports)
         verdict = judge(one, record_of(values, one), given, wanted.rating)
         verdicts.append(verdict)
         watched[one.name] = _statistics(verdict, values, watch_s)
@@ -117,7 +122,7 @@ def check_answers(wanted: Wanted, names: Sequence[str]) -> None:
     ConfigurationError
         naming the valves that are.
     """
-    unknown = ({*wanted.given} - {""} | wanted.skip) - {*names}
+    unknown = ({*wanted.given} - {""} | wanted.skip | wanted.ports) - {*names}
     if unknown:
         there = ", ".join(printable(name) for name in names[:20]) or "none"
         raise ConfigurationError(f"{min(unknown)}: no such valve was found; there are: {there}")

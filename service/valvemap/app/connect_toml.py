@@ -3,12 +3,14 @@
 from collections.abc import Iterator
 
 from valvemap.app.connect import Found
+from valvemap.config.ports import SIGNAL_OF
 from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_source.client import SourceSettings
 from valvemap.opcua_source.source_units import SaidOfNode, contradiction
-from valvemap.pipeline.units import QUANTITY_OF, Measure, inside
+from valvemap.pipeline.units import Measure, inside
+from valvemap.plant.ports import NAMES
 from valvemap.plant.reading import Reading
-from valvemap.plant.roles import Role
+from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.verdict import Verdict
 from valvemap.vocabulary.signals import MEASURED
 
@@ -59,41 +61,45 @@ def _of_valve(verdict: Verdict) -> str:
     lines = ["[[valves]]", f"name = {toml_string(verdict.valve)}"]
     if any(_contradictions(reading)):
         lines.append("insist = true # its units differ from those that the server states")
-    lines += ["", "[valves.nodes]"]
-    for role in map(Role, (*MEASURED, "dp")):
+    section, names = "nodes", {role: str(role) for role in map(Role, (*MEASURED, "dp"))}
+    if verdict.has_ports:
+        section, names = "ports", dict(NAMES)
+    lines += ["", f"[valves.{section}]"]
+    for role, name in names.items():
         if role in reading.nodes:
             node = reading.nodes[role]
             shown = printable("/".join(node.path))
-            lines.append(f"{role} = {toml_string(node.node)} # {shown}")
-    units = [line for role in reading.nodes for line in _of_unit(role, reading)]
+            lines.append(f"{name} = {toml_string(node.node)} # {shown}")
+    units = [line for role in reading.nodes for line in _of_unit(role, names[role], reading)]
     if units:
-        lines += ["", "[valves.signals]", *units]
+        lines += ["", "[valves.ports.signals]" if verdict.has_ports else "[valves.signals]", *units]
     lines += _assumed(reading)
     if verdict.least_U is not None:
         lines += ["", "[valves.gate.U]", f"low = {verdict.least_U:g} # one edge of four"]
     return "\n".join([*lines, ""])
 
 
-def _of_unit(role: Role, reading: Reading) -> Iterator[str]:
+def _of_unit(role: Role, name: str, reading: Reading) -> Iterator[str]:
     measure = reading.scales[role].measure
     unit = measure.unit
-    own = unit is None or unit == inside(QUANTITY_OF[role])
+    own = unit is None or unit == inside(QUANTITY[role])
     shown = "" if own or unit is None else f"unit = {toml_string(unit.symbol)}"
     if measure.raw is not None:
         raw, scaled = list(measure.raw), list(measure.scaled or ())
         more = f", {shown}" if shown else ""
-        yield f"{role} = {{ raw = {raw}, range = {scaled}{more} }}"
+        yield f"{name} = {{ raw = {raw}, range = {scaled}{more} }}"
     elif shown:
-        yield f"{role} = {{ {shown} }}"
+        yield f"{name} = {{ {shown} }}"
 
 
 def _contradictions(reading: Reading) -> Iterator[str]:
     for role, node in reading.nodes.items():
         measure = reading.scales[role].measure
-        if measure.raw is None and measure.unit == inside(QUANTITY_OF[role]):
+        if measure.raw is None and measure.unit == inside(QUANTITY[role]):
             measure = Measure()
         said = SaidOfNode(node.unit, node.symbol, node.bounds)
-        fault = contradiction(role, measure, said)
+        name = SIGNAL_OF[NAMES[role]] if role in {Role.PA, Role.PB, Role.QB} else role
+        fault = contradiction(name, measure, said)
         if fault is not None:
             yield fault
 

@@ -7,6 +7,7 @@ from html import escape
 import numpy as np
 
 from valvemap.foreign_text import printable
+from valvemap.plant.ports import NAMES
 from valvemap.plant.reading import Reading
 from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.verdict import Verdict
@@ -47,16 +48,17 @@ def rows(verdicts: Iterable[Verdict]) -> Iterator[Row]:
 def _row(verdict: Verdict, reading: Reading, role: Role) -> Row:
     node, scale = reading.nodes[role], reading.scales[role]
     own = QUANTITY[role].value
+    name = NAMES[role] if verdict.has_ports else str(role)
     good = reading.values[role][np.isfinite(reading.values[role])]
     seen = f"{good.min():.4g} … {good.max():.4g} {own}" if len(good) else "none"
     reasons = [f"name {printable(node.path[-1])}", scale.reason]
-    if reading.fit.moves and role in {Role.U, Role.P1, Role.P2, Role.DP, Role.Q}:
+    if reading.fit.moves and role is not Role.T:
         reasons.append(f"orifice law explains {100 * reading.fit.explained:.0f} % of Q")
-    elif role is Role.Q:
+    elif role is Role.Q and not verdict.has_ports:
         reasons.append("not checked by the orifice law: Q did not move")
     bounds = "" if node.bounds is None else f"{node.bounds[0]:g} … {node.bounds[1]:g}"
     return Row(
-        verdict.valve, str(role), printable(node.node), scale.text or own, bounds, seen,
+        verdict.valve, name, printable(node.node), scale.text or own, bounds, seen,
         "; ".join(reasons),
     )  # fmt: skip
 

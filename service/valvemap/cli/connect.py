@@ -80,6 +80,10 @@ def connect(
     skip: Annotated[
         list[str] | None, typer.Option(metavar="VALVE", help="Leave out a valve that was found.")
     ] = None,
+    ports: Annotated[
+        list[str] | None,
+        typer.Option(metavar="VALVE", help="Learn all edges of a valve with four ports."),
+    ] = None,
     rated_pressure: Annotated[
         float, typer.Option(min=0.0, metavar="BAR", help="Of the name plate, to check p1.")
     ] = 0.0,
@@ -126,6 +130,7 @@ def connect(
         parse_answers(signal or (), scale or ()),
         Rating(rated_pressure, rated_flow, rated_drop),
         frozenset(skip or ()),
+        frozenset(ports or ()),
         assume=yes,
     )
     console.print(f"looking around at {url}, then watching for {watch:g} s ...", soft_wrap=True)

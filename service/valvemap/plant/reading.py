@@ -72,8 +72,9 @@ class Reading:
 
 @dataclass(frozen=True)
 class Given:
-    """Answers for one valve: nodes and scales that are settled."""
+    """Answers for one valve: nodes and scales that are settled; ``ports``: all edges are learnt."""
 
     nodes: Mapping[Role, str] = field(default_factory=dict)
     scales: Mapping[Role, Scale] = field(default_factory=dict)
     assume: bool = False
+    ports: bool = False

@@ -7,15 +7,13 @@ from typing import Final
 import numpy as np
 
 from valvemap.foreign_text import printable
-from valvemap.plant import evidence
-from valvemap.plant.candidates import Candidate
+from valvemap.plant import evidence, ports
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
-from valvemap.plant.law import fit
+from valvemap.plant.questions import Option, Question
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.readings import readings
 from valvemap.plant.roles import QUANTITY, Role
-from valvemap.plant.scales import Scale
 
 ACCEPTED: Final = 0.95  # probability of a reading that is taken without a question
 _NAMED: Final = 0.02  # probability of a reading that a question names
@@ -25,29 +23,11 @@ _NAMED_INSTEAD: Final = frozenset({Role.SPOOL, Role.POSITION, Role.PILOT})
 
 
 @dataclass(frozen=True)
-class Option:
-    """One reading of a question: what it is, its consequence, and the answers that choose it."""
-
-    text: str
-    consequence: str
-    answers: tuple[str, ...]
-    probability: float
-
-
-@dataclass(frozen=True)
-class Question:
-    """An open point of one valve; without options nothing can be chosen."""
-
-    about: str
-    options: tuple[Option, ...] = ()
-
-
-@dataclass(frozen=True)
 class Verdict:
     """The result for one valve. ``reading`` is to be configured only if ``question`` is None.
 
     ``others`` are signals recognised as none of the map's, by node; ``least_U`` is set where only
-    one direction can be learnt.
+    one direction is learnt; ``has_ports`` where the reading is one of all edges.
     """
 
     valve: str
@@ -55,6 +35,7 @@ class Verdict:
     question: Question | None
     others: Mapping[str, Role]
     least_U: float | None = None
+    has_ports: bool = False
 
     @property
     def probability(self) -> float:
@@ -71,14 +52,15 @@ def judge(
     """Judge one valve's variables by labels and values."""
     given, rating = given or Given(), rating or Rating()
     others = {one.node: one.label.role for one in group.all if not one.label.is_relevant}
-    edges = _edges(group, record, given, rating)
-    if edges is not None:
-        return replace(edges, others=others)
-    found = readings(group, _one_direction(group, record, given), given, rating)
+    if ports.is_directional(group) and not {Role.P1, Role.P2} <= set(given.nodes):
+        of_ports = _of_ports(group, record, given, rating)
+        if of_ports is not None:
+            return replace(of_ports, others=others)
+    found = readings(group, ports.one_direction(group, record, given), given, rating)
     if not found:
         return Verdict(group.name, None, Question("no reading of its signals fits"), others)
     best = found[0]
-    least_U = 0.0 if _is_directional(group) else None
+    least_U = 0.0 if ports.is_directional(group) else None
     if group.one_meter and Role.Q not in given.nodes and Role.Q in best.nodes:
         return Verdict(group.name, best, _one_meter(group, best), others, least_U)
     if best.missing:
@@ -218,90 +200,17 @@ def _one_meter(group: Group, best: Reading) -> Question:
     return Question(about, (own,))
 
 
-def _is_directional(group: Group) -> bool:
-    """Whether it has four ports: pressures at P, T, A and B."""
-    roles = {one.label.role for one in group.all}
-    return {Role.PA, Role.PB, Role.P1, Role.P2} <= roles
-
-
-def _one_direction(group: Group, record: Record, given: Given) -> Record:
-    """Return the values at U > 0 of a valve with four ports."""
-    if not _is_directional(group):
-        return record
-    commands = [one for one in group.all if one.node == given.nodes.get(Role.U)]
-    if not commands:
-        return record
-    scale = given.scales.get(Role.U)
-    U = record.of(commands[0])
-    U = scale(U, Role.U) if scale is not None else U
-    kept = {
-        node: np.where(U > 0.0, values, np.nan)
-        for node, values in record.values.items()
-        if len(values) == len(U)
-    }
-    return Record(kept, record.step_s)
-
-
-def _edges(group: Group, record: Record, given: Given, rating: Rating) -> Verdict | None:
-    """Ask which edge of a valve with four ports is meant; None if it has not, or it is answered."""
-    if not _is_directional(group) or {Role.P1, Role.P2} <= set(given.nodes):
+def _of_ports(group: Group, record: Record, given: Given, rating: Rating) -> Verdict | None:
+    """Return the verdict on a valve with four ports; None if signals of it are missing."""
+    found = ports.edges_of(group, record, given)
+    if found is None:
         return None
-    port = {one.label.role: one for one in group.all}
-    if Role.U not in port:
+    if given.ports:
+        fault = Question("; ".join(found.faults)) if found.faults else None
+        return Verdict(group.name, found.reading, fault, {}, has_ports=True)
+    two = tuple(one for one in group.all if one.label.role not in {Role.PA, Role.PB})
+    whole = readings(Group(group.name, two), record, given, rating)
+    if not whole or Role.U not in whole[0].nodes:
         return None
-    options = []
-    whole = readings(
-        Group(
-            group.name, tuple(one for one in group.all if one.label.role not in {Role.PA, Role.PB})
-        ),
-        record,
-        given,
-        rating,
-    )
-    base = whole[0] if whole else None
-    if base is None or Role.U not in base.nodes:
-        return None
-    for role, meter, sign in ((Role.PA, Role.Q, 1), (Role.PB, Role.QB, -1)):
-        flow = port.get(meter)
-        if flow is None:
-            continue
-        options.append(_edge(group.name, base, port[role], flow, record, sign))
-    about = (
-        "it has four ports (P, T, A, B), U works both ways: one map describes one edge of it, and "
-        "the other direction is left out"
-    )
-    return Verdict(group.name, base, Question(about, tuple(options)), {}, 0.0)
-
-
-def _edge(
-    valve: str, base: Reading, port: Candidate, flow: Candidate, record: Record, sign: int
-) -> Option:
-    """Return the edge from P to a port as an option; for the other direction U is reversed."""
-    own = base.scales[Role.U]
-    measure = own.measure
-    (low, high), (least, most) = measure.raw or (-100.0, 100.0), measure.scaled or (-100.0, 100.0)
-    if sign < 0:
-        least, most = -least, -most
-    U_scale = Scale(replace(measure, raw=(low, high), scaled=(least, most)), 0.0, "")
-    pressure = base.scales.get(Role.P1) or own
-    flow_units = [unit for unit in flow.label.units if unit.quantity is QUANTITY[Role.Q]]
-    Q_unit = flow_units[0].symbol if flow_units else "l/min"
-    U = U_scale(record.of(base.nodes[Role.U]), Role.U)
-    p1, p2 = (pressure(record.of(one), Role.P1) for one in (base.nodes[Role.P1], port))
-    tested = ""
-    Q = record.of(flow)
-    if len(U) == len(p1) == len(p2) == len(Q):
-        ahead = np.where(U > 0.0, Q, np.nan)
-        law = fit(U, p1 - p2, ahead, record.step_s)
-        if law.moves:
-            tested = f"the orifice law explains {100 * law.explained:.0f} % of the flow there; "
-    edge = "PA" if sign > 0 else "PB"
-    answers = (
-        f"--signal={valve}.U={base.nodes[Role.U].node}", f"--scale={valve}.U={U_scale.text}",
-        f"--signal={valve}.p1={base.nodes[Role.P1].node}",
-        f"--scale={valve}.p1={pressure.text or 'bar'}",
-        f"--signal={valve}.p2={port.node}", f"--scale={valve}.p2={pressure.text or 'bar'}",
-        f"--signal={valve}.Q={flow.node}", f"--scale={valve}.Q={Q_unit}",
-    )  # fmt: skip
-    consequence = f"{tested}samples of the other direction are not learnt (gate.U.low = 0)"
-    return Option(f"edge {edge}: p1 = pP, p2 = p{edge[1]}", consequence, answers, 0.5)
+    question = ports.question_of_ports(group, record, found, whole[0])
+    return Verdict(group.name, whole[0], question, {}, 0.0)

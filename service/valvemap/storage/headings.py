@@ -147,7 +147,9 @@ def _question(begins: Beginning, verdict: Verdict) -> Iterator[str]:
         return
     yield f"{begins.path}: {verdict.valve}: {printable(question.about)}"
     file = shlex.quote(printable(str(begins.path)))
-    for number, option in enumerate(question.options, 1):
+    by_configuration = (f"--ports={verdict.valve}",)
+    options = [one for one in question.options if one.answers != by_configuration]
+    for number, option in enumerate(options, 1):
         yield f"  {number}. {printable(option.text)} ({100 * option.probability:.0f} %)"
         yield f"     {printable(option.consequence)}"
         answers = " ".join(shlex.quote(answer) for answer in option.answers)

@@ -1,0 +1,21 @@
+"""Questions about a valve: readings to choose from, with their consequences."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Option:
+    """One reading of a question: what it is, its consequence, and the answers that choose it."""
+
+    text: str
+    consequence: str
+    answers: tuple[str, ...]
+    probability: float
+
+
+@dataclass(frozen=True)
+class Question:
+    """An open point of one valve; without options nothing can be chosen."""
+
+    about: str
+    options: tuple[Option, ...] = ()
