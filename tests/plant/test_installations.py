@@ -438,3 +438,14 @@ def test_flows_of_two_valves_that_are_exchanged_are_asked(plant, moving):
         first = verdict.question.options[0]
         assert first.text.startswith(f"Q is labelled as that of {valve}")
         assert f"Press/{valve}/Durchfluss" in " ".join(first.answers)
+
+
+def test_a_command_in_volts_that_is_stated_in_percent_is_asked(plant, moving):
+    true = moving()
+    plant.add("Stellsignal", true["U"] / 10, "%")
+    plant.add("Druck vor", true["p1"], "bar")
+    plant.add("Druck nach", true["p2"], "bar")
+    plant.add("Durchfluss", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    volts = next(o for o in verdict.question.options if o.text.startswith("U is in V"))
+    assert seen(obey(plant, verdict, volts), "U") == pytest.approx(true["U"].max())

@@ -27,11 +27,12 @@ _REVERSED: Final = 25.0  # nats for pressures that are reversed throughout
 _FEW_REVERSED: Final = 0.05
 _NONE_EXPLAINS: Final = 0.5  # explained share of the hypothesis that no reading is right
 _CLEAR_DP, _MOST = 1.0, 0.8  # bar; share of the samples
+_HARDLY_OPEN: Final = 15.0  # % of U
 _FLOWS_SHUT: Final = -5.0  # nats
-_SHUT, _LEAKY = (
-    2.0,
-    0.3,
-)  # % of U; share of the largest flow, and of the smallest valve's, that none lets through
+_SHUT: Final = 2.0  # % of U
+_LEAKY: Final = (
+    0.3  # of the largest flow, and of the smallest valve's: no shut valve lets it through
+)
 
 _OF_FLOW: Final = (Role.P1, Role.P2, Role.DP, Role.Q)
 
@@ -39,7 +40,7 @@ Plateau = tuple[float, float, float, float]
 """Lowest and highest usual value, and the log widths of the flanks below and above."""
 
 PLATEAUS: Final[Mapping[Role, Plateau]] = {
-    Role.U: (15.0, 105.0, 0.35, 0.05),  # %, of the largest |U|
+    Role.U: (30.0, 105.0, 0.42, 0.05),  # %, of the largest |U|
     Role.P1: (20.0, 420.0, 0.35, 0.15),  # bar
     Role.P2: (0.0, 420.0, 1.0, 0.15),
     Role.DP: (5.0, 420.0, 0.5, 0.15),
@@ -128,7 +129,7 @@ def of_magnitudes(signals: Mapping[Role, Signal], rating: Rating) -> dict[str, f
 
 def rests(signals: Mapping[Role, Signal]) -> bool:
     """Whether the valve is hardly open all the time, and Q does not move."""
-    return signals[Role.U].top < PLATEAUS[Role.U][0] and not signals[Role.Q].moves
+    return signals[Role.U].top < _HARDLY_OPEN and not signals[Role.Q].moves
 
 
 def of_rest(signals: Mapping[Role, Signal]) -> float:

@@ -25,6 +25,7 @@ _SPANS: Final = {
     "V": ((0.0, 10.0), (-10.0, 10.0), (0.0, 5.0)),
     "mV": ((0.0, 10_000.0), (-10_000.0, 10_000.0)),
 }
+_VOLTS: Final = (0.0, 10.0)  # of a command
 _USUAL_SPAN: Final = 0.9  # probability of the first of them where no range states it
 _COUNTS_FROM: Final = 1_000.0  # an integer beyond it is none of our units, except psi and kPa
 _CLOSE: Final = 0.02  # of a span
@@ -256,8 +257,12 @@ def mistaken(scale: Scale, role: Role) -> list[Scale]:
     if scale.measure.raw is not None or quantity not in USUAL:
         return []
     others = [unit_of(symbol) for symbol in USUAL[quantity]]
-    return [
+    found = [
         Scale(Measure(unit=unit), 0.0, f"in {unit.symbol} instead of {own.symbol}", stated=False)
         for unit in others
         if unit is not None and unit != own
     ]
+    if role is Role.U:
+        volts = Measure(raw=_VOLTS, scaled=(0.0, 100.0))
+        found.append(Scale(volts, 0.0, f"in V instead of {own.symbol}", stated=False))
+    return found

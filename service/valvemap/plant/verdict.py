@@ -17,7 +17,7 @@ from valvemap.plant.roles import QUANTITY, Role
 
 ACCEPTED: Final = 0.95  # probability of a reading that is taken without a question
 _NAMED: Final = 0.02  # probability of a reading that a question names
-_MOST_NAMED: Final = 4
+_LEAST_NAMED, _MOST_NAMED = 2, 4
 _CLEAR: Final = -2.0  # nats; a contradiction that is named
 _NAMED_INSTEAD: Final = frozenset({Role.SPOOL, Role.POSITION, Role.PILOT})
 
@@ -67,7 +67,9 @@ def judge(
         return Verdict(group.name, best, _missing(group, best), others)
     if best.probability >= ACCEPTED and not best.mistake and not best.beside:
         return Verdict(group.name, best, None, others, least_U)
-    near = [r for r in found if r.probability > _NAMED and not r.missing][:_MOST_NAMED]
+    whole = [r for r in found if not r.missing]
+    near = [r for r in whole if r.probability > _NAMED][:_MOST_NAMED]
+    near = near if len(near) >= _LEAST_NAMED else whole[:_LEAST_NAMED]
     labelled = [r for r in found if not (r.mistake or r.missing or r.beside)][:1]
     shown = list(dict.fromkeys([r.key for r in (*near, *labelled)]))
     by_key = {r.key: r for r in found}
