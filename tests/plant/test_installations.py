@@ -449,3 +449,10 @@ def test_a_command_in_volts_that_is_stated_in_percent_is_asked(plant, moving):
     (verdict,) = plant.verdicts()
     volts = next(o for o in verdict.question.options if o.text.startswith("U is in V"))
     assert seen(obey(plant, verdict, volts), "U") == pytest.approx(true["U"].max())
+
+
+def test_constants_of_a_plant_that_is_off_are_accepted_once_our_units_are(plant):
+    for name in ("Stellwert", "Druck vor Ventil", "Druck nach Ventil", "Volumenstrom"):
+        plant.add(name, np.zeros(60))
+    (verdict,) = plant.verdicts(assume=True)
+    assert verdict.question is None

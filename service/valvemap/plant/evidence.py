@@ -23,7 +23,7 @@ _TINY: Final = 0.03  # of a range; smaller values are unlikely for a pressure or
 _EFFECTIVE: Final = 25.0  # independent samples at most
 _PER_SAMPLE: Final = 5.0  # samples that count as one
 _EXACT: Final = 1e-6  # of a variance; less is not told from nothing
-_REVERSED: Final = 25.0  # nats for pressures that are reversed throughout
+_REVERSED: Final = 60.0  # nats for pressures that are reversed throughout
 _FEW_REVERSED: Final = 0.05
 _NONE_EXPLAINS: Final = 0.5  # explained share of the hypothesis that no reading is right
 _CLEAR_DP, _MOST = 1.0, 0.8  # bar; share of the samples
@@ -50,7 +50,6 @@ COEFFICIENT: Final[Plateau] = (0.3, 45.0, 0.5, 0.35)  # l/min/√bar, of the val
 _MOVING, _MOVING_U = 0.3, 15.0  # share of U √Δp, and % of U, by which a valve moves
 _UNMOVED: Final = -6.0  # nats for a flow that does not move with it
 _VACUUM: Final = -2.0  # bar; a sensor's offset may be as low
-_AT_REST: Final = log(0.1)  # that a machine rests while it is watched
 _BACKWARDS: Final = log(0.03)  # that the pressure behind a valve is the higher one all the time
 OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
 
@@ -130,11 +129,6 @@ def of_magnitudes(signals: Mapping[Role, Signal], rating: Rating) -> dict[str, f
 def rests(signals: Mapping[Role, Signal]) -> bool:
     """Whether the valve is hardly open all the time, and Q does not move."""
     return signals[Role.U].top < _HARDLY_OPEN and not signals[Role.Q].moves
-
-
-def of_rest(signals: Mapping[Role, Signal]) -> float:
-    """Judge that the machine rests while it is watched."""
-    return _AT_REST if rests(signals) else 0.0
 
 
 def of_direction(values: Mapping[Role, Floats]) -> float:

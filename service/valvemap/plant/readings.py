@@ -59,8 +59,6 @@ def readings(group: Group, record: Record, given: Given, rating: Rating) -> list
         prior = _label_score(first)
         none = _logsum(prior + NONE_RIGHT, _without_weakest(first))
         none += evidence.of_no_law(first.fit)
-        if not first.missing:
-            none += evidence.of_rest({role: evidence.Signal(v) for role, v in first.values.items()})
         of_units = sum(n for name, n in first.contradictions.items() if name != BACKWARDS)
         unknown = first.score - of_units + UNKNOWN
         others = [none, unknown]

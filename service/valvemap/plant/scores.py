@@ -58,7 +58,7 @@ class Scores:
         against |= evidence.of_magnitudes(signals, self._rating) | self._of_dismissed(nodes)
         against["Q flows at U = 0"] = evidence.of_shut_valve(signals)
         against[BACKWARDS] = evidence.of_direction(values)
-        score += sum(against.values()) + evidence.of_rest(signals)
+        score += sum(against.values())
         if score + evidence.most_of_law(len(values[Role.Q])) < best - NEGLIGIBLE:
             return None
         tested = self._fit(nodes, chosen, values)
