@@ -25,7 +25,7 @@ from valvemap.vocabulary.commission import Phase
 from valvemap_rig.excitation import External
 from valvemap_rig.scenario import BUILTIN
 
-pytestmark = [pytest.mark.alone, pytest.mark.waits]
+pytestmark = pytest.mark.waits
 
 SCENARIO = BUILTIN["external"].model_copy(
     update={"excitation": External(sweep_s=3.1, p2_low_bar=30.0, p2_high_bar=190.0)}

@@ -1,5 +1,7 @@
 """Aggregates from the tiers of the history equal those of raw values, and say where raw is gone."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 from asyncua import ua
@@ -41,13 +43,32 @@ def pieces(n, seed=0, start=START):
         yield Piece("V1.Signals", t[some], codes[some], {"Q": values[some]})
 
 
-@pytest.fixture
-def stored(tmp_path):
+@contextmanager
+def stored(folder):
     clock = Clock()
-    with HistoryFile(tmp_path / "h", keep_s=1_000.0, trend_s=1e6, clock=clock) as store:
+    with HistoryFile(folder / "h", keep_s=1_000.0, trend_s=1e6, clock=clock) as store:
         for piece in pieces(20_000):
             store.save([piece])
         yield store, clock
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A history of 20,000 rows, all kept; tests read it."""
+    with stored(tmp_path_factory.mktemp("whole")) as (store, _):
+        yield store
+
+
+@pytest.fixture(scope="module")
+def thinned(tmp_path_factory):
+    """The same after all sealed rows were forgotten and others written; tests read it."""
+    with stored(tmp_path_factory.mktemp("thinned")) as (store, clock):
+        store.forget()
+        clock.now += 1_001.0
+        for piece in pieces(5_000, seed=1, start=START + 2_000 * S):
+            store.save([piece])
+        store.forget()
+        yield store
 
 
 async def answers(store, aggregate, span, width, *, summarised=True, most=10_000):
@@ -79,48 +100,36 @@ SPANS = {
 
 @pytest.mark.parametrize("span", SPANS.values(), ids=SPANS)
 @pytest.mark.parametrize("aggregate", list(Aggregate))
-async def test_they_equal_those_of_raw_values_with_all_bits(stored, aggregate, span):
-    store, _ = stored
+async def test_they_equal_those_of_raw_values_with_all_bits(whole, aggregate, span):
     *between, width = span
     width = width or abs(between[1] - between[0])
-    found = await answers(store, aggregate, between, width)
-    expected = await answers(store, aggregate, between, width, summarised=False)
+    found = await answers(whole, aggregate, between, width)
+    expected = await answers(whole, aggregate, between, width, summarised=False)
     np.testing.assert_array_equal(found.codes, expected.codes)
     np.testing.assert_array_equal(found.source, expected.source)
     usable = expected.codes < 0x8000_0000
     np.testing.assert_allclose(found.values[usable], expected.values[usable], rtol=1e-12)
 
 
-def forgotten(store, clock):
-    """Have all sealed rows forgotten that are there, and write others."""
-    store.forget()
-    clock.now += 1_001.0
-    for piece in pieces(5_000, seed=1, start=START + 2_000 * S):
-        store.save([piece])
-    store.forget()
-
-
 @pytest.mark.parametrize("aggregate", SUMMED)
-async def test_where_raw_values_are_gone_tiers_answer(stored, aggregate):
-    store, clock = stored
+async def test_where_raw_values_are_gone_tiers_answer(whole, thinned, aggregate):
     span = START, START + 1_500 * S, 300 * S
-    expected = await answers(store, aggregate, span[:2], span[2])
-    forgotten(store, clock)
-    assert store.read("V1.Signals", "Q", 0, START + 1_000 * S, most=9).t.size == 0
-    found = await answers(store, aggregate, span[:2], span[2])
+    expected = await answers(whole, aggregate, span[:2], span[2])
+    assert thinned.read("V1.Signals", "Q", 0, START + 1_000 * S, most=9).t.size == 0
+    found = await answers(thinned, aggregate, span[:2], span[2])
     np.testing.assert_array_equal(found.codes, expected.codes)
     np.testing.assert_array_equal(found.values, expected.values)
 
 
 @pytest.mark.parametrize("aggregate", list(Aggregate))
 @pytest.mark.parametrize("backwards", [False, True])
-async def test_what_needs_deleted_values_is_bad_and_nothing_else(stored, aggregate, backwards):
-    store, clock = stored
+async def test_what_needs_deleted_values_is_bad_and_nothing_else(
+    whole, thinned, aggregate, backwards
+):
     span = START + 3 * S, START + 2_403 * S
     span = span[::-1] if backwards else span
-    expected = await answers(store, aggregate, span, 60 * S)
-    forgotten(store, clock)
-    found = await answers(store, aggregate, span, 60 * S)
+    expected = await answers(whole, aggregate, span, 60 * S)
+    found = await answers(thinned, aggregate, span, 60 * S)
     gone = found.codes == ua.StatusCodes.BadDataUnavailable
     old = found.source < START + 1_600 * S
     assert gone[old].all()
@@ -128,10 +137,8 @@ async def test_what_needs_deleted_values_is_bad_and_nothing_else(stored, aggrega
     assert (expected.codes[gone] != ua.StatusCodes.BadDataUnavailable).all()
 
 
-async def test_half_an_interval_of_deleted_values_is_bad(stored):
-    store, clock = stored
-    forgotten(store, clock)
+async def test_half_an_interval_of_deleted_values_is_bad(thinned):
     (code,) = (
-        await answers(store, Aggregate.COUNT, (START + 3 * S, START + 2_200 * S), 2_197 * S)
+        await answers(thinned, Aggregate.COUNT, (START + 3 * S, START + 2_200 * S), 2_197 * S)
     ).codes
     assert code == ua.StatusCodes.BadDataUnavailable
