@@ -76,7 +76,7 @@ def judged(
     identification: Identification, valve: plant.Valve, rows: Recording, edge: Edge
 ) -> tuple[float, float]:
     """Return RMSE in σ and the share held of one edge's map."""
-    lane = identification.lane(f"V.{edge}", ESTIMATOR)
+    lane = identification.valves.lane(f"V.{edge}", ESTIMATOR)
     U, dp = cells(rows, edge)
     Q, std, _ = valve_state.predicted(lane, U, dp, np.full(len(U), 42.0))
     error = Q - valve.flow(edge, U, dp)
@@ -99,7 +99,7 @@ def accuracy(seed: int) -> Iterator[str]:
         said = ", ".join(f"{edge} {rmse:.2f} σ ({held:.2f})" for edge, rmse, held in found)
         lost = []
         for line in "AB":
-            lane = identification.lane(f"V.Line{line}", "Leak")
+            lane = identification.valves.lane(f"V.Line{line}", "Leak")
             c, std = lane.estimator.parameters(lane.state)
             lost.append(f"{c[0] / valve.leakage - 1.0:+.1%} ± {std[0] / valve.leakage:.1%}")
         yield f"{end} s: {said}; leakage {', '.join(lost)}"
@@ -120,13 +120,13 @@ def rig(seed: int) -> Iterator[str]:
         feed(identification, config, some, 0.0)
         said = []
         for edge in Edge:
-            lane = identification.lane(f"V.{edge}", ESTIMATOR)
+            lane = identification.valves.lane(f"V.{edge}", ESTIMATOR)
             U, dp = cells({name: x[: round(end * RATE_HZ)] for name, x in rows.items()}, edge)
             Q, std, _ = valve_state.predicted(lane, U, dp, np.full(len(U), 40.0))
             error = Q - true_edge_flow(machine.valve, edge.name, U, dp)  # type: ignore[arg-type]
             rmse, held = np.sqrt(np.mean(error**2)) / plant.SIGMA, np.abs(error) <= 1.96 * std
             said.append(f"{edge} {rmse:.2f} σ ({held.mean():.2f})")
-        lanes = [identification.lane(f"V.Line{line}", "Leak") for line in "AB"]
+        lanes = [identification.valves.lane(f"V.Line{line}", "Leak") for line in "AB"]
         lost = [lane.estimator.parameters(lane.state)[0][0] for lane in lanes]
         shares = [c / machine.valve.leakage_l_min_bar - 1.0 for c in lost]
         yield f"{end} s: {', '.join(said)}; leakage {', '.join(f'{x:+.1%}' for x in shares)}"
@@ -153,7 +153,7 @@ def change(seed: int) -> Iterator[str]:
 
 
 def _changes(identification: Identification, edge: Edge) -> int:
-    lane = identification.lane(f"V.{edge}", ESTIMATOR)
+    lane = identification.valves.lane(f"V.{edge}", ESTIMATOR)
     found = lane.estimator.last_change(lane.state)
     return 0 if found is None else int(found.count)
 

@@ -80,7 +80,7 @@ def _is_ready(identification: Identification, *, known: bool) -> bool:
     """Tell whether samples come, and the first half minute is over, in which no map is good yet."""
     if not known:
         return bool(live_speed.counts(identification, "aligned").min() > 0)
-    return all(e.quality == Quality.GOOD for e in identification.result(0).estimators.values())
+    return all(e.quality == Quality.GOOD for e in identification.results.one(0).estimators.values())
 
 
 def main(arguments: list[str]) -> int:

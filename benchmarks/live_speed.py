@@ -200,7 +200,7 @@ def open_settings(config: Config, limits: Limits) -> ServerSettings:
 
 def counts(identification: Identification, name: str) -> np.ndarray:
     """A counter of every valve."""
-    found = list(identification.results(range(len(identification.plans))))
+    found = list(identification.results.of(range(len(identification.plans))))
     return np.concatenate([r.counters[:, r.counter_names.index(name)] for r in found])
 
 

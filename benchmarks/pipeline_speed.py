@@ -200,7 +200,7 @@ def _as_if_aged(
     few = service(min(valves, 10), estimators)
     for first in range(0, age, 1_000):
         few.take(_changes(len(few.plans), min(1_000, age - first), first, rng))
-    kept = [few.kept([v]) for v in range(len(few.plans))]
+    kept = [few.states.kept([v]) for v in range(len(few.plans))]
     return [
         replace(checkpoint, valve=f"V{v}")
         for v in range(valves)

@@ -167,7 +167,7 @@ def out_of_range(count: int, seed: int) -> str:
     rng, refused, crashes = np.random.default_rng(seed), 0, 0
     learnt = fresh()
     learnt.take_samples(0, samples_of(400))
-    kept = [*learnt.checkpoints(), *learnt.memories()]
+    kept = [*learnt.states.checkpoints(), *learnt.states.memories()]
     for _ in range(count):
         k = int(rng.integers(len(kept)))
         record = np.load(io.BytesIO(kept[k].state), allow_pickle=False)

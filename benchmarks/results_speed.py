@@ -92,7 +92,7 @@ async def _serve(url: str, valves: int, hz: float) -> None:
             began, k = time.perf_counter(), 0
             while True:
                 identification.take(_sample(valves, k))
-                for results in identification.results(range(valves)):
+                for results in identification.results.of(range(valves)):
                     await server.publish(results)
                 k += 1
                 await asyncio.sleep(max(0.0, began + k / hz - time.perf_counter()))

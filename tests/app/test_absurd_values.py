@@ -61,7 +61,7 @@ def identification():
     plan = ValvePlan("Valvistor", QualityGate(), estimators, "Auto")
     known = Identification([plan], Alignment(AlignmentSettings(), (("T",),)))
     known.take_samples(0, plant(2_000))
-    known.refresh_all_maps()
+    known.maps.refresh_all()
     return known
 
 
@@ -107,7 +107,7 @@ async def rig():
 
 
 async def publish(server, known):
-    for results in known.results([0]):
+    for results in known.results.of([0]):
         await server.publish(results)
 
 
@@ -242,7 +242,7 @@ async def test_every_method_and_writable_node_of_the_service_answers_absurd_valu
         async with as_operator(service.url) as client:
             methods, variables, count, bad, huge = await attack(client)
             identification.take_samples(0, plant(500, first=2_000))
-            identification.refresh_all_maps()
+            identification.maps.refresh_all()
             await publish(service, identification)
             assert await client.nodes.server_state.read_value() == 0
     assert all([await is_too_large(service.url, request) for request in huge])
@@ -250,7 +250,7 @@ async def test_every_method_and_writable_node_of_the_service_answers_absurd_valu
     assert len(variables) >= 2
     assert count > 300
     assert bad == []
-    assert identification.new_failures() == []
+    assert identification.failures.take_new() == []
     assert [record for record in caplog.records if record.exc_info] == []
     assert "Traceback" not in "".join(capfd.readouterr())
 

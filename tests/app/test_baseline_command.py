@@ -51,13 +51,13 @@ async def test_an_operator_approves_compares_and_goes_back(served):
     said = await act(operator, VALVE, Action.APPROVE)
     version = identification.baseline(0).version
     assert said == f"V7: builds on {version}, SHA-256 {identification.baseline(0).digest}"
-    for results in identification.results([0]):
+    for results in identification.results.of([0]):
         await server.publish(results)
-    theta = identification.result(0).estimators["RLS"].theta
+    theta = identification.results.one(0).estimators["RLS"].theta
     identification.take_samples(0, plant(50, seed=9, first=600))
     assert (await act(who(), VALVE, Action.COMPARE, "RLS")).startswith("V7.RLS: ")
     assert await act(operator, VALVE, Action.ROLL_BACK) == said
-    assert identification.result(0).estimators["RLS"].theta.tolist() == theta.tolist()
+    assert identification.results.one(0).estimators["RLS"].theta.tolist() == theta.tolist()
     assert await act(operator, VALVE, Action.REPLACED) == "V7: no map is approved"
     identification.take_samples(0, plant(600, first=700))
     identification.do(Command.of("approve", VALVE))

@@ -86,7 +86,7 @@ class Stage:
         await self.until_status(FeedForwardStatus.WRITING)
 
         def wanted():
-            return self.identification.required(0)[0].U
+            return self.identification.answers.required(0)[0].U
 
         await until(lambda: abs(self.heard.U[-1][1] - wanted()) < 1.0)
         assert OWN_U + 10.0 < wanted() < RANGE[1]
@@ -156,7 +156,7 @@ async def staged(folder, **feed_forward):
         config = feeding_config(rig.url, url, folder / "state.sqlite", **feed_forward)
         identification = await asyncio.to_thread(learnt, config)
         async with serving(config, identification) as task:
-            await until(lambda: identification.counters(0)["aligned"] > 10, task)
+            await until(lambda: identification.results.counters(0)["aligned"] > 10, task)
             async with operating(rig.url) as at_rig, operating(url) as at_service:
                 yield Stage(heard, identification, at_rig, at_service)
 
@@ -184,8 +184,8 @@ async def test_a_killed_service_leaves_the_valve_to_the_rig_and_a_new_one_is_dis
         config = feeding_config(rig.url, url, state)
         identification = await asyncio.to_thread(learnt, config)
         async with serving(config, identification) as task:
-            await until(lambda: identification.counters(0)["aligned"] > 10, task)
-            assert not identification.is_armed(0)
+            await until(lambda: identification.results.counters(0)["aligned"] > 10, task)
+            assert not identification.armed.is_armed(0)
         assert len(heard.commands) == written
 
 
@@ -259,14 +259,14 @@ async def test_bad_quality_leads_to_the_fallback(stage):
 
 async def test_an_extrapolated_answer_leads_to_the_fallback(stage, monkeypatch):
     wanted = await stage.at_the_answer()
-    answer = stage.identification.required
+    answer = stage.identification.answers.required
 
     def extrapolated(valve):
         required, status = answer(valve)
         return required._replace(status=InverseStatus.EXTRAPOLATING), status
 
     since = time.monotonic()
-    monkeypatch.setattr(stage.identification, "required", extrapolated)
+    monkeypatch.setattr(stage.identification.answers, "required", extrapolated)
     assert await stage.ramps_down(since, wanted) < WITHIN_S
     await stage.until_status(FeedForwardStatus.EXTRAPOLATED)
     monkeypatch.undo()

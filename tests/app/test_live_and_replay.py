@@ -53,8 +53,8 @@ async def test_live_and_replay_agree_to_the_bit_and_with_batch_least_squares(
     assert config.source.url == rig_url(port)
     with start_rig(port, "--scenario", quick_scenario, "--record", str(by_rig)):
         identification = await live(config, open_server, by_service)
-    assert identification.counters(0)["gaps"] == 0
-    assert identification.counters(0)["missing"] == 0
+    assert identification.results.counters(0)["gaps"] == 0
+    assert identification.results.counters(0)["missing"] == 0
 
     sent = np.concatenate([columns(s) for _, s in read_recording(by_rig)])
     came = np.concatenate([columns(s) for _, s in read_recording(by_service)])
@@ -62,7 +62,7 @@ async def test_live_and_replay_agree_to_the_bit_and_with_batch_least_squares(
     np.testing.assert_array_equal(came, sent[start : start + len(came)])
 
     report = replay([by_service], config)["Valvistor"]
-    for name, lane in identification.state(0).lanes.items():
+    for name, lane in identification.valves.state(0).lanes.items():
         theta, std = lane.estimator.parameters(lane.state)
         assert list(report[name].parameters.values()) == theta.tolist(), name
         np.testing.assert_array_equal(list(report[name].std.values()), std)
@@ -85,7 +85,7 @@ async def test_a_restart_takes_the_states_up_again(
     port = int(config.source.url.split(":")[2].split("/")[0])
     with start_rig(port, "--scenario", quick_scenario):
         first = await live(config, open_server, tmp_path / "a.csv")
-        before = first.result(0).estimators["RLS"].sample_count
+        before = first.results.one(0).estimators["RLS"].sample_count
         second = await live(config, open_server, tmp_path / "b.csv")
-    after = second.result(0).estimators["RLS"].sample_count
+    after = second.results.one(0).estimators["RLS"].sample_count
     assert after >= before + SAMPLES

@@ -41,7 +41,7 @@ async def test_at_100_hz_every_sample_arrives(config, open_server, start_rig, se
         late_rss = resident_bytes()
         stop.set()
         await serving
-    counters = identification.counters(0)
+    counters = identification.results.counters(0)
     lost = ("gaps", "missing", "late", "bad_status", "not_finite", "clock_steps")
     assert {name: counters[name] for name in lost} == dict.fromkeys(lost, 0)
     assert counters["aligned"] == count

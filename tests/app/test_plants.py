@@ -84,7 +84,7 @@ async def learnt(url, names, gains, tmp_path, *, still=False):
             await asyncio.wait({serving}, timeout=1.0)
             assert not serving.done(), serving.exception()
             off = errors(identification, names, gains)
-            waiting = [identification.waited_for(number) for number in range(len(names))]
+            waiting = [identification.results.waited_for(number) for number in range(len(names))]
             named = all(any(" still at " in one for one in said) for said in waiting)
             if max(off) <= NOISE and (named or not still):
                 return [identification.timing(number) for number in range(len(names))], waiting

@@ -76,12 +76,12 @@ async def test_edges_and_lines_are_served(config, open_server, tmp_path):
             async with asyncio.timeout(200):
                 edges = ("V.PA", "V.AT", "V.PB", "V.BT")
                 while not serving.done() and not (  # noqa: ASYNC110 - no event
-                    min(identification.lane(edge, "RLS").count for edge in edges) > 1_000
+                    min(identification.valves.lane(edge, "RLS").count for edge in edges) > 1_000
                 ):
                     await asyncio.sleep(0.1)
                 await asked(config)
                 for number in range(len(identification.plans)):
-                    assert identification.counters(number)["duplicates"] == 0
+                    assert identification.results.counters(number)["duplicates"] == 0
         finally:
             playing.cancel()
             stop.set()

@@ -167,7 +167,7 @@ async def test_valves_left_alone_miss_nothing_and_keep_every_bit(served):
     once.take_samples(0, Samples.concatenate(served.samples["Boom"]))
     with CheckpointFile(before.state.file) as store:
         kept = {(c.valve, c.estimator): c for c in store.load()}
-    (alone,) = [c for c in once.checkpoints([0]) if c.estimator == "RLS"]
+    (alone,) = [c for c in once.states.checkpoints([0]) if c.estimator == "RLS"]
     assert kept["Boom", "RLS"].state == alone.state
 
 

@@ -54,7 +54,7 @@ async def test_valves_of_two_servers_are_learnt_and_one_that_is_away_holds_up_no
     identification, stop = build_identification(two), asyncio.Event()
 
     def learnt(valve):
-        return identification.result(valve).estimators["RLS"].sample_count
+        return identification.results.one(valve).estimators["RLS"].sample_count
 
     async def until(enough):
         async with asyncio.timeout(120):
@@ -75,5 +75,5 @@ async def test_valves_of_two_servers_are_learnt_and_one_that_is_away_holds_up_no
         stop.set()
         await serving
     for valve in (0, 1):
-        counters = identification.counters(valve)
+        counters = identification.results.counters(valve)
         assert counters["gaps"] == counters["missing"] == 0

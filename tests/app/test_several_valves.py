@@ -45,7 +45,7 @@ async def served_until(config, open_server, enough, on_samples=lambda _valve, _s
 
 def count(identification, valve, estimator):
     number = [plan.name for plan in identification.plans].index(valve)
-    return identification.result(number).estimators[estimator].sample_count
+    return identification.results.one(number).estimators[estimator].sample_count
 
 
 async def test_two_valves_are_identified_side_by_side(
@@ -65,7 +65,7 @@ async def test_two_valves_are_identified_side_by_side(
         )
     assert count(identification, "Boom", "Quick") == count(identification, "Boom", "Slow") > 400
     for valve in (0, 1):
-        counters = identification.counters(valve)
+        counters = identification.results.counters(valve)
         assert counters["gaps"] == counters["missing"] == counters["late"] == 0
 
 
@@ -86,7 +86,7 @@ async def test_the_required_voltage_reaches_the_valve(
     def demanding(identification):
         identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
         identification.do(Command.of("arm", "Valvistor"))
-        required = identification.result(0).inverse.required_U
+        required = identification.results.one(0).inverse.required_U
         return U and U[-1] > 5.0 and abs(U[-1] - required) < 1.0
 
     with start_rig(port, "--scenario", quick_scenario):

@@ -38,10 +38,10 @@ identification = build_identification(config)
 for first in range(0, 9_000, 50):
     changes = as_changes(plant(50, seed=first, first=first))
     identification.take(changes)
-    identification.waits()
+    identification.arrivals.waits()
     if first % 1_000 == 0:
-        identification.refresh_maps()
-        identification.result(0)
+        identification.maps.refresh()
+        identification.results.one(0)
 identification.wait_no_longer(np.zeros(1, np.int64))
 identification.begin_source_anew(np.zeros(1, np.int64))
 identification.invert("Valvistor", 30.0, 50.0, 40.0)
@@ -49,7 +49,7 @@ for estimator in identification.plans[0].estimators:
     identification.predict("Valvistor", estimator, 50.0, 50.0, 40.0)
     identification.predict_measurement("Valvistor", estimator, 50.0, 50.0, 40.0)
     identification.do(Command.of("reset", "Valvistor", estimator))
-identification.restore(identification.checkpoints())
+identification.restore(identification.states.checkpoints())
 identification.take(as_changes(plant(2_000, first=20_000)))
 
 skewed = build_identification(config)  # signals that carry no common time
@@ -57,7 +57,7 @@ for first in range(0, 1_000, 50):
     changes = as_changes(plant(50, seed=first, first=first))
     time = changes.source_time + changes.item % 6 * 500_000
     skewed.take(replace(changes, source_time=time))
-assert skewed.result(0).estimators["RLS"].sample_count > 800
+assert skewed.results.one(0).estimators["RLS"].sample_count > 800
 skewed.wait_no_longer(np.zeros(1, np.int64))
 late = sorted(used() - before)
 print(*late, sep="\\n")

@@ -40,8 +40,8 @@ def start(file):
     identification = build_identification(loaded)
     with CheckpointFile(loaded.state.file) as store:
         restore(identification, store, store.load())
-        store.save(identification.kept())
-    return identification.result(0).estimators["RLS"]
+        store.save(identification.states.kept())
+    return identification.results.one(0).estimators["RLS"]
 
 
 @pytest.fixture
@@ -51,8 +51,8 @@ def learnt(config):
     identification = build_identification(loaded)
     identification.take(as_changes(plant(200)))
     with CheckpointFile(loaded.state.file) as store:
-        store.save(identification.kept())
-    return file, identification.result(0).estimators["RLS"].theta
+        store.save(identification.states.kept())
+    return file, identification.results.one(0).estimators["RLS"].theta
 
 
 def valvemap(capsys, *arguments):

@@ -60,4 +60,4 @@ def test_what_cannot_be_is_refused(tmp_path, said, field):
 def test_a_plate_compiles_nothing_anew_and_splits_no_fleet(tmp_path):
     config = loaded(tmp_path, ("V1", 'serial_number = "1"'), ("V2", 'serial_number = "2"'))
     assert len(_one_of_each_kind(config).valves) == 1
-    assert len(build_identification(config).one_of_each_kind()) == 1
+    assert len(build_identification(config).valves.one_of_each_kind()) == 1

@@ -1,6 +1,7 @@
 """Monitored items and subscriptions without a network, on a clock turned by hand."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 from asyncua import ua
@@ -31,14 +32,12 @@ class Watch:
 
     def __init__(self, capacity=1_000):
         self.now = 0.0
+        self.clock = SimpleNamespace(monotonic=lambda: self.now)
         self.ledger = Ledger(capacity)
         self.holding = Holding(self.ledger)
         self.reports = []
         self.pending = []
         self.triggered = []
-
-    def time(self):
-        return self.now
 
     def has_report(self, number):
         self.reports.append(number)

@@ -102,14 +102,14 @@ def identification():
         found.take_samples(valve, plant(150, seed=valve))
     late = np.array([START + 60_000_000_000])
     found.say_overdue(np.array([0]), late)
-    found.refresh_maps()
+    found.maps.refresh()
     found.do(Command.of("demand", "a", 60.0, 100.0))
     found.do(Command.of("approve", "b"))
     return found
 
 
 def test_results_come_back_to_the_bit(identification):
-    (results,) = identification.results(range(4))
+    (results,) = identification.results.of(range(4))
     found = read_results(write_results(ResultsBlock("north.0", 9, VALVES, results)))
     baseline = results.baselines[1]
     named = KnownVersion(baseline.version, baseline.t, baseline.digest)
@@ -122,7 +122,7 @@ def test_results_come_back_to_the_bit(identification):
 
 
 def test_results_of_some_valves_name_them(identification):
-    (results,) = identification.results([3, 1])
+    (results,) = identification.results.of([3, 1])
     found = read_results(write_results(ResultsBlock("north.0", 9, VALVES, results)))
     assert found.valves == ("d", "b")
 
@@ -203,7 +203,7 @@ def test_columns_that_are_not_as_the_schema_says_are_named():
 
 
 def test_results_with_lists_of_another_length_are_refused(identification):
-    (results,) = identification.results(range(4))
+    (results,) = identification.results.of(range(4))
     message = write_results(ResultsBlock("g", 1, VALVES, results))
     head, batch = read(message, "results")
     columns = dict(zip(batch.schema.names, batch.columns, strict=True))
@@ -216,7 +216,7 @@ def test_results_with_lists_of_another_length_are_refused(identification):
 
 def test_damage_anywhere_is_refused_or_read_and_never_more(identification):
     rng = np.random.default_rng(7)
-    (results,) = identification.results(range(4))
+    (results,) = identification.results.of(range(4))
     whole = (
         (read_samples, write_samples(block((20, 20, 20, 20)))),
         (read_results, write_results(ResultsBlock("g", 1, VALVES, results))),

@@ -138,7 +138,7 @@ async def check_bits(fleet, scenario):
     alone = await asyncio.to_thread(one_machine, config, scenario, t)
     shown = await fleet.shown("ParameterVector")
     for (name, estimator), theta in shown.items():
-        lane = alone.lane(name, estimator)
+        lane = alone.valves.lane(name, estimator)
         expected, _ = lane.estimator.parameters(lane.state)
         np.testing.assert_array_equal(theta, expected, err_msg=f"{name}.{estimator}")
     await asyncio.to_thread(check_no_result_contradicts_another, fleet.broker)

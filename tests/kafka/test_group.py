@@ -75,7 +75,7 @@ def test_what_is_learnt_is_what_one_machine_learns(plan, messages):
             for part in (samples[:3], samples[3:]):  # cut otherwise
                 alone.take_samples(valve, part)
     for valve in range(3):
-        ours, theirs = fleet.identification.state(valve), alone.state(valve)
+        ours, theirs = fleet.identification.valves.state(valve), alone.valves.state(valve)
         for name, lane in ours.lanes.items():
             key = "any"
             assert lane.state.to_bytes(key) == theirs.lanes[name].state.to_bytes(key)
@@ -102,7 +102,7 @@ def test_numbers_that_begin_anew_are_known_by_their_times(plan):
     feed(one, [block(plan, 1, (20, 20, 20), first=20)])
     assert one.number == 1
     assert {name: n for name, n in one.counts.items() if n} == {"begun_anew": 1}
-    assert one.identification.state(0).lanes["RLS"].count == 40
+    assert one.identification.valves.state(0).lanes["RLS"].count == 40
 
 
 def test_results_come_in_the_rhythm_of_the_samples_and_tables_more_seldom(plan):
@@ -163,9 +163,9 @@ def test_a_command_that_comes_twice_is_done_once_by_whoever_learns_the_group(pla
     before = other.to_bytes()
     assert feed(other, [reset]) == [reply]
     assert other.to_bytes() == before
-    assert other.identification.lane("V1", "RLS").t > 0
+    assert other.identification.valves.lane("V1", "RLS").t > 0
     feed(other, [replace(reset, id="again")])
-    assert other.identification.lane("V1", "RLS").t == 0
+    assert other.identification.valves.lane("V1", "RLS").t == 0
     refused = Command("r", "north.0", "V1", "roll_back")
     (reply,) = feed(other, [refused])
     feed(other, [Command("a", "north.0", "V0", "approve"), replace(refused, valve="V0")])
@@ -228,8 +228,8 @@ def test_the_order_of_the_valves_in_a_block_does_not_matter(plan):
     names = {"V2": 0, "V0": 1, "V1": 2}
     feed(other, [turned])
     for name, k in names.items():
-        ours = other.identification.lane(name, "RLS").state.to_bytes("")
-        assert ours == one.identification.lane(f"V{k}", "RLS").state.to_bytes("")
+        ours = other.identification.valves.lane(name, "RLS").state.to_bytes("")
+        assert ours == one.identification.valves.lane(f"V{k}", "RLS").state.to_bytes("")
 
 
 def test_a_new_catalogue_keeps_what_still_fits_and_says_what_does_not(undisturbed, plan):
@@ -239,9 +239,9 @@ def test_a_new_catalogue_keeps_what_still_fits_and_says_what_does_not(undisturbe
     before = group(plan)
     before.remember(undisturbed[1])
     for name in ("RLS", "RML"):
-        kept = changed.identification.lane("V1", name)
-        assert repr(kept) == repr(before.identification.lane("V1", name))
-    assert changed.identification.lane("V1", "Auto").count == 0
+        kept = changed.identification.valves.lane("V1", name)
+        assert repr(kept) == repr(before.identification.valves.lane("V1", name))
+    assert changed.identification.valves.lane("V1", "Auto").count == 0
 
 
 def test_a_memory_of_another_configuration_is_refused_in_one_line(undisturbed, plan):
@@ -323,10 +323,10 @@ def test_a_memory_that_compressed_nothing_is_read_and_what_is_kept_otherwise_now
     assert afresh == [f"{valve}: {estimator}" for valve in lanes.valves]
     before = group(plan)
     before.remember(undisturbed[1])
-    assert repr(one.identification.lane("V1", "RLS")) == repr(
-        before.identification.lane("V1", "RLS")
+    assert repr(one.identification.valves.lane("V1", "RLS")) == repr(
+        before.identification.valves.lane("V1", "RLS")
     )
-    assert one.identification.lane("V1", estimator).count == 0
+    assert one.identification.valves.lane("V1", estimator).count == 0
 
 
 def test_damage_of_a_memorys_head_is_refused_or_read_and_never_more(undisturbed):

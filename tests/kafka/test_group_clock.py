@@ -89,7 +89,10 @@ def test_a_valve_learns_all_its_honest_samples_around_one_of_2116(sent):
         one.remember(memory)
     assert one.counts["ahead"] == 21 * 2
     for valve in range(3):
-        ours, theirs = one.identification.state(valve), alone.identification.state(valve)
+        ours, theirs = (
+            one.identification.valves.state(valve),
+            alone.identification.valves.state(valve),
+        )
         assert ours.lanes["RLS"].count == 21 * 25
         for name, lane in ours.lanes.items():
             assert lane.state.to_bytes("") == theirs.lanes[name].state.to_bytes("")

@@ -124,7 +124,7 @@ def test_hostile_messages_end_neither_worker_nor_server_and_honest_ones_are_lear
             alone = Group(trial.known.groups[name], 1, Rhythm(0, 60_000_000_000))
             feed(alone, trial.days[name])
             for plan in alone.plan.plans:
-                expected[plan.name] = alone.identification.lane(plan.name, "RLS").count
+                expected[plan.name] = alone.identification.valves.lane(plan.name, "RLS").count
         until(lambda: samples(port, expected) == [*expected.values()], 60.0)
         every = sum(map(len, attacker.sent.values()))
         until(lambda: f"{every} messages were rejected (" in (alarm(port)[1] or ""), 60.0)

@@ -156,7 +156,7 @@ async def test_results_of_all_groups_are_shown_as_they_come(known):
 
         await until(all_there)
         for k in range(VALVES):
-            learnt = memory_of(known, wire, GROUPS[k // 3]).lane(f"V{k}", "RML")
+            learnt = memory_of(known, wire, GROUPS[k // 3]).valves.lane(f"V{k}", "RML")
             theta, _ = learnt.estimator.parameters(learnt.state)
             np.testing.assert_array_equal(await value(client, f"V{k}.RML.ParameterVector"), theta)
         assert len(await value(client, "V1.Inverse.Map")) > 0
@@ -175,9 +175,9 @@ async def test_what_an_operator_does_is_done_by_a_worker_and_answered_when_it_is
 
         await until(learnt)
         await call(client, "V3.RLS.Freeze")
-        assert memory_of(known, wire, GROUPS[1]).lane("V3", "RLS").frozen
+        assert memory_of(known, wire, GROUPS[1]).valves.lane("V3", "RLS").frozen
         await call(client, "V3.RML.SetForgettingFactor", 0.99)
-        assert memory_of(known, wire, GROUPS[1]).lane("V3", "RML").lam == 0.99
+        assert memory_of(known, wire, GROUPS[1]).valves.lane("V3", "RML").lam == 0.99
         with pytest.raises(ua.UaStatusCodeError) as refused:
             await call(client, "V3.Baseline.RollBack")
         assert refused.value.code == ua.StatusCodes.BadInvalidState
@@ -222,7 +222,7 @@ async def test_a_demand_is_written_when_a_worker_has_it_and_its_answer_is_shown(
         write = ua.DataValue(ua.Variant(40.0, ua.VariantType.Double))
         await node(client, "V0.Inverse.FlowDemand").write_value(write)
         own = memory_of(known, wire, GROUPS[0])
-        expected, _ = own.required(0)
+        expected, _ = own.answers.required(0)
 
         async def answered():
             return await value(client, "V0.Inverse.RequiredU") == expected.U

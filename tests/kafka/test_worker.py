@@ -210,7 +210,7 @@ def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, und
             assert found.number == 2
             again = group(known.groups["north.0"])
             again.remember(store.get_bytes(MEMORY))
-            assert again.identification.lane("V0", "RLS").count == 9
+            assert again.identification.valves.lane("V0", "RLS").count == 9
     assert worker._log.count == k + 1
 
 

@@ -43,15 +43,15 @@ def run():
         for valve in range(3):
             valves.take(replace(everything, item=everything.item + np.int32(6 * valve)))
         valves.take_samples(1, plant(20, seed=2, first=200))
-        valves.refresh_maps()
+        valves.maps.refresh()
         valves.predict("V", "RLS", 50.0, 50.0, 40.0)
         valves.predict_measurement("V", "RML", 50.0, 50.0, 40.0)
         valves.invert("V", 30.0, 50.0, 40.0)
-        result = valves.result(1)
+        result = valves.results.one(1)
         for name, one in result.estimators.items():
             assert one.status is not Status.FAILED, name
             found[len(found), name] = one.theta, one.predicted, one.residual_rmse, one.sample_count
-        assert not valves.new_failures()
+        assert not valves.failures.take_new()
     return found
 
 interpreted.begin()

@@ -88,7 +88,7 @@ async def test_a_kill_costs_what_is_counted_and_with_history_nothing(
             playing.cancel()
             with suppress(asyncio.CancelledError):
                 await playing
-        counters = last.counters(0)
+        counters = last.results.counters(0)
         first = plant.written - counters["aligned"] - counters["gaps"]
         assert first >= 0
         others = ("missing", "late", "duplicates", "restarts")
@@ -97,7 +97,7 @@ async def test_a_kill_costs_what_is_counted_and_with_history_nothing(
             assert counters["gaps"] == 0
             one_life = fresh()
             one_life.take(plant.sent_from(first))
-            assert one_life.checkpoints() == last.checkpoints()
+            assert one_life.states.checkpoints() == last.states.checkpoints()
 
 
 @pytest.mark.parametrize("remembers", [0, 10_000], ids=["no history", "history"])

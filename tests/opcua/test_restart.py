@@ -43,11 +43,11 @@ async def test_kills_lose_nothing_learn_nothing_twice_and_change_no_bit(served, 
         playing.cancel()
         with suppress(asyncio.CancelledError):
             await playing
-    counters = last.counters(0)
+    counters = last.results.counters(0)
     assert counters["aligned"] > 100 * kills
     lost = ("gaps", "missing", "late", "duplicates", "lost_by_time", "restarts")
     assert {name: counters[name] for name in lost} == dict.fromkeys(lost, 0)
     one_life = fresh()
     one_life.take(plant.sent_from(plant.written - counters["aligned"]))
-    assert one_life.counters(0) == counters
-    assert one_life.checkpoints() == last.checkpoints()
+    assert one_life.results.counters(0) == counters
+    assert one_life.states.checkpoints() == last.states.checkpoints()

@@ -46,7 +46,7 @@ async def client(tmp_path_factory):
                 some = samples()[start : start + 50]
                 keeper.take(ByValve(some, Segments.one(50)))
                 identification.take_samples(0, some)
-                for results in identification.results([0]):
+                for results in identification.results.of([0]):
                     await server.publish(results)
                     keeper.note(results)
             await keeper.settle()

@@ -386,11 +386,11 @@ def test_alarms_are_resumed_after_a_restart_and_acknowledged_by_name(fresh):
     quiet = before.say_overdue(np.array([0]), np.array([START + 60 * S]))
     assert quiet == [0]
     after = fresh()
-    after.restore([*before.checkpoints(), *before.memories()])
+    after.restore([*before.states.checkpoints(), *before.states.memories()])
     assert after.alarms("Valvistor") == before.alarms("Valvistor")
     after.do(Command.of("acknowledge", "Valvistor", "SensorLost", said_at(61)))
-    assert after.result(0) is not None
-    (results,) = after.results([0])
+    assert after.results.one(0) is not None
+    (results,) = after.results.of([0])
     assert [r.acked for r in results.alarms.reports(0) if r.active] == [True]
     with pytest.raises(CommandRejected, match="nothing to acknowledge"):
         after.do(Command.of("acknowledge", "Valvistor", "SensorLost", said_at(62)))
@@ -410,7 +410,7 @@ def test_what_was_acknowledged_is_to_be_confirmed_and_remarks_outlive_a_restart(
     before.do(Command.of("acknowledge", *lost, said_at(62, "on my way")))
     before.do(Command.of("remark", *lost, said_at(63, "the cable " + 500 * "x")))
     after = fresh()
-    after.restore([*before.checkpoints(), *before.memories()])
+    after.restore([*before.states.checkpoints(), *before.states.memories()])
     (report,) = (r for r in after.alarms("Valvistor") if r.name == "SensorLost")
     assert (report.active, report.acked, report.confirmed) == (True, True, False)
     assert (report.comment[:10], len(report.comment)) == ("the cable ", 200)

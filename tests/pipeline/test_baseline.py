@@ -45,7 +45,7 @@ def test_a_version_has_number_time_and_hash(learnt):
     learnt.do(Command.of("approve", VALVE))
     assert learnt.baseline(0).version.startswith("2-")
     assert learnt.baseline(0).digest == first.digest  # nothing was learnt in between
-    (results,) = learnt.results([0])
+    (results,) = learnt.results.of([0])
     assert results.baselines[0].version == learnt.baseline(0).version
 
 
@@ -78,18 +78,20 @@ def test_the_approved_map_answers_as_it_did_when_it_was_approved(learnt):
 
 
 def test_going_back_is_to_the_last_bit(learnt):
-    theta = {name: lane.state.to_bytes("k") for name, lane in learnt.state(0).lanes.items()}
+    theta = {name: lane.state.to_bytes("k") for name, lane in learnt.valves.state(0).lanes.items()}
     learnt.do(Command.of("approve", VALVE))
     learnt.take_samples(0, worn(plant(300, seed=4, first=600)))
     learnt.do(Command.of("roll_back", VALVE))
-    assert theta == {name: lane.state.to_bytes("k") for name, lane in learnt.state(0).lanes.items()}
+    assert theta == {
+        name: lane.state.to_bytes("k") for name, lane in learnt.valves.state(0).lanes.items()
+    }
 
 
 def test_another_valve_starts_from_nothing(learnt):
     learnt.do(Command.of("approve", VALVE))
     learnt.do(Command.of("replace_valve", VALVE))
     assert learnt.baseline(0) is None
-    assert learnt.result(0).estimators["RLS"].sample_count == 0
+    assert learnt.results.one(0).estimators["RLS"].sample_count == 0
     learnt.take_samples(0, plant(600, first=600))
     learnt.do(Command.of("approve", VALVE))
     assert learnt.baseline(0).number == 2
@@ -98,12 +100,12 @@ def test_another_valve_starts_from_nothing(learnt):
 def test_a_restart_keeps_the_approved_map_and_that_there_is_none(learnt, fresh):
     learnt.do(Command.of("approve", VALVE))
     again = fresh()
-    _, refused = again.restore([*learnt.checkpoints(), *learnt.memories()])
+    _, refused = again.restore([*learnt.states.checkpoints(), *learnt.states.memories()])
     assert not refused
     assert again.baseline(0) == learnt.baseline(0)
     again.do(Command.of("replace_valve", VALVE))
     third = fresh()
-    third.restore([*again.checkpoints(), *again.memories()])
+    third.restore([*again.states.checkpoints(), *again.states.memories()])
     assert third.baseline(0) is None
     third.take_samples(0, plant(600))
     third.do(Command.of("approve", VALVE))

@@ -100,7 +100,7 @@ class Running:
             await self.live.take(changes)
             self.clock.advance(0.2)
             await self.live.tick()
-            self.known.refresh_all_maps()
+            self.known.maps.refresh_all()
             await self.keeper.settle()
             await self.live.keep()
         self.clock.advance(0.2)
@@ -144,25 +144,27 @@ async def test_an_error_in_any_step_of_one_valve_costs_the_others_nothing(
         broken(patch, step)
         await running.run()
     known = running.known
-    assert known.checkpoints(others()) == undisturbed.known.checkpoints(others())
+    assert known.states.checkpoints(others()) == undisturbed.known.states.checkpoints(others())
     for v in others():
-        result = known.result(v)
+        result = known.results.one(v)
         assert {r.status for r in result.estimators.values()}.isdisjoint({Status.FAILED})
         assert {r.sample_count for r in result.estimators.values()} == {20 * BATCHES}
-        assert known.counters(v)["lane_failures"] == 0
+        assert known.results.counters(v)["lane_failures"] == 0
         assert not running.alarm(v).active
         assert running.of(v) == undisturbed.of(v)
         assert running.past.rows(f"V{v}")[f"V{v}.Signals"] == times(v)
     errors = [entry for entry in logged if entry["event"] == "lane failed"]
     assert len(errors) == 1
     assert errors[0]["exc_info"].args == ("injected",)
-    failed = [name for name in LANES if known.lane(f"V{CULPRIT}", name).status is Status.FAILED]
+    failed = [
+        name for name in LANES if known.valves.lane(f"V{CULPRIT}", name).status is Status.FAILED
+    ]
     assert failed == list(step.stops)
-    assert known.counters(CULPRIT)["lane_failures"] == 1
+    assert known.results.counters(CULPRIT)["lane_failures"] == 1
     alarm = running.alarm(CULPRIT)
     assert alarm.active
     assert f"{step.said}: RuntimeError: injected" in alarm.text
-    shown = known.result(CULPRIT)
+    shown = known.results.one(CULPRIT)
     for name in step.stops:
         assert shown.estimators[name].status is Status.FAILED
         assert shown.estimators[name].quality is Quality.BAD
@@ -170,10 +172,10 @@ async def test_an_error_in_any_step_of_one_valve_costs_the_others_nothing(
         assert shown.estimators[name].sample_count == 20 * BATCHES
     known.do(Command.of("reset", f"V{CULPRIT}", step.stops[0]))
     assert not running.alarm(CULPRIT).active
-    assert known.lane(f"V{CULPRIT}", step.stops[0]).status is not Status.FAILED
-    before = known.result(CULPRIT).estimators[step.stops[0]].sample_count
+    assert known.valves.lane(f"V{CULPRIT}", step.stops[0]).status is not Status.FAILED
+    before = known.results.one(CULPRIT).estimators[step.stops[0]].sample_count
     await running.live.take(changes_of(BATCHES))
-    after = known.result(CULPRIT).estimators[step.stops[0]]
+    after = known.results.one(CULPRIT).estimators[step.stops[0]]
     assert (before, after.sample_count) == (0, 20)
     assert after.status is not Status.FAILED
 
@@ -186,34 +188,34 @@ def test_a_lane_that_failed_keeps_its_last_state_and_stays_failed_over_a_restart
     known, changes = fresh(), [changes_of(number) for number in range(BATCHES)]
     for some in changes[:4]:
         known.take(some)
-    before = known.checkpoints([CULPRIT])
+    before = known.states.checkpoints([CULPRIT])
     with monkeypatch.context() as patch:
         broken(patch, next(step for step in STEPS if step.name == "learning RLS"))
         known.take(changes[4])
-    kept = {one.estimator: one for one in known.checkpoints([CULPRIT])}
+    kept = {one.estimator: one for one in known.states.checkpoints([CULPRIT])}
     assert kept["RLS"].state == before[0].state
     again = fresh()
-    again.restore(known.kept())
+    again.restore(known.states.kept())
     again.take(changes[5])
-    assert again.lane(f"V{CULPRIT}", "RLS").status is Status.FAILED
+    assert again.valves.lane(f"V{CULPRIT}", "RLS").status is Status.FAILED
     alarm = next(a for a in again.alarms(f"V{CULPRIT}") if a.name == "LaneFailed")
     assert alarm.active
     assert "RLS, learning: RuntimeError: injected" in alarm.text
     again.do(Command.of("acknowledge", f"V{CULPRIT}", "LaneFailed", Remark("seen", "operator", 1)))
     again.do(Command.of("reset", f"V{CULPRIT}", "RLS"))
     again.take(changes[6])
-    assert again.result(CULPRIT).estimators["RLS"].sample_count == 20
+    assert again.results.one(CULPRIT).estimators["RLS"].sample_count == 20
 
 
 def test_a_half_written_state_is_undone_before_a_lane_stops(monkeypatch):
     known = fresh()
     samples = signals(CULPRIT, 0)
     known.take_samples(CULPRIT, samples)
-    before = known.checkpoints([CULPRIT])
+    before = known.states.checkpoints([CULPRIT])
     with monkeypatch.context() as patch:
         broken(patch, next(step for step in STEPS if step.name == "learning RLS"))
         known.take_samples(CULPRIT, signals(CULPRIT, 1))
-    after = known.checkpoints([CULPRIT])
+    after = known.states.checkpoints([CULPRIT])
     assert after[0].state == before[0].state
     assert after[1].state != before[1].state
 
@@ -225,10 +227,10 @@ def test_what_an_operator_asks_of_a_lane_that_failed_is_answered(monkeypatch):
     assert known.predict(f"V{CULPRIT}", "RLS", 50.0, 100.0, 40.0)[2] is Status.FAILED
     known.do(Command.of("freeze", f"V{CULPRIT}", "RLS"))
     known.do(Command.of("resume", f"V{CULPRIT}", "RLS"))
-    assert known.lane(f"V{CULPRIT}", "RLS").status is Status.FAILED
+    assert known.valves.lane(f"V{CULPRIT}", "RLS").status is Status.FAILED
     with pytest.raises(CommandRejected, match="stopped at an unexpected error"):
         known.do(Command.of("approve", f"V{CULPRIT}"))
-    assert known.required(CULPRIT)[1] is Status.FAILED
+    assert known.answers.required(CULPRIT)[1] is Status.FAILED
     alarm = next(a for a in known.alarms(f"V{CULPRIT}") if a.name == "LaneFailed")
     assert len(alarm.text) < 1_000
 
@@ -237,9 +239,9 @@ def test_a_failure_is_logged_once_and_beyond_a_hundred_they_are_counted_alone():
     known = fresh()
     for _ in range(3):  # stopped already
         known.stop(CULPRIT, STEPS[0].step, RuntimeError("again"))
-    assert len(known.new_failures()) == 1
+    assert len(known.failures.take_new()) == 1
     for _ in range(200):
         known.stop(CULPRIT, STEPS[0].step, RuntimeError("again"))
         known.do(Command.of("reset", f"V{CULPRIT}", "RLS"))
-    assert len(known.new_failures()) == 100
-    assert known.counters(CULPRIT)["lane_failures"] == 200
+    assert len(known.failures.take_new()) == 100
+    assert known.results.counters(CULPRIT)["lane_failures"] == 200

@@ -39,7 +39,7 @@ def feed(identification, config, recorded, cuts=()):
 
 
 def states(identification):
-    return {(c.valve, c.estimator): c.state for c in identification.kept()}
+    return {(c.valve, c.estimator): c.state for c in identification.states.kept()}
 
 
 def test_each_edge_and_the_leakage_are_right(config):
@@ -50,7 +50,7 @@ def test_each_edge_and_the_leakage_are_right(config):
             assert pytest.approx(ports.flow(edge, U, dp), abs=3.5) == Q
             assert status == Status.OK
     for line, sign in (("LineA", 1.0), ("LineB", 1.0)):
-        lane = identification.lane(f"V.{line}", "Leak")
+        lane = identification.valves.lane(f"V.{line}", "Leak")
         (c,), (std,) = lane.estimator.parameters(lane.state)
         assert sign * c == pytest.approx(ports.LEAKAGE, rel=0.05)
         assert abs(c - ports.LEAKAGE) < 4.0 * std
@@ -60,14 +60,14 @@ def test_each_edge_and_the_leakage_are_right(config):
 def test_leakage_is_not_taken_for_flow(config):
     """Without the leakage subtracted, a flow at small openings is off by more than this."""
     identification = learnt(config, ports.recording(seconds=60.0, sigma=0.01))
-    residuals = [identification.lane(f"V.{edge}", "RLS").score.rmse for edge in EDGES]
+    residuals = [identification.valves.lane(f"V.{edge}", "RLS").score.rmse for edge in EDGES]
     without = ports.recording(seconds=60.0, sigma=0.01)
     lost = ports.LEAKAGE * (without["pA"] - without["pB"])
     without["QA"] += lost
     without["QB"] -= lost
     alone = learnt(config, without)
     for own, edge in zip(residuals, EDGES, strict=True):
-        assert own < 1.15 * alone.lane(f"V.{edge}", "RLS").score.rmse
+        assert own < 1.15 * alone.valves.lane(f"V.{edge}", "RLS").score.rmse
 
 
 def test_any_cut_of_the_stream_gives_the_same_bits(config):
@@ -88,7 +88,7 @@ def test_a_restored_state_goes_on_as_if_nothing_had_happened(config):
     first = build_identification(config)
     first.take(changes[:at])
     second = build_identification(config)
-    restored, refused = second.restore(second.review(first.kept()).checkpoints)
+    restored, refused = second.restore(second.states.review(first.states.kept()).checkpoints)
     assert not refused
     assert "V.PA.Edge" in restored
     second.take(changes[at:])
@@ -100,12 +100,12 @@ def test_a_closed_edge_shows_no_flow_and_learns_nothing(config):
     recorded["U"] = np.abs(recorded["U"])
     identification = learnt(config, recorded)
     numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
-    (results,) = identification.results([numbers["V.AT"]])
+    (results,) = identification.results.of([numbers["V.AT"]])
     values = results.signals.values[0]
     assert (values[0], values[3]) == (0.0, 0.0)
     assert results.signals.quality[0] == Quality.GOOD
-    assert identification.lane("V.AT", "RLS").count == 0
-    assert identification.lane("V.PA", "RLS").count > 500
+    assert identification.valves.lane("V.AT", "RLS").count == 0
+    assert identification.valves.lane("V.PA", "RLS").count > 500
 
 
 def test_an_edge_that_is_frozen_leaves_the_others_their_bits(config):
@@ -134,7 +134,7 @@ def test_an_error_at_one_edge_stops_that_edge_alone(config, monkeypatch):
 
     monkeypatch.setattr(identification._intake.splitter, "_of_edge", raising)
     feed(identification, config, recorded)
-    assert {failure.valve for failure in identification.new_failures()} == {"V.PB"}
+    assert {failure.valve for failure in identification.failures.take_new()} == {"V.PB"}
     found = states(identification)
     for key, state in whole.items():
         if key[0] != "V.PB":
@@ -147,9 +147,9 @@ def test_what_waits_is_bounded_and_its_loss_counted(config):
     identification = build_identification(config)
     identification.take(changes)
     numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
-    assert identification.counters(numbers["V.PA"])["missing"] == 6_000 - MOST_WAITING
-    assert identification.lane("V.PA", "RLS").count == 0
-    assert identification.lane("V.PB", "RLS").count > 500
+    assert identification.results.counters(numbers["V.PA"])["missing"] == 6_000 - MOST_WAITING
+    assert identification.valves.lane("V.PA", "RLS").count == 0
+    assert identification.valves.lane("V.PB", "RLS").count > 500
 
 
 def test_a_line_answers_with_the_edge_that_the_sign_selects(config):
@@ -159,14 +159,14 @@ def test_a_line_answers_with_the_edge_that_the_sign_selects(config):
         name = f"V.Line{line}"
         for Q in (-40.0, -5.0, 5.0, 40.0):
             identification.do(Command.of("demand", name, Q, np.nan))
-            (results,) = identification.results([numbers[name]])
+            (results,) = identification.results.of([numbers[name]])
             edge = edges[0] if Q > 0 else edges[1]
             assert LineEdge(int(results.lines.edge[0])).name == edge
             U = results.inverse.required_U[0]
             opens = 1.0 if edge in ("PA", "BT") else -1.0
             assert U * opens > 0
             assert results.inverse.lower[0] <= U <= results.inverse.upper[0]
-            (signals,) = identification.results([numbers[f"V.{edge}"]])
+            (signals,) = identification.results.of([numbers[f"V.{edge}"]])
             dp = signals.signals.values[0][PUBLISHED.index("dp")]
             flow, std, _ = identification.predict(f"V.{edge}", "RLS", abs(U), dp, 40.0)
             sign = 1.0 if Q > 0 else -1.0

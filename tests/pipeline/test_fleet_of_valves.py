@@ -49,7 +49,7 @@ def mixed(parts):
 
 def known(identification, valve):
     """All that is known of one valve, as bytes."""
-    result = identification.result(valve)
+    result = identification.results.one(valve)
     lanes = {
         name: (r.theta.tobytes(), r.std.tobytes(), repr((r.t, r.residual, r.status, r.noise_std)))
         for name, r in result.estimators.items()

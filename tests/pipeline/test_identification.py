@@ -19,7 +19,7 @@ from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 
 def thetas(identification):
-    result = identification.result(0)
+    result = identification.results.one(0)
     return {name: r.theta.tobytes() for name, r in result.estimators.items()}
 
 
@@ -35,14 +35,14 @@ def test_data_changes_and_samples_teach_the_same_bits(identification, fresh):
 def test_results_carry_the_time_of_their_sample(identification):
     samples = plant(300)
     identification.take_samples(0, samples)
-    for result in identification.result(0).estimators.values():
+    for result in identification.results.one(0).estimators.values():
         assert result.t == samples.t[-1]
         assert result.sample_count == 300
         assert result.residual == pytest.approx(samples.Q[-1] - result.predicted, abs=1e-9)
 
 
 def test_before_the_first_sample_nothing_is_good(identification):
-    for result in identification.result(0).estimators.values():
+    for result in identification.results.one(0).estimators.values():
         assert result.status is Status.WARMING_UP
         assert result.quality is not Quality.GOOD
         assert np.isnan(result.predicted)
@@ -50,7 +50,7 @@ def test_before_the_first_sample_nothing_is_good(identification):
 
 def test_lost_sensors_make_every_result_bad(identification):
     identification.take_samples(0, plant(300))
-    (results,) = identification.results([0], lost=np.array([True]))
+    (results,) = identification.results.of([0], lost=np.array([True]))
     result = results.one(0)
     assert {r.quality for r in result.estimators.values()} == {Quality.BAD}
     assert result.inverse.quality is Quality.BAD
@@ -64,7 +64,7 @@ def test_freeze_stops_learning_and_resume_goes_on(identification):
     after = thetas(identification)
     assert after["RLS"] == before["RLS"]
     assert after["RML"] != before["RML"]
-    result = identification.result(0).estimators["RLS"]
+    result = identification.results.one(0).estimators["RLS"]
     assert (result.status, result.sample_count) == (Status.FROZEN, 300)
     assert np.isfinite(result.residual)
     identification.do(Command.of("resume", "Valvistor", "RLS"))
@@ -76,8 +76,8 @@ def test_reset_forgets_the_samples_and_keeps_the_settings(identification):
     identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", 0.97))
     identification.take_samples(0, plant(300))
     identification.do(Command.of("reset", "Valvistor", "RLS"))
-    assert identification.result(0).estimators["RLS"].sample_count == 0
-    assert identification.lane("Valvistor", "RLS").estimator.lam == 0.97
+    assert identification.results.one(0).estimators["RLS"].sample_count == 0
+    assert identification.valves.lane("Valvistor", "RLS").estimator.lam == 0.97
 
 
 @pytest.mark.parametrize("lam", [1e-300, 0.0, 0.8, -1.0, 1.01, np.nan, np.inf, -1e308])
@@ -94,14 +94,14 @@ def test_a_network_has_no_forgetting_factor(identification):
 def test_the_standing_demand_is_answered_and_predicted_back(identification):
     identification.take_samples(0, plant(2000))
     identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
-    inverse = identification.result(0).inverse
+    inverse = identification.results.one(0).inverse
     assert inverse.status == InverseStatus.OK
     Q, std, status = identification.predict("Valvistor", "RLS", inverse.required_U, 100.0, 40.0)
     assert pytest.approx(60.0, abs=1e-6) == Q
     assert 0 < std < 1
     assert status is Status.OK
     identification.do(Command.of("demand", "Valvistor", np.nan, np.nan))
-    assert np.isnan(identification.result(0).inverse.required_U)
+    assert np.isnan(identification.results.one(0).inverse.required_U)
 
 
 def test_a_restart_goes_on_as_if_there_had_been_none(identification, fresh):
@@ -109,22 +109,22 @@ def test_a_restart_goes_on_as_if_there_had_been_none(identification, fresh):
     identification.do(Command.of("set_forgetting_factor", "Valvistor", "RLS", 0.98))
     identification.take_samples(0, samples[:300])
     restarted = fresh()
-    restored, refused = restarted.restore(identification.checkpoints())
+    restored, refused = restarted.restore(identification.states.checkpoints())
     assert (len(restored), refused) == (3, {})
     identification.take_samples(0, samples[300:])
     restarted.take_samples(0, samples[300:])
     assert thetas(restarted) == thetas(identification)
-    assert restarted.result(0).estimators["RLS"].sample_count == 600
+    assert restarted.results.one(0).estimators["RLS"].sample_count == 600
 
 
 def test_states_of_another_configuration_are_left_aside(identification, fresh):
     identification.take_samples(0, plant(100))
-    kept = identification.checkpoints()
+    kept = identification.states.checkpoints()
     other = [type(c)(**{**vars(c), "key": "x", "state": b"damaged"}) for c in kept]
     restarted = fresh()
     restored, refused = restarted.restore(other)
     assert (restored, list(refused)) == ([], ["Valvistor.RLS", "Valvistor.RML", "Valvistor.RBF"])
-    assert restarted.result(0).estimators["RLS"].sample_count == 0
+    assert restarted.results.one(0).estimators["RLS"].sample_count == 0
 
 
 def test_bad_samples_are_counted_and_teach_nothing(identification):
@@ -135,34 +135,34 @@ def test_bad_samples_are_counted_and_teach_nothing(identification):
     broken.Q[:] = np.nan
     identification.take_samples(0, broken)
     assert thetas(identification) == before
-    assert identification.counters(0)["not_finite"] == 10
-    assert {r.quality for r in identification.result(0).estimators.values()} == {Quality.BAD}
+    assert identification.results.counters(0)["not_finite"] == 10
+    assert {r.quality for r in identification.results.one(0).estimators.values()} == {Quality.BAD}
 
 
 def test_a_new_measurement_is_expected_within_the_noise_of_the_residuals(identification):
     identification.take_samples(0, plant(3000))
-    for name, result in identification.result(0).estimators.items():
+    for name, result in identification.results.one(0).estimators.items():
         Q, lower, upper, status = identification.predict_measurement(
             "Valvistor", name, 50.0, 100.0, np.nan
         )
         assert (Q, status) == (identification.predict("Valvistor", name, 50.0, 100.0, np.nan)[::2])
         assert 1.0 < (upper - lower) / result.noise_std < 8.0
-    checkpoints = identification.checkpoints()
-    before = identification.lane("Valvistor", "RLS").spread
+    checkpoints = identification.states.checkpoints()
+    before = identification.valves.lane("Valvistor", "RLS").spread
     identification.do(Command.of("reset", "Valvistor", "RLS"))
-    assert np.isnan(identification.result(0).estimators["RLS"].noise_std)
+    assert np.isnan(identification.results.one(0).estimators["RLS"].noise_std)
     identification.restore(checkpoints)
-    after = identification.lane("Valvistor", "RLS").spread
+    after = identification.valves.lane("Valvistor", "RLS").spread
     assert after.cells.tobytes() == before.cells.tobytes()
     assert after.multiple == before.multiple
-    assert len(identification.lane("Valvistor", "RLS").support.boxes) > 100
+    assert len(identification.valves.lane("Valvistor", "RLS").support.boxes) > 100
 
 
 def test_every_map_is_surveyed_when_the_inverse_is_tabulated_anew(identification):
     identification.take_samples(0, plant(1000))
-    assert identification.result(0).estimators["RLS"].survey is None
-    identification.refresh_maps()
-    for result in identification.result(0).estimators.values():
+    assert identification.results.one(0).estimators["RLS"].survey is None
+    identification.maps.refresh()
+    for result in identification.results.one(0).estimators.values():
         assert result.survey.std.shape == (10, 10)
         assert np.nanmin(result.survey.age_s) >= 0.0
         assert 0.5 < result.survey.share <= 1.0
@@ -174,8 +174,8 @@ def test_a_fleet_is_surveyed_in_turns(plan):
     fleet = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * 20))
     seen = []
     for _ in range(2):
-        fleet.refresh_maps()
-        results = (fleet.result(k).estimators.values() for k in range(20))
+        fleet.maps.refresh()
+        results = (fleet.results.one(k).estimators.values() for k in range(20))
         seen.append(sum(r.survey is not None for group in results for r in group))
     assert seen == [SURVEYS_AT_ONCE, 3 * 20]
 
@@ -187,17 +187,17 @@ def test_a_U_that_an_estimator_cannot_describe_is_counted_and_teaches_nothing(id
     other_edge.U[:] -= 110.0
     identification.take_samples(0, other_edge)
     assert thetas(identification) == before
-    assert identification.counters(0)["beyond_range"] == 50
-    assert identification.counters(0)["out_of_range"] == 0
-    for result in identification.result(0).estimators.values():
+    assert identification.results.counters(0)["beyond_range"] == 50
+    assert identification.results.counters(0)["out_of_range"] == 0
+    for result in identification.results.one(0).estimators.values():
         assert (result.status, result.quality) == (Status.EXTRAPOLATING, Quality.UNCERTAIN)
         assert result.sample_count == 300
         assert np.isnan(result.residual)
     closed = plant(20, seed=6, first=350)
     closed.U[:] = -1.0  # a sensor about a closed valve
     identification.take_samples(0, closed)
-    assert identification.result(0).estimators["RLS"].status is Status.OK
-    assert identification.counters(0)["beyond_range"] == 50
+    assert identification.results.one(0).estimators["RLS"].status is Status.OK
+    assert identification.results.counters(0)["beyond_range"] == 50
 
 
 def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alone(plan):
@@ -219,7 +219,7 @@ def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alon
     demand = "Valvistor", 60.0, 80.0, 40.0
     widths = [float(i.invert(*demand).upper[0] - i.invert(*demand).lower[0]) for i in (one, other)]
     assert widths[1] > 2 * widths[0]
-    published = [i.result(0).estimators["RLS"].systematic_std for i in (one, other)]
+    published = [i.results.one(0).estimators["RLS"].systematic_std for i in (one, other)]
     assert np.isnan(published[0])
     assert 0.2886 < published[1] < 2.0  # that of Q at least
 
@@ -230,7 +230,7 @@ def test_samples_beyond_a_meters_end_are_counted_where_everybody_sees(plan):
     samples = plant(4000)
     samples.Q[:] = np.minimum(samples.Q, 50.0)
     identification.take_samples(0, samples)
-    assert identification.counters(0)["censored"] > 100
+    assert identification.results.counters(0)["censored"] > 100
 
 
 def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):
@@ -242,7 +242,7 @@ def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):
         samples.U[::2] *= -1.0
         samples.Q[::2] *= -1.0
         identification.take_samples(0, samples)
-    assert identification.counters(0)["beyond_range"] == 0
+    assert identification.results.counters(0)["beyond_range"] == 0
     for Q in (70.0, -70.0):
         answer = identification.invert("Valvistor", Q, 100.0, 40.0)
         assert answer.status[0] == InverseStatus.OK
@@ -263,13 +263,13 @@ def test_where_nothing_was_measured_predict_invert_and_the_demand_say_extrapolat
     assert answer.status[0] == InverseStatus.EXTRAPOLATING
     assert answer.lower[0] < answer.U[0] < answer.upper[0]
     identification.do(Command.of("demand", "Valvistor", 20.0, 50.0))
-    assert identification.result(0).inverse.status == InverseStatus.OK
+    assert identification.results.one(0).inverse.status == InverseStatus.OK
     hot = samples[part][:1]
     hot.T[:] = 80.0
     identification.take_samples(0, hot)
-    assert identification.result(0).inverse.status == InverseStatus.EXTRAPOLATING
+    assert identification.results.one(0).inverse.status == InverseStatus.EXTRAPOLATING
     identification.do(Command.of("reset", "Valvistor", "RLS"))
-    assert len(identification.lane("Valvistor", "RLS").support.boxes) == 0
+    assert len(identification.valves.lane("Valvistor", "RLS").support.boxes) == 0
 
 
 def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
@@ -279,27 +279,27 @@ def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
     for part in (swapped[:30], swapped[30:]):
         doubting.take(as_changes(part))
     assert doubting.implausible().tolist() == [True]
-    assert "p1 is below p2" in doubting.findings(0)[0].sentence
-    result = doubting.result(0).estimators["RLS"]
+    assert "p1 is below p2" in doubting.plausibility.findings(0)[0].sentence
+    result = doubting.results.one(0).estimators["RLS"]
     assert (result.sample_count, result.status) == (0, Status.REJECTED)
     insisting = Identification(
         [replace(plan, insist=True) for plan in doubting.plans],
         Alignment(AlignmentSettings(), (("T",),)),
     )
     insisting.take(as_changes(swapped))
-    assert insisting.result(0).estimators["RLS"].sample_count == 300
+    assert insisting.results.one(0).estimators["RLS"].sample_count == 300
 
 
 def test_the_newest_sample_is_published_as_the_source_sent_it(identification):
     samples = plant(20)
     identification.take(as_changes(samples))
-    (results,) = identification.results([0])
+    (results,) = identification.results.of([0])
     last = samples[19:]
     assert results.signals.t.tolist() == last.t.tolist()
     expected = [x[0] for x in (last.U, last.p1, last.p2, last.Q, last.dp, last.T)]
     assert results.signals.values.tolist() == [expected]
     assert results.signals.quality.tolist() == [Quality.GOOD]
-    (results,) = identification.results([0], lost=np.array([True]))
+    (results,) = identification.results.of([0], lost=np.array([True]))
     assert results.signals.quality.tolist() == [Quality.BAD]
 
 
@@ -331,15 +331,15 @@ def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
     part.do(Command.of("freeze", "Valvistor", "RML"))
     for until in [*np.sort(rng.integers(0, len(changes), 12)).tolist(), len(changes)]:
         part.take(changes[at:until])
-        kept, at = [*part.checkpoints(), *part.memories()], until
+        kept, at = [*part.states.checkpoints(), *part.states.memories()], until
         part = fresh()
         restored, refused = part.restore(kept)
         assert (len(restored), refused) == (6, {})
-    assert part.checkpoints() == whole.checkpoints()
-    assert part.memories() == whole.memories()
-    assert part.counters(0) == whole.counters(0)
-    assert whole.counters(0)["spike"] > 0
-    ours, theirs = part.result(0), whole.result(0)
+    assert part.states.checkpoints() == whole.states.checkpoints()
+    assert part.states.memories() == whole.states.memories()
+    assert part.results.counters(0) == whole.results.counters(0)
+    assert whole.results.counters(0)["spike"] > 0
+    ours, theirs = part.results.one(0), whole.results.one(0)
     assert (ours.inverse.required_U, ours.inverse.armed) == (theirs.inverse.required_U, False)
     for name, result in theirs.estimators.items():
         assert ours.estimators[name].status is result.status
@@ -348,7 +348,7 @@ def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
 
 def test_the_memory_of_a_valve_with_another_gate_is_left_aside(plan, identification):
     identification.take(as_changes(plant(50)))
-    kept = [*identification.checkpoints(), *identification.memories()]
+    kept = [*identification.states.checkpoints(), *identification.states.memories()]
     other = replace(plan, gate=QualityGate(limits=GATED))
     restarted = Identification([other], Alignment(AlignmentSettings(), optional=(("T",),)))
     restored, refused = restarted.restore(kept)

@@ -55,7 +55,7 @@ def kept(fresh):
     learnt = fresh()
     learnt.take(changes(400))
     learnt.do(Command.of("set_forgetting_factor", "a", "RLS", 0.99))
-    return learnt.kept()
+    return learnt.states.kept()
 
 
 def with_one_changed(state, name, place, number):
@@ -84,7 +84,7 @@ def arrays_of(state):
 
 
 def known(identification, valve):
-    result = identification.result(valve)
+    result = identification.results.one(valve)
     return {name: (r.theta.tobytes(), r.t, r.sample_count) for name, r in result.estimators.items()}
 
 
@@ -117,7 +117,7 @@ def test_whatever_a_valve_has_learnt_it_takes_up_again(fresh, cases):
         learnt, changed = fresh(), as_changes(odd_plant(seed))
         for part in range(3):
             learnt.take(changed[part * len(changed) // 3 : (part + 1) * len(changed) // 3])
-            assert fresh().restore(learnt.kept())[1] == {}, seed
+            assert fresh().restore(learnt.states.kept())[1] == {}, seed
 
 
 @pytest.mark.parametrize("cases", [12, pytest.param(600, marks=pytest.mark.soak)])
@@ -142,7 +142,7 @@ def test_whatever_stands_in_what_was_kept_the_other_valve_goes_on(fresh, kept, c
         assert len(restored) + len(refused) == len(kept)
         with np.errstate(all="ignore"):
             again.take(changes(50, first=400))
-            again.result(0)
+            again.results.one(0)
         assert known(again, 1) == before
 
     holds()
@@ -155,8 +155,8 @@ def test_a_forgetting_factor_that_is_none_is_refused(fresh, kept, lam):
     _, refused = again.restore(hurt)
     assert list(refused) == ["a.RLS"]
     assert "forgetting factor" in refused["a.RLS"]
-    assert again.result(0).estimators["RLS"].sample_count == 0
-    assert again.result(1).estimators["RLS"].sample_count > 0
+    assert again.results.one(0).estimators["RLS"].sample_count == 0
+    assert again.results.one(1).estimators["RLS"].sample_count > 0
 
 
 def of_lane(fresh, kept, change):

@@ -180,8 +180,8 @@ def test_an_estimator_that_only_follows_is_not_recommended(swept):
     one_step = {n: np.sqrt(np.nanmean(t.residual[2_000:] ** 2)) for n, t in traces.items()}
     assert one_step["follower"] < 0.5 * one_step["lasting"]
     assert valves.inverse(0) == "lasting"
-    assert valves.ranking(0).sure > 0.9
-    assert valves.ranking(0).places >= FEWEST_PLACES
+    assert valves.places.ranking(0).sure > 0.9
+    assert valves.places.ranking(0).places >= FEWEST_PLACES
 
 
 def test_the_recommendation_and_the_statuses_do_not_depend_on_batches(swept):
@@ -315,9 +315,9 @@ def test_a_map_that_is_restored_without_its_places_does_not_warm_up_again():
         Identification([PLAN], Alignment(AlignmentSettings(), optional=optional)) for _ in range(2)
     )
     learnt.take_samples(0, sweeps(3_000))
-    kept = learnt.checkpoints()
+    kept = learnt.states.checkpoints()
     assert PLACES not in {one.estimator for one in kept}
     assert not restored.restore(kept)[1]
     standing = sweeps(3_000)[2_999:]  # one place: nothing new is compared
     restored.take_samples(0, replace(standing, t=standing.t + 10_000_000))
-    assert {one.status for one in restored.result(0).estimators.values()} == {Status.OK}
+    assert {one.status for one in restored.results.one(0).estimators.values()} == {Status.OK}

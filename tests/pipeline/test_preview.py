@@ -1,6 +1,7 @@
 """A preview runs quick estimators; its successor repeats its calls and has the same state."""
 
 import inspect
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -19,45 +20,34 @@ from valvemap.vocabulary.statuses import Status
 
 # Methods without effect on the states: they read, log or compute tables from them.
 READ = {
-    "new_failures",
-    "unknown",
-    "waits",
-    "pending",
-    "waited_for",
     "timing",
-    "newly_timed",
     "holds",
     "implausible",
-    "findings",
-    "one_of_each_kind",
-    "lane",
-    "state",
-    "refresh_maps",
-    "refresh_all_maps",
-    "results",
-    "result",
-    "counters",
-    "recommendation",
-    "review",
     "descriptions",
     "predict",
     "predict_measurement",
     "predict_approved",
     "invert",
-    "required",
     "compare",
     "baseline",
     "alarmed",
     "alarms",
-    "is_armed",
-    "feed_forward",
-    "kept",
-    "checkpoints",
-    "memories",
-    "columns",
-    "baselines",
     "repeat",
     "take_over",
+}
+# The same of its public parts.
+READ_OF_PARTS = {
+    "results": {"of", "one", "unknown", "recommendation", "counters", "waited_for"},
+    "maps": {"refresh", "refresh_all"},
+    "answers": {"required"},
+    "armed": {"is_armed", "feed_forward"},
+    "arrivals": {"waits", "pending"},
+    "stamping": {"newly_found"},
+    "plausibility": {"findings"},
+    "valves": {"one_of_each_kind", "lane", "state"},
+    "failures": {"take_new"},
+    "states": {"kept", "checkpoints", "memories", "review"},
+    "kept_columns": {"columns", "baselines"},
 }
 
 
@@ -90,9 +80,13 @@ def live(identification):
 def bits(identification):
     return {
         (columns.key, name): array.tobytes()
-        for columns in identification.columns()
+        for columns in identification.kept_columns.columns()
         for name, array in columns.arrays.items()
     }
+
+
+def methods_of(kind):
+    return {name for name, _ in inspect.getmembers(kind, inspect.isfunction) if name[0] != "_"}
 
 
 def test_a_method_either_reads_or_is_noted():
@@ -106,15 +100,23 @@ def test_a_method_either_reads_or_is_noted():
     assert not noted & READ
 
 
+def test_the_types_of_public_parts_let_callers_read_and_no_more():
+    types = {part: methods_of(kind) for part, kind in get_type_hints(Identification).items()}
+    assert types == READ_OF_PARTS
+    identification = valves()
+    public = {name for name in vars(identification) if not name.startswith("_")}
+    assert public == {*READ_OF_PARTS, "journal", "plans"}
+
+
 def test_an_estimator_that_waits_has_no_result_while_the_others_run():
     preview = valves(waits=["Auto"])
     preview.take(as_changes(plant(90)))
-    result = preview.result(0).estimators
+    result = preview.results.one(0).estimators
     assert (result["RLS"].sample_count, result["Auto"].sample_count) == (90, 0)
     assert result["Auto"].status is Status.WARMING_UP
     assert np.isnan(result["Auto"].predicted)
-    preview.refresh_all_maps()
-    assert not preview.new_failures()
+    preview.maps.refresh_all()
+    assert not preview.failures.take_new()
 
 
 def test_the_successor_has_the_bits_of_one_that_was_there_from_the_start():
@@ -125,16 +127,16 @@ def test_the_successor_has_the_bits_of_one_that_was_there_from_the_start():
     preview.take_over(successor)
     assert bits(preview) == bits(undisturbed)
     assert preview.journal is None
-    assert preview.result(0).estimators["Auto"].sample_count == 90
+    assert preview.results.one(0).estimators["Auto"].sample_count == 90
 
 
 def test_alarms_of_the_successor_count_as_new():
     preview, successor = valves(waits=["Auto"]), valves()
     live(preview)
-    before = next(preview.results([0, 1])).alarms.version
+    before = next(preview.results.of([0, 1])).alarms.version
     successor.repeat(preview.journal.take_new())
     preview.take_over(successor)
-    after = next(preview.results([0, 1])).alarms.version
+    after = next(preview.results.of([0, 1])).alarms.version
     assert (after != before).all()
 
 

@@ -54,7 +54,7 @@ def stream():
 def uninterrupted():
     known = valves()
     known.take(stream())
-    return known.checkpoints()
+    return known.states.checkpoints()
 
 
 class Source:
@@ -113,7 +113,7 @@ def after_a_restart(source, disk):
     assert resumed == source.committed, "acknowledged and saved positions differ"
     known.restore(list(kept.values()))
     known.take(stream()[resumed:])
-    return known.checkpoints()
+    return known.states.checkpoints()
 
 
 @pytest.mark.parametrize("valves_a_turn", [1, 2, VALVES])

@@ -221,15 +221,15 @@ def test_the_state_of_a_valve_is_kept_with_what_was_found():
     whole, first, second = fresh(), fresh(), fresh()
     whole.take(changes)
     first.take(changes[slice(0, 1500)])
-    restored, refused = second.restore([*first.checkpoints(), *first.memories()])
+    restored, refused = second.restore([*first.states.checkpoints(), *first.states.memories()])
     assert not refused
     assert "V1.Signals" in restored
     second.take(changes[slice(1500, None)])
     assert np.array_equal(
-        second.result(0).estimators["RLS"].theta, whole.result(0).estimators["RLS"].theta
+        second.results.one(0).estimators["RLS"].theta, whole.results.one(0).estimators["RLS"].theta
     )
     assert second.timing(0) == whole.timing(0)
-    assert whole.result(0).estimators["RLS"].sample_count > 550
+    assert whole.results.one(0).estimators["RLS"].sample_count > 550
 
 
 def test_what_waits_leaves_where_nothing_more_comes():
@@ -273,8 +273,10 @@ def test_the_deadband_of_a_source_enters_the_interval_of_the_flow():
     assert wide > sharp
     assert np.sqrt(wide**2 - sharp**2) == pytest.approx(expected, rel=0.25)
     assert "steps from" in identification.timing(0)[Signal.P2]
-    assert np.isfinite(identification.result(0).estimators["RLS"].systematic_std)
+    assert np.isfinite(identification.results.one(0).estimators["RLS"].systematic_std)
     again = Identification([plan], Alignment(AlignmentSettings(), optional=((),)), timing())
-    _, refused = again.restore([*identification.checkpoints(), *identification.memories()])
+    _, refused = again.restore(
+        [*identification.states.checkpoints(), *identification.states.memories()]
+    )
     assert not refused
     assert again.predict("V1", "RLS", 50.0, 100.0, 40.0)[1] == wide

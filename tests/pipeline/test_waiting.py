@@ -43,7 +43,7 @@ def test_a_setting_that_is_there_is_asked_for_no_more():
 def test_a_valve_without_its_flow_says_so_while_it_is_lost(identification):
     changes = as_changes(plant(20))
     identification.take(changes[changes.item != Signal.Q])
-    (results,) = identification.results([0], lost=np.array([True]))
+    (results,) = identification.results.of([0], lost=np.array([True]))
     assert results.waiting == [("Q has sent no value: is nodes.Q the right node?",)]
-    (results,) = identification.results([0])
+    (results,) = identification.results.of([0])
     assert results.waiting == [()]

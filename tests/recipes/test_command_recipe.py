@@ -31,7 +31,7 @@ found = {}
 
 
 def seen():
-    return identification.lane("V1", "RLS").count
+    return identification.valves.lane("V1", "RLS").count
 
 
 async def main():

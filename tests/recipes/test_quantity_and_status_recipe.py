@@ -35,7 +35,7 @@ identification.take_samples(0, samples)
 nodes = {n.id: n for n in estimator_variables(valve, valve.estimators[0])}
 found["nodes"] = [id_ for id_ in nodes if id_.endswith("Doubled")]
 found["frame"] = [name for name in frame_names(valve) if name.endswith("Doubled")]
-result = identification.result(0).estimators["RLS"]
+result = identification.results.one(0).estimators["RLS"]
 found["value"] = bool(getattr(result, "doubled", None) == 2.0 * result.residual)
 print(json.dumps(found))
 """

@@ -78,7 +78,7 @@ arrived = identification.take(changes)
 found["samples"] = [len(arrived[0]), len(arrived[1])]
 found["quality"] = [arrived[v].quality.max().item() for v in (0, 1)]
 found["p3"] = [float(arrived[0].p3[7]) == values["p3"][7], bool(np.isnan(arrived[1].p3).all())]
-newest = [r.signals.values[0, PUBLISHED.index("p3")] for r in identification.results([0, 1])]
+newest = [r.signals.values[0, PUBLISHED.index("p3")] for r in identification.results.of([0, 1])]
 found["published"] = [float(newest[0]) == values["p3"][-1], bool(np.isnan(newest[1]))]
 nodes = signal_variables(identification.descriptions()[0])
 found["node"] = [[n.id, n.unit.name] for n in nodes if n.id.endswith("p3")]

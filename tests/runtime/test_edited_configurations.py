@@ -253,7 +253,7 @@ async def restarted(path, config):
 @pytest.fixture
 def path(tmp_path, learnt):
     with CheckpointFile(tmp_path / "state.sqlite") as store:
-        store.save(learnt.kept())
+        store.save(learnt.states.kept())
     return tmp_path / "state.sqlite"
 
 
@@ -267,8 +267,8 @@ async def test_a_state_is_used_under_its_own_meaning_alone(path, learnt, name):
     put = {f"{one.checkpoint.valve}.{one.checkpoint.estimator}" for one in aside}
     for estimator_name, outcome in expected.items():
         was = "RLS" if estimator_name == "Linear" else estimator_name
-        before = learnt.result(0).estimators[was]
-        now = after.result(0).estimators[estimator_name]
+        before = learnt.results.one(0).estimators[was]
+        now = after.results.one(0).estimators[estimator_name]
         if outcome == RESET:
             assert now.sample_count == 0
             assert {f"V1.{was}", f"{first}.{was}"} & put
@@ -282,10 +282,10 @@ async def test_a_state_is_used_under_its_own_meaning_alone(path, learnt, name):
     if untouched.name == "V2":
         for estimator_name in ALL:
             assert np.array_equal(
-                after.result(len(after.plans) - 1 - (name == "valve added"))
+                after.results.one(len(after.plans) - 1 - (name == "valve added"))
                 .estimators[estimator_name]
                 .theta,
-                learnt.result(1).estimators[estimator_name].theta,
+                learnt.results.one(1).estimators[estimator_name].theta,
             )
 
 
@@ -298,7 +298,7 @@ async def test_a_converted_state_is_that_of_a_life_in_the_new_unit(path):
     for ours in (after, right):
         ours.take(as_changes(replace(more, Q=GPM * more.Q)))
     for name in ("RLS", "RML"):
-        got, wanted = (one.result(0).estimators[name] for one in (after, right))
+        got, wanted = (one.results.one(0).estimators[name] for one in (after, right))
         assert got.theta == pytest.approx(wanted.theta, rel=1e-9)
         assert got.std == pytest.approx(wanted.std, rel=1e-9)
         assert got.residual_rmse == pytest.approx(wanted.residual_rmse, rel=1e-9)
@@ -309,8 +309,8 @@ async def test_valves_that_exchange_their_nodes_exchange_what_they_learnt(path, 
     for name in ALL:
         for now, before in ((0, 1), (1, 0)):
             assert np.array_equal(
-                after.result(now).estimators[name].theta,
-                learnt.result(before).estimators[name].theta,
+                after.results.one(now).estimators[name].theta,
+                learnt.results.one(before).estimators[name].theta,
             )
     assert "V1.RLS: was V2.RLS: found again by its nodes" in said
     assert not aside
@@ -330,8 +330,8 @@ async def test_a_renamed_valve_keeps_its_states_when_it_is_named_back(path, lear
     assert "found again by its nodes" in said
     assert not aside
     for name in ALL:
-        before = learnt.result(0).estimators[name]
-        assert np.array_equal(after.result(0).estimators[name].theta, before.theta)
+        before = learnt.results.one(0).estimators[name]
+        assert np.array_equal(after.results.one(0).estimators[name].theta, before.theta)
 
 
 async def test_samples_in_the_reorder_buffer_are_converted_too(tmp_path):
@@ -341,12 +341,12 @@ async def test_samples_in_the_reorder_buffer_are_converted_too(tmp_path):
     changes = DataChanges(*(column[lost] for column in vars(changes).values()))
     before = build_identification(config)
     before.take(changes)
-    assert before.pending()[0] > 0
+    assert before.arrivals.pending()[0] > 0
     with CheckpointFile(tmp_path / "state.sqlite") as store:
-        store.save(before.kept())
+        store.save(before.states.kept())
     after, _, _ = await restarted(tmp_path / "state.sqlite", edited(signal("Q", unit="gpm")))
-    assert after.pending()[0] == before.pending()[0]
+    assert after.arrivals.pending()[0] == before.arrivals.pending()[0]
     for one in (before, after):
         one.wait_no_longer(np.array([0]))
-    got, wanted = (one.result(0).estimators["RLS"] for one in (after, before))
+    got, wanted = (one.results.one(0).estimators["RLS"] for one in (after, before))
     assert got.theta == pytest.approx(GPM * wanted.theta, rel=1e-9)

@@ -105,7 +105,7 @@ def numbered(plan, source, sink, store, clock):
 
 
 def count(live):
-    return live.identification.result(0).estimators["RLS"].sample_count
+    return live.identification.results.one(0).estimators["RLS"].sample_count
 
 
 async def test_what_waits_for_a_lost_sample_waits_no_longer_than_a_second(numbered, clock):
@@ -119,7 +119,7 @@ async def test_what_waits_for_a_lost_sample_waits_no_longer_than_a_second(number
     clock.advance(0.25)
     await numbered.tick()
     assert count(numbered) == 209
-    assert numbered.identification.counters(0)["gaps"] == 1
+    assert numbered.identification.results.counters(0)["gaps"] == 1
 
 
 async def test_while_there_is_no_connection_or_we_stood_still_waiting_does_not_count(
@@ -136,19 +136,19 @@ async def test_while_there_is_no_connection_or_we_stood_still_waiting_does_not_c
         await numbered.tick()
     await numbered.take(changes[6 * 200 : 6 * 201])
     assert count(numbered) == 210
-    assert numbered.identification.counters(0)["gaps"] == 0
+    assert numbered.identification.results.counters(0)["gaps"] == 0
 
 
 async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(numbered):
     await numbered.connected(1)
     await numbered.take(as_changes(plant(300)))
     await numbered.connected(1)
-    assert numbered.identification.counters(0)["restarts"] == 0
+    assert numbered.identification.results.counters(0)["restarts"] == 0
     await numbered.connected(2)
     again = as_changes(plant(300, first=360))
     again.value[5::6] += 900
     await numbered.take(again)
-    counters = numbered.identification.counters(0)
+    counters = numbered.identification.results.counters(0)
     assert (counters["gaps"], counters["restarts"], counters["lost_by_time"]) == (0, 1, 60)
     assert count(numbered) == 600
 
@@ -163,7 +163,7 @@ async def leading(live, source, clock):
     for first in range(1000, 1030):
         clock.advance(0.1)
         await live.take(as_changes(now(plant(1, seed=2, first=first), clock)))
-    assert source.written[-1] == (0, live.identification.required(0)[0].U)
+    assert source.written[-1] == (0, live.identification.answers.required(0)[0].U)
     return 1030
 
 
@@ -207,7 +207,7 @@ async def test_a_refused_write_is_repeated_and_why_nothing_is_written_is_publish
     for k in range(5):
         clock.advance(0.1)
         await live.take(as_changes(now(plant(1, seed=3, first=first + k), clock)))
-    assert live.identification.result(0).inverse.feed_forward is FeedForwardStatus.REFUSED
+    assert live.identification.results.one(0).inverse.feed_forward is FeedForwardStatus.REFUSED
     assert sink.published[-1].inverse.feed_forward is FeedForwardStatus.REFUSED
     written, source.refuses = len(source.written), False
     clock.advance(0.1)
@@ -244,7 +244,7 @@ async def test_a_restart_disarms(live, store, fresh):
     await live.keep()
     again = fresh()
     again.restore(store.load())
-    assert not again.is_armed(0)
+    assert not again.armed.is_armed(0)
 
 
 async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
@@ -252,7 +252,7 @@ async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
     identification = Identification([bare], Alignment(AlignmentSettings(), optional=(("T",),)))
     with pytest.raises(CommandRejected, match=r"nodes\.required_U"):
         identification.do(Command.of("arm", "Valvistor"))
-    inverse = identification.result(0).inverse
+    inverse = identification.results.one(0).inverse
     assert inverse.feed_forward is FeedForwardStatus.NOT_CONFIGURED
 
 
@@ -269,8 +269,8 @@ async def test_a_state_that_cannot_be_is_said_in_a_line_and_published(
     (line,) = [entry["why"] for entry in logs if "left aside" in entry["event"]]
     assert line.startswith("Valvistor.RLS: forgetting factor 7.0")
     assert sink.health.checkpoints_refused == 1
-    assert again.identification.result(0).estimators["RLS"].sample_count == 0
-    assert again.identification.result(0).estimators["RML"].sample_count == 50
+    assert again.identification.results.one(0).estimators["RLS"].sample_count == 0
+    assert again.identification.results.one(0).estimators["RML"].sample_count == 50
 
 
 async def test_states_are_kept_at_their_interval(live, store, clock):
@@ -279,7 +279,7 @@ async def test_states_are_kept_at_their_interval(live, store, clock):
     assert store.kept == []
     clock.advance(10.0)
     await live.tick()
-    await live.settle()
+    await live.keeper.settle()
     assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY, ALARMS, PLACES]
 
 
@@ -314,7 +314,7 @@ async def test_an_end_keeps_all_where_there_is_time(live, store, clock):
     await live.tick()
     await live.take(as_changes(plant(100, first=100)))
     assert await live.keep(within_s=4.2)
-    again = live.identification.checkpoints()
+    again = live.identification.states.checkpoints()
     assert [c.state for c in store.kept[:3]] == [c.state for c in again]
 
 
@@ -322,8 +322,9 @@ async def test_states_of_many_valves_are_packed_a_few_at_a_time(plan, source, si
     plans = [replace(plan, name=f"V{n}") for n in range(100)]
     many = Identification(plans, Alignment(AlignmentSettings(), optional=(("T",),) * 100))
     live = LiveService(many, source, sink, store, clock, LiveSettings())
-    most, states = [], live._keeper.states
-    live._keeper.states = lambda valves: most.append(len(valves)) or states(valves)
+    most, states = [], live.identification.states
+    kept = states.kept
+    states.kept = lambda valves: most.append(len(valves)) or kept(valves)
     await live.keep()
     assert max(most) <= 16
     assert len({c.valve for c in store.kept}) == 100
@@ -345,7 +346,7 @@ async def test_a_full_disk_stops_nothing(live, store, clock, sink):
 async def test_at_start_old_states_are_taken_up_and_nothing_is_good_yet(live, store, sink, fresh):
     before = fresh()
     before.take_samples(0, plant(300))
-    store.kept = before.checkpoints()
+    store.kept = before.states.checkpoints()
     await live.start()
     result = sink.published[-1].estimators["RLS"]
     assert result.sample_count == 300
@@ -400,7 +401,7 @@ async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink
     for _ in range(40):
         clock.advance(0.25)
         await live.tick()
-        await live.settle()
+        await live.keeper.settle()
     assert sorted(v for some in saved for v in set(some)) == sorted(p.name for p in plans)
     assert max(len(set(some)) for some in saved) == 5
 
@@ -452,14 +453,14 @@ async def test_what_became_of_keeping_the_states_is_shown(live, store, sink, clo
     assert np.isnan(sink.health.checkpoint_age_s)
     clock.advance(10.0)
     await live.tick()
-    await live.settle()
+    await live.keeper.settle()
     clock.advance(0.5)
     await live.tick()
     assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (0.5, 0)
     store.save = full_disk
     clock.advance(10.0)
     await live.tick()
-    await live.settle()
+    await live.keeper.settle()
     clock.advance(0.5)
     await live.tick()
     assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (11.0, 1)
@@ -493,7 +494,7 @@ async def test_much_at_once_is_learnt_in_pieces_and_others_are_served_between(
     assert len(set(served)) >= len(pieces)
     once = fresh()
     once.take(as_changes(plant(3000)))
-    assert live.identification.checkpoints() == once.checkpoints()
+    assert live.identification.states.checkpoints() == once.states.checkpoints()
 
 
 async def test_what_becomes_old_while_others_are_learnt_is_doubted_at_once(live, sink, clock):
@@ -527,7 +528,7 @@ async def test_an_end_does_not_learn_all_that_has_come_and_the_source_is_asked_a
     live.end_soon()
     await live.take(as_changes(plant(3000, first=10)))
     assert 10 < count(live) < 1000
-    assert live._keeper.mark == "before"
+    assert live.keeper.mark == "before"
     assert live.time_left_s > 3.0
 
 
@@ -544,7 +545,7 @@ async def test_a_slow_disk_holds_nothing_up(live, store, clock):
     assert time.monotonic() - began < 5.0  # far less than the disk takes
     assert count(live) == 320
     may_go_on.set()
-    await live.settle()
+    await live.keeper.settle()
 
 
 @pytest.fixture
@@ -581,7 +582,7 @@ async def test_a_preview_saves_nothing_and_its_successor_does(starting, plan, st
     await starting.complete(whole(plan))
     clock.advance(60.0)
     await starting.tick()
-    await starting.settle()
+    await starting.keeper.settle()
     assert store.load()
 
 

@@ -21,7 +21,7 @@ def remove(path):
 async def turn(live, clock):
     clock.advance(10.0)
     await live.tick()
-    await live.settle()
+    await live.keeper.settle()
 
 
 async def test_it_is_alarmed_within_a_save_and_whole_after_the_next(
@@ -40,7 +40,7 @@ async def test_it_is_alarmed_within_a_save_and_whole_after_the_next(
         (alarm,) = [a for a in sink.health.alarms if a.name == "Checkpoint"]
         assert alarm.active
         assert "removed or replaced" in alarm.text
-        await live.settle()
+        await live.keeper.settle()
         assert [c.estimator for c in store.load() if c.estimator in ("RLS", "RML", "RBF")] == [
             "RBF",
             "RLS",
@@ -62,7 +62,7 @@ async def test_at_the_end_all_is_saved_in_a_new_file(path, identification, sourc
         await live.keep()
         remove(path)
         assert await live.keep()
-        kept = identification.kept()
+        kept = identification.states.kept()
     with CheckpointFile(path) as store:
         assert {(c.valve, c.estimator, c.state) for c in kept} == {
             (c.valve, c.estimator, c.state) for c in store.load()

@@ -112,7 +112,7 @@ async def run_until(sources, live, clock, done):
 
 
 def counts(identification):
-    return [identification.result(v).estimators["RLS"].sample_count for v in range(3)]
+    return [identification.results.one(v).estimators["RLS"].sample_count for v in range(3)]
 
 
 async def test_each_source_teaches_its_valves_though_another_is_away(two, sink, store, clock):
@@ -135,8 +135,8 @@ async def test_what_both_send_is_learnt_as_from_one(two, plan, sink, store, cloc
     await run_until(sources, live, clock, lambda: min(counts(two)) == 100)
     alone = Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
     alone.take(as_changes(plant(100, seed=3)))
-    theta = two.result(1).estimators["RLS"].theta
-    np.testing.assert_array_equal(theta, alone.result(0).estimators["RLS"].theta)
+    theta = two.results.one(1).estimators["RLS"].theta
+    np.testing.assert_array_equal(theta, alone.results.one(0).estimators["RLS"].theta)
 
 
 async def test_a_cut_makes_the_valves_of_that_source_bad_alone(two, sink, store, clock):

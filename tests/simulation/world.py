@@ -278,7 +278,7 @@ class World:
             self.violated(f"{keeper._rows} rows buffered")
         if len(live._to_publish) > self.case.valves:
             self.violated(f"{len(live._to_publish)} valves queued for publication")
-        if live.identification.pending().max() > _MOST_PENDING:
+        if live.identification.arrivals.pending().max() > _MOST_PENDING:
             self.violated("too many samples wait")
         for server in self.servers:
             if server.longest > server.case.queue:
@@ -288,7 +288,7 @@ class World:
         """After a restart: what was acknowledged, or lies before the position, is in the states."""
         behind = set().union(*(client.resumes_behind for client in clients))
         for valve, learnt in enumerate(self.learnt):
-            aligned = identification.counters(valve)["aligned"]
+            aligned = identification.results.counters(valve)["aligned"]
             if aligned > len(learnt):
                 self.violated(f"V{valve} restored {aligned} samples, {len(learnt)} were learnt")
             del learnt[aligned:]
@@ -328,7 +328,7 @@ class World:
                 self.violated(f"V{valve} lost {sorted(wrong)[:5]}, which the source had")
             if len(set(learnt)) < len(learnt):
                 self.violated(f"V{valve} learnt samples twice")
-            counters = identification.counters(valve)
+            counters = identification.results.counters(valve)
             self.counts["lost"] += len(lost)
             self.counts["learnt"] += len(learnt)
             counted = counters["gaps"] + counters["missing"]
@@ -351,10 +351,10 @@ class World:
         restored.restore(self.states.load())
         for server in self.servers:
             for valve in server.case.valves:
-                n = restored.counters(valve)["aligned"]
+                n = restored.results.counters(valve)["aligned"]
                 if n:
                     again.learn(server.as_samples(valve, self.learnt[valve][:n]))
-        for one in again.checkpoints():
+        for one in again.states.checkpoints():
             key = one.valve, one.estimator
             if key in saved and saved[key].state != one.state:
                 self.violated(f"{one.valve}: the state is not that of an undisturbed life")

@@ -45,8 +45,8 @@ def started(path, config):
     with CheckpointFile(path) as store:
         assert store.set_aside is None
         restore(identification, store, store.load())
-        store.save(identification.kept())
-        return identification.result(0), store.aside()
+        store.save(identification.states.kept())
+        return identification.results.one(0), store.aside()
 
 
 def test_it_is_read_with_all_that_was_learnt(path, expected):
@@ -89,6 +89,6 @@ def test_a_damaged_one_loses_only_what_is_damaged(path, expected):
     with CheckpointFile(path) as store:
         restore(identification, store, store.load())
         assert "V1.RML" in store.damaged
-    found = identification.result(0).estimators
+    found = identification.results.one(0).estimators
     assert found["RML"].sample_count == 0
     assert found["RLS"].theta[:6].tolist() == expected["RLS"]["theta"]

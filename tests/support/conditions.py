@@ -62,7 +62,7 @@ class Plant:
     async def restart(self):
         """Stop, and begin anew from what was kept."""
         await self.stop()
-        kept = [*self.live.checkpoints(), *self.live.memories()]
+        kept = [*self.live.states.checkpoints(), *self.live.states.memories()]
         self.live = identification()
         _, refused = self.live.restore(kept)
         assert not refused
@@ -94,7 +94,7 @@ class Plant:
         await self.publish()
 
     async def publish(self):
-        for results in self.live.results([0]):
+        for results in self.live.results.of([0]):
             await self.server.publish(results)
 
     def report(self, name):

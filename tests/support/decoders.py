@@ -192,7 +192,7 @@ def _of_states():
         "Recommended": keeper._take_places,
     }
     found = {}
-    for kept in learnt.kept():
+    for kept in learnt.states.kept():
         door = doors.get(kept.estimator, keeper._take_estimator)
         found[f"state: {kept.valve}.{kept.estimator}"] = Decoder(
             lambda data, kept=kept, door=door: door(replace(kept, state=data)),
@@ -331,7 +331,7 @@ def _statistics():
 
 
 def _results():
-    (results,) = _learnt().results([0])
+    (results,) = _learnt().results.of([0])
     return [write_results(ResultsBlock("north.0", 9, (VALVE,), results))]
 
 
@@ -494,7 +494,7 @@ def _models(folder):
     found = []
     for name, samples in (("RLS", 40), ("RBF", 40), ("Auto", 300)):
         learnt = _learnt(samples)
-        lane, file = learnt.lane(VALVE, name), folder / f"seed-{name}.json"
+        lane, file = learnt.valves.lane(VALVE, name), folder / f"seed-{name}.json"
         save_model(file, VALVE, name, lane.estimator, lane.state, lane.spread, lane.support)
         said = json.loads(file.read_bytes())
         found.append(json.dumps(said, separators=(",", ":")).encode())
@@ -581,7 +581,7 @@ def _learnt(samples=300):
     alignment = Alignment(AlignmentSettings(), optional=(("T",),))
     learnt = Identification([plan], alignment, Timing(TimingSettings(), (("T",),)))
     learnt.take_samples(0, plant(samples))
-    learnt.refresh_maps()
+    learnt.maps.refresh()
     learnt.do(ports.Command.of("approve", VALVE))
     learnt._alarms.of_service.note(0, {ServiceAlarm.CHECKPOINT: 1e9})
     return learnt

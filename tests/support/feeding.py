@@ -133,7 +133,7 @@ def _kept():
     """What is learnt at commissioning."""
     identification = build_identification(feeding_config("opc.tcp://rig:1", "opc.tcp://us:1", "-"))
     commission(identification, SCENARIO)
-    return identification.checkpoints()
+    return identification.states.checkpoints()
 
 
 def open_settings(config):

@@ -64,7 +64,7 @@ def life(identification, file, stop=None, step=lambda: None):
                 at += n
             now = Checkpoint(*PLACE, "", at, b"", lam=None, frozen=False)
             step()
-            store.save([*identification.kept(), now])
+            store.save([*identification.states.kept(), now])
     return at
 
 
@@ -94,9 +94,9 @@ def killed(kills, seed, file):
     once = fresh()
     for first in range(0, stop, 1000):
         once.take(sent(first, min(1000, stop - first)))
-    counters, right = last.counters(0), once.counters(0)
+    counters, right = last.results.counters(0), once.results.counters(0)
     ours, theirs = (
-        {(c.valve, c.estimator): c.state for c in one.kept() if c.estimator != ALARMS}
+        {(c.valve, c.estimator): c.state for c in one.states.kept() if c.estimator != ALARMS}
         for one in (last, once)
     )
     return {

@@ -98,8 +98,8 @@ async def identify(live, server, past):
         samples = taken(first)
         past.take(ByValve(samples, Segments.one(SAMPLES)))
         live.take_samples(0, samples)
-        live.refresh_maps()
-        for results in live.results([0]):
+        live.maps.refresh()
+        for results in live.results.of([0]):
             await server.publish(results)
             past.note(results)
         past.tick(asyncio.get_running_loop().time())
@@ -303,7 +303,7 @@ class ClientInteroperation:
     async def test_as_operator_it_commands_an_estimator(self, operator, stage):
         forget = await operator.call("RLS", "SetForgettingFactor", double(0.999))
         assert forget["code"] == Codes.Good
-        assert stage.live.lane("Valvistor", "RLS").lam == 0.999
+        assert stage.live.valves.lane("Valvistor", "RLS").lam == 0.999
         for command in ("Freeze", "Resume"):
             assert (await operator.call("RLS", command))["code"] == Codes.Good
 

@@ -51,7 +51,7 @@ async def lived(served, store, seconds):
         supervise_all(sources, live, clock, asyncio.Event(), SupervisorSettings())
     )
     await asyncio.sleep(seconds)
-    await live.settle()
+    await live.keeper.settle()
     source.close = source.drop  # it says no good-bye
     running.cancel()
     with suppress(asyncio.CancelledError):

@@ -152,14 +152,14 @@ class Whole:
         again, once = build_identification(alone), build_identification(alone)
         _, refused = again.restore(own)
         assert not refused, refused
-        counters = again.counters(0)
+        counters = again.results.counters(0)
         lost = counters["gaps"] + counters["missing"] + counters["lost_by_time"]
         (t,) = (c.t for c in own if c.estimator == MEMORY)
         by_time = {when // 100 * 100: k for k, (when, _) in self.plant.sent.items()}
         stop = by_time[t] + 1
         first = stop - counters["aligned"] - lost
         once.take(self.plant.sent_between(first, stop, number))
-        right = {c.estimator: c.state for c in once.kept() if c.estimator != ALARMS}
+        right = {c.estimator: c.state for c in once.states.kept() if c.estimator != ALARMS}
         ours = {c.estimator: c.state for c in own if c.estimator != ALARMS}
         different = [name for name in {**right, **ours} if right.get(name) != ours.get(name)]
         twice = counters["duplicates"] + counters["late"]

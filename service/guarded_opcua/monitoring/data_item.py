@@ -160,7 +160,7 @@ class DataItem:
     def _sample(self, value: ua.DataValue) -> None:
         interval = self.monitoring.interval_s
         if interval > 0.0:
-            now = self._subscription.time()
+            now = self._subscription.clock.monotonic()
             if self._pending is not None and now >= self._due:
                 self._report(self._pending)
                 self._due += interval

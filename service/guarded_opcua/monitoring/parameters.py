@@ -5,6 +5,7 @@ from typing import Protocol
 
 from asyncua import ua
 
+from guarded_opcua.clock import Clock
 from guarded_opcua.ledger import Holding
 from guarded_opcua.monitoring.data_change import ChangeRule
 
@@ -32,8 +33,9 @@ class Reporter(Protocol):
     def holding(self) -> Holding:
         """Counters of the session's queues."""
 
-    def time(self) -> float:
-        """Return the monotonic time, s."""
+    @property
+    def clock(self) -> Clock:
+        """The server's clock."""
 
     def has_report(self, number: int) -> None:
         """Mark an item as having pending notifications."""

@@ -485,7 +485,7 @@ class Services:
 
     async def _cancel(self, request: Request, params: ua.CancelParameters) -> ua.CancelResponse:
         # All but Publish are answered before the next request is read.
-        count = request.session.cancel(params.RequestHandle)
+        count = request.session.queue.cancel(params.RequestHandle)
         self._audit.cancelled(request.actor, params.RequestHandle)
         response = ua.CancelResponse()
         response.Parameters.CancelCount = count

@@ -85,7 +85,7 @@ class Session:
         self.last_seen = clock.monotonic()
         self.closed = False
         self._quiet_until = 0.0
-        self._queue = PublishQueue(
+        self.queue = PublishQueue(
             limits.publish_requests,
             self._answer,
             self._refuse,
@@ -131,7 +131,7 @@ class Session:
         held back until the client has called Republish for those, or until a time-out, so that the
         client receives all messages in order.
         """
-        self._queue.lose_connection()
+        self.queue.lose_connection()
         self.line = line
         self.host = line.host
         if any(subscription.available for subscription in self.subscriptions.values()):
@@ -141,12 +141,12 @@ class Session:
     def nothing_to_ask_again(self) -> None:
         """Resume publishing: the client has no more messages to republish."""
         self._quiet_until = 0.0
-        self._queue.serve()
+        self.queue.serve()
 
     def unbind(self, line: Line) -> None:
         """Detach from a lost connection; the session continues until its time-out."""
         if self.line is line:
-            self._queue.lose_connection()
+            self.queue.lose_connection()
             self.line = None
             self.touch()
 
@@ -176,41 +176,29 @@ class Session:
         """Queue a publish request, and restart the lifetimes of the subscriptions."""
         for subscription in self.subscriptions.values():
             subscription.heard_of()
-        self._queue.add(request)
-
-    def cancel(self, handle: int) -> int:
-        """Cancel the publish requests with this handle; return their number."""
-        return self._queue.cancel(handle)
+        self.queue.add(request)
 
     def publish(self, subscription: Subscription) -> None:
         """Send a subscription's messages while publish requests are queued."""
-        self._queue.publish(subscription)
+        self.queue.publish(subscription)
 
     def has_publish_requests(self) -> bool:
         """Return whether a publish request is queued."""
-        return len(self._queue) > 0
-
-    def serve_late(self) -> None:
-        """Serve late subscriptions; called when the connection is writable again."""
-        self._queue.serve()
-
-    def drop_expired_requests(self) -> None:
-        """Answer expired publish requests."""
-        self._queue.drop_expired()
+        return len(self.queue) > 0
 
     def lose(self, subscription: Subscription, code: int | None = None) -> None:
         """Detach a subscription that was deleted or, if a code is given, transferred."""
         self.subscriptions.pop(subscription.number, None)
-        self._queue.forget(subscription)
+        self.queue.forget(subscription)
         if code is not None:
-            self._queue.notify(subscription.number, code)
+            self.queue.notify(subscription.number, code)
         if not self.subscriptions:
-            self._queue.refuse_all(_Codes.BadNoSubscription)
+            self.queue.refuse_all(_Codes.BadNoSubscription)
 
     def close(self, code: int) -> None:
         """Close the session; answer its publish requests with the code."""
         self.closed = True
-        self._queue.refuse_all(code)
+        self.queue.refuse_all(code)
         self.continuations.clear()
         self.rests.clear()
 
@@ -360,7 +348,7 @@ class Sessions:
                 self.close(session, keep_subscriptions=session.is_proven)
                 dropped.append(session)
             else:
-                session.drop_expired_requests()
+                session.queue.drop_expired()
         return dropped
 
     def lose_line(self, line: Line) -> None:

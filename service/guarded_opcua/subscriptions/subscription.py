@@ -105,7 +105,7 @@ class Subscription:
         self.links = 0  # number of triggering links
         self.waiting_since: float | None = None
         self._store = store
-        self._clock = clock
+        self.clock = clock
         self._expired = expired
         self._reports = Reports()
         self._triggered: set[int] = set()  # items whose linked items are to be reported
@@ -135,10 +135,6 @@ class Subscription:
         owner.holding.add(queued)
         self.heard_of()
 
-    def time(self) -> float:
-        """Return the monotonic time, s."""
-        return self._clock.monotonic()
-
     def has_report(self, number: int) -> None:
         """Mark an item as having pending notifications."""
         item = self.items[number]
@@ -155,10 +151,10 @@ class Subscription:
         timing = self.timing
         if timing.interval_s > _COARSE_S or self._hurries or self._stopped:
             return
-        if self._clock.monotonic() - self._last_message >= timing.interval_s:
+        if self.clock.monotonic() - self._last_message >= timing.interval_s:
             self._hurries = True
             self._timer.cancel()
-            self._timer = self._clock.call_at(0.0, self._cycle)  # with all changes until then
+            self._timer = self.clock.call_at(0.0, self._cycle)  # with all changes until then
 
     def block_items(self, block: Block) -> BlockItems:
         """Return the block items of this subscription on a block."""
@@ -210,7 +206,7 @@ class Subscription:
         self._unheard_cycles = 0
         notifications = self._take_notifications()
         sequence = self._sequence
-        content = encode_message(sequence, ticks_of_ns(self._clock.now()), notifications)
+        content = encode_message(sequence, ticks_of_ns(self.clock.now()), notifications)
         if notifications:
             self._sequence = 1 if sequence == _LAST_SEQUENCE else sequence + 1
             self._keep(sequence, content)
@@ -281,20 +277,20 @@ class Subscription:
                     self.has_report(number)
 
     def _begin_rhythm(self) -> None:
-        self._last_message = self._clock.monotonic()
+        self._last_message = self.clock.monotonic()
         self._next_cycle = self._last_message + self.timing.interval_s
         self._hurries = False
-        self._timer = self._clock.call_at(self._next_cycle, self._cycle)
+        self._timer = self.clock.call_at(self._next_cycle, self._cycle)
 
     def _cycle(self) -> None:
-        now = self._clock.monotonic()
+        now = self.clock.monotonic()
         interval = self.timing.interval_s
         if self._hurries:
             self._next_cycle = now
             self._hurries = False
         missed = max(0, int((now - self._next_cycle) / interval))
         self._next_cycle += (missed + 1) * interval
-        self._timer = self._clock.call_at(self._next_cycle, self._cycle)
+        self._timer = self.clock.call_at(self._next_cycle, self._cycle)
         if self._pending:
             self._pending = {
                 number: item for number, item in self._pending.items() if item.sample_pending(now)
@@ -310,9 +306,9 @@ class Subscription:
             self._silent_cycles += 1
         if self.has_message():
             self._last_message = now
-            before = self._clock.processor()
+            before = self.clock.processor()
             self.owner.publish(self)
-            self.owner.charge(self._clock.processor() - before)
+            self.owner.charge(self.clock.processor() - before)
 
     def _take_notifications(self) -> list[bytes]:
         if not self.publishing or not self._reports:

@@ -151,7 +151,7 @@ class Connection(asyncio.BufferedProtocol):
         self._writable_again.set()
         for session in self._shared.sessions:
             if session.line is self:
-                session.serve_late()
+                session.queue.serve()  # late subscriptions
 
     def get_buffer(self, _: int) -> memoryview:
         """Return the shared receive buffer; it is small, so that no peer blocks the event loop."""

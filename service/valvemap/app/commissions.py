@@ -61,7 +61,7 @@ class Commissions:
         if valve in self._runs:
             raise CommandRejected(f"{valve}: a run is under way; Abort ends it")
         number = next(n for n, one in enumerate(self._config.valves) if one.name == valve)
-        if self._identification.is_armed(number):
+        if self._identification.armed.is_armed(number):
             raise CommandRejected(f"{valve}: feed-forward is armed: disarm it first")
         config = config_of(self._config, valve)
         file = new_run(self._folder, valve, self._clock.now())

@@ -204,7 +204,7 @@ async def _live(
         await completing  # raises if the kernels could not be compiled
     if not goes_on:
         return None, []
-    states = live.states()
+    states = live.identification.states.kept()
     try:
         await live.keep()
     except StorageError as error:

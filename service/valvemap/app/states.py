@@ -30,7 +30,7 @@ def list_states(config: Config) -> Iterator[str]:
     """
     stored, aside = read_states(config.state.file)
     identification = build_identification(config)
-    reviewed = identification.review(stored)
+    reviewed = identification.states.review(stored)
     _, refused = identification.restore(reviewed.checkpoints)
     said = {**refused, **reviewed.changes, **reviewed.set_aside}
     for one in stored:

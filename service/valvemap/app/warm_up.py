@@ -307,18 +307,21 @@ def compile_here(config: Config) -> None:
     identification = build_identification(config)
     if config.valves:
         identification.take(_ONE_CHANGE)
-    identification.waits()
-    for valve in identification.one_of_each_kind():
+    identification.arrivals.waits()
+    for valve in identification.valves.one_of_each_kind():
         plan = identification.plans[valve]
         identification.take_samples(valve, _samples())
         for estimator in plan.estimators:
             identification.predict(plan.name, estimator, 50.0, 100.0, 40.0)
             identification.predict_measurement(plan.name, estimator, 50.0, 100.0, 40.0)
-            support, one = identification.lane(plan.name, estimator).support, np.full(1, 50.0)
+            support, one = (
+                identification.valves.lane(plan.name, estimator).support,
+                np.full(1, 50.0),
+            )
             support.misfit(one, one, one)  # the samples decide which kernels a map needs
             support.may_hide(one, one)
-        identification.result(valve)
-    identification.refresh_maps()
+        identification.results.one(valve)
+    identification.maps.refresh()
     plans = identification.plans
     if any(isinstance(one, ChoosesStructure) for plan in plans for one in plan.estimators.values()):
         flow_map_warm_up.look()

@@ -268,7 +268,7 @@ class _View:
         return self._truths[name]
 
     def _rmse(self, number: int, points: VerificationPoints) -> Mapping[str, float]:
-        state = self.identification.state(number)
+        state = self.identification.valves.state(number)
         errors = {}
         for name, lane in state.lanes.items():
             Q_hat, _ = lane.estimator.predict(lane.state, points.U, points.dp, points.T)

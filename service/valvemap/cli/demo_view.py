@@ -48,7 +48,7 @@ def status_table(
     for heading in ("residual, l/min", "error of the map, l/min"):
         table.add_column(heading, justify="right")
     for number, verdict in enumerate(verdicts):
-        result = identification.result(number)
+        result = identification.results.one(number)
         first = [verdict.valve, f"{verdict.samples:,}", str(result.counters["gaps"])]
         for name, estimator in result.estimators.items():
             table.add_row(

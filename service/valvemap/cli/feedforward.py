@@ -89,7 +89,7 @@ def commission(identification: Identification, scenario: Scenario) -> None:
         identification.take_samples(number, samples)
         if plan.name != LIVING:
             identification.do(Command.of("freeze", plan.name, plan.inverse))
-    identification.refresh_maps()
+    identification.maps.refresh()
 
 
 def arm(identification: Identification) -> str:
@@ -181,7 +181,7 @@ class Course:
 
     def _is_held(self) -> bool:
         names = [plan.name for plan in self._identification.plans]
-        status = self._identification.feed_forward(names.index(LIVING))
+        status = self._identification.armed.feed_forward(names.index(LIVING))
         return status not in {FeedForwardStatus.DISARMED, FeedForwardStatus.WRITING}
 
     def _measure_lead(self, t_s: list[float], U: list[float]) -> None:
@@ -206,5 +206,7 @@ class Course:
 def commands(identification: Identification) -> dict[str, float]:
     """Return the answers to the standing demands, by valve."""
     names = [plan.name for plan in identification.plans]
-    answers = {name: identification.required(number)[0].U for number, name in enumerate(names)}
+    answers = {
+        name: identification.answers.required(number)[0].U for number, name in enumerate(names)
+    }
     return {name: U for name, U in answers.items() if not np.isnan(U)}

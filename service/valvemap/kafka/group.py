@@ -132,27 +132,27 @@ class Group:
         if command.action not in QUESTIONS:
             self._note(reply)
             if not reason:
-                for results in self.identification.results([self._numbers[command.valve]]):
+                for results in self.identification.results.of([self._numbers[command.valve]]):
                     yield self._block(_without_tables(results))
         yield reply
 
     def everything(self) -> Iterator[ResultsBlock]:
         """Yield results of all valves, with new tables and surveys."""
-        self.identification.refresh_all_maps()
-        for results in self.identification.results(range(len(self.plan.plans))):
+        self.identification.maps.refresh_all()
+        for results in self.identification.results.of(range(len(self.plan.plans))):
             yield self._block(results)
 
     def alone(self, results: Results) -> Iterator[ResultsBlock]:
         """Yield the results of each of these valves again, as separate blocks."""
         for valve in results.valves.tolist():
-            for one in self.identification.results([valve]):
+            for one in self.identification.results.of([valve]):
                 yield self._block(_without_tables(one))
 
     def stop(self, results: Results, error: Exception) -> ResultsBlock:
         """Stop a valve whose results cannot be encoded; return its results with quality Bad."""
         (valve,) = results.valves.tolist()
         self.identification.stop(valve, Step.PUBLICATION, error)
-        return self._block(self.identification.unknown(valve))
+        return self._block(self.identification.results.unknown(valve))
 
     def _note(self, reply: Reply) -> None:
         self._replies[reply.id] = reply
@@ -172,8 +172,8 @@ class Group:
                 number=self.number,
                 due=self._due,
                 counts=self.counts,
-                columns=own.columns(),
-                baselines=own.baselines(),
+                columns=own.kept_columns.columns(),
+                baselines=own.kept_columns.baselines(),
                 ahead=self._ahead,
                 replies=[write_message(reply).decode() for reply in self._replies.values()],
             )
@@ -217,7 +217,11 @@ class Group:
                 f"{self._catalogue}: bring the worker's catalogue up to date"
             )
         known = {(kept.key, valve) for kept in memory.columns for valve in kept.valves}
-        own = {(one.key, valve) for one in self.identification.columns() for valve in one.valves}
+        own = {
+            (one.key, valve)
+            for one in self.identification.kept_columns.columns()
+            for valve in one.valves
+        }
         if memory.catalogue == self._catalogue and known != own:
             raise FleetError(
                 f"its valves are configured otherwise under the same version {self._catalogue} of "
@@ -248,7 +252,7 @@ class Group:
         return some(samples, taken)
 
     def _newest(self) -> int:
-        (signals, *_) = self.identification.columns()
+        (signals, *_) = self.identification.kept_columns.columns()
         return int(signals.arrays["newest_t"].max(initial=0))
 
     def _knows(self, command: Command) -> bool:
@@ -261,8 +265,8 @@ class Group:
             return
         with_tables = self._is_due(_MAPS, newest, self._rhythm.maps_ns)
         if with_tables:
-            self.identification.refresh_all_maps()
-        for results in self.identification.results(range(len(self.plan.plans))):
+            self.identification.maps.refresh_all()
+        for results in self.identification.results.of(range(len(self.plan.plans))):
             yield self._block(results if with_tables else _without_tables(results))
 
     def _is_due(self, name: str, newest: int, interval_ns: int) -> bool:

@@ -167,7 +167,7 @@ class Worker:
             held.steps.append(_REFUSED)
         else:
             why, out = self._step(name, store, held, step_of(found))
-        for failure in held.group.identification.new_failures():
+        for failure in held.group.identification.failures.take_new():
             log_failure(failure)
         if why:
             self._reject(key, message, why)

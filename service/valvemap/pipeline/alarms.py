@@ -143,6 +143,11 @@ class Alarms:
     Q_span
         Range of the flow, l/min.
 
+    Attributes
+    ----------
+    states : AlarmStates
+        Which are active, acknowledged and confirmed, and operators' comments.
+
     Examples
     --------
     >>> alarms = Alarms(1, RULES, 200.0)
@@ -155,8 +160,8 @@ class Alarms:
         by_number = [rules[alarm] for alarm in Alarm]
         self._limits = _limits(by_number)
         self._Q_span = Q_span
-        self._states = AlarmStates(M, ALARM_NAMES, by_number)
-        self._conditions = self._states.conditions
+        self.states = AlarmStates(M, ALARM_NAMES, by_number)
+        self._conditions = self.states.conditions
         self._senses = _nothing_seen(M)
         self._patient = np.zeros(M, np.bool_)
         self._reasons = np.zeros(M, f"<U{MOST_OF_A_REASON}")
@@ -234,7 +239,7 @@ class Alarms:
         moved = np.abs(lags - before) > np.maximum(LAG_MOVED_S, LAG_MOVED_SHARE * before)
         self._senses.memory[chosen, kernel.LAG_BEFORE] = lags
         for m in chosen[moved].tolist():
-            self._forget_usual(m)
+            self.forget_usual(m)
         self._move_on(chosen, Alarm.LAG_FOUND, lags)
 
     def note_misfit(self, chosen: Times, adaptation: Codes, rmse: Floats) -> None:
@@ -308,21 +313,13 @@ class Alarms:
 
     def acknowledge(self, m: int, alarm: Alarm, remark: Remark) -> bool:
         """Acknowledge an alarm; False if there was nothing to acknowledge."""
-        taken = self._states.acknowledge(m, alarm, remark)
+        taken = self.states.acknowledge(m, alarm, remark)
         if taken and alarm is Alarm.CHANGED:
             conditions = self._conditions
             seen = conditions.detail[m, alarm, 1]
             self._senses.memory[m, kernel.CHANGES_SEEN] = seen
             conditions.active[m, alarm], conditions.over[m, alarm] = False, 0
         return taken
-
-    def confirm(self, m: int, alarm: Alarm, remark: Remark) -> bool:
-        """Confirm an alarm; False if there was nothing to confirm."""
-        return self._states.confirm(m, alarm, remark)
-
-    def remark(self, m: int, alarm: Alarm, remark: Remark) -> None:
-        """Store an operator's comment on an alarm."""
-        self._states.remark(m, alarm, remark)
 
     def was_away(self) -> None:
         """Restart the timers after an outage of the service: its silence is no loss of samples."""
@@ -331,14 +328,11 @@ class Alarms:
 
     def forget_map(self, m: int) -> None:
         """Reset the usual residuals and the change alarm, after a reset of the map."""
-        self._forget_usual(m)
+        self.forget_usual(m)
         self._move_on(np.array([m]), Alarm.CHANGED, np.zeros(1))
 
-    def watch_another_map(self, m: int) -> None:
-        """Reset the usual residuals: those of another estimator are watched from now on."""
-        self._forget_usual(m)
-
-    def _forget_usual(self, m: int) -> None:
+    def forget_usual(self, m: int) -> None:
+        """Reset the usual residuals, when those of another estimator are watched."""
         fresh = _nothing_seen(1)
         kept = [kernel.T_USUAL, kernel.CHANGES_SEEN, kernel.LAG_BEFORE, *_LOSSES]
         fresh.memory[0, kept] = self._senses.memory[m, kept]
@@ -350,14 +344,14 @@ class Alarms:
         """Return the state of every alarm of one valve, in words."""
         reasons = [self._of_source.get(m, "")] * len(Alarm)
         reasons[Alarm.LANE_FAILED] = str(self._reasons[m])
-        return self._states.reports(m, reasons)
+        return self.states.reports(m, reasons)
 
     def to_bytes(self, m: int) -> bytes:
         """Pack one valve's alarms and their statistics, without the losses of the last minute."""
         kept = {name: array[m].copy() for name, array in self._arrays().items()}
         kept["memory"][_LOSSES], kept["times"][kernel.LOSS_TIME] = 0.0, kernel.NEVER
         kept["reason"] = np.array(self._reasons[m])
-        return _Kept(**kept, remarks=self._states.remarks_to_bytes(m)).to_bytes(_KEY)
+        return _Kept(**kept, remarks=self.states.remarks_to_bytes(m)).to_bytes(_KEY)
 
     def from_bytes(self, m: int, data: bytes) -> None:
         """Unpack one valve's alarms.
@@ -370,7 +364,7 @@ class Alarms:
         kept = _Kept.from_bytes(data, _KEY)
         arrays = self._arrays()
         _check_layout(kept, arrays)
-        self._states.remarks_from_bytes(m, kept.remarks)
+        self.states.remarks_from_bytes(m, kept.remarks)
         for name, array in arrays.items():
             array[m] = getattr(kept, name)
         self._reasons[m] = str(kept.reason)
@@ -380,7 +374,7 @@ class Alarms:
         return {**self._arrays(), "patient": self._patient, "reasons": self._reasons}
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        return {**self._states.arrays(), **self._senses._asdict()}
+        return {**self.states.arrays(), **self._senses._asdict()}
 
     def _move_on(self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None) -> Flags:
         t = np.maximum(self._senses.times[chosen, kernel.NEWEST], 0)

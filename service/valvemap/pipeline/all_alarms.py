@@ -69,7 +69,7 @@ class AllAlarms:
             taken = self.of_service.confirm(alarm, remark)
         else:
             fleet, m = self._valves.named(valve)
-            taken = fleet.alarms.confirm(m, _of_valve(alarm), remark)
+            taken = fleet.alarms.states.confirm(m, _of_valve(alarm), remark)
         if not taken:
             raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to confirm")
 
@@ -79,7 +79,7 @@ class AllAlarms:
             self.of_service.remark(alarm, remark)
         else:
             fleet, m = self._valves.named(valve)
-            fleet.alarms.remark(m, _of_valve(alarm), remark)
+            fleet.alarms.states.remark(m, _of_valve(alarm), remark)
 
     def alarmed(self) -> list[str]:
         """Return the valves that have ever had an active alarm."""

@@ -144,7 +144,7 @@ class AllValves:
     def stop(self, valve: int, step: Step, estimator: str | None, error: Exception) -> None:
         """Stop a lane, or (None) all lanes of a valve, because of an error, see `Fleet.stop`."""
         fleet, m = self.at(valve)
-        fleet.stop(m, step, estimator, error)
+        fleet.stop(estimator, step, m, error)
 
     @contextmanager
     def bulkhead(self, valve: int, step: Step, estimator: str | None = None) -> Iterator[None]:

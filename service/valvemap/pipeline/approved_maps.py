@@ -111,10 +111,6 @@ class ApprovedMaps:
         Q, std, status = valve_state.predicted(then, *np.array([[U], [dp], [T]]))
         return float(Q[0]), float(std[0]), Status(int(status[0]))
 
-    def of(self, valve: int) -> Baseline | None:
-        """Return the baseline of a valve, or None."""
-        return self.baselines.get(valve)
-
     def take_up(self, valve: int, kept: Baseline, *, is_approved: bool) -> None:
         """Restore a stored baseline, or only its number if it was deleted."""
         self.counts[valve] = kept.number
@@ -137,7 +133,7 @@ class ApprovedMaps:
         return then
 
     def _baseline(self, valve: str) -> Baseline:
-        found = self.of(self._valves.numbers[valve])
+        found = self.baselines.get(self._valves.numbers[valve])
         if found is None:
             raise CommandRejected(f"{valve} has no baseline: Baseline.Approve makes one")
         return found

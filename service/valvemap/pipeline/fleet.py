@@ -68,6 +68,11 @@ class Fleet:
         Names of the estimators that do not run: their lanes keep their initial states.
     buffer
         Memory for copies of states; fleets that are not updated at once share it.
+
+    Attributes
+    ----------
+    places : Places
+        Errors at places that a valve visits again, and the ranking of its estimators by them.
     """
 
     def __init__(
@@ -94,7 +99,7 @@ class Fleet:
             for number, (name, estimator) in enumerate(plan.estimators.items())
         }
         references = [e for e, name in enumerate(plan.estimators) if name in plan.references]
-        self._places = Places(len(plan.estimators), M, references)
+        self.places = Places(len(plan.estimators), M, references)
         self._t = np.zeros(M, np.int64)
         self._T = np.full(M, np.nan)
         self._demand = np.full((M, 2), np.nan)  # Q, dp
@@ -131,7 +136,7 @@ class Fleet:
                     for f in fields(Trace):
                         getattr(trace, f.name)[start:end] = getattr(said[name], f.name)
 
-        stop = partial(self._stop_at, None, Step.LEARNING)
+        stop = partial(self.stop, None, Step.LEARNING)
         isolate(segments.members, take, self._saved, stop)
         return judged, traces
 
@@ -156,7 +161,7 @@ class Fleet:
 
     def _next_stops(self, segments: Segments) -> Times:
         """Return the rows up to which the given valves' samples are processed at once."""
-        ahead = self._places.due(segments.members)
+        ahead = self.places.due(segments.members)
         ahead[self.stopped()[segments.members]] = np.iinfo(np.int32).max
         return np.minimum(segments.stops, segments.starts + np.maximum(ahead, 1))
 
@@ -170,7 +175,7 @@ class Fleet:
                 traces[name] = nothing_of(len(samples), Status.WARMING_UP)
                 rests.append((traces[name].status, segments._replace(starts=segments.stops)))
                 continue
-            stop = partial(self._stop_at, name, Step.LEARNING)
+            stop = partial(self.stop, name, Step.LEARNING)
             traces[name], own = lanes.take(judged, segments, self._restore[name], stop)
             rests.append((traces[name].status, own))
         self._support_from(judged, rests, segments)
@@ -184,7 +189,7 @@ class Fleet:
                 self.alarms.watch(judged, traces[name], running.of(own))
             self._note(running.members)
 
-        stop = partial(self._stop_at, None, Step.ALARMS)
+        stop = partial(self.stop, None, Step.ALARMS)
         isolate_last(running.members, watch, self._restore[Step.ALARMS], stop)
         return judged, traces
 
@@ -198,16 +203,16 @@ class Fleet:
         status = np.stack([trace.status for trace in traces.values()])
 
         def compare(_: NDArray[np.intp]) -> None:
-            self._places.learn(judged, residual, early, status, running)
+            self.places.learn(judged, residual, early, status, running)
 
-        stop = partial(self._stop_at, None, Step.COMPARISON)
+        stop = partial(self.stop, None, Step.COMPARISON)
         isolate_last(running.members, compare, self._restore[Step.COMPARISON], stop)
         for said, lanes in zip(status, self._lanes.values(), strict=True):
             lanes.revise(said, running)
-        for m in running.members[self._places.due(running.members) <= 0]:
+        for m in running.members[self.places.due(running.members) <= 0]:
             look = partial(self._look_back, int(m))
             one = np.array([m])
-            isolate_last(one, look, self._places.saved(one, self._buffer), stop)
+            isolate_last(one, look, self.places.saved(one, self._buffer), stop)
         return {
             name: replace(trace, status=said)
             for (name, trace), said in zip(traces.items(), status, strict=True)
@@ -215,7 +220,7 @@ class Fleet:
 
     def _look_back(self, m: int, _: NDArray[np.intp]) -> None:
         """Evaluate the maps of one valve at the places that it left, and rank them."""
-        points, one = self._places.points(m), np.array([m])
+        points, one = self.places.points(m), np.array([m])
         maps: list[tuple[Floats, Floats] | None] = []
         for name, lanes in self._lanes.items():
             maps.append(None)
@@ -225,25 +230,21 @@ class Fleet:
             def evaluate(_: NDArray[np.intp], lanes: Lanes = lanes) -> None:
                 maps[-1] = lanes.predicted(m, *points)
 
-            stop = partial(self._stop_at, name, Step.COMPARISON)
+            stop = partial(self.stop, name, Step.COMPARISON)
             isolate(one, evaluate, _nothing_saved, stop)
         before = self.inverse(m)
-        self._places.look_back(m, maps)
+        self.places.look_back(m, maps)
         if self.inverse(m) != before:
-            self.alarms.watch_another_map(m)
-
-    def ranking(self, m: int) -> Ranking:
-        """Return which estimator of one valve is recommended."""
-        return self._places.ranking(m)
+            self.alarms.forget_usual(m)
 
     def rank_now(self, m: int) -> Ranking:
         """Compare the newest maps of one valve before it is due; return the ranking."""
         if not self.stopped()[m]:
-            stop = partial(self._stop_at, None, Step.COMPARISON)
+            stop = partial(self.stop, None, Step.COMPARISON)
             one = np.array([m])
-            restore = self._places.saved(one, CopyBuffer())
+            restore = self.places.saved(one, CopyBuffer())
             isolate_last(one, partial(self._look_back, m), restore, stop)
-        return self.ranking(m)
+        return self.places.ranking(m)
 
     def inverse(self, m: int) -> str:
         """Name of the estimator whose map is inverted at one valve."""
@@ -254,7 +255,7 @@ class Fleet:
         names, plan = list(self._lanes), self.plan
         if not plan.follows:
             return [plan.inverse] * len(chosen)
-        numbers = self._places.chosen(chosen).tolist()
+        numbers = self.places.chosen(chosen).tolist()
         return [plan.inverse if number < 0 else names[number] for number in numbers]
 
     def _by_inverse(self, chosen: Times) -> Iterator[tuple[str, NDArray[np.bool_]]]:
@@ -271,7 +272,7 @@ class Fleet:
         """Whether a lane of one valve stopped at an error."""
         return bool(self._lanes[name].failed[m])
 
-    def stop(self, m: int, step: Step, name: str | None, error: Exception) -> None:
+    def stop(self, name: str | None, step: Step, m: int, error: Exception) -> None:
         """Stop one lane of a valve, or (None) all of them, because of an error in a step.
 
         Lanes that stopped before are unchanged: an error is noted once.
@@ -301,11 +302,8 @@ class Fleet:
     def watch(self, chosen: Times, do: Callable[[NDArray[np.intp]], None]) -> None:
         """Judge the alarms of the given valves (K,); ``do`` is called with rows of the K."""
         running = np.flatnonzero(~self.stopped()[chosen])
-        stop = partial(self._stop_at, None, Step.ALARMS)
+        stop = partial(self.stop, None, Step.ALARMS)
         isolate(chosen[running], lambda rows: do(running[rows]), self._alarms_saved, stop)
-
-    def _stop_at(self, name: str | None, step: Step, m: int, error: Exception) -> None:
-        self.stop(m, step, name, error)
 
     def _saved(self, members: Times) -> Restore:
         """Copy the state of the given valves; the result writes the copies back."""
@@ -314,7 +312,7 @@ class Fleet:
         self._restore = {
             Step.GATE: saved(self._gate_arrays, members, buffer),
             Step.SUPPORT: self._support.saved(members, buffer),
-            Step.COMPARISON: self._places.saved(members, buffer),
+            Step.COMPARISON: self.places.saved(members, buffer),
             Step.ALARMS: self._copy_alarms(members),
             **{name: lanes.saved(members, buffer) for name, lanes in self._lanes.items()},
         }
@@ -347,7 +345,7 @@ class Fleet:
             for _, start, stop in zip(*running, strict=True):
                 quality[start:stop] = found[start:stop]
 
-        stop_at = partial(self._stop_at, None, Step.GATE)
+        stop_at = partial(self.stop, None, Step.GATE)
         isolate_last(running.members, judge, self._restore[Step.GATE], stop_at)
         return replace(samples, quality=quality)
 
@@ -360,7 +358,7 @@ class Fleet:
             some = [(status, own.of(running)) for status, own in rests]
             self._support.learn(judged, some, segments.of(running))
 
-        stop = partial(self._stop_at, None, Step.SUPPORT)
+        stop = partial(self.stop, None, Step.SUPPORT)
         isolate_last(segments.members[running], learn, self._restore[Step.SUPPORT], stop)
 
     def _note(self, chosen: Times) -> None:
@@ -376,17 +374,17 @@ class Fleet:
             self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
             for name, own in self._by_inverse(due):
                 some, e = due[own], list(self._lanes).index(name)
-                rmse = np.fmax(self._lanes[name].recent_rmse(some), self._places.errors(some, e))
+                rmse = np.fmax(self._lanes[name].recent_rmse(some), self.places.errors(some, e))
                 self.alarms.note_misfit(some, self._adaptations(some)[e], rmse)
 
     def lane(self, m: int, name: str) -> Lane:
         """Return one estimator of one valve."""
-        errors = self._places.of(m, list(self._lanes).index(name))
+        errors = self.places.of(m, list(self._lanes).index(name))
         return replace(self._lanes[name].get(m), errors=errors)
 
     def places_to_bytes(self, m: int) -> bytes:
         """Pack the places of one valve."""
-        return self._places.to_bytes(m, dict(self._keys))
+        return self.places.to_bytes(m, dict(self._keys))
 
     def places_from_bytes(self, m: int, data: bytes) -> None:
         """Unpack the places of one valve.
@@ -395,7 +393,7 @@ class Fleet:
         ------
         StateMismatchError
         """
-        self._places.from_bytes(m, data, dict(self._keys))
+        self.places.from_bytes(m, data, dict(self._keys))
 
     def findings(self, m: int) -> tuple[Finding, ...]:
         """Return the causes that the running estimators of one valve find, the likeliest first."""
@@ -404,11 +402,11 @@ class Fleet:
 
     def reset_errors(self, m: int, name: str) -> None:
         """Reset the errors of one estimator's map, after its reset."""
-        self._places.reset(m, list(self._lanes).index(name))
+        self.places.reset(m, list(self._lanes).index(name))
 
     def accept(self, m: int, name: str) -> None:
         """Accept the restored map of one estimator: it is not warmed up again."""
-        self._places.accept(m, list(self._lanes).index(name))
+        self.places.accept(m, list(self._lanes).index(name))
 
     def put(self, m: int, name: str, lane: Lane) -> None:
         """Replace a lane; its estimator must be the plan's, except for ``lam``."""
@@ -451,7 +449,7 @@ class Fleet:
 
         Where an estimator itself is undecided, its errors at places visited again decide.
         """
-        fits = self._places.fits(chosen)
+        fits = self.places.fits(chosen)
         own = [lanes.states.adaptations(chosen) for lanes in self._lanes.values()]
         return [
             np.where(said == Adaptation.UNDECIDED, fit, said).astype(np.uint8)
@@ -484,10 +482,10 @@ class Fleet:
         names = tuple(valves)
         return [
             Columns(self._key, names, {**gate, **own, "demand": self._demand}),
-            Columns("places", names, self._places.columns_of_valves()),
+            Columns("places", names, self.places.columns_of_valves()),
             Columns("alarms", names, {**self.alarms.columns(), "misfit_due": self._misfit_due}),
             *(
-                lanes.columns(name, names, self._places.columns_of_lane(e))
+                lanes.columns(name, names, self.places.columns_of_lane(e))
                 for e, (name, lanes) in enumerate(self._lanes.items())
             ),
         ]

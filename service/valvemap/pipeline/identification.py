@@ -5,7 +5,7 @@ I/O.
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -29,25 +29,33 @@ from valvemap.pipeline.dynamics_results import DynamicsResults
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_columns import KeptColumns
 from valvemap.pipeline.kept_states import KeptStates
-from valvemap.pipeline.lane_failures import LaneFailure, Step
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.line_inverse import LineInverse
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
-from valvemap.pipeline.plausibility import Finding
 from valvemap.pipeline.ports import (
     AlarmReport,
     Checkpoint,
     Command,
-    Results,
     ValveDescription,
-    ValveResult,
 )
-from valvemap.pipeline.provenance import Reviewed
-from valvemap.pipeline.recommendation import Recommendation
+from valvemap.pipeline.readable_parts import (
+    ReadableAnswers,
+    ReadableArming,
+    ReadableArrivals,
+    ReadableColumns,
+    ReadableFailures,
+    ReadableMaps,
+    ReadablePlausibility,
+    ReadableResults,
+    ReadableStates,
+    ReadableTiming,
+    ReadableValves,
+)
 from valvemap.pipeline.result_tables import ResultTables, descriptions
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import Lane, Required, ValvePlan, ValveState
+from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.commands import NAMED, Subject
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.statuses import FeedForwardStatus, Status
@@ -56,7 +64,9 @@ from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 class Identification:
     """All valves of one service; implements :class:`valvemap.pipeline.ports.Operator`.
 
-    A facade: it builds the parts and forwards calls to them; some parts are public.
+    It builds the parts. Those that are public are for reading, and replaced by `take_over`: look
+    them up for each call. Calls that change the state are methods here, so that a preview can note
+    them.
 
     Parameters
     ----------
@@ -75,7 +85,27 @@ class Identification:
     ----------
     journal : CallJournal or None
         The noted calls; None if this is no preview.
+    results, maps, answers, armed
+        What is published: results, the tables in them, answers to standing demands, feed-forward.
+    valves, failures
+        The valves' own states, and the lanes that stopped.
+    arrivals, stamping, plausibility
+        Samples that wait, how they are stamped, why they are rejected.
+    states, kept_columns
+        The whole state as bytes, or as columns.
     """
+
+    results: ReadableResults
+    maps: ReadableMaps
+    answers: ReadableAnswers
+    armed: ReadableArming
+    valves: ReadableValves
+    failures: ReadableFailures
+    arrivals: ReadableArrivals
+    stamping: ReadableTiming
+    plausibility: ReadablePlausibility
+    states: ReadableStates
+    kept_columns: ReadableColumns
 
     def __init__(
         self,
@@ -86,20 +116,25 @@ class Identification:
         waits: Collection[str] | None = None,
     ) -> None:
         self.journal = None if waits is None else CallJournal()
-        self._arrivals = arrivals = Arrivals([plan.name for plan in plans], alignment, timing)
-        self._valves = valves = AllValves(plans, arrivals.timing, waits or ())
-        self._intake = intake = SampleIntake(valves, arrivals)
-        self._maps = maps = MapsAndSurveys(valves, intake)
-        self._commands = commands = EstimatorCommands(valves)
+        self._arrivals = self.arrivals = arrivals = Arrivals(
+            [plan.name for plan in plans], alignment, timing
+        )
+        self._valves = self.valves = valves = AllValves(plans, arrivals.timing, waits or ())
+        self._intake = self.plausibility = intake = SampleIntake(valves, arrivals)
+        self.maps = maps = MapsAndSurveys(valves, intake)
+        self._commands = self.answers = commands = EstimatorCommands(valves)
         self._approved = approved = ApprovedMaps(valves, self._commands)
         self._alarms = alarms = AllAlarms(valves, service_alarms)
-        self._armed = armed = ArmedValves(valves)
+        self._armed = self.armed = armed = ArmedValves(valves)
         self._lines = lines = LineInverse(valves, intake)
-        self._results = ResultTables(
+        self._results = self.results = ResultTables(
             valves, arrivals, intake, maps, approved, armed, commands, lines
         )
-        self._kept = KeptStates(valves, arrivals, approved, alarms, maps, intake.splitter)
-        self._columns = KeptColumns(valves, intake, approved)
+        self._kept = self.states = KeptStates(
+            valves, arrivals, approved, alarms, maps, intake.splitter
+        )
+        self.stamping, self.failures = arrivals.timing, valves.failures
+        self._columns = self.kept_columns = KeptColumns(valves, intake, approved)
         self._executors = {
             Subject.ESTIMATOR: commands,
             Subject.DEMAND: commands,
@@ -137,14 +172,6 @@ class Identification:
         """Stop a lane, or (None) all lanes of a valve, after an error outside of this object."""
         self._valves.stop(valve, step, estimator, error)
 
-    def new_failures(self) -> list[LaneFailure]:
-        """Return the lanes that stopped since the last call."""
-        return self._valves.failures.take_new()
-
-    def unknown(self, valve: int) -> Results:
-        """Return Bad results of one valve, for use when :meth:`results` raises."""
-        return self._results.unknown(valve)
-
     @changes_state
     def take(self, changes: DataChanges) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
@@ -168,14 +195,6 @@ class Identification:
         """Estimate from one valve's samples; return them as gated, and each estimator's trace."""
         return self._intake.take_samples(valve, samples)
 
-    def waits(self) -> NDArray[np.bool_]:
-        """Mask of the valves with samples in the reorder buffer."""
-        return self._arrivals.waits()
-
-    def pending(self) -> Times:
-        """Number of samples of each valve that wait for signals or for earlier samples."""
-        return self._arrivals.pending()
-
     @changes_state
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""
@@ -185,10 +204,6 @@ class Identification:
     def begin_source_anew(self, valves: Times) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
         return self._intake.begin_source_anew(valves)
-
-    def waited_for(self, valve: int) -> tuple[str, ...]:
-        """Return the signals that are missing for a valve's samples, and a remedy."""
-        return self._results.waited_for(valve)
 
     @changes_state
     def note_source(self, valve: int, words: tuple[str, ...]) -> None:
@@ -206,10 +221,6 @@ class Identification:
         """Describe how each of a valve's signals is stamped."""
         return self._arrivals.how_signals_come(valve, self.plans[valve].nodes)
 
-    def newly_timed(self) -> list[int]:
-        """Return the valves whose signals were newly found to have different timestamps."""
-        return self._arrivals.timing.newly_found()
-
     def holds(self) -> NDArray[np.bool_]:
         """Mask of the valves with on-change signals: their silence is no loss."""
         return self._arrivals.timing.holds
@@ -221,54 +232,6 @@ class Identification:
         inconsistent flow and pressures, until a restart.
         """
         return self._intake.implausible
-
-    def findings(self, valve: int) -> list[Finding]:
-        """Return the reasons why a valve's signals are implausible."""
-        return self._intake.findings(valve)
-
-    def one_of_each_kind(self) -> list[int]:
-        """Return the first valve of each group with the same plan."""
-        return self._valves.one_of_each_kind()
-
-    def lane(self, valve: str, estimator: str) -> Lane:
-        """Return one estimator of one valve."""
-        return self._valves.lane(valve, estimator)
-
-    def state(self, valve: int) -> ValveState:
-        """Return the state of one valve."""
-        return self._valves.state(valve)
-
-    def refresh_maps(self, share: float = 1.0) -> None:
-        """Compute the next due inverse tables and surveys; results contain the newest.
-
-        ``share`` limits this call to a fraction of them, so that other work is not delayed.
-        """
-        self._maps.refresh(share)
-
-    def refresh_all_maps(self) -> None:
-        """Compute every inverse table and survey."""
-        self._maps.refresh_all()
-
-    def results(
-        self,
-        valves: Sequence[int],
-        lost: NDArray[np.bool_] | None = None,
-        old: NDArray[np.bool_] | None = None,
-    ) -> Iterator[Results]:
-        """Return the results of the given valves, see :meth:`ResultTables.results`."""
-        return self._results.results(valves, lost, old)
-
-    def result(self, valve: int) -> ValveResult:
-        """Return the results of one valve."""
-        return self._results.result(valve)
-
-    def recommendation(self, valve: int) -> Recommendation:
-        """Return which estimator of one valve is recommended, and why."""
-        return self._results.recommendation(valve)
-
-    def counters(self, valve: int) -> Mapping[str, int]:
-        """Return the counts of one valve's aligned, lost and rejected samples since the start."""
-        return self._results.counters(valve)
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
         """Return the descriptions of all valves for a results server."""
@@ -293,10 +256,6 @@ class Identification:
             return self._lines.invert(number, Q, dp, T).as_inversion()
         return self._commands.invert(valve, Q, dp, T)
 
-    def required(self, valve: int) -> tuple[Required, Status]:
-        """Return the answer to a valve's standing demand, and its estimator's status."""
-        return self._commands.required(valve)
-
     def compare(self, valve: str, estimator: str) -> Difference:
         """Return the difference of an estimator's map from the baseline's."""
         return self._approved.compare(valve, estimator)
@@ -309,7 +268,7 @@ class Identification:
 
     def baseline(self, valve: int) -> Baseline | None:
         """Return the approved map, or None."""
-        return self._approved.of(valve)
+        return self._approved.baselines.get(valve)
 
     def alarmed(self) -> list[str]:
         """Return the valves that have ever had an active alarm."""
@@ -346,43 +305,15 @@ class Identification:
         """Note whether something else writes to the valve; if so, it cannot be armed."""
         self._armed.lead(valve, by_another=by_another)
 
-    def is_armed(self, valve: int) -> bool:
-        """Whether an operator has armed the valve's feed-forward since the start."""
-        return self._armed.is_armed(valve)
-
-    def feed_forward(self, valve: int) -> FeedForwardStatus:
-        """Return the feed-forward status of the last step."""
-        return self._armed.feed_forward(valve)
-
     @changes_state
     def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
         """Set the feed-forward status to publish."""
         self._armed.note(valve, status)
 
-    def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """Return `checkpoints` and `memories` of the given valves, or of all."""
-        return self._kept.kept(valves)
-
-    def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """Return every estimator's state as bytes, of the given valves or of all."""
-        return self._kept.checkpoints(valves)
-
-    def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """Return the state beside the estimators as bytes, of the given valves or of all."""
-        return self._kept.memories(valves)
-
-    def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
-        """Compare stored checkpoints with the configuration, see :func:`provenance.review`."""
-        return self._kept.review(stored)
-
     @changes_state
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Restore the checkpoints that fit, see :meth:`KeptStates.restore`."""
         return self._kept.restore(checkpoints)
-
-    def columns(self) -> list[Columns]:
-        """Return the state of all valves as columns, without baselines."""
-        return self._columns.columns()
 
     @changes_state
     def remember(
@@ -390,7 +321,3 @@ class Identification:
     ) -> set[tuple[str, str]]:
         """Restore columns and baselines; return (key, valve) of the states that were reset."""
         return self._columns.remember(columns, baselines)
-
-    def baselines(self) -> dict[str, bytes]:
-        """Return the approved maps, packed, by valve."""
-        return self._columns.baselines()

@@ -178,7 +178,7 @@ class KeptStates:
 
     def _baseline_of(self, valve: int) -> Checkpoint:
         """Return the baseline; after its deletion, an empty one with ``frozen`` set."""
-        found = self._approved.of(valve)
+        found = self._approved.baselines.get(valve)
         kept = found or Baseline.none(int(self._approved.counts[valve]))
         name = self._valves.plans[valve].name
         return replace(_beside(name, BASELINE, kept.to_bytes(), kept.t), frozen=found is None)

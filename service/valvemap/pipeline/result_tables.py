@@ -96,7 +96,7 @@ class ResultTables:
         """Let every version of the alarms differ from those of results published before."""
         self._alarms_base += 1 << 32
 
-    def results(
+    def of(
         self,
         valves: Sequence[int],
         lost: NDArray[np.bool_] | None = None,
@@ -117,9 +117,9 @@ class ResultTables:
                 at_best[lost[own]] = Quality.BAD
             yield from self._isolated(fleet, own, at_best)
 
-    def result(self, valve: int) -> ValveResult:
+    def one(self, valve: int) -> ValveResult:
         """Return the results of one valve."""
-        (results,) = self.results([valve])
+        (results,) = self.of([valve])
         return results.one(0)
 
     def counters(self, valve: int) -> Mapping[str, int]:
@@ -132,7 +132,7 @@ class ResultTables:
         """Return which estimator of one valve is recommended, and why."""
         fleet, m = self._valves.at(valve)
         names = list(fleet.plan.estimators)
-        return recommendation(fleet.ranking(m), names, fleet.inverse(m))
+        return recommendation(fleet.places.ranking(m), names, fleet.inverse(m))
 
     def note_dynamics(self, valve: int, found: DynamicsResults) -> None:
         """Note the dynamics of one valve; its results show them from now on."""
@@ -235,7 +235,7 @@ class ResultTables:
             counters=self._counts(fleet, valves),
             counter_names=COUNTERS,
             signals=self._intake.signals(valves, at_best),
-            baselines=[self._approved.of(int(valve)) for valve in valves],
+            baselines=[self._approved.baselines.get(int(valve)) for valve in valves],
             recommended=[self.recommendation(int(valve)) for valve in valves],
             findings=[
                 self._dynamics_of(valve).findings + fleet.findings(m)

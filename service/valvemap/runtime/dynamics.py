@@ -35,13 +35,13 @@ class LiveDynamics:
         self._valves = [ValveDynamics() for _ in range(valves)]
         self._fit: asyncio.Task[None] | None = None
         for valve in range(valves):
-            self._note(valve, NOTHING_YET)
+            self._identification.note_dynamics(valve, NOTHING_YET)
 
     def take(self, samples: ByValve) -> None:
         """Take samples of any valves."""
         for valve in self._turns.take(samples, self._clock.monotonic()):
             status = DynamicsStatus.TOO_SLOW
-            self._note(valve, DynamicsResults(status, status.sentence))
+            self._identification.note_dynamics(valve, DynamicsResults(status, status.sentence))
 
     def tick(self) -> None:
         """Begin the fit that is due; not while kernels are still compiled."""
@@ -60,15 +60,14 @@ class LiveDynamics:
     async def _work(self, valve: int, t: int, job: Job) -> None:
         began = self._clock.monotonic()
         try:
-            self._note(valve, self._valves[valve].accept(await in_daemon_thread(job), t))
+            self._identification.note_dynamics(
+                valve, self._valves[valve].accept(await in_daemon_thread(job), t)
+            )
         except Exception as error:
             status = DynamicsStatus.FAILED
             why = f"{status.sentence} ({type(error).__name__}: {error})"
-            self._note(valve, DynamicsResults(status, why, t))
+            self._identification.note_dynamics(valve, DynamicsResults(status, why, t))
             name = self._identification.plans[valve].name
             log.exception("dynamics failed", valve=name, why=str(error))
         now = self._clock.monotonic()
         self._turns.end(valve, now - began, now)
-
-    def _note(self, valve: int, results: DynamicsResults) -> None:
-        self._identification.note_dynamics(valve, results)

@@ -138,7 +138,7 @@ class LiveService:
         self._refused = 0
         self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
         self._samples_wait = False
-        self._keeper = StateKeeper(
+        self.keeper = StateKeeper(
             identification, source, store, clock, settings.checkpoint_interval_s
         )
         self._kept_elsewhere: KeptElsewhere | None = None
@@ -229,7 +229,7 @@ class LiveService:
                 await self._doubt_old(self._ages())
                 await self._show_health(self._clock.monotonic())
                 await asyncio.sleep(0.0)
-        self._keeper.mark = self._source.mark
+        self.keeper.mark = self._source.mark
 
     async def _wait_if_behind(self, changes: int) -> None:
         """Wait for the whole identification if the preview cannot keep up; the source queues."""
@@ -302,7 +302,7 @@ class LiveService:
         if self._past is not None:
             for valve, error in self._past.take_failed():
                 self.identification.stop(valve, Step.HISTORY, error)
-        for failure in self.identification.new_failures():
+        for failure in self.identification.failures.take_new():
             log_failure(failure)
             self._note_new([self._numbers[failure.valve]])
 
@@ -318,8 +318,8 @@ class LiveService:
         if now >= self._map_due:
             parts = max(1, math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO))
             self._map_due = now + self._settings.map_interval_s / parts
-            self.identification.refresh_maps(1.0 / parts)
-        self._keeper.keep_in_turn(now)
+            self.identification.maps.refresh(1.0 / parts)
+        self.keeper.keep_in_turn(now)
         if self._past is not None:
             self._past.tick(now)
         if self._dynamics is not None:
@@ -376,7 +376,7 @@ class LiveService:
         await self._sink.show_health(
             Health(
                 age_s=self._ages(),
-                waiting=self.identification.pending(),
+                waiting=self.identification.arrivals.pending(),
                 source=self._source.counters,
                 source_states=self._source.states,
                 checkpoint_age_s=age_s,
@@ -398,7 +398,7 @@ class LiveService:
         self._worked_s, self._worked_since = 0.0, now
         until, utc = self._settings.certificate_until_ns, self._clock.now()
         share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
-        age_s, self._keeper.file_lost = self._keeper.age_s(now), False
+        age_s, self.keeper.file_lost = self.keeper.age_s(now), False
         return self.identification.watch_service(
             utc,
             checkpoint_age_s=float(np.fmax(age_s, other_s)),
@@ -416,7 +416,7 @@ class LiveService:
         if not self._connected.any():
             return
         self._held_s[self._connected] += min(passed, LONGEST_TICK_S)
-        self._held_s[~self.identification.waits()] = 0.0
+        self._held_s[~self.identification.arrivals.waits()] = 0.0
         due = self._connected & (self._held_s > self._settings.reorder_s)
         if due.any():
             await self._use(self.identification.wait_no_longer(np.flatnonzero(due)), _NONE)
@@ -437,15 +437,7 @@ class LiveService:
         end = self._clock.monotonic() + within_s
         if self._past is not None:
             await self._past.end()
-        return await self._keeper.keep(end)
-
-    def states(self) -> list[Checkpoint]:
-        """Return the checkpoints of all valves."""
-        return self._keeper.states()
-
-    async def settle(self) -> None:
-        """Wait for the save in progress."""
-        await self._keeper.settle()
+        return await self.keeper.keep(end)
 
     def _say_what_is_doubted(self) -> None:
         """Log each valve once when estimation stops as implausible, and once when it resumes."""
@@ -457,12 +449,12 @@ class LiveService:
         for valve in np.flatnonzero(implausible & ~self._doubted).tolist():
             self._doubted[valve] = True
             name = self.identification.plans[valve].name
-            why = [finding.sentence for finding in self.identification.findings(valve)]
+            why = [finding.sentence for finding in self.identification.plausibility.findings(valve)]
             remedy = "mend the configuration, or insist = true for this valve"
             log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
 
     def _say_what_was_found(self) -> None:
-        for valve in self.identification.newly_timed():
+        for valve in self.identification.stamping.newly_found():
             name = self.identification.plans[valve].name
             log.info("signals", valve=name, how="; ".join(self.identification.timing(valve)))
 
@@ -474,7 +466,10 @@ class LiveService:
             if silent_s > self._settings.stale_after_s or not self._connected[valve]:
                 why = f"nothing has come from its source for {silent_s:.1f} s"
             else:
-                why = "; ".join(self.identification.waited_for(valve)) or "nothing comes any more"
+                why = (
+                    "; ".join(self.identification.results.waited_for(valve))
+                    or "nothing comes any more"
+                )
             log.warning("sensors lost", valve=name, why=why)
         if valves:
             self._note_new(valves)
@@ -515,7 +510,7 @@ class LiveService:
             if late and not was_late:
                 log.warning("results are published late", remedy="fewer valves, or more CPU")
             old = self._old | late | self._soon_old()
-            for results in self.identification.results(some, self._lost, old):
+            for results in self.identification.results.of(some, self._lost, old):
                 try:
                     await self._show(results)
                 except ValvemapError:
@@ -534,12 +529,12 @@ class LiveService:
         """Publish valve by valve; stop the lane of a valve that raises, and publish it as Bad."""
         for valve in valves:
             try:
-                for results in self.identification.results([valve], self._lost, old):
+                for results in self.identification.results.of([valve], self._lost, old):
                     await self._show(results)
             except Exception as error:  # noqa: BLE001 - a bulkhead: the others are published
                 self.identification.stop(valve, Step.PUBLICATION, error)
                 with suppress(Exception):  # the failure itself is logged
-                    await self._sink.publish(self.identification.unknown(valve))
+                    await self._sink.publish(self.identification.results.unknown(valve))
 
     def _soon_old(self) -> NDArray[np.bool_]:
         """Mask (M,) of valves whose newest sample will be too old before the next publication."""
@@ -547,13 +542,13 @@ class LiveService:
         return (then > self._settings.stale_after_s) & ~self.identification.holds()
 
     def _situation(self, valve: int) -> Situation:
-        armed = self.identification.is_armed(valve)
+        armed = self.identification.armed.is_armed(valve)
         connected = bool(self._connected[valve])
         if not (armed and connected):
             return Situation(armed, connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
         behind = float(self._ages(slice(valve, valve + 1))[0])
-        answer, status = self.identification.required(valve)
+        answer, status = self.identification.answers.required(valve)
         return Situation(
             armed=armed,
             connected=True,

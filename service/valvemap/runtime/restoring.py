@@ -24,7 +24,7 @@ def restore(
     StorageError
         if states cannot be set aside: the next save would replace them.
     """
-    reviewed = identification.review(stored)
+    reviewed = identification.states.review(stored)
     restored, refused = identification.restore(reviewed.checkpoints)
     _put_aside(identification, store, reviewed, refused)
     if store.damaged:

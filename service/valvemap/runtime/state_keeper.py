@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -87,10 +87,6 @@ class StateKeeper:
         if self.file_lost:
             return math.inf
         return now - (self._began if math.isnan(self.kept_at) else self.kept_at)
-
-    def states(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """Return the checkpoints of the given valves, or of all."""
-        return self._identification.kept(valves)
 
     async def settle(self) -> None:
         """Wait for the save in progress."""
@@ -200,7 +196,7 @@ class StateKeeper:
     def _states_of(self, valves: Sequence[int]) -> list[Checkpoint]:
         """Pack the valves together, or one by one if that raises; stop the lane that fails."""
         try:
-            return self.states(valves)
+            return self._identification.states.kept(valves)
         except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
             if len(valves) == 1:
                 self._identification.stop(valves[0], Step.CHECKPOINT, error)
