@@ -75,7 +75,7 @@ def test_estimators_and_alarms_are_those_of_the_results(known):
     text = text_of(metrics)
     for name in GROUPS:
         whole = worker._held[name].group.identification
-        for results in whole.results(range(len(whole.plans))):
+        for results in whole.results.of(range(len(whole.plans))):
             for m, number in enumerate(results.valves.tolist()):
                 valve = whole.plans[number].name
                 for estimator, found in results.estimators.items():

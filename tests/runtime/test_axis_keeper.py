@@ -39,7 +39,7 @@ async def turn(live, keeper, clock, seconds=10.0):
     clock.advance(seconds)
     await keeper.keep_if_due()
     await live.tick()
-    await live.settle()
+    await live.keeper.settle()
 
 
 def alarm_of(sink):

@@ -371,8 +371,8 @@ class LiveService:
         other_s = math.nan if elsewhere is None else elsewhere.age_s(now)
         alarms = self._watch_service(now, other_s)
         known_s = other_s if math.isfinite(other_s) else math.nan
-        age_s = float(np.fmax(now - self._keeper.kept_at, known_s))
-        failures = self._keeper.failures + (0 if elsewhere is None else elsewhere.failures)
+        age_s = float(np.fmax(now - self.keeper.kept_at, known_s))
+        failures = self.keeper.failures + (0 if elsewhere is None else elsewhere.failures)
         await self._sink.show_health(
             Health(
                 age_s=self._ages(),
