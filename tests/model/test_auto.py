@@ -328,6 +328,7 @@ def test_low_and_high_pressures_are_covered_alike():
         assert np.sqrt(np.mean((Q - valve(U, dp)[:500]) ** 2)) < 0.5 * SIGMA
 
 
+@missed("2.1 σ in the minute after")
 def test_an_edge_that_wore_leaves_the_rest_of_the_map_as_it_was():
     """1.3 σ off on average in the minute after, were all that was known as faint as at the edge."""
     worn, end = 20_000, 26_000
