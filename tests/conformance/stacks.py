@@ -9,9 +9,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 from benchmarks.foreign_clients import versions
-from support import go_peer, milo_peer, node_peer
+from support import go_peer, maven_peer, node_peer
 
-O6_CLIENT = Path(__file__).parents[1] / "support" / "o6_client.py"
+TESTS = Path(__file__).parents[1]
+O6_CLIENT = TESTS / "support" / "o6_client.py"
+MILO_CLIENT = TESTS / "opcua" / "milo_client"
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ def _of_node_opcua():
 
 
 def _of_milo():
-    pom = (milo_peer.FOLDER / "pom.xml").read_text(encoding="utf-8")
+    pom = (MILO_CLIENT / "pom.xml").read_text(encoding="utf-8")
     return re.search(r"milo-sdk-client</artifactId>\s*<version>([\d.]+)", pom)[1]
 
 
@@ -37,6 +39,9 @@ STACKS = {
         lambda cache: node_peer.program(cache("node_peer"), "client.cjs"), _of_node_opcua
     ),
     "gopcua": Stack(lambda _: go_peer.program(), lambda: versions()["gopcua"]),
-    "Eclipse Milo": Stack(lambda cache: milo_peer.program(cache("milo_client")), _of_milo),
+    "Eclipse Milo": Stack(
+        lambda cache: maven_peer.program(MILO_CLIENT, "valvemap.Client", cache("milo_client")),
+        _of_milo,
+    ),
     "open62541, in o6": Stack(lambda _: (sys.executable, O6_CLIENT), lambda: version("o6")),
 }
