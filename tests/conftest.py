@@ -1,6 +1,11 @@
 """What all tests share."""
 
+import pytest
 from hypothesis import HealthCheck, settings
+
+pytest.register_assert_rewrite(
+    "support.interoperation", "support.scada_interoperation", "support.source_interoperation"
+)
 
 settings.register_profile(
     "fixed",

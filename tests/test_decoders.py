@@ -47,6 +47,7 @@ NAMES = (
     *(
         "state: arrays",
         "state: axes",
+        "state: watches of axes",
         "file: models",
         "history: blocks",
         "history: sealed blocks",

@@ -125,7 +125,7 @@ def hidden():
             yield pytest.param(name, seed, marks=missed if is_missed else ())
 
 
-@pytest.mark.parametrize(("name", "seed"), hidden())
+@pytest.mark.parametrize(("name", "seed"), list(hidden()))
 def test_a_hidden_cause_is_misfit_without_another_name(name, seed):
     state = learnt(HIDDEN[name], seed, many=20_000)
     assert [one.code for one in FlowMap().findings(state)] == [Code.MISFIT]

@@ -1,15 +1,10 @@
 """What the tests with programs of other stacks share; each module says which ``program`` it is."""
 
-import pytest
 import pytest_asyncio
 
-pytest.register_assert_rewrite(
-    "support.interoperation", "support.scada_interoperation", "support.source_interoperation"
-)
-
-from support.interoperation import Asking, raised  # noqa: E402 - after what it says above
-from support.peer import Peer  # noqa: E402
-from support.source_interoperation import planted  # noqa: E402
+from support.interoperation import Asking, raised
+from support.peer import Peer
+from support.source_interoperation import planted
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import count
 
 import numpy as np
@@ -45,6 +46,7 @@ from valvemap.kafka.commands import Command, Reply, read_command, read_reply, wr
 from valvemap.kafka.memory import Columns, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
 from valvemap.model.axis import SIZE, AxisGeometry, AxisRegression
+from valvemap.model.axis_condition import Condition, Reference
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.maximum_likelihood import MaximumLikelihood
@@ -60,8 +62,10 @@ from valvemap.page.viewers import _request
 from valvemap.pipeline import kept_axes, ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import WATCH, Axis, AxisPlan
+from valvemap.pipeline.axis_watch import AxisWatch
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.kept_watches import pack_watch
 from valvemap.pipeline.ports import AlarmReport
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing
@@ -202,7 +206,10 @@ def _of_states():
     arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), optional=(("T",),)))
     arrivals.take(as_changes(plant(20)))
     found["state: axes"] = Decoder(
-        Axis(_AXIS).resume, lambda: [_packed_axis()], (StateMismatchError,)
+        partial(Axis(_AXIS).resume, "Press"), lambda: [_packed_axis()], (StateMismatchError,)
+    )
+    found["state: watches of axes"] = Decoder(
+        partial(Axis(_AXIS).resume, WATCH), lambda: [_packed_watch()], (StateMismatchError,)
     )
     found["state: arrays"] = Decoder(_arrays_of, _arrays, (StateMismatchError,))
     found["state: arrivals"] = Decoder(
@@ -219,6 +226,14 @@ def _packed_axis():
     of_shape = np.zeros((SIZE, SIZE))
     learnt = kept_axes.Learnt(regression, regression.initial_state(), of_shape)
     return kept_axes.pack(learnt, Axis(_AXIS).key)
+
+
+def _packed_watch():
+    regression = AxisRegression(_AXIS.geometry, play_percent=2.0, spool_hz=40.0)
+    square, state = np.zeros((SIZE, SIZE)), regression.initial_state()
+    reference = Reference(np.zeros(SIZE), np.eye(SIZE), 1.0, 1.0)
+    watch = AxisWatch(regression, 1800.0, square, reference, state, state, Condition.initial())
+    return pack_watch(watch, Axis(_AXIS).key)
 
 
 def _of_history():

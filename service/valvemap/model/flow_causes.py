@@ -2,11 +2,12 @@
 
 The log likelihood of the last n samples, up to a constant, is
 
-    L = -n / 2 · ln(mean square of the innovations of what a coarse map leaves)
+    L = -n·(1 - ρ) / (1 + ρ) / 2 · ln(mean square of what a coarse map leaves)
 
-see `kernels.flow_evidence`. All operators have the same odds before anything is known: one is taken
-where it gains `rules.CLEAR`, and one that is there is kept until the rows are likelier without it
-by `rules.STILL_CLEAR`.
+with ρ the correlation of successive residuals, that of the better model in a comparison. All
+operators have the same odds before anything is known: one is taken where it gains `rules.CLEAR`,
+and `rules.CLEAR_BESIDE_WANDER` where something may wander (`kernels.flow_evidence`). One that is
+there is kept until the rows are likelier without it by `rules.STILL_CLEAR`.
 
 Several combinations are followed at once. Each grows by the operators that explain most of the
 residual together with a change of those that are there; then all parameters are refined jointly.
@@ -149,18 +150,19 @@ def _best(evidence: Evidence, scored: Iterable[tuple[float, Floats]]) -> list[Fl
 def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
     """Drop operators that gain too little, the least first; known ones are kept unless refuted."""
     while True:
-        short = [
-            (evidence.gain(at, with_value(at, k, 0.0)) - _bar(at, k, given), k)
-            for k in map(int, np.flatnonzero(at))
-        ]
+        short = [(_surplus(evidence, at, k, given), k) for k in map(int, np.flatnonzero(at))]
         if not short or min(short)[0] >= 0.0:
             return at
         at = with_value(at, min(short)[1], 0.0)
 
 
-def _bar(at: Floats, k: int, given: Floats) -> float:
-    """What operator k has to gain: less if it was known and is there still."""
-    return -rules.STILL_CLEAR if at[k] > rules.OTHER * given[k] > 0.0 else rules.CLEAR
+def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
+    """By how much operator k gains more than it has to: less if it was known and is there still."""
+    without = with_value(at, k, 0.0)
+    gain, beside = evidence.gain(at, without), evidence.gain_beside_wander(at, without)
+    if at[k] > rules.OTHER * given[k] > 0.0:
+        return min(gain, beside) + rules.STILL_CLEAR
+    return min(gain - rules.CLEAR, beside - rules.CLEAR_BESIDE_WANDER)
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:

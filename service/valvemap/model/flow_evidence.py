@@ -84,15 +84,16 @@ class Evidence:
         return slope
 
     def gain(self, better: Floats, than: Floats) -> float:
-        """Log likelihood ratio, the smaller one of two kinds of noise.
-
-        Coloured noise makes fewer samples worth; what wanders follows a residual as it moves.
-        """
+        """Log likelihood ratio: coloured noise makes fewer samples worth."""
         one, other = self.of(better), self.of(than)
         rho = one.rho if one.square <= other.square else other.rho
         rho = min(max(rho, 0.0), rules.MOST_COLOUR)
-        coloured = self.gain_if_white(better, than) * (1.0 - rho) / (1.0 + rho)
-        return min(coloured, _ratio(one.innovation, other.innovation, one.rows))
+        return self.gain_if_white(better, than) * (1.0 - rho) / (1.0 + rho)
+
+    def gain_beside_wander(self, better: Floats, than: Floats) -> float:
+        """Log likelihood ratio where something may wander, which follows a residual as it moves."""
+        one, other = self.of(better), self.of(than)
+        return _ratio(one.innovation, other.innovation, one.rows)
 
     def gain_if_white(self, better: Floats, than: Floats) -> float:
         """Log likelihood ratio of white noise."""

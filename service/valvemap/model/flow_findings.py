@@ -149,11 +149,12 @@ def _changes(state: FlowMapState) -> Iterator[Finding]:
     counters = state.counters
     since = 1e-9 * float(max(counters[memory.CLOCK : memory.CLOCK + 2]))
     since -= 1e-9 * float(counters[memory.CHANGE_TIME])
-    if not counters[memory.CHANGES] or since > rules.SAID_FOR:
+    of = float(state.stay[memory.CHANGE_OF])  # 0: it has no name
+    if not counters[memory.CHANGES] or since > rules.SAID_FOR or of == 0.0:
         return
-    side, kind = divmod(int(counters[memory.CHANGE_KIND]), drifts.MODELS)
+    side, kind = divmod(int(counters[memory.CHANGE_KIND]), drifts.NAMED)
     code, scale, unit, what = CHANGES[kind != drifts.OTHER_GAIN]
-    size = f"{scale * float(state.stay[memory.CHANGE_OF]):+.3g} {unit}"
+    size = f"{scale * of:+.3g} {unit}"
     when = _utc(int(counters[memory.CHANGE_TIME]))
     text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when} UTC."
     explains = 1.0 - float(hidden(state))

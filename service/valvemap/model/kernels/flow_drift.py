@@ -6,6 +6,9 @@
     MOVING           their rates are processes of standard deviation RATE, time constant PERSISTENCE
     OTHER_GAIN       a has changed by anything, not long ago
     OTHER_EDGE       e has
+
+Beside them, with a probability of its own against all of them:
+
     WANDERING        a, e go wherever something without a name takes them, within seconds
 
 An interacting multiple model filter (Blom & Bar-Shalom 1988) over stays: successive samples in one
@@ -20,7 +23,8 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Floats
 
-STILL, MOVING, OTHER_GAIN, OTHER_EDGE, WANDERING, MODELS = 0, 1, 2, 3, 4, 5
+STILL, MOVING, OTHER_GAIN, OTHER_EDGE, NAMED = 0, 1, 2, 3, 4
+WANDERING, MODELS = NAMED, NAMED + 1
 LEVELS, RATES, STATES = 2, 4, 9  # states from LEVELS on are rates; from RATES on, effects of T
 
 # Places of a state.
@@ -35,7 +39,7 @@ class Drift(NamedTuple):
     x : (MODELS, STATES)
     P : (MODELS, STATES, STATES)
     chance : (MODELS,)
-        Probabilities of the models.
+        Probabilities of the named models, which sum to 1; that of WANDERING.
     now : (1 + STATES, STATES)
         Mean over the models, then the covariance.
     room : (2, MODELS, STATES + 1, STATES)
@@ -109,15 +113,18 @@ def step(
             x[k] += heavy * said[0, k] * off / S
             for j in range(STATES):
                 P[k, j] -= heavy * said[0, k] * said[0, j] / S
-        surprise += drift.chance[m] * min(square, rules.MOST_STAY**2)
+        if m < NAMED:
+            surprise += drift.chance[m] * min(square, rules.MOST_STAY**2)
         log = -0.5 * (math.log(S) + min(square, rules.MOST_STAY**2))
         drift.room[1, m, 0, 0] = log
         largest = max(largest, log)
-    for m in range(MODELS):
+    for m in range(NAMED):
         drift.chance[m] *= math.exp(drift.room[1, m, 0, 0] - largest)
         total += drift.chance[m]
-    for m in range(MODELS):
+    for m in range(NAMED):
         drift.chance[m] /= total
+    wanders = drift.chance[WANDERING] * math.exp(drift.room[1, WANDERING, 0, 0] - largest)
+    drift.chance[WANDERING] = wanders / (wanders + (1.0 - drift.chance[WANDERING]) * total)
     _combine(drift)
     return surprise
 
@@ -126,11 +133,6 @@ def step(
 def _transition(m: int, k: int, dt: float, jump: float) -> float:
     """Probability of going from model m to model k within ``dt``."""
     over = min(dt / rules.AFTER_JUMP, 0.5)
-    if m == WANDERING:
-        calm = min(dt / rules.PERSISTENCE, 0.1)
-        return 1.0 - calm if k == m else (calm if k == STILL else 0.0)
-    if k == WANDERING:
-        return rules.ODDS * jump if m <= MOVING else 0.0
     if k >= OTHER_GAIN:
         if m >= OTHER_GAIN:
             return 1.0 - over if m == k else 0.0
@@ -138,17 +140,18 @@ def _transition(m: int, k: int, dt: float, jump: float) -> float:
     if m >= OTHER_GAIN:
         return 0.9 * over if k == STILL else 0.1 * over
     change = min(dt / (rules.BETWEEN_DRIFTS if m == STILL else rules.PERSISTENCE), 0.1)
-    return (change if m != k else 1.0 - change) * (1.0 - (1.0 + rules.ODDS) * jump)
+    return (change if m != k else 1.0 - change) * (1.0 - jump)
 
 
 @inner
 def _mix(drift: Drift, dt: float, jumps: float) -> None:
     """Give each model what the others know, as far as they may turn into it."""
+    _let_wander(drift, dt, jumps)
     x, P, chance, room = drift.x, drift.P, drift.chance, drift.room
-    for k in range(MODELS):
+    for k in range(NAMED):
         room[0, k] = 0.0
         total = 0.0
-        for m in range(MODELS):
+        for m in range(NAMED):
             part = _transition(m, k, dt, jumps) * chance[m]
             room[1, m, 0, k] = part
             total += part
@@ -158,7 +161,7 @@ def _mix(drift: Drift, dt: float, jumps: float) -> None:
         total = max(total, 1e-300)
         for i in range(STATES):
             room[0, k, 0, i] /= total
-        for m in range(MODELS):
+        for m in range(NAMED):
             part = room[1, m, 0, k] / total
             for i in range(STATES):
                 for j in range(STATES):
@@ -168,12 +171,29 @@ def _mix(drift: Drift, dt: float, jumps: float) -> None:
                 room[0, k, 1, 0] += part * rules.JUMP_GAIN**2
             if k == OTHER_EDGE and m < OTHER_GAIN:
                 room[0, k, 2, 1] += part * rules.JUMP_EDGE**2
-    for k in range(MODELS):
+    for k in range(NAMED):
         chance[k] = room[1, k, 1, 0]
         for i in range(STATES):
             x[k, i] = room[0, k, 0, i]
             for j in range(STATES):
                 P[k, i, j] = room[0, k, 1 + i, j]
+
+
+@inner
+def _let_wander(drift: Drift, dt: float, jumps: float) -> None:
+    """Something without a name begins ODDS times as often as sudden changes, where all is still."""
+    x, P, chance = drift.x, drift.P, drift.chance
+    stays = chance[WANDERING] * (1.0 - min(dt / rules.PERSISTENCE, 0.1))
+    begins = (1.0 - chance[WANDERING]) * rules.ODDS * jumps
+    chance[WANDERING] = stays + begins
+    share = begins / max(stays + begins, 1e-300)
+    for i in range(STATES):
+        for j in range(STATES):
+            off = (x[STILL, i] - x[WANDERING, i]) * (x[STILL, j] - x[WANDERING, j])
+            P[WANDERING, i, j] += share * (P[STILL, i, j] - P[WANDERING, i, j])
+            P[WANDERING, i, j] += share * (1.0 - share) * off
+    for i in range(STATES):
+        x[WANDERING, i] += share * (x[STILL, i] - x[WANDERING, i])
 
 
 @inner
@@ -211,24 +231,20 @@ def _advance(drift: Drift, dt: float) -> None:
 
 @inner
 def _combine(drift: Drift) -> None:
-    """Mean and covariance over the models.
+    """Mean and covariance over the named models.
 
-    What has no name may be neither gain nor edge: while something wanders, they have the mean of
-    the other models, and a doubt as large as a sudden change.
+    What has no name may be neither gain nor edge: while something wanders, they have a doubt as
+    large as a sudden change besides.
     """
     x, P, chance, now = drift.x, drift.P, drift.chance, drift.now
-    named = 0.0
-    for m in range(WANDERING):
-        named += chance[m]
-    named = max(named, 1e-300)
     now[:] = 0.0
-    for m in range(WANDERING):
+    for m in range(NAMED):
         for k in range(STATES):
-            now[0, k] += chance[m] / named * x[m, k]
-    for m in range(WANDERING):
+            now[0, k] += chance[m] * x[m, k]
+    for m in range(NAMED):
         for k in range(STATES):
             for j in range(STATES):
                 off = (x[m, k] - now[0, k]) * (x[m, j] - now[0, j])
-                now[1 + k, j] += chance[m] / named * (P[m, k, j] + off)
+                now[1 + k, j] += chance[m] * (P[m, k, j] + off)
     now[1 + GAIN, GAIN] += chance[WANDERING] * rules.JUMP_GAIN**2
     now[1 + EDGE, EDGE] += chance[WANDERING] * rules.JUMP_EDGE**2

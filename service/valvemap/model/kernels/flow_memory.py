@@ -16,7 +16,7 @@ CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15,
 # STAYS: of one visit; BEGAN: samples when the map began again
 ROWS_SEEN, LAST_TIME, NEXT_LOOK, CENSORED = 17, 18, 19, 20  # rows of `recent` so far; ns; samples
 WATCHED = 21  # rows of `recent` that were searched for a least flow
-CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus MODELS where U < 0
+CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus NAMED where U < 0
 DOUBTED = 23  # 1 where a change was called and may be the meter's end
 CALM = 24  # samples when it was last forgotten what moves
 RESTARTED = 25  # samples when the map began again, those that it then learnt once more included

@@ -141,8 +141,8 @@ SHARES_COARSE: Final = (
 )  # of U_end; its knots
 WANDERS: Final = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)  # of an innovation; what stays in a
 # residual that wanders, of which the likeliest is taken
-CLEAR: Final = 50.0  # log likelihood from which on an operator is taken: true ones gain 59-560,
-# what only seems to be there 47
+CLEAR: Final = 40.0  # log likelihood from which on an operator is taken
+CLEAR_BESIDE_WANDER: Final = 20.0  # the same where something may wander: true ones gain 30 or more
 STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
 MOST_OPERATORS: Final = 4  # taken in one look
 SHARES_TOP: Final = (0.9, 0.97, 1.0)  # of the readings; where a meter's end is looked for

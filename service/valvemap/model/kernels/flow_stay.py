@@ -231,22 +231,24 @@ def _warmed(side: int, scalars: Floats) -> float:
 
 @inner
 def _note_change(drift: Drift, side: int, now: int, residual: float, memory: Memory) -> None:
-    """Note when something without a name moved the flow, and a sudden change that is certain."""
+    """Count a sudden change that is certain, and note how much of what it is, if it has a name."""
     counters, stay = memory.counters, memory.stay
-    if drift.chance[drifts.WANDERING] > rules.CERTAIN:
+    changed_s = 1e-9 * float(now - counters[CHANGE_TIME])
+    if drift.chance[drifts.WANDERING] > rules.CERTAIN and changed_s > rules.AFTER_JUMP:
         counters[WANDERED] = now
     jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
-    if jumped > rules.CERTAIN and not counters[ALARMED]:
+    moved = max(jumped, drift.chance[drifts.WANDERING])
+    if moved > rules.CERTAIN and not counters[ALARMED]:
         counters[ALARMED] = 1
         counters[CHANGES] += 1
         counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
-        stay[CHANGE_SIZE] = residual
+        stay[CHANGE_SIZE], stay[CHANGE_OF] = residual, 0.0
         for k in range(drifts.LEVELS):
             stay[BEFORE + k] = drift.x[drifts.STILL, k]
-    elif jumped < rules.OVER and 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP:
+    elif moved < rules.OVER and changed_s > rules.AFTER_JUMP:
         counters[ALARMED] = 0
     if counters[ALARMED] and jumped > rules.CERTAIN:
         of_gain = drift.chance[drifts.OTHER_GAIN] > drift.chance[drifts.OTHER_EDGE]
         kind, k = (drifts.OTHER_GAIN, 0) if of_gain else (drifts.OTHER_EDGE, 1)
-        counters[CHANGE_KIND] = kind + side * drifts.MODELS
+        counters[CHANGE_KIND] = kind + side * drifts.NAMED
         stay[CHANGE_OF] = drift.x[kind, k] - stay[BEFORE + k]
