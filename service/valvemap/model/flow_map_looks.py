@@ -274,6 +274,7 @@ def _begin_coarse(state: FlowMapState, both: Both, rows: Floats) -> None:
     evidence.fill(given, *both, state.theta)
     scale = float(state.scalars[flow_fit.SCALE])
     state.std[:] = rules.COARSE * math.sqrt(scale)
+    state.scalars[flow_fit.VARIANCE] = left  # what it was before came from another map
     state.path[flow_path.FLOOR] = rules.OF_COARSE * left if flow_path.has_filter(given) else 0.0
     state.counters[flow_memory.FITTED] = 1
     state.counters[flow_memory.NEXT_FIT] = state.counters[flow_memory.USED] + len(rows) + 1
