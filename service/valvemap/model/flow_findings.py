@@ -169,10 +169,11 @@ def _compensator(state: FlowMapState, both: Both) -> Iterator[Finding]:
     U = np.repeat(high * np.array(rules.OPEN), 2)
     dp = np.tile(top * np.array(rules.FAR_APART), len(rules.OPEN))
     Q, std = flow_map_looks.predict(state, both, U, dp, np.full(len(U), np.nan))
-    low, high_Q = Q[::2], Q[1::2]
+    low, high_Q, doubt = Q[::2], Q[1::2], std[::2] + std[1::2]
+    if not (np.isfinite(Q + std).all() and (low > doubt).all()):
+        return
     rise = np.abs(high_Q / low - 1.0)
-    doubt = np.abs(std[::2] / low) + np.abs(std[1::2] / low)
-    if np.isfinite(rise).all() and (rise + 2.0 * doubt < rules.HARDLY_RISES).all():
+    if (rise + 2.0 * doubt / low < rules.HARDLY_RISES).all():
         share = float(np.mean(rise))
         text = f"From {dp[0]:.3g} to {dp[1]:.3g} bar the flow changes by {100 * share:.2g} % only."
         yield Finding(FindingCode.COMPENSATOR, rules.CERTAIN, text)
