@@ -157,6 +157,15 @@ def test_a_state_of_before_nameless_causes_keeps_all_that_was_learnt():
         FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
 
 
+def test_a_valve_that_stays_shut_is_no_compensator():
+    t, dp = np.arange(100) * 10_000_000, np.linspace(20, 180, 100)
+    samples = Samples.of(t, 0 * dp, dp, 0 * dp, np.full(100, 1e-3))
+    state, _ = FlowMap().update(FlowMap().initial_state(), samples)
+    U = np.array([50.0, 90.0])
+    assert FlowMap().predict(state, U, np.full(2, 160.0), np.full(2, 40.0))[0].tolist() == [0, 0]
+    assert FlowMap().findings(state) == ()
+
+
 def test_before_the_first_fit_there_is_nothing_to_say():
     assert FlowMap().findings(FlowMap().initial_state()) == ()
 
