@@ -22,13 +22,46 @@ class Learnt:
 
 
 @dataclass(frozen=True)
-class _Kept(State):
-    """What is stored of an axis."""
+class KeptShape(State):
+    """What is stored of a regression: its period, play, spool, and the covariance due to both."""
 
     period_s: Any
     play_percent: Any
     lag_s: Any
     of_shape: Any
+
+    def contents(self) -> Mapping[str, Contents]:
+        """Return the permitted content."""
+        return {
+            "period_s": Contents(self.period_s).within(1e-6, 1.0),
+            "play_percent": Contents(self.play_percent).within(0.0, 100.0),
+            "lag_s": Contents(self.lag_s).within(0.0, 10.0),
+        }
+
+    def of(self, geometry: AxisRegression) -> AxisRegression:
+        """Return the regression with the geometry and the memory of another one."""
+        lag_s = float(self.lag_s)
+        return replace(
+            geometry,
+            period_s=float(self.period_s),
+            play_percent=float(self.play_percent),
+            spool_hz=1.0 / lag_s if lag_s > 0.0 else np.inf,
+        )
+
+
+def shape_of(one: AxisRegression) -> dict[str, Any]:
+    """Return the numbers of a regression as `KeptShape` has them."""
+    return {
+        "period_s": np.array(one.period_s),
+        "play_percent": np.array(one.play_percent),
+        "lag_s": np.array(1.0 / one.spool_hz),
+    }
+
+
+@dataclass(frozen=True)
+class _Kept(KeptShape):
+    """What is stored of an axis."""
+
     last: Any
     memory: Any
     filtered: Any
@@ -44,9 +77,7 @@ class _Kept(State):
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
         return {
-            "period_s": Contents(self.period_s).within(1e-6, 1.0),
-            "play_percent": Contents(self.play_percent).within(0.0, 100.0),
-            "lag_s": Contents(self.lag_s).within(0.0, 10.0),
+            **super().contents(),
             "last": Contents(self.last).any_time(),
             "memory": Contents(self.memory).or_nan(),
         }
@@ -54,11 +85,8 @@ class _Kept(State):
 
 def pack(learnt: Learnt, key: str) -> bytes:
     """Return the state as bytes, bound to ``key``."""
-    one = learnt.regression
     return _Kept(
-        period_s=np.array(one.period_s),
-        play_percent=np.array(one.play_percent),
-        lag_s=np.array(1.0 / one.spool_hz),
+        **shape_of(learnt.regression),
         of_shape=learnt.of_shape,
         **vars(learnt.state),
     ).to_bytes(key)
@@ -75,12 +103,5 @@ def unpack(packed: bytes, key: str, regression: AxisRegression) -> Learnt:
     kept = _Kept.from_bytes(packed, key)
     fresh, zero = vars(regression.initial_state()), np.array(0.0)
     kept.check(_Kept(zero, zero, zero, np.zeros((SIZE, SIZE)), **fresh))
-    lag_s = float(kept.lag_s)
-    found = replace(
-        regression,
-        period_s=float(kept.period_s),
-        play_percent=float(kept.play_percent),
-        spool_hz=1.0 / lag_s if lag_s > 0.0 else np.inf,
-    )
     state = AxisState(**{name: getattr(kept, name) for name in fresh})
-    return Learnt(found, state, kept.of_shape)
+    return Learnt(kept.of(regression), state, kept.of_shape)

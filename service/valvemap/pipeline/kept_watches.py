@@ -9,20 +9,16 @@ import numpy as np
 from valvemap.model.axis import SIZE, AxisRegression, with_theta
 from valvemap.model.axis_condition import Condition, Reference
 from valvemap.model.contents import Contents
-from valvemap.model.estimator import State
 from valvemap.pipeline.axis_watch import SUMS, AxisWatch
+from valvemap.pipeline.kept_axes import KeptShape, shape_of
 
 _OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
 
 
 @dataclass(frozen=True)
-class _KeptWatch(State):
+class _KeptWatch(KeptShape):
     """What is stored of a watch; windows that have not joined the reference are not."""
 
-    period_s: Any
-    play_percent: Any
-    lag_s: Any
-    of_shape: Any
     theta: Any
     precision: Any
     variance: Any
@@ -41,9 +37,7 @@ class _KeptWatch(State):
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
         return {
-            "period_s": Contents(self.period_s).within(1e-6, 1.0),
-            "play_percent": Contents(self.play_percent).within(0.0, 100.0),
-            "lag_s": Contents(self.lag_s).within(0.0, 10.0),
+            **super().contents(),
             "variance": Contents(self.variance).within(0.0),
             "together": Contents(self.together).within(1.0),
             "squares": Contents(self.squares).within(0.0),
@@ -55,11 +49,9 @@ class _KeptWatch(State):
 
 def pack_watch(watch: AxisWatch, key: str) -> bytes:
     """Return the watch as bytes, bound to ``key``."""
-    one, reference, condition = watch.regression, watch.reference, watch.condition
+    reference, condition = watch.reference, watch.condition
     return _KeptWatch(
-        period_s=np.array(one.period_s),
-        play_percent=np.array(one.play_percent),
-        lag_s=np.array(1.0 / one.spool_hz),
+        **shape_of(watch.regression),
         of_shape=watch.of_shape,
         theta=reference.theta,
         precision=reference.precision,
@@ -88,16 +80,8 @@ def unpack_watch(packed: bytes, key: str, regression: AxisRegression) -> AxisWat
     like |= {name: getattr(initial, name) for name in SUMS}
     like |= {name: getattr(fresh, name) for name in _OF_CONDITION}
     kept.check(_KeptWatch(**like))
-    lag_s = float(kept.lag_s)
-    found = replace(
-        regression,
-        period_s=float(kept.period_s),
-        play_percent=float(kept.play_percent),
-        spool_hz=1.0 / lag_s if lag_s > 0.0 else np.inf,
-        memory_s=np.inf,
-    )
     return AxisWatch(
-        found,
+        replace(kept.of(regression), memory_s=np.inf),
         regression.memory_s,
         kept.of_shape,
         Reference(kept.theta, kept.precision, float(kept.variance), float(kept.together)),
