@@ -5,7 +5,11 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from valvemap.config.feed_forward import AxisFeedForwardConfig, check_feed_forward
+from valvemap.config.feed_forward import (
+    AxisFeedForwardConfig,
+    check_command_unit,
+    check_feed_forward,
+)
 from valvemap.config.ports import check_each_once, node_id
 from valvemap.config.sections import Section
 from valvemap.config.signals import SignalConfig
@@ -150,13 +154,11 @@ class AxisConfig(Section):
 
     @model_validator(mode="after")
     def _command_has_a_unit(self) -> Self:
-        is_own = self.signals.measure("U").scaling("U").is_identity
-        said = {"unit", "raw"} & self.signals.required_U.model_fields_set
-        if self.nodes.required_U is not None and not is_own and not said:
-            raise ValueError(
-                "signals.required_U: unit, or raw and range, must say in what the command is "
-                'written, because U does not come in %; unit = "%" where it does'
-            )
+        check_command_unit(
+            self.signals.measure("U").scaling("U"),
+            self.signals.required_U.model_fields_set,
+            is_written=self.nodes.required_U is not None,
+        )
         return self
 
     @model_validator(mode="after")

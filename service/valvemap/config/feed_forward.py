@@ -1,10 +1,12 @@
 """Configuration of feed-forward, of valves and of axes."""
 
+from collections.abc import Collection
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from valvemap.config.sections import Section
+from valvemap.pipeline.units import Scaling
 
 Percent = Annotated[float, Field(ge=0.0, le=100.0)]
 SignedPercent = Annotated[float, Field(ge=-100.0, le=100.0)]
@@ -77,4 +79,19 @@ def check_feed_forward(
         raise ValueError(
             "feed_forward.fallback = 'hand_back': nodes.heartbeat is needed; the source would "
             "not know"
+        )
+
+
+def check_command_unit(U: Scaling, said: Collection[str], *, is_written: bool) -> None:
+    """Check that it is known in what the command is written; ``said`` are its given settings.
+
+    Raises
+    ------
+    ValueError
+        if U does not come in % and the command's unit is not given.
+    """
+    if is_written and not U.is_identity and not {"unit", "raw"} & set(said):
+        raise ValueError(
+            "signals.required_U: unit, or raw and range, must say in what the command is "
+            'written, because U does not come in %; unit = "%" where it does'
         )

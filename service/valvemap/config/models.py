@@ -23,7 +23,7 @@ from valvemap.config.estimators import (
     EstimatorConfig,
     default_estimators,
 )
-from valvemap.config.feed_forward import FeedForwardConfig, check_feed_forward
+from valvemap.config.feed_forward import FeedForwardConfig, check_command_unit, check_feed_forward
 from valvemap.config.logs import LogConfig
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
@@ -435,13 +435,11 @@ class ValveConfig(Section):
 
     @model_validator(mode="after")
     def _command_has_a_unit(self) -> Self:
-        is_own = self.signals.U.measure("U").scaling("U").is_identity
-        said = {"unit", "raw"} & self.signals.required_U.model_fields_set
-        if self.nodes.required_U is not None and not is_own and not said:
-            raise ValueError(
-                "signals.required_U: unit, or raw and range, must say in what the command is "
-                'written, because U does not come in %; unit = "%" where it does'
-            )
+        check_command_unit(
+            self.signals.U.measure("U").scaling("U"),
+            self.signals.required_U.model_fields_set,
+            is_written=self.nodes.required_U is not None,
+        )
         return self
 
     @model_validator(mode="after")
