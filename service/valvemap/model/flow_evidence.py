@@ -46,8 +46,8 @@ class Evidence:
         self.rows, self.Q, self._top = rows, rows[:, paths.LEFT_Q], float(axis_s.breaks[-1])
         self.step = float(np.median(rows[:, paths.STEP])) if len(rows) else 0.0
         self._axis = coarse(axis_U.breaks[0], axis_U.breaks[-1])
-        self.used = np.zeros(len(rows), np.bool_)
-        flow_evidence.counted(rows, self.used)
+        self._used = np.zeros(len(rows), np.bool_)
+        flow_evidence.counted(rows, self._used)
         self._known: dict[tuple[float, ...], Left] = {}
 
     def of(self, given: Floats) -> Left:
@@ -67,7 +67,7 @@ class Evidence:
         ridge = rules.RIDGE if near is None else 1.0
         residual, out = np.empty(len(self.rows)), np.empty(4)
         flow_evidence.leftover(
-            self._axis, self._top, self.rows, self.used, given, ridge, b, residual, out
+            self._axis, self._top, self.rows, self._used, given, ridge, b, residual, out
         )
         return b, Left(float(out[0]), float(out[1]), float(out[2]), float(out[3]), residual)
 

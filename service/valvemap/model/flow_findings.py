@@ -56,19 +56,21 @@ def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
     """Causes of a probability above `rules.WORTH_SAYING`, the likeliest first."""
     if not state.counters[memory.FITTED]:
         return ()
-    found = [*_operators(state), *_pump(state), *_play(state), *_moving(state), *_changes(state)]
-    found += [*_compensator(state, both), *_misfit(state)]
+    nameless = float(hidden(state))
+    explained = 1.0 - nameless  # what drift or a change explains leaves nothing nameless
+    found = [*_operators(state), *_pump(state), *_play(state), *_moving(state, explained)]
+    found += [*_changes(state, explained), *_compensator(state, both), *_misfit(state, nameless)]
     likely = (one for one in found if one.probability > rules.WORTH_SAYING)
     return tuple(sorted(likely, key=lambda one: (-one.probability, one.code)))
 
 
 def hidden(states: FlowMapState) -> Floats:
     """Probability that something moves the flow for which there is no name, of each model (…,)."""
-    nameless = rules.CERTAIN * wandered(states), _in_common(states), _surprising(states)
+    nameless = rules.CERTAIN * _wandered(states), _in_common(states), _surprising(states)
     return np.asarray(np.max(nameless, axis=0))
 
 
-def wandered(states: FlowMapState) -> NDArray[np.bool_]:
+def _wandered(states: FlowMapState) -> NDArray[np.bool_]:
     """Whether gain or edge moved within the last hour as no drift and no change does (…,)."""
     last = states.counters[..., memory.WANDERED]
     since = 1e-9 * (states.counters[..., _CLOCKS].max(axis=-1) - last)
@@ -130,12 +132,11 @@ def _sides(state: FlowMapState) -> Iterator[tuple[int, str]]:
             yield side, name
 
 
-def _moving(state: FlowMapState) -> Iterator[Finding]:
+def _moving(state: FlowMapState, explained: float) -> Iterator[Finding]:
     if state.counters[memory.USED] - state.counters[memory.BEGAN] < rules.SETTLED_MAP:
         return
-    explains = 1.0 - float(hidden(state))  # a drift that explains the flow leaves nothing nameless
     for side, name in _sides(state):
-        moving = explains * float(state.chance[side, drifts.MOVING])
+        moving = explained * float(state.chance[side, drifts.MOVING])
         x, P = state.x[side, drifts.MOVING], state.P[side, drifts.MOVING]
         rates = x[drifts.LEVELS : drifts.RATES] * SECONDS_PER_HOUR
         stds = np.sqrt(np.diagonal(P)[drifts.LEVELS : drifts.RATES]) * SECONDS_PER_HOUR
@@ -145,7 +146,7 @@ def _moving(state: FlowMapState) -> Iterator[Finding]:
             yield Finding(code, moving * share, f"The {what} at {name} drifts by {size}.")
 
 
-def _changes(state: FlowMapState) -> Iterator[Finding]:
+def _changes(state: FlowMapState, explained: float) -> Iterator[Finding]:
     counters = state.counters
     since = 1e-9 * float(max(counters[memory.CLOCK : memory.CLOCK + 2]))
     since -= 1e-9 * float(counters[memory.CHANGE_TIME])
@@ -157,8 +158,7 @@ def _changes(state: FlowMapState) -> Iterator[Finding]:
     size = f"{scale * of:+.3g} {unit}"
     when = _utc(int(counters[memory.CHANGE_TIME]))
     text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when} UTC."
-    explains = 1.0 - float(hidden(state))
-    yield Finding(code, rules.CERTAIN * explains, text)
+    yield Finding(code, rules.CERTAIN * explained, text)
 
 
 def _compensator(state: FlowMapState, both: Both) -> Iterator[Finding]:
@@ -179,13 +179,12 @@ def _compensator(state: FlowMapState, both: Both) -> Iterator[Finding]:
         yield Finding(FindingCode.COMPENSATOR, rules.CERTAIN, text)
 
 
-def _misfit(state: FlowMapState) -> Iterator[Finding]:
+def _misfit(state: FlowMapState, nameless: float) -> Iterator[Finding]:
     left, noise = (float(state.scalars[k]) for k in (fits.MISFIT, fits.VARIANCE))
-    nameless = float(hidden(state))
     if nameless > rules.WORTH_SAYING:
         size = math.sqrt(float(state.scalars[fits.SURPRISE]))
         text = f"Flows at known places differ {size:.2g} times as much as noise explains."
-        if wandered(state):
+        if _wandered(state):
             when = _utc(int(state.counters[memory.WANDERED]))
             text = f"Something that is not measured moves the flow, at last at {when} UTC."
         yield Finding(FindingCode.MISFIT, nameless, text)
