@@ -10,6 +10,7 @@ from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import DIAGNOSTICS, INVERSE
 from valvemap.pipeline.axis_ports import AxisOperator, RequiredU
 from valvemap.pipeline.ports import Answer
+from valvemap.vocabulary.commands import NAMED
 from valvemap.vocabulary.statuses import InverseStatus
 
 SPEEDS: Final = (-5_000.0, 5_000.0)  # mm/s; faster than any cylinder
@@ -88,7 +89,7 @@ async def add_set_reference(
         inputs=(),
         outputs=(),
         required=Role.OPERATOR,
-        description="After a repair: learns the axis anew. Findings come again after 210 s of "
+        description="After a repair: learns the axis again. Findings come again after 210 s of "
         "movement, relative to what it is from now on.",
     )
 
@@ -97,19 +98,16 @@ async def add_arming(
     server: HardenedServer, parent: ua.NodeId, axis: str, operator: AxisOperator
 ) -> None:
     """Add the methods Arm and Disarm below the folder of the inverse."""
-    for name, armed, words in (
-        ("Arm", True, "Arm writing of RequiredU to the valve; a restart disarms it."),
-        ("Disarm", False, "Disarm: write nothing more; the source takes its own command."),
-    ):
+    for action, armed in ((NAMED["arm"], True), (NAMED["disarm"], False)):
         await add_method(
             server,
             parent,
-            f"{axis}.{INVERSE}.{name}",
+            f"{axis}.{INVERSE}.{action.method}",
             partial(_arm, operator, axis, armed),
             inputs=(),
             outputs=(),
             required=Role.OPERATOR,
-            description=words,
+            description=action.sentence,
         )
 
 

@@ -63,7 +63,7 @@ def model_change(
     came = [name for name in new if name not in old]
     went = [name for name in old if name not in new]
     changed = [name for name in new if name in old and old[name] != new[name]]
-    return _told("Valves", came, went, changed, index, valve_type, now)
+    return _change_of("Valves", came, went, changed, index, valve_type, now)
 
 
 def axes_change(before: Sequence[str], after: Sequence[str], index: int, now: int) -> Event | None:
@@ -74,10 +74,10 @@ def axes_change(before: Sequence[str], after: Sequence[str], index: int, now: in
     came = [name for name in after if name not in before]
     went = [name for name in before if name not in after]
     kind = ua.NodeId(ua.ObjectIds.BaseObjectType)
-    return _told("Axes", came, went, [], index, kind, now)
+    return _change_of("Axes", came, went, [], index, kind, now)
 
 
-def _told(
+def _change_of(
     what: str,
     came: Sequence[str],
     went: Sequence[str],
