@@ -3,19 +3,14 @@
 Each stack walks, reads and calls by itself; what it counts is a row of `docs/conformance.md`.
 """
 
-import asyncio
 from collections.abc import Mapping
-from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 
 from asyncua import ua
 
 from conformance.past import AGGREGATES, disagreement, past_server
-from guarded_opcua import ServerSettings
-from support.interoperation import raised
+from support.own_servers import rig, service
 from support.peer import Peer
-from valvemap_rig.scenario import BUILTIN
-from valvemap_rig.server import RigServer
 
 ATTRIBUTES = list(range(1, 28))
 READ_AT_ONCE = 500  # nodes per line to a program; each is read in a separate request
@@ -41,29 +36,6 @@ class Swept:
     dead: int  # methods that answer neither that, nor that the arguments are wrong
     codes: int  # variables of codes
     untyped: int  # of these, those that are a bare Int32
-
-
-@asynccontextmanager
-async def rig(_):
-    settings = ServerSettings(
-        url="opc.tcp://127.0.0.1:0/valvemap/rig/",
-        application_uri="urn:test:rig",
-        application_name="rig",
-        namespace_uri="urn:valvemap:rig",
-        none_on_loopback=True,
-    )
-    async with await RigServer.create(settings, BUILTIN["demo"]) as server:
-        playing = asyncio.create_task(server.run())
-        yield server.url
-        playing.cancel()
-        with suppress(asyncio.CancelledError):
-            await playing
-
-
-@asynccontextmanager
-async def service(folder):
-    async with raised(folder, none_on_loopback=True) as stage:
-        yield stage.server.url
 
 
 SERVERS = {"service": service, "rig": rig}

@@ -15,13 +15,6 @@ from valvemap.cli import run
 pytestmark = [pytest.mark.broker, pytest.mark.timeout(600)]
 
 
-@pytest.fixture(scope="module")
-def broker(request, tmp_path_factory):
-    jars = artifacts(request.config.cache.mkdir("kafka"))
-    with brokers(jars, tmp_path_factory.mktemp("kafka")) as (node,):
-        yield f"127.0.0.1:{node.port}"
-
-
 def test_topics_are_made_once_and_every_contradiction_is_named(broker, tmp_path, capsys):
     file = str(write(tmp_path, broker, "made"))
     assert run(["fleet", "topics", "-c", file]) == 0

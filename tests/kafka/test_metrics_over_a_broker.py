@@ -5,8 +5,6 @@ import re
 import httpx
 import pytest
 
-from support.broker import artifacts, brokers
-
 pytest.importorskip("confluent_kafka")
 
 from support.exposition import parsed, promtool_accepts, value
@@ -15,13 +13,6 @@ from support.kafka import members, until
 from support.processes import wait_for
 
 pytestmark = [pytest.mark.broker, pytest.mark.timeout(600)]
-
-
-@pytest.fixture(scope="module")
-def broker(request, tmp_path_factory):
-    jars = artifacts(request.config.cache.mkdir("kafka"))
-    with brokers(jars, tmp_path_factory.mktemp("kafka")) as (node,):
-        yield f"127.0.0.1:{node.port}"
 
 
 def url_of(trial, n, worker):

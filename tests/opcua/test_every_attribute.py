@@ -1,20 +1,15 @@
 """A client reads every attribute of every node, as it does at each click: no request is refused."""
 
-import asyncio
 from collections import Counter
-from contextlib import asynccontextmanager, suppress
 
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
 
-from guarded_opcua import ServerSettings
 from support import go_peer, node_peer
 from support.every_attribute import ATTRIBUTES, every_node, read_every
-from support.interoperation import raised
+from support.own_servers import rig, service
 from support.peer import Peer
-from valvemap_rig.scenario import BUILTIN
-from valvemap_rig.server import RigServer
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -42,29 +37,6 @@ OF_CLASS = {
 }
 ASKED_AT_ONCE = 500  # nodes that a program reads per line, each in a separate request
 FAILED = (Codes.BadInternalError, Codes.BadEncodingError)
-
-
-@asynccontextmanager
-async def rig(_):
-    settings = ServerSettings(
-        url="opc.tcp://127.0.0.1:0/valvemap/rig/",
-        application_uri="urn:test:rig",
-        application_name="rig",
-        namespace_uri="urn:valvemap:rig",
-        none_on_loopback=True,
-    )
-    async with await RigServer.create(settings, BUILTIN["demo"]) as server:
-        playing = asyncio.create_task(server.run())
-        yield server.url
-        playing.cancel()
-        with suppress(asyncio.CancelledError):
-            await playing
-
-
-@asynccontextmanager
-async def service(folder):
-    async with raised(folder, none_on_loopback=True) as stage:
-        yield stage.server.url
 
 
 @pytest_asyncio.fixture(
