@@ -63,7 +63,7 @@ class Standings:
         self._changed: dict[int, int] = {}
 
     def forget_ages(self) -> None:
-        """Measure the samples' ages anew, after a reconnect."""
+        """Measure the samples' ages from scratch, after a reconnect."""
         self._heard.clear()
 
     def silent_s(self, valve: int) -> float:

@@ -180,7 +180,7 @@ GROUP_BLOCK: Final = Series(
 )
 GROUP_TROUBLE: Final = _count(
     "valvemap_group_trouble",
-    "Blocks repeated, missing, begun anew; messages refused; samples ahead; states damaged.",
+    "Blocks repeated, missing, begun again; messages refused; samples ahead; states damaged.",
     "group",
     "what",
 )
