@@ -1,5 +1,11 @@
 """What all tests share."""
 
+import os
+
+# Matrices of tests are small: more threads of BLAS spin, in as many processes as there are. It is
+# read when numpy is imported, also by the processes that tests start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import HealthCheck, settings
 
