@@ -4,8 +4,6 @@ import json
 import re
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 from documentation.bill_of_materials import LOCK, bill_of_materials
 
@@ -16,6 +14,9 @@ def bill():
 
 
 def test_it_is_valid_cyclonedx(bill):
+    from cyclonedx.schema import SchemaVersion  # builds parsers: two seconds of each collection
+    from cyclonedx.validation.json import JsonStrictValidator
+
     assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(bill) is None
 
 
