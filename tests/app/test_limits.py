@@ -5,7 +5,8 @@ import sys
 
 import pytest
 
-from support.processes import free_port, run, service_url
+from support.processes import free_port, service_url
+from valvemap.cli import run
 
 resource = pytest.importorskip("resource")
 
@@ -40,7 +41,7 @@ def test_a_service_with_too_few_descriptors_is_refused_in_one_line(limit, tmp_pa
     data = tmp_path / "data"
     monkeypatch.setenv("VALVEMAP_OPERATOR_PASSWORD", "a long enough password")
     monkeypatch.setenv("VALVEMAP_SERVER__URL", service_url(free_port()))
-    assert run("init", env={"VALVEMAP_DATA": str(data)}).returncode == 0
+    assert run(["init", "--data", str(data)]) == 0
     done = python(SERVE, str(limit), str(data / "service.toml"))
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
