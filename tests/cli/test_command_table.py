@@ -1,6 +1,7 @@
 """The command line reads one table: help imports no command, and a command only its own needs."""
 
 import json
+import os
 import resource
 import statistics
 import subprocess
@@ -106,6 +107,24 @@ def test_a_recording_is_read_without_a_server(files, tmp_path, command):
     code, modules = loaded_by(command, files[0], *more.get(command, []))
     assert code == 0
     assert modules & (_SERVERS - {"structlog"}) == set()
+
+
+@pytest.mark.parametrize("given", [{}, {"OPENBLAS_NUM_THREADS": "2"}])
+def test_a_command_computes_in_one_thread_unless_its_environment_has_another_number(given):
+    code = (
+        "import os\n"
+        "from valvemap.cli import main\n"
+        "try:\n"
+        "    main()\n"
+        "except SystemExit:\n"
+        "    import numpy\n"
+        "    print('\\n', len(os.listdir('/proc/self/task')))\n"
+    )
+    without = {name: value for name, value in os.environ.items() if "OPENBLAS" not in name}
+    asked = [sys.executable, "-c", code, "--version"]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True, env=without | given)
+    allowed = min(int(given.get("OPENBLAS_NUM_THREADS", 1)), os.cpu_count())
+    assert int(done.stdout.splitlines()[-1]) == allowed
 
 
 def test_the_version_is_that_of_the_package(capsys):

@@ -1,6 +1,7 @@
 """The command ``valvemap``: exit code 0, 1 (the command failed) or 2 (usage error)."""
 
 import gc
+import os
 import signal
 import sys
 from typing import Annotated, Any
@@ -23,6 +24,7 @@ def main() -> None:
     if any(tuple(sys.argv[1 : 1 + len(words)]) == words for words in SERVING):
         signal.signal(signal.SIGTERM, _end)  # the command replaces it, once it can be stopped
     ask_for_shortcuts()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: more threads only spin
     gc.set_threshold(50_000, 20, 20)  # imports and address spaces create little garbage
     code = run(sys.argv[1:])
     gc.freeze()  # skip the collection at exit
