@@ -242,7 +242,6 @@ def test_replay_verifies_on_a_table(folder):
     assert report["Valvistor"]["Auto"].verify.n == N
 
 
-@pytest.mark.alone
 def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_path):
     n = 300_000
     rng = np.random.default_rng(0)
@@ -254,13 +253,12 @@ def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_
             recording.append("V", samples)
 
     def seconds(run, form):
-        taken = []
-        for _ in range(3):
-            started = time.process_time()
-            run(tmp_path / f"r.{form}")
-            taken.append(time.process_time() - started)
-        return min(taken)
+        started = time.process_time()
+        run(tmp_path / f"r.{form}")
+        return time.process_time() - started
 
-    replayed = {form: seconds(valvemap.replay, form) for form in ("csv", "parquet")}
-    assert seconds(valvemap.fit, "parquet") <= 1.3 * replayed["parquet"]
-    assert replayed["csv"] <= 1.3 * replayed["parquet"]
+    asked = [(valvemap.replay, "csv"), (valvemap.replay, "parquet"), (valvemap.fit, "parquet")]
+    in_turn = [[seconds(*one) for one in asked] for _ in range(3)]  # a machine's pace changes
+    from_csv, from_parquet, fit = np.min(in_turn, axis=0)
+    assert fit <= 1.3 * from_parquet
+    assert from_csv <= 1.3 * from_parquet

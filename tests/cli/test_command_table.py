@@ -15,7 +15,7 @@ from valvemap.cli.command_table import COMMANDS, load_command
 
 MOST_HELP_S, MOST_INVERT_S = 0.3, 0.7
 SLOW_MACHINE = 3.5  # times the libraries: an absolute time on a slow machine proves nothing
-RUNS = 10
+RUNS = 5
 
 _SERVERS = {
     "asyncua",

@@ -154,7 +154,6 @@ def test_a_broker_that_reads_its_answers_may_ask_for_ever_and_one_that_does_not_
         guard.receive(publish(b"", qos=1) * 6)
 
 
-@pytest.mark.alone
 async def test_a_publish_of_200_mb_takes_no_memory_and_is_named():
     size = 200_000_000
     header = b"\x30" + remaining_length(size)
@@ -169,7 +168,6 @@ async def test_a_publish_of_200_mb_takes_no_memory_and_is_named():
     assert broker.refused_packets == 1
 
 
-@pytest.mark.alone
 async def test_a_flood_of_packets_within_the_bound_takes_no_memory_either():
     hostile = HostileBroker(*repeat(publish(bytes(60_000)), 1_000))
     async with hostile.listening() as settings:
