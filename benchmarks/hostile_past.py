@@ -92,7 +92,7 @@ class Alarms:
 
     def _set(self, condition):
         self._standing[condition.key.id] = condition
-        self._server.report(condition)
+        self._server.conditions.report(condition)
 
 
 class Past:

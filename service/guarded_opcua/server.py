@@ -44,7 +44,7 @@ from guarded_opcua.history.historian import Historian
 from guarded_opcua.history.reading import Histories
 from guarded_opcua.lifecycle import Startable
 from guarded_opcua.logs import bounded_logger
-from guarded_opcua.monitoring.event_filter import Event, event_of_asyncua, filter_of_fields
+from guarded_opcua.monitoring.event_filter import event_of_asyncua, filter_of_fields
 from guarded_opcua.security.certificates import (
     KEY_BITS,
     ensure_certificate,
@@ -98,6 +98,12 @@ class HardenedServer(Startable):
         asyncua's server, for importing node sets and making events; it never listens.
     namespace_index
         Index of the namespace of the server's own nodes.
+    conditions
+        Reports changed conditions as events; ConditionRefresh returns their state later.
+    events
+        Emits events, also to clients that lost their sessions by what happened and reconnect.
+    announcements
+        What the server says of itself, such as its ServiceLevel.
     """
 
     def __init__(self, settings: ServerSettings, clock: Clock | None = None) -> None:
@@ -112,6 +118,7 @@ class HardenedServer(Startable):
         self._made_at: int | None = None  # when the lazy folder being populated was added
         limits, aspace = settings.limits, self._inside.aspace
         self._subscriptions = Subscriptions(aspace, limits, self._clock)
+        self.events = self._subscriptions.events
         self._inside.hand_events_to(self._trigger_event_of_asyncua)
         self._sessions = Sessions(
             limits,
@@ -135,7 +142,7 @@ class HardenedServer(Startable):
             limits.audit_events_per_second,
         )
         self._histories = Histories(limits, aspace)
-        self._conditions = Conditions(
+        self.conditions = Conditions(
             self._subscriptions, ConditionNodes(aspace, self._write_data_value), self._clock
         )
         self._has_history = self._has_past_events = False
@@ -146,10 +153,10 @@ class HardenedServer(Startable):
             self._view,
             self._subscriptions,
             self._histories,
-            self._conditions,
+            self.conditions,
             self._audit,
         )
-        self._announcements = SelfDescription(
+        self.announcements = SelfDescription(
             aspace, self._write_data_value, self._clock, settings, self._summary
         )
         self._listener: Listener | None = None
@@ -397,7 +404,7 @@ class HardenedServer(Startable):
         for id_ in removed:
             self._variables.pop(id_, None)
             self._methods.pop(id_, None)
-        self._conditions.nodes.forget(removed)
+        self.conditions.nodes.forget(removed)
 
     def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
         """Offer HistoryRead of variables; the historian is queried with each request.
@@ -453,18 +460,7 @@ class HardenedServer(Startable):
 
     def keep_conditions(self, keeper: ConditionKeeper) -> None:
         """Let clients acknowledge, confirm, comment on and refresh the conditions of a keeper."""
-        self._conditions.keeper = keeper
-
-    def report(self, condition: Condition) -> None:
-        """Emit one event for a changed condition; ConditionRefresh returns its state later."""
-        self._conditions.report(condition)
-
-    def say(self, event: Event, for_s: float) -> None:
-        """Emit an event now, and once to each event item that is created within ``for_s``.
-
-        Clients that lost their sessions by what happened get the event after they reconnect.
-        """
-        self._subscriptions.events.stand(event, for_s)
+        self.conditions.keeper = keeper
 
     def add_condition(self, folder: ua.NodeId, condition: Callable[[], Condition]) -> None:
         """Expose a condition as nodes below an object, created on first access.
@@ -479,7 +475,7 @@ class HardenedServer(Startable):
         added_at = self._added_at()
 
         async def make() -> None:
-            self._conditions.nodes.make(condition(), added_at)
+            self.conditions.nodes.make(condition(), added_at)
 
         self.add_later(folder, make)
 
@@ -525,10 +521,6 @@ class HardenedServer(Startable):
         now = instant(self._clock.now())
         self._write_data_value(id_, ua.DataValue(value, ua.StatusCode(), now, now))
 
-    def set_service_level(self, level: int) -> None:
-        """Set the ServiceLevel: 255 healthy, 0 out of service."""
-        self._announcements.set_service_level(level)
-
     async def start(self) -> None:
         """Start listening.
 
@@ -569,12 +561,12 @@ class HardenedServer(Startable):
             raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
         self._listener = listener
         shared.offered.extend(offered_endpoints(settings, self.url, der))
-        self._announcements.announce(
+        self.announcements.announce(
             tuple(Aggregate) if self._has_history else None,
-            conditions=self._conditions.keeper is not None,
+            conditions=self.conditions.keeper is not None,
             past_events=MOST_EVENTS if self._has_past_events else 0,
         )
-        self._announcements.start()
+        self.announcements.start()
         if settings.none_on_loopback:
             _log.warning("%s: also open without security, on loopback (demo only)", self.url)
 
@@ -582,7 +574,7 @@ class HardenedServer(Startable):
         """Stop listening and close every session; safe to call twice."""
         listener, self._listener = self._listener, None
         if listener is not None:
-            self._announcements.stop()
+            self.announcements.stop()
             await listener.stop()
             await self._inside.stop()
 
@@ -611,7 +603,7 @@ class HardenedServer(Startable):
         self.write([(variable, value, ua.StatusCodes.Good, source)])
 
     def _trigger_event_of_asyncua(self, event: Any) -> None:  # noqa: ANN401 - asyncua's
-        self._subscriptions.events.trigger(event_of_asyncua(event))
+        self.events.trigger(event_of_asyncua(event))
 
     def _summary(self) -> dict[str, int]:
         totals, traffic = self._sessions.totals, self._traffic

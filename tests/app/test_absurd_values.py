@@ -70,7 +70,7 @@ async def service(identification):
     settings = results_settings(users=operators(), none_on_loopback=True)
     server = ResultsServer(settings, identification.descriptions(), identification)
     async with server:
-        await server.follow_commissions(["Valvistor"], NoRuns())
+        await server.commissions.follow(["Valvistor"], NoRuns())
         await publish(server, identification)
         yield server
 

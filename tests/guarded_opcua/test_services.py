@@ -690,9 +690,9 @@ async def test_limits_and_status_are_announced_as_they_are(server, client):
     assert await read("Server_ServerDiagnostics_EnabledFlag")
     summary = await read("Server_ServerDiagnostics_ServerDiagnosticsSummary")
     assert summary.CurrentSessionCount >= 0
-    server.set_service_level(100)
+    server.announcements.set_service_level(100)
     assert await read("Server_ServiceLevel") == 100
-    server.set_service_level(255)
+    server.announcements.set_service_level(255)
     before = await read("Server_ServerStatus_CurrentTime")
     await asyncio.sleep(1.2)
     assert await read("Server_ServerStatus_CurrentTime") > before

@@ -36,7 +36,7 @@ def test_no_slot_is_used_twice():
     slots.follow([])
     slots.follow([BOOM])
     assert len(slots) == 2
-    assert slots.find("Boom") == 1
+    assert slots.by_name.get("Boom") == 1
 
 
 def test_a_valve_that_is_described_otherwise_goes_and_comes():
@@ -58,7 +58,7 @@ def test_what_was_shown_and_is_are_said_whole():
 def test_a_valve_that_is_not_shown_has_no_slot_and_no_number():
     slots = ValveSlots([BOOM, BUCKET])
     slots.follow([BUCKET])
-    assert slots.find("Boom") is None
+    assert slots.by_name.get("Boom") is None
     with pytest.raises(KeyError):
         slots.number("Boom")
 

@@ -157,7 +157,7 @@ async def _live(
         dynamics,
     )
     commissions = Commissions(config, plan.identification, server, clock)
-    await server.follow_commissions(commissions.valves, commissions)
+    await server.commissions.follow(commissions.valves, commissions)
     ended = asyncio.Event()
     await live.start(known)
     log.info("results served", url=server.url)

@@ -161,7 +161,7 @@ class ResultAlarms:
             condition = _condition(self._key(owner, report.name), report)
             is_news = before is not None or condition.retain  # else it ended before the start
             if before != digest and is_news:
-                self._server.report(condition)
+                self._server.conditions.report(condition)
                 if self._keep is not None:
                     self._keep(AlarmChange(owner, max(report.at, report.commented), report))
 

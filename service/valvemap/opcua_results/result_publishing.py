@@ -74,7 +74,7 @@ class ResultPublishing:
 
     def is_heard_of(self, valve: str) -> bool:
         """Whether a result of a valve was published."""
-        slot = self._slots.find(valve)
+        slot = self._slots.by_name.get(valve)
         return slot is not None and bool(self._sequences[slot])
 
     def publish(self, results: Results) -> None:

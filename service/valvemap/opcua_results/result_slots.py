@@ -1,6 +1,6 @@
 """The slots of the valves that are shown, stable across reloads. Pure."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +38,7 @@ class ValveSlots:
     >>> boom, stick = ValveDescription("Boom", ()), ValveDescription("Stick", ())
     >>> slots = ValveSlots([boom, stick])
     >>> came = slots.follow([stick, ValveDescription("Bucket", ())]).came
-    >>> slots.of(np.array([0, 1])).tolist(), slots.names, slots.find("Boom")
+    >>> slots.of(np.array([0, 1])).tolist(), slots.names, slots.by_name.get("Boom")
     ([1, 2], ['Boom', 'Stick', 'Bucket'], None)
     """
 
@@ -61,6 +61,11 @@ class ValveSlots:
         return [valve.name for valve in self._valves]
 
     @property
+    def by_name(self) -> Mapping[str, int]:
+        """The slots of the valves that are shown now."""
+        return self._slots
+
+    @property
     def shown(self) -> list[ValveDescription]:
         """The valves that are shown now."""
         return [self._valves[slot] for slot in self._slots.values()]
@@ -78,10 +83,6 @@ class ValveSlots:
     def of(self, numbers: Times) -> NDArray[np.intp]:
         """Return the slots of the operator's valves with the given numbers, (M,)."""
         return self._slot_of[numbers]
-
-    def find(self, name: str) -> int | None:
-        """Return a valve's slot; None if it is not shown."""
-        return self._slots.get(name)
 
     def number(self, name: str) -> int:
         """Return the operator's number of a valve that is shown."""

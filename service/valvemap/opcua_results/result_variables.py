@@ -77,7 +77,7 @@ class ResultVariables:
         owner, name = split_id(node.id)
         if node.id in self._waiting:
             self.show(owner, self._waiting.pop(node.id))
-        slot = self._slots.find(owner)
+        slot = self._slots.by_name.get(owner)
         if slot is not None:
             self._blocks.show(slot, name, variable)
         return variable

@@ -46,7 +46,7 @@ from valvemap.opcua_results.result_types import VALVE, add_enumerations, add_typ
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
-from valvemap.pipeline.commission_ports import CommissionOperator, CommissionResults
+from valvemap.pipeline.commission_ports import CommissionResults
 from valvemap.pipeline.ports import (
     AlarmChange,
     Health,
@@ -123,7 +123,7 @@ class ResultsServer(Startable):
         self._service: ResultService
         self._axes: AxisNodes
         self._axis_names: tuple[str, ...] | None = None  # none were asked for yet
-        self._commissions: CommissionNodes
+        self.commissions: CommissionNodes
 
     @property
     def url(self) -> str:
@@ -223,21 +223,17 @@ class ResultsServer(Startable):
             self._renew_version(server, self._slots.shown)
             event = axes_change(before, axes, server.namespace_index, self._clock.now())
             if event is not None:
-                server.say(event, _SAID_FOR_S)
+                server.events.stand(event, _SAID_FOR_S)
 
     def show_axis(self, axis: str, results: AxisResults) -> None:
         """Publish the results of one axis; fulfils `AxisSink`."""
         if self._server is not None:
             self._axes.show(axis, results)
 
-    async def follow_commissions(self, valves: Sequence[str], operator: CommissionOperator) -> None:
-        """Show commissioning runs of these valves, in place of those before."""
-        await self._commissions.follow(valves, operator)
-
     def show_commission(self, valve: str, results: CommissionResults) -> None:
         """Show how the run of one valve stands; fulfils `CommissionSink`."""
         if self._server is not None:
-            self._commissions.show(valve, results)
+            self.commissions.show(valve, results)
 
     def take_no_commands(self) -> None:
         """Reject commands until another operator follows; queries are still answered."""
@@ -320,7 +316,7 @@ class ResultsServer(Startable):
         )
         self._variables, self._alarms, self._demands = variables, alarms, demands
         self._axes = AxisNodes(server, clock)
-        self._commissions = CommissionNodes(server, clock)
+        self.commissions = CommissionNodes(server, clock)
         return parts
 
     def _keep_events(self, server: HardenedServer, *emitters: ua.NodeId) -> None:
@@ -337,7 +333,7 @@ class ResultsServer(Startable):
         event = model_change(before, after, server.namespace_index, kind, now)
         if event is not None:
             self._renew_version(server, after)
-            server.say(event, _SAID_FOR_S)
+            server.events.stand(event, _SAID_FOR_S)
 
     def _renew_version(self, server: HardenedServer, valves: Sequence[ValveDescription]) -> None:
         node = ua.NodeId(f"{ROOT}.{NODE_VERSION}", server.namespace_index)
