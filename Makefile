@@ -33,8 +33,10 @@ test: $(DEV)
 waits: $(DEV)
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))" $(call marked,waits)
 
+# Two files side by side: foreign programs start and wait for long. What draws is left alone.
 peers: $(DEV)
-	$(BIN)/python -m pytest -m "($(PEERS)) and not soak"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "($(PEERS)) and not (soak or chromium)"
+	$(BIN)/python -m pytest -m "chromium and not soak" $(call marked,chromium)
 
 # The guarded server alone: copied out of the tree with its tests, it must import and pass.
 hardened: $(DEV)

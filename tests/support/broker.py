@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from support.building import building
 from support.processes import free_port, is_open
 
 POM = Path(__file__).parents[1] / "kafka" / "broker" / "pom.xml"
@@ -31,21 +32,22 @@ def artifacts(cache: Path) -> Path:
     if maven is None or java is None:
         pytest.skip("mvn and java are not installed")
     jars = cache / "libs"
-    if not (cache / "ready").exists():
-        command = [maven, "-q", "-B", "-f", POM, "dependency:copy-dependencies"]
-        try:
-            done = subprocess.run(
-                [*command, f"-DoutputDirectory={jars}"],
-                capture_output=True,
-                text=True,
-                timeout=280,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            pytest.skip("mvn took longer than 280 s")
-        if done.returncode:
-            pytest.skip(f"mvn failed: {done.stdout.strip()[-300:]}")
-        (cache / "ready").touch()
+    with building(cache):
+        if not (cache / "ready").exists():
+            command = [maven, "-q", "-B", "-f", POM, "dependency:copy-dependencies"]
+            try:
+                done = subprocess.run(
+                    [*command, f"-DoutputDirectory={jars}"],
+                    capture_output=True,
+                    text=True,
+                    timeout=280,
+                    check=False,
+                )
+            except subprocess.TimeoutExpired:
+                pytest.skip("mvn took longer than 280 s")
+            if done.returncode:
+                pytest.skip(f"mvn failed: {done.stdout.strip()[-300:]}")
+            (cache / "ready").touch()
     return jars
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from support.building import building
 from support.node_peer import installed
 from support.node_red import PACKAGES, answers
 from support.processes import free_port, program
@@ -72,7 +73,8 @@ def project_tags():
 def fuxa(folder, cache):
     """FUXA with nothing in it; what it writes goes to the folder."""
     packages = installed(PACKAGES, cache)
-    _build_sqlite(packages)
+    with building(cache):
+        _build_sqlite(packages)
     port = free_port()
     script = packages / "node_modules" / "@frangoteam" / "fuxa" / "main.js"
     where = {"HOME": str(folder), "XDG_CONFIG_HOME": str(folder), "PORT": str(port)}

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from support.building import building
+
 
 def program(folder: Path, main: str, cache: Path) -> tuple[str, ...]:
     """Return the command of a folder's main class; skip the test where it cannot be built."""
@@ -17,8 +19,9 @@ def program(folder: Path, main: str, cache: Path) -> tuple[str, ...]:
     sources = sorted(path for path in folder.rglob("*") if path.is_file())
     content = b"".join(path.read_bytes() for path in sources)
     built = cache / hashlib.sha256(content).hexdigest()[:16]
-    if not (built / "ready").exists():
-        _build(maven, folder, built)
+    with building(cache):
+        if not (built / "ready").exists():
+            _build(maven, folder, built)
     target = built / "target"
     return (
         java,

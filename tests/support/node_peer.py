@@ -1,11 +1,14 @@
 """Packages of npm, installed once as their lock files say: node-opcua, axe-core, Node-RED, FUXA."""
 
 import hashlib
+import os
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+
+from support.building import building
 
 FOLDER = Path(__file__).parents[1] / "opcua" / "node_peer"
 _PACKAGE = ("package.json", "package-lock.json")
@@ -15,7 +18,9 @@ _INSTALL_S = 240.0
 def program(cache: Path, script: str) -> tuple[str, Path]:
     """Return the command of a script; skip the test where node-opcua cannot be had."""
     target = installed(FOLDER, cache)
-    shutil.copy(FOLDER / script, target)
+    new = target / f"{os.getpid()}.{script}"
+    shutil.copy(FOLDER / script, new)
+    new.replace(target / script)  # at once: another process may start it
     return shutil.which("node"), target / script
 
 
@@ -26,8 +31,9 @@ def installed(folder: Path, cache: Path) -> Path:
         pytest.skip("node and npm are not installed")
     content = b"".join((folder / name).read_bytes() for name in _PACKAGE)
     target = cache / hashlib.sha256(content).hexdigest()[:16]
-    if not (target / "ready").exists():
-        _install(npm, folder, target)
+    with building(cache):
+        if not (target / "ready").exists():
+            _install(npm, folder, target)
     return target
 
 
