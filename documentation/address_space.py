@@ -13,7 +13,7 @@ from valvemap.app.build import build_identification
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
 from valvemap.config.models import Config, ValveConfig
 from valvemap.config.nameplate import IdentificationConfig
-from valvemap.opcua_results.information_model import line_variables
+from valvemap.opcua_results.map_variables import line_variables
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.ports import ValveDescription
 

@@ -10,7 +10,7 @@ from asyncua import ua
 from support.readings import Read
 from support.shown_service import Alarm, ShownService
 from valvemap.clock import ManualClock, SystemClock
-from valvemap.opcua_results.information_model import service_variables
+from valvemap.opcua_results.service_variables import service_variables
 from valvemap.page.figures import SERVICE, SUMMARY, Figures
 from valvemap.page.layout import Valve
 from valvemap.page.settings import PageSettings

@@ -25,11 +25,10 @@ from valvemap.opcua_results.information_model import (
     INVERSE,
     ROOT,
     VariableNode,
-    arming_variables,
-    finding_variables,
     sentences_of,
 )
 from valvemap.opcua_results.result_variables import add_described
+from valvemap.opcua_results.valve_variables import arming_variables, finding_variables
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.ports import Answer
 from valvemap.vocabulary.edges import EDGES

@@ -23,7 +23,6 @@ from valvemap.opcua_results.information_model import (
     RECOMMENDED_REASON,
     TIMING,
     WAITING,
-    counter_name,
 )
 from valvemap.opcua_results.result_values import (
     Column,
@@ -37,6 +36,7 @@ from valvemap.opcua_results.result_values import (
     map_value,
     survey_values,
 )
+from valvemap.opcua_results.valve_variables import counter_name
 from valvemap.pipeline.ports import EstimatorResults, Results
 
 

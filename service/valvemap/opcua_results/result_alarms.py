@@ -27,15 +27,10 @@ from guarded_opcua import (
 )
 from guarded_opcua import CommandRejected as Refused
 from valvemap.opcua_results.answers import answered
-from valvemap.opcua_results.information_model import (
-    ALARMS,
-    ROOT,
-    SERVICE,
-    VariableNode,
-    alarm_variables,
-)
+from valvemap.opcua_results.information_model import ALARMS, ROOT, SERVICE, VariableNode
 from valvemap.opcua_results.result_types import ALARM, Place, type_of
 from valvemap.opcua_results.result_values import Shown, alarm_values
+from valvemap.opcua_results.valve_variables import alarm_variables
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
 from valvemap.pipeline.ports import (
     AlarmChange,

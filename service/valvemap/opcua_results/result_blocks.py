@@ -17,16 +17,14 @@ from valvemap.opcua_results.information_model import (
     PARAMETERS,
     SIGNALS,
     VariableNode,
-    counter_variable,
     estimator_variables,
-    health_variables,
-    inverse_results,
-    line_variables,
     parameter_variables,
     signal_variables,
 )
+from valvemap.opcua_results.map_variables import inverse_results, line_variables
 from valvemap.opcua_results.result_frames import frame_names, frame_variables
 from valvemap.opcua_results.result_values import Column
+from valvemap.opcua_results.valve_variables import counter_variable, health_variables
 from valvemap.pipeline.nameplate import BLANK
 from valvemap.pipeline.ports import ValveDescription
 from valvemap.vocabulary.edges import split_id

@@ -18,27 +18,20 @@ from valvemap.opcua_results.information_model import (
     INVERSE,
     PARAMETERS,
     SIGNALS,
-    alarm_variables,
     axis,
-    baseline_variables,
     builds_on_variable,
-    counter_variable,
     discovery_variables,
     estimator_variables,
-    finding_variables,
-    health_variables,
-    inverse_variables,
     lag_variables,
-    last_action,
+    parameter_variables,
+    signal_variables,
+)
+from valvemap.opcua_results.map_variables import (
+    inverse_variables,
     line_variables,
     map_variable,
-    parameter_variables,
-    recommended_variables,
-    signal_variables,
     survey_axes,
     survey_variables,
-    timing_variable,
-    waiting_variable,
 )
 from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_commands import ResultCommands
@@ -47,6 +40,17 @@ from valvemap.opcua_results.result_frames import frame_names, frame_variables
 from valvemap.opcua_results.result_questions import ResultQuestions
 from valvemap.opcua_results.result_types import AddPart, Place
 from valvemap.opcua_results.result_variables import ResultVariables
+from valvemap.opcua_results.valve_variables import (
+    alarm_variables,
+    baseline_variables,
+    counter_variable,
+    finding_variables,
+    health_variables,
+    last_action,
+    recommended_variables,
+    timing_variable,
+    waiting_variable,
+)
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.commands import Subject
 from valvemap.vocabulary.statuses import FeedForwardStatus

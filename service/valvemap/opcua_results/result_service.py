@@ -8,11 +8,12 @@ from asyncua import ua
 from guarded_opcua import HardenedServer, Role, add_method, add_object
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.companions import Companions
-from valvemap.opcua_results.information_model import ALARMS, SERVICE, service_variables
+from valvemap.opcua_results.information_model import ALARMS, SERVICE
 from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_health import ResultHealth
 from valvemap.opcua_results.result_values import service_values
 from valvemap.opcua_results.result_variables import ResultVariables
+from valvemap.opcua_results.service_variables import service_variables
 from valvemap.pipeline.ports import AlarmReport, Health
 
 _PARTS = {

@@ -10,7 +10,6 @@ from guarded_opcua import Declarations, HardenedServer, add_enumeration, add_obj
 from valvemap.opcua_results.information_model import (
     ALARMS,
     BASELINE,
-    COUNTERS,
     DIAGNOSTICS,
     DYNAMICS,
     INVERSE,
@@ -18,6 +17,7 @@ from valvemap.opcua_results.information_model import (
     SIGNALS,
     TYPES,
 )
+from valvemap.opcua_results.valve_variables import COUNTERS
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.commission import Phase
 from valvemap.vocabulary.dynamics import DynamicsStatus
