@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valvemap.app.replay import MOST_TRIED, as_json, replay
+from valvemap.app.map_checks import MOST_TRIED
+from valvemap.app.replay import as_json, replay
 from valvemap.cli import run
 
 STEP, N = 3_000, 4_000

@@ -11,7 +11,8 @@ from valvemap.errors import ConfigurationError, StorageError
 from valvemap.storage.models import is_model, load_model, save_model
 
 if TYPE_CHECKING:
-    from valvemap.app.replay import Progress, Report
+    from valvemap.app.recording_batches import Progress
+    from valvemap.app.replay import Report
     from valvemap.config.models import Config
 
 PREFERRED: Final = "Auto"
@@ -181,7 +182,7 @@ def _preferred(report: "Report", valve: str) -> str | None:
 
 def _recursive(estimators: Iterable[str]) -> list[str]:
     """Return the names of a replay's estimators, without the batch fit."""
-    from valvemap.app.replay import BEST_FIT  # noqa: PLC0415 - a saved map needs none of it
+    from valvemap.app.learnt_valve import BEST_FIT  # noqa: PLC0415 - a saved map needs none of it
 
     return [name for name in estimators if name != BEST_FIT]
 

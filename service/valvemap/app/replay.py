@@ -1,51 +1,34 @@
 """Replays recordings through the pipeline of the live service and reports the fit."""
 
-import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
-from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from valvemap.app.build import build_layout, build_plans
 from valvemap.app.given import layout_of, recordings_in
+from valvemap.app.learnt_valve import BEST_FIT, LearntValve
+from valvemap.app.map_checks import MapCheck, check_maps, summed, verified_maps
+from valvemap.app.recording_batches import EdgeSplitting, Progress, one_ahead, read_batches
 from valvemap.config.loading import check_has_valves
 from valvemap.config.models import Config, ValveConfig
 from valvemap.errors import ConfigurationError, RecordingError
-from valvemap.model.forgetting import Exponential
-from valvemap.model.inverse_map import invert
-from valvemap.model.recursive_least_squares import Change, RecursiveLeastSquares
-from valvemap.model.samples import Floats, Samples, Segments, Trace
+from valvemap.model.recursive_least_squares import Change
+from valvemap.model.samples import Floats, Samples, Trace
 from valvemap.model.survey import Survey
 from valvemap.pipeline import valve_state
-from valvemap.pipeline.edges import LEAK, Splitter, gathered
-from valvemap.pipeline.fleet import COUNTER_NAMES, Fleet
-from valvemap.pipeline.lane_failures import LaneFailures
-from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
-from valvemap.pipeline.ports import EstimatorResults
-from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
+from valvemap.pipeline.edges import LEAK
+from valvemap.pipeline.recommendation import NOT_YET, Recommendation
 from valvemap.pipeline.score import Score
-from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
+from valvemap.pipeline.valve_state import Lane, ValvePlan
 from valvemap.plant.reading import Given
-from valvemap.runtime.failure_log import log_failure
 from valvemap.storage.layout import Layout
-from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.edges import edges_of
 from valvemap.vocabulary.findings import Finding
-from valvemap.vocabulary.statuses import InverseStatus, Quality
 
-BEST_FIT = "eq. (7), batch LSM"
-MOST_SPLIT: Final = 1 << 20  # samples of an edge that wait for the same rows of its line
-MOST_TRIED: Final = 1_000  # samples of a batch; inverting a network costs 100 times an update
-
-T = TypeVar("T")
-S = TypeVar("S", Samples, Floats)
-
-Progress = Callable[[Path, float], None]
 Tap = Callable[[str, Samples, Mapping[str, Trace]], None]
 
 
@@ -155,12 +138,12 @@ def replay(
     """
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
     layout = replace(_layout(config, units, columns), header=header, given=given or {})
-    turn = _one_ahead if read_ahead else iter
-    valves: dict[str, _Learnt] = {}
+    turn = one_ahead if read_ahead else iter
+    valves: dict[str, LearntValve] = {}
     found = dict[str, None]()
-    splitter = _Splitting(plans or {})
+    splitter = EdgeSplitting(plans or {})
     for recording in recordings_in(recordings):
-        for name, samples in _read(recording, layout, progress, turn):
+        for name, samples in read_batches(recording, layout, progress, turn):
             found[name] = None
             if plans and name not in plans:
                 continue
@@ -169,7 +152,7 @@ def replay(
                 continue
             if name not in valves:
                 plan = replace(plan, insist=plan.insist or insist)
-                valves[name] = _Learnt(_chosen(plan, estimators))
+                valves[name] = LearntValve(_chosen(plan, estimators))
 
             def learn(name: str, some: Samples, recording: object = recording) -> Floats:
                 judged, traces = valves[name].learn(valves[name].look_at(some, recording))
@@ -180,12 +163,12 @@ def replay(
     if not valves:
         raise _none_of(only, plans, found)
     if verify is None:
-        checks = {name: [_check(v, v.last, scored=False)] for name, v in valves.items()}
+        checks = {name: [check_maps(v, v.last, scored=False)] for name, v in valves.items()}
     else:
-        coming = (_read(one, layout, progress, turn) for one in recordings_in(verify))
-        checks = _verified(valves, chain.from_iterable(coming), _Splitting(plans or {}))
+        coming = (read_batches(one, layout, progress, turn) for one in recordings_in(verify))
+        checks = verified_maps(valves, chain.from_iterable(coming), EdgeSplitting(plans or {}))
     return {
-        name: _report(valve, _summed(checks[name]), verified=verify is not None)
+        name: _report(valve, summed(checks[name]), verified=verify is not None)
         for name, valve in valves.items()
     }
 
@@ -225,37 +208,6 @@ def as_json(report: Report) -> dict[str, Any]:
     }
 
 
-class _Splitting:
-    """Splits the samples of valves with ports on their way to edges, batch by batch."""
-
-    def __init__(self, plans: Mapping[str, ValvePlan]) -> None:
-        self._names = list(plans)
-        self._splitter = Splitter(
-            [plan.part for plan in plans.values()], self._names, most=MOST_SPLIT
-        )
-        self._lines = {plan.name for plan in plans.values() if plan.part and plan.part.edge is None}
-
-    def take(self, name: str, samples: Samples, use: Callable[[str, Samples], Floats]) -> None:
-        """Call ``use`` with samples; of a line it returns the leakage, for those of its edges."""
-        if not self._splitter:
-            use(name, samples)
-            return
-        number, coming = self._names.index(name), {}
-        if name in self._lines:
-            self._splitter.note_leakage(number, samples.t, use(name, samples))
-        else:
-            coming[number] = samples
-        arrived, used = self._splitter.split(gathered(coming), _raise)
-        for m, start, stop in zip(*arrived.segments, strict=True):
-            rows = np.arange(start, stop)[used[start:stop]]
-            if len(rows):
-                use(self._names[m], arrived.samples[rows])
-
-
-def _raise(_: int, error: Exception) -> None:
-    raise error
-
-
 def _is_chosen(plan: ValvePlan, only: Collection[str] | None) -> bool:
     """Whether a valve is chosen, a valve of which it is a part, or an edge of it as a line."""
     if only is None or plan.name in only:
@@ -268,77 +220,6 @@ def _is_chosen(plan: ValvePlan, only: Collection[str] | None) -> bool:
     )
 
 
-class _Learnt:
-    """One valve's pipeline and the last batch it processed."""
-
-    def __init__(self, plan: ValvePlan) -> None:
-        if LEAK not in plan.estimators:
-            best = RecursiveLeastSquares(forgetting=Exponential(1.0))
-            every, references = {**plan.estimators, BEST_FIT: best}, frozenset({BEST_FIT})
-            plan = replace(plan, estimators=every, references=references)
-        self.plan = plan
-        self.last = Samples.empty()
-        self._failures = LaneFailures()
-        self._fleet = Fleet(self.plan, 1, failures=self._failures)
-        self._plausibility = Plausibility(1)
-        self.samples = 0
-
-    def look_at(self, samples: Samples, recording: object) -> Samples:
-        """Check the plausibility of a batch; return it with implausible samples rejected.
-
-        Raises
-        ------
-        RecordingError
-            if a signal is implausible throughout, unless the plan insists.
-        """
-        if len(samples) == 0:
-            return samples
-        self.samples += len(samples)
-        refused = self._plausibility.count(samples, Segments.one(len(samples)))
-        for finding in self._plausibility.findings(0):
-            if finding.kind is Kind.REFUSED and not self.plan.insist:
-                raise RecordingError(
-                    f"{_name(recording)}: valve {self.plan.name}: {finding.sentence}; --insist "
-                    "(insist=True in Python) learns from it all the same"
-                )
-        return samples if self.plan.insist else refuse(samples, refused)
-
-    def hints(self) -> tuple[str, ...]:
-        """Return the findings on plausibility, one sentence each."""
-        return tuple(finding.sentence for finding in self._plausibility.findings(0))
-
-    def rejected(self) -> Mapping[str, int]:
-        """Return the number of rejected samples by reason."""
-        counts = self._fleet.rejections()[0].tolist()
-        return {name: n for name, n in zip(COUNTER_NAMES, counts, strict=True) if n}
-
-    def learn(self, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
-        if len(samples) == 0:
-            return samples, {}
-        self.last = samples
-        found = self._fleet.take(samples, Segments.one(len(samples)))
-        for failure in self._failures.take_new():
-            log_failure(failure)
-        return found
-
-    def results(self) -> Mapping[str, EstimatorResults]:
-        return self._fleet.results(np.zeros(1, np.int64))
-
-    def state(self) -> ValveState:
-        return self._fleet.state(0)
-
-    def rank(self) -> tuple[Mapping[str, float], Recommendation]:
-        """Return each estimator's error at places visited again, and the recommended one."""
-        ranking, names = self._fleet.rank_now(0), list(self.plan.estimators)
-        errors = np.where(np.isfinite(ranking.errors), ranking.errors, np.nan)
-        found = recommendation(ranking, names, self._fleet.inverse(0))
-        return dict(zip(names, errors.tolist(), strict=True)), found
-
-    @property
-    def beyond_range(self) -> int:
-        return int(self._fleet.rejections()[0, COUNTER_NAMES.index("beyond_range")])
-
-
 def _none_of(
     only: Collection[str] | None, plans: Collection[str] | None, found: Collection[str]
 ) -> ConfigurationError:
@@ -349,88 +230,8 @@ def _none_of(
     return ConfigurationError(f"the recordings hold none of the configured valves: {named}")
 
 
-def _verified(
-    valves: Mapping[str, "_Learnt"],
-    batches: Iterable[tuple[str, Samples]],
-    splitting: "_Splitting",
-) -> dict[str, list[Mapping[str, "_Check"]]]:
-    checks: dict[str, list[Mapping[str, _Check]]] = {name: [] for name in valves}
-
-    def check(name: str, samples: Samples) -> Floats:
-        checks[name].append(_check(valves[name], samples, scored=True))
-        lane = valves[name].state().lanes.get(LEAK)
-        return np.empty(0) if lane is None else valve_state.predicted_along(lane, samples)
-
-    for name, samples in batches:
-        if name in valves:
-            splitting.take(name, samples, check)
-    return checks
-
-
-@dataclass(frozen=True)
-class _Check:
-    """The test of one estimator's map and its inverse, without updating the estimator.
-
-    ``score`` is over all samples, the other fields over the tested ones.
-    """
-
-    score: Score
-    tried: int
-    round_trip_max: float
-    infeasible: int
-    covered: int
-
-
-def _check(valve: _Learnt, samples: Samples, *, scored: bool) -> Mapping[str, _Check]:
-    """Test all estimators of a valve; without ``scored``, only on the thinned samples."""
-    gate = valve.plan.gate
-    _, judged = gate.update(gate.initial_state(), samples)
-    good = judged[judged.quality != Quality.BAD]
-    good = good if scored else _some(good)
-    return {name: _check_lane(lane, good) for name, lane in valve.state().lanes.items()}
-
-
-def _check_lane(lane: Lane, samples: Samples) -> _Check:
-    estimator, state = lane.estimator, lane.state
-    Q_hat = valve_state.predicted_along(lane, samples)
-    residual = samples.Q - Q_hat
-    trace = Trace(Q_hat, residual, residual, np.zeros(len(samples), np.uint8))
-    tried = _some(samples)
-    inverse = invert(estimator, state, tried.Q, tried.dp, tried.T)
-    feasible = inverse.status == InverseStatus.OK
-    U, dp, T = (x[feasible] for x in (inverse.U, tried.dp, tried.T))
-    Q_back, _ = estimator.predict(state, U, dp, T)
-    _, half, _ = valve_state.predicted_measurement(lane, tried.U, tried.dp, tried.T)
-    return _Check(
-        tried=len(tried),
-        covered=int((np.abs(_some(residual)) <= half).sum()),
-        score=Score.none().add(samples, trace),
-        round_trip_max=float(np.abs(Q_back - tried.Q[feasible]).max(initial=0.0)),
-        infeasible=int((~feasible).sum()),
-    )
-
-
-def _some(rows: S) -> S:
-    """Return at most ``MOST_TRIED`` rows, evenly spaced."""
-    return rows[:: max(1, math.ceil(len(rows) / MOST_TRIED))]
-
-
-def _summed(checks: Sequence[Mapping[str, _Check]]) -> Mapping[str, _Check]:
-    names = checks[0] if checks else ()
-    return {
-        name: _Check(
-            score=Score.merged([check[name].score for check in checks]),
-            round_trip_max=max(check[name].round_trip_max for check in checks),
-            tried=sum(check[name].tried for check in checks),
-            infeasible=sum(check[name].infeasible for check in checks),
-            covered=sum(check[name].covered for check in checks),
-        )
-        for name in names
-    }
-
-
 def _report(
-    valve: _Learnt, checks: Mapping[str, _Check], *, verified: bool
+    valve: LearntValve, checks: Mapping[str, MapCheck], *, verified: bool
 ) -> Mapping[str, EstimatorReport]:
     report = {}
     again, recommended = valve.rank()
@@ -498,34 +299,6 @@ def _layout(
         raise ConfigurationError("with a config, units and columns are its valves.signals")
     check_has_valves(config, "a replay")
     return build_layout(config)
-
-
-def _name(recording: object) -> Path:
-    """Return a file, or the name of a table's type."""
-    return recording if isinstance(recording, Path) else Path(type(recording).__name__)
-
-
-def _read(
-    recording: object,
-    layout: Layout,
-    progress: Progress,
-    turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
-) -> Iterator[tuple[str, Samples]]:
-    file = _name(recording)
-    with read_recording(recording, layout=layout) as batches:
-        progress(file, 0.0)
-        for name, samples in turn(batches):
-            yield name, samples
-            progress(file, batches.fraction)
-
-
-def _one_ahead(items: Iterator[T]) -> Iterator[T]:
-    """Yield the items; a thread reads the next one while the current one is processed."""
-    with ThreadPoolExecutor(1) as thread:
-        coming = thread.submit(next, items, None)
-        while (item := coming.result()) is not None:
-            coming = thread.submit(next, items, None)
-            yield item
 
 
 def _default_plan(name: str) -> ValvePlan:

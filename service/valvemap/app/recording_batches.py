@@ -1,0 +1,78 @@
+"""Recordings as batches of samples, in memory of constant size, divided among edges and lines."""
+
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final, TypeVar
+
+import numpy as np
+
+from valvemap.model.samples import Floats, Samples
+from valvemap.pipeline.edges import Splitter, gathered
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.storage.layout import Layout
+from valvemap.storage.recordings import read_recording
+
+MOST_SPLIT: Final = 1 << 20  # samples of an edge that wait for the same rows of its line
+T = TypeVar("T")
+Progress = Callable[[Path, float], None]
+
+
+def read_batches(
+    recording: object,
+    layout: Layout,
+    progress: Progress,
+    turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
+) -> Iterator[tuple[str, Samples]]:
+    """Yield name and samples of each batch; ``turn`` may read ahead."""
+    file = name_of(recording)
+    with read_recording(recording, layout=layout) as batches:
+        progress(file, 0.0)
+        for name, samples in turn(batches):
+            yield name, samples
+            progress(file, batches.fraction)
+
+
+def one_ahead(items: Iterator[T]) -> Iterator[T]:
+    """Yield the items; a thread reads the next one while the current one is processed."""
+    with ThreadPoolExecutor(1) as thread:
+        coming = thread.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = thread.submit(next, items, None)
+            yield item
+
+
+def name_of(recording: object) -> Path:
+    """Return a file, or the name of a table's type."""
+    return recording if isinstance(recording, Path) else Path(type(recording).__name__)
+
+
+class EdgeSplitting:
+    """Splits the samples of valves with ports on their way to edges, batch by batch."""
+
+    def __init__(self, plans: Mapping[str, ValvePlan]) -> None:
+        self._names = list(plans)
+        self._splitter = Splitter(
+            [plan.part for plan in plans.values()], self._names, most=MOST_SPLIT
+        )
+        self._lines = {plan.name for plan in plans.values() if plan.part and plan.part.edge is None}
+
+    def take(self, name: str, samples: Samples, use: Callable[[str, Samples], Floats]) -> None:
+        """Call ``use`` with samples; of a line it returns the leakage, for those of its edges."""
+        if not self._splitter:
+            use(name, samples)
+            return
+        number, coming = self._names.index(name), {}
+        if name in self._lines:
+            self._splitter.note_leakage(number, samples.t, use(name, samples))
+        else:
+            coming[number] = samples
+        arrived, used = self._splitter.split(gathered(coming), _raise)
+        for m, start, stop in zip(*arrived.segments, strict=True):
+            rows = np.arange(start, stop)[used[start:stop]]
+            if len(rows):
+                use(self._names[m], arrived.samples[rows])
+
+
+def _raise(_: int, error: Exception) -> None:
+    raise error
