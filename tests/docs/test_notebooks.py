@@ -56,7 +56,7 @@ def test_a_notebook_runs_and_draws(executed, name):
 def test_the_csv_becomes_an_inverse(executed):
     shown = texts(executed("csv_to_inverse"))
     assert float(re.search(r"r2=([\d.]+)", shown)[1]) > 0.98
-    assert "(measured)" in shown  # of Auto
+    assert "(certified)" in shown  # of Auto
 
 
 @pytest.mark.filterwarnings("ignore")

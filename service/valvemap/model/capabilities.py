@@ -15,6 +15,7 @@ diagnostics and files by having the methods.
 | `ChoosesStructure` | select the structure of the map from the samples |
 | `PathDependent` | have hysteresis |
 | `Invertible` | have an exact inverse of their own |
+| `InPieces` | know the form of their map, so that its tables have certified errors |
 | `ResidualStd` | take their standard deviation from the residuals |
 | `FindsCauses` | weigh causes of what the samples show |
 | `Portable` | can write their map to a file |
@@ -30,6 +31,7 @@ from valvemap.model.samples import Codes, Floats, Times
 from valvemap.vocabulary.findings import Finding
 
 if TYPE_CHECKING:
+    from valvemap.model.map_forms import MapForm
     from valvemap.model.portable_map import PortableMap
 
 
@@ -170,6 +172,14 @@ class Invertible(Protocol):
         T: Floats,
     ) -> tuple[Floats, Floats, Floats, Codes]:
         """Return U, U without its bounds, dQ/dU and the `InverseStatus`, all (N,)."""
+
+
+@runtime_checkable
+class InPieces(Protocol):
+    """An estimator that knows where its map is smooth; structures are known without it."""
+
+    def form(self, state: Any, T: float) -> "MapForm | None":  # noqa: ANN401 - its own state
+        """Return the form at one temperature; None before there is a map."""
 
 
 @runtime_checkable

@@ -7,7 +7,7 @@ from typing import ClassVar, Final, Self
 
 import numpy as np
 
-from valvemap.model import flow_findings, flow_map_looks, flow_parameters, flow_words
+from valvemap.model import flow_findings, flow_map_looks, flow_parameters, flow_pieces, flow_words
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
@@ -19,6 +19,7 @@ from valvemap.model.kernels import (
     flow_play,
 )
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.map_forms import MapForm
 from valvemap.model.model_structures import FiveTerms, Structure
 from valvemap.model.portable_flow_map import GaussianMap
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
@@ -125,6 +126,10 @@ class FlowMap:
     ) -> tuple[Floats, Floats, Floats, Codes]:
         """U in the middle of the play, U without its bounds, dQ/dU and status, all (N,)."""
         return flow_map_looks.invert(state, axes(self.U_range, self.dp_range), Q, dp, T)
+
+    def form(self, state: FlowMapState, T: float) -> MapForm | None:
+        """Return where the map is smooth at one temperature, see `flow_pieces`."""
+        return flow_pieces.form(state, axes(self.U_range, self.dp_range), T)
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
         """Flows and physical quantities, see `flow_parameters`, and their standard deviations."""

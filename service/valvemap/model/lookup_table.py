@@ -51,9 +51,8 @@ class LookupTable:
         Largest difference from the map's inverse, %, and of the flow that U gives from the demanded
         one (limited to lowest … highest), l/min.
     certified
-        Whether the errors are bounds over the whole domain (:mod:`~valvemap.model.table_error`):
-        for polynomials, splines and `Auto`. Else they are the largest at 49 points of each cell,
-        plus 25 %: for networks of Gaussians.
+        Whether the errors are bounds over the whole domain (:mod:`~valvemap.model.table_error`).
+        Else, for a map of unknown form, they are the largest at 49 points of each cell, plus 25 %.
     """
 
     dp: Floats

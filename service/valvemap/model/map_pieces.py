@@ -1,25 +1,31 @@
 """A map at one temperature as polynomials on rectangles over U and s = √dp, with bounds."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.bernstein import bernstein
+from valvemap.model.capabilities import InPieces
+from valvemap.model.kernels.radial_basis import TAIL
+from valvemap.model.map_forms import DEGREES, Gaussians, MapForm, Part, nothing_left
 from valvemap.model.model_structures import Polynomial, TensorSpline
+from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.samples import Floats
 
-DEGREES: Final = (5, 6)  # in U and s, at most
-FINEST: Final = 24  # rectangles along an axis without knots
+FINEST: Final = (24, 48, 96)  # rectangles along an axis without knots, until what is left is small
+SMALL: Final = 1e-5  # of the largest flow: what is left needs no finer rectangles
 TRUE: Final = 1e-9  # of the largest flow: a map that differs more is no such polynomial
 SHARP: Final = 1e-6  # of the largest slope: a larger jump of a slope is a kink
+SLIVER: Final = 0.01  # of a rectangle's width; edges that are closer to a knot are left out
 
 Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class MapPieces:
+class Polynomials:
     """Polynomials in Bernstein form: their coefficients bound them, and their derivatives.
 
     Attributes
@@ -45,65 +51,26 @@ class MapPieces:
     kinks_s: NDArray[np.bool_]
 
     @classmethod
-    def of(
-        cls,
-        estimator: Any,  # noqa: ANN401 - any estimator
-        state: Any,  # noqa: ANN401 - its own
-        dp_range: tuple[float, float],
-        T: float,
-    ) -> Self | None:
-        """Return the pieces of a polynomial or a spline; None for other maps.
-
-        The polynomials are interpolated, and compared with the map between the points.
-        """
-        knots = _knots(estimator)
-        if knots is None:
-            return None
-        knots_U, knots_s = knots
-        U = _edges(knots_U, 0.0, 100.0)
-        s = _edges(knots_s, *np.sqrt(dp_range))
-
-        def flow(at_U: Floats, at_s: Floats) -> Floats:
-            """Flows (n_U, n_s, k, l) at shares of each rectangle."""
-            u = U[:-1, None] + np.diff(U)[:, None] * at_U
-            v = s[:-1, None] + np.diff(s)[:, None] * at_s
-            shape = len(U) - 1, len(s) - 1, len(at_U), len(at_s)
-            grid_u = np.broadcast_to(u[:, None, :, None], shape)
-            grid_v = np.broadcast_to(v[None, :, None, :], shape)
-            points = grid_u.ravel(), grid_v.ravel() ** 2, np.full(grid_u.size, T)
-            return np.asarray(estimator.predict(state, *points)[0]).reshape(shape)
-
-        nodes = [(1.0 - np.cos(np.pi * (np.arange(n + 1) + 0.5) / (n + 1))) / 2 for n in DEGREES]
-        to_U, to_s = (np.linalg.inv(bernstein(x, n)) for x, n in zip(nodes, DEGREES, strict=True))
-        coefficients = np.einsum("ak,ijkl,bl->ijab", to_U, flow(*nodes), to_s)
-        between = np.array([0.0, 0.11, 0.37, 0.52, 0.81, 1.0 - 1e-12])
-        bases = [bernstein(between, n) for n in DEGREES]
-        again = np.einsum("ka,ijab,lb->ijkl", bases[0], coefficients, bases[1])
-        apart = np.abs(again - flow(between, between)).max()
-        if not apart <= TRUE * max(float(np.abs(coefficients).max()), 1.0):
-            return None
-        return cls.from_coefficients(U, s, coefficients)
-
-    @classmethod
-    def from_coefficients(cls, U: Floats, s: Floats, coefficients: Floats) -> Self:
-        """Return the pieces with their bounds."""
+    def of(cls, U: Floats, s: Floats, coefficients: Floats) -> Self:
+        """Return the polynomials with their bounds."""
         widths = np.diff(U)[:, None, None, None], np.diff(s)[None, :, None, None]
         by_U = _derivative(coefficients, 2, widths[0])
         by_s = _derivative(coefficients, 3, widths[1])
         bends = [_derivative(by_U, 2, widths[0]), _derivative(by_U, 3, widths[1])]
         bends.append(_derivative(by_s, 3, widths[1]))
+        rounding = TRUE * float(np.abs(coefficients).max())
         return cls(
             U=U,
             s=s,
             coefficients=coefficients,
             slopes=np.stack([f(x, axis=(2, 3)) for x in (by_U, by_s) for f in (np.min, np.max)]),
             bends=np.stack([np.abs(x).max(axis=(2, 3)) for x in bends]),
-            kinks_U=_jumps(by_U[:, :, -1].swapaxes(0, 1), by_U[:, :, 0].swapaxes(0, 1)),
-            kinks_s=_jumps(by_s[:, :, :, -1], by_s[:, :, :, 0]),
+            kinks_U=_jumps(by_U[:, :, -1].swapaxes(0, 1), by_U[:, :, 0].swapaxes(0, 1), rounding),
+            kinks_s=_jumps(by_s[:, :, :, -1], by_s[:, :, :, 0], rounding),
         )
 
-    def extended(self, below: float, above: float, gain: float) -> "MapPieces":
-        """Return the map also for U < 0 and U > 100: linear, with slopes gain·s."""
+    def extended(self, below: float, above: float, gain: float) -> "Polynomials":
+        """Return them also for U < 0 and U > 100: linear, with slopes gain·s."""
         at_s = self.s[:-1, None] + np.diff(self.s)[:, None] * np.linspace(0, 1, DEGREES[1] + 1)
 
         def linear(end: Floats, start: float, stop: float) -> Floats:
@@ -114,10 +81,10 @@ class MapPieces:
         upper = linear(self.coefficients[-1, :, -1], 0.0, above - 100.0)
         U = np.concatenate([[below], self.U, [above]])
         whole = np.concatenate([lower, self.coefficients, upper])
-        return self.from_coefficients(U, self.s, whole)
+        return self.of(U, self.s, whole)
 
-    def at(self, U: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """Flow, dQ/dU and dQ/ds at N points."""
+    def at(self, U: Floats, s: Floats) -> Floats:
+        """Flow, dQ/dU and dQ/ds at N points, (3, N)."""
         i, u = _place(self.U, U)
         j, v = _place(self.s, s)
         c = self.coefficients[i, j]
@@ -127,7 +94,7 @@ class MapPieces:
         lower_U, lower_s = bernstein(u, DEGREES[0] - 1), bernstein(v, DEGREES[1] - 1)
         by_U = np.einsum("na,nab,nb->n", lower_U, np.diff(c, axis=1), in_s)
         by_s = np.einsum("na,nab,nb->n", in_U, np.diff(c, axis=2), lower_s)
-        return Q, DEGREES[0] * by_U / width_U, DEGREES[1] * by_s / width_s
+        return np.stack([Q, DEGREES[0] * by_U / width_U, DEGREES[1] * by_s / width_s])
 
     def over(
         self, low_U: Floats, high_U: Floats, low_s: Floats, high_s: Floats
@@ -148,30 +115,182 @@ class MapPieces:
                 bends = np.maximum(bends, self.bends[:, a, b])
         return slopes, bends, kinked
 
+
+@dataclass(frozen=True)
+class MapPieces:
+    """A map as the larger of one or two polynomials on each rectangle.
+
+    Attributes
+    ----------
+    parts : (1,) or (2,)
+        On the same rectangles.
+    slack
+        Largest difference of the map from them, l/min.
+    """
+
+    parts: tuple[Polynomials, ...]
+    slack: float
+
+    @classmethod
+    def of(
+        cls,
+        estimator: Any,  # noqa: ANN401 - any estimator
+        state: Any,  # noqa: ANN401 - its own
+        dp_range: tuple[float, float],
+        T: float,
+    ) -> Self | None:
+        """Return the pieces; None for a map whose form is not known.
+
+        The polynomials are interpolated, and compared with the map between the points.
+        """
+        form = _form(estimator, state, T)
+        if form is None:
+            return None
+        for finest in FINEST:
+            U = _edges(form.knots_U, 0.0, 100.0, finest)
+            s = _edges(form.knots_s, np.sqrt(dp_range[0]), np.sqrt(dp_range[1]), finest)
+            parts = tuple(Polynomials.of(U, s, _interpolated(part, U, s)) for part in form.parts)
+            largest = max(1.0, *(float(np.abs(part.coefficients).max()) for part in parts))
+            pieces = cls(parts, float(form.remainder(U, s).max()))
+            if pieces.slack <= SMALL * largest:
+                break
+        between = np.array([0.0, 0.11, 0.37, 0.52, 0.81, 1.0 - 1e-12])
+        at_U, at_s = (_inside(edges, between).ravel() for edges in (U, s))
+        grid_U, grid_s = (x.ravel() for x in np.meshgrid(at_U, at_s, indexing="ij"))
+        exact = estimator.predict(state, grid_U, grid_s**2, np.full(grid_U.size, T))[0]
+        apart = np.abs(pieces.at(grid_U, grid_s)[0] - exact).max()
+        return pieces if apart <= TRUE * largest + pieces.slack else None
+
+    @property
+    def U(self) -> Floats:
+        """Edges of the rectangles along U, %."""
+        return self.parts[0].U
+
+    @property
+    def s(self) -> Floats:
+        """Edges of the rectangles along s, √bar."""
+        return self.parts[0].s
+
+    @property
+    def kinks_U(self) -> NDArray[np.bool_]:
+        """Whether a slope jumps at an edge of U."""
+        return np.logical_or(self.parts[0].kinks_U, self.parts[-1].kinks_U)
+
+    @property
+    def kinks_s(self) -> NDArray[np.bool_]:
+        """Whether a slope jumps at an edge of s."""
+        return np.logical_or(self.parts[0].kinks_s, self.parts[-1].kinks_s)
+
+    @cached_property
+    def gap(self) -> Polynomials | None:
+        """How far the first part is above the second; None where there is no second."""
+        if len(self.parts) == 1:
+            return None
+        first, second = self.parts
+        return Polynomials.of(self.U, self.s, first.coefficients - second.coefficients)
+
+    @cached_property
+    def least(self) -> Floats:
+        """Lower bound of dQ/dU on each rectangle, (n_U, n_s)."""
+        first: Floats = self.parts[0].slopes[0]
+        gap = self.gap
+        if gap is None:
+            return first
+        second: Floats = self.parts[1].slopes[0]
+        c = gap.coefficients
+        above, below = c.min(axis=(2, 3)) >= 0.0, c.max(axis=(2, 3)) <= 0.0
+        return np.asarray(np.select([above, below], [first, second], np.minimum(first, second)))
+
+    def extended(self, below: float, above: float, gain: float) -> "MapPieces":
+        """Return the map also for U < 0 and U > 100: linear, with slopes gain·s."""
+        parts = tuple(part.extended(below, above, gain) for part in self.parts)
+        return MapPieces(parts, self.slack)
+
+    def at(self, U: Floats, s: Floats) -> Floats:
+        """Flow, dQ/dU and dQ/ds at N points, (3, N)."""
+        found = [part.at(U, s) for part in self.parts]
+        return np.asarray(np.where(found[0][0] >= found[-1][0], found[0], found[-1]))
+
+    def over(
+        self, low_U: Floats, high_U: Floats, low_s: Floats, high_s: Floats
+    ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Bounds over N boxes: slopes (4, N), bends (3, N), and whether a kink is inside.
+
+        A box has a kink, too, unless one part is the larger one all over it.
+        """
+        box = low_U, high_U, low_s, high_s
+        first = self.parts[0].over(*box)
+        if self.gap is None:
+            return first
+        second = self.parts[1].over(*box)
+        rises, _, _ = self.gap.over(*box)
+        steep = np.abs(rises).reshape(2, 2, -1).max(axis=1)
+        reach = (steep[0] * (high_U - low_U) + steep[1] * (high_s - low_s)) / 2.0
+        middle = self.gap.at((low_U + high_U) / 2.0, (low_s + high_s) / 2.0)[0]
+        above, below = middle > reach, middle < -reach
+        signs = np.array([-1.0, 1.0, -1.0, 1.0])[:, None]
+        hull = signs * np.maximum(signs * first[0], signs * second[0])
+        slopes = np.select([above, below], [first[0], second[0]], hull)
+        bends = np.select([above, below], [first[1], second[1]], np.maximum(first[1], second[1]))
+        kinked = np.select([above, below], [first[2], second[2]], True)  # noqa: FBT003
+        return slopes, bends, np.asarray(kinked, np.bool_)
+
     def least_slopes(self, low_s: Floats, high_s: Floats) -> Floats:
         """Lower bounds of dQ/dU along U over N ranges of s, (N, n_U)."""
         j, last = _place(self.s, low_s)[0], _place(self.s, high_s, side="left")[0]
-        least = self.slopes[0][:, j]
+        least = self.least[:, j]
         for across in range(1, int((last - j).max(initial=0)) + 1):
-            least = np.minimum(least, self.slopes[0][:, np.minimum(j + across, last)])
+            least = np.minimum(least, self.least[:, np.minimum(j + across, last)])
         return np.ascontiguousarray(least.T)
 
 
-def _knots(estimator: Any) -> tuple[Floats, Floats] | None:  # noqa: ANN401 - any
-    """Return the knots of a spline, none for a polynomial; None for other maps."""
+def _form(estimator: Any, state: Any, T: float) -> MapForm | None:  # noqa: ANN401 - any
+    """Return the form of an estimator's map at one temperature; None where it is not known."""
+    none = np.empty(0)
+
+    def flow(U: Floats, s: Floats) -> Floats:
+        return np.asarray(estimator.predict(state, U, s**2, np.full(U.size, T))[0])
+
+    if isinstance(estimator, InPieces):
+        return estimator.form(state, T)
     match getattr(estimator, "structure", None):
         case TensorSpline() as spline:
-            return spline.knots
+            return MapForm(*spline.knots, (flow,), nothing_left)
         case Polynomial():
-            return np.empty(0), np.empty(0)
+            return MapForm(none, none, (flow,), nothing_left)
+        case RadialBasis() as basis:
+            centres = (x.ravel() for x in np.meshgrid(basis.U, basis.s, indexing="ij"))
+            meshes = np.diff(basis.U)[0], np.diff(basis.s)[0]
+            (U, s), (a, b) = centres, (np.full(1, basis.width * mesh) for mesh in meshes)
+            weights = estimator.parameters(state)[0][TAIL:]
+            return MapForm(none, none, (flow,), Gaussians(weights, U, a, s, b, 1).remainder)
         case _:
             return None
 
 
-def _edges(knots: Floats, low: float, high: float) -> Floats:
+def _interpolated(part: Part, U: Floats, s: Floats) -> Floats:
+    """Coefficients (n_U, n_s, 6, 7) of a part of a map, from its flows at Chebyshev's points."""
+    nodes = [(1.0 - np.cos(np.pi * (np.arange(n + 1) + 0.5) / (n + 1))) / 2 for n in DEGREES]
+    to_U, to_s = (np.linalg.inv(bernstein(x, n)) for x, n in zip(nodes, DEGREES, strict=True))
+    u, v = _inside(U, nodes[0]), _inside(s, nodes[1])
+    shape = len(u), len(v), len(nodes[0]), len(nodes[1])
+    grid_u = np.broadcast_to(u[:, None, :, None], shape)
+    grid_v = np.broadcast_to(v[None, :, None, :], shape)
+    flows = part(grid_u.ravel(), grid_v.ravel()).reshape(shape)
+    return np.asarray(np.einsum("ak,ijkl,bl->ijab", to_U, flows, to_s))
+
+
+def _inside(edges: Floats, shares: Floats) -> Floats:
+    """Points at shares of each interval, (n, k)."""
+    return np.asarray(edges[:-1, None] + np.diff(edges)[:, None] * shares)
+
+
+def _edges(knots: Floats, low: float, high: float, count: int) -> Floats:
     """Return the knots within a range, and points between that are not too far apart."""
-    within = knots[(knots > low) & (knots < high)]
-    return np.unique(np.concatenate([within, np.linspace(low, high, FINEST + 1)]))
+    even, sliver = np.linspace(low, high, count + 1), SLIVER * (high - low) / count
+    within = np.unique(knots[(knots > low + 1e-6 * sliver) & (knots < high - 1e-6 * sliver)])
+    apart = np.abs(even[1:-1, None] - within).min(axis=1, initial=np.inf)
+    return np.unique(np.concatenate([[low, high], within, even[1:-1][apart > sliver]]))
 
 
 def _derivative(coefficients: Floats, axis: int, widths: Floats) -> Floats:
@@ -179,9 +298,9 @@ def _derivative(coefficients: Floats, axis: int, widths: Floats) -> Floats:
     return np.asarray(degree * np.diff(coefficients, axis=axis) / widths)
 
 
-def _jumps(after: Floats, before: Floats) -> NDArray[np.bool_]:
+def _jumps(after: Floats, before: Floats, rounding: float) -> NDArray[np.bool_]:
     """Whether the slope of the piece before an edge differs from that behind; axis 1: pieces."""
-    sharp = SHARP * max(float(np.abs(after).max()), float(np.abs(before).max()), 1e-300)
+    sharp = max(SHARP * float(max(np.abs(after).max(), np.abs(before).max())), rounding, 1e-300)
     inner = np.abs(after[:, :-1] - before[:, 1:]).max(axis=(0, 2)) > sharp
     return np.concatenate([[False], inner, [False]])
 

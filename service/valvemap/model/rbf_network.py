@@ -11,6 +11,7 @@ from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.fleet import alone, update_one
 from valvemap.model.kernels import rbf_network as kernel
+from valvemap.model.map_forms import Gaussians, MapForm
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Trace
 from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
@@ -220,6 +221,26 @@ class RbfNetwork:
             np.where(known, mean * self.Q_scale, np.nan),
             np.where(known, rms * self.Q_scale, np.nan),
         )
+
+    def form(self, state: RbfNetworkState, T: float) -> MapForm | None:
+        """Return the form of the map: analytic everywhere."""
+        if not state.monitor[kernel.COUNT] > 0:
+            return None
+        (low_U, high_U), (low, high) = self.U_range, self.dp_range
+        width, (c_U, c_dp) = np.exp(state.log_b), state.c.T
+        gaussians = Gaussians(
+            w=state.w * self.Q_scale,
+            U=low_U + c_U * (high_U - low_U),
+            a=width * (high_U - low_U),
+            s=low + c_dp * (high - low),
+            b=width * (high - low),
+            power=2,
+        )
+
+        def flow(U: Floats, s: Floats) -> Floats:
+            return self.predict(state, U, s**2, np.full(U.size, T))[0]
+
+        return MapForm(np.empty(0), np.empty(0), (flow,), gaussians.remainder)
 
     def parameters(self, state: RbfNetworkState) -> tuple[Floats, Floats]:
         """Weights in l/min, centres in % and bar, widths in ranges; no standard deviations."""

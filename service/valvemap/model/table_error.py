@@ -18,7 +18,7 @@ delivers Q before C first reaches C(U) - |F|, and one does before C next reaches
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +50,37 @@ class Cells:
     span: Floats
     dspan: Floats
 
-    def __getitem__(self, rows: object) -> "Cells":
-        return Cells(**{name: x[rows] for name, x in vars(self).items()})
+    def __getitem__(self, rows: object) -> Self:
+        return type(self)(**{name: x[rows] for name, x in vars(self).items()})
+
+    def s(self, v: Floats) -> tuple[Floats, Floats, Floats]:
+        """√dp, and its first and second derivative by v."""
+        s = np.sqrt(self.dp + self.ddp * v)
+        return s, self.ddp / (2.0 * s), self.ddp**2 / (4.0 * s**3)
+
+    def largest(self) -> Floats | float:
+        """What is known of a cell's error beforehand, l/min."""
+        return np.inf
+
+
+@dataclass(frozen=True)
+class CellsOfFlow(Cells):
+    """Cells of a table of the flow, over U and s: dp and ddp are s and its step.
+
+    ``curved`` (N,): (ΔU²·max|∂²Q/∂U²| + Δs²·max|∂²Q/∂s²|)/8, which bounds the error of a cell
+    without a kink; infinite with one.
+    """
+
+    curved: Floats
+
+    def largest(self) -> Floats | float:
+        """What is known of a cell's error beforehand, l/min."""
+        return self.curved
+
+    def s(self, v: Floats) -> tuple[Floats, Floats, Floats]:
+        """S, and its first and second derivative by v."""
+        s = self.dp + self.ddp * v
+        return s, self.ddp + 0.0 * s, 0.0 * s
 
 
 @dataclass(frozen=True)
@@ -83,12 +112,13 @@ def certified_errors(cells: Cells, pieces: MapPieces, tolerance_U: float) -> tup
     Parameters
     ----------
     tolerance_U
-        %; a box whose error in U is below is not refined for it.
+        %; a box whose error in U is below is not refined for it. Infinite: of a table of the flow,
+        whose error in U is none.
     """
     half = np.full(len(cells.r), 0.5)
     boxes, found, worst_U, worst_Q = _Boxes(cells, half, half, half, half), 0.0, 0.0, 0.0
     for depth in range(DEEPEST + 1):
-        bounds, centre, U_error = _bounds(boxes, pieces)
+        bounds, centre, U_error = _bounds(boxes, pieces, with_U=np.isfinite(tolerance_U))
         found = max(found, float(centre.max(initial=0.0)))
         rough = (bounds > SLACK * found + ROUNDING) | (U_error > tolerance_U)
         if depth == DEEPEST or 4 * int(rough.sum()) > MOST:
@@ -101,8 +131,8 @@ def certified_errors(cells: Cells, pieces: MapPieces, tolerance_U: float) -> tup
     return worst_U + ROUNDING, worst_Q + ROUNDING
 
 
-def _bounds(boxes: _Boxes, pieces: MapPieces) -> tuple[Floats, Floats, Floats]:
-    """Return each box's bound of |F|, |F| at its centre, and a bound of the error in U."""
+def _bounds(boxes: _Boxes, pieces: MapPieces, *, with_U: bool) -> tuple[Floats, Floats, Floats]:
+    """Return each box's bound of |F|, |F| at its centre, and, if asked, one of the error in U."""
     c, u, v, a, b = boxes.cells, boxes.u, boxes.v, boxes.a, boxes.b
     ends_u, ends_v = np.stack([u - a, u + a]), np.stack([v - b, v + b])
     by_u, by_v = c.U10 - c.U00, c.U01 - c.U00
@@ -111,28 +141,30 @@ def _bounds(boxes: _Boxes, pieces: MapPieces) -> tuple[Floats, Floats, Floats]:
         c.U00 + by_u * ends_u[:, None] + by_v * ends_v[None] + twist * ends_u[:, None] * ends_v
     )
     low_U, high_U = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    s = np.sqrt(c.dp + c.ddp * ends_v)
+    s, s_v, s_vv = c.s(ends_v)
     slopes, bends, kinked = pieces.over(low_U, high_U, s[0], s[1])
-    middle = np.sqrt(c.dp + c.ddp * v)
+    middle, by_s, _ = c.s(v)
     Q, in_U, in_s = pieces.at(c.U00 + by_u * u + by_v * v + twist * u * v, middle)
     r, span = c.r + c.dr * u, c.span + c.dspan * v
     F = np.abs(Q - (c.low + c.dlow * v + r * span))
     U_u, U_v = by_u + twist * ends_v, by_v + twist * ends_u  # at both ends
-    s_v, s_vv = c.ddp / (2.0 * s), c.ddp**2 / (4.0 * s[0] ** 3)
     Q_u, Q_v = c.dr * (c.span + c.dspan * ends_v), c.dlow + (c.r + c.dr * ends_u) * c.dspan
     F_u = np.abs(in_U * (by_u + twist * v) - c.dr * span)
-    F_v = np.abs(in_U * (by_v + twist * u) + in_s * c.ddp / (2 * middle) - c.dlow - r * c.dspan)
+    F_v = np.abs(in_U * (by_v + twist * u) + in_s * by_s - c.dlow - r * c.dspan)
     most_u, most_v, most_s = np.abs(U_u).max(axis=0), np.abs(U_v).max(axis=0), s_v.max(axis=0)
     F_uu = bends[0] * most_u**2
     twisted = np.abs(slopes[:2] * twist - c.dr * c.dspan).max(axis=0)
     F_uv = bends[0] * most_u * most_v + bends[1] * most_u * most_s + twisted
     F_vv = bends[0] * most_v**2 + 2 * bends[1] * most_v * most_s + bends[2] * most_s**2
-    F_vv = F_vv + np.abs(slopes[2:]).max(axis=0) * s_vv
+    F_vv = F_vv + np.abs(slopes[2:]).max(axis=0) * s_vv.max(axis=0)
     smooth = F + a * F_u + b * F_v + (a * a * F_uu + 2 * a * b * F_uv + b * b * F_vv) / 2.0
     steep_u = _largest(_product(slopes[:2], U_u), Q_u)
     by_both = _product(slopes[:2], U_v) + _product(slopes[2:], s_v)
     plain = F + a * steep_u + b * _largest(by_both, Q_v)
-    bounds = np.where(kinked, plain, np.minimum(smooth, plain))
+    bounds = np.minimum(np.where(kinked, plain, np.minimum(smooth, plain)), c.largest())
+    bounds = bounds + pieces.slack
+    if not with_U:
+        return bounds, F, 0.0 * F
     error_U = _error_in_U(pieces, low_U, high_U, s, bounds)
     corners = (
         c.low
@@ -161,7 +193,7 @@ def _beyond_reach(
         slopes, _, _ = pieces.over(at, at, s[0], s[1])
         most = sign * flow + np.abs(slopes[2:]).max(axis=0) * (s[1] - s[0]) / 2.0
         demand = (sign * Q).min(axis=(0, 1))
-        found |= (sign * nearest >= sign * end) & (demand >= most)
+        found |= (sign * nearest >= sign * end) & (demand >= most + pieces.slack)
     return found
 
 

@@ -14,10 +14,10 @@ from valvemap.model.map_pieces import MapPieces
 from valvemap.model.residual_spread import TWO_SIDED_95
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
+from valvemap.model.table_error import ROUNDING, CellsOfFlow, certified_errors
 
 S = TypeVar("S", bound=State)
 MARGIN: Final = 1.25  # on an error that is measured
-ROUNDING: Final = 1e-4  # l/min; literals have 12 digits
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ForwardTable:
     error
         Largest difference from the map, l/min.
     certified
-        Whether the error is a bound: (ΔU²·max|∂²Q/∂U²| + Δs²·max|∂²Q/∂s²|)/8 in each cell.
+        Whether the error is a bound over the whole table (:mod:`~valvemap.model.table_error`).
     """
 
     U: Floats
@@ -116,19 +116,43 @@ def _forward(
     if pieces is None:
         between = (flows[:-1, :-1] + flows[1:, :-1] + flows[:-1, 1:] + flows[1:, 1:]) / 4.0
         middles = at((U[:-1] + U[1:]) / 2.0, (s[:-1] + s[1:]) / 2.0)[1].reshape(between.shape)
-        error = MARGIN * float(np.abs(middles - between).max())
+        error = MARGIN * float(np.abs(middles - between).max()) + ROUNDING
     else:
-        cells = [x.ravel() for x in np.meshgrid(np.arange(len(U) - 1), np.arange(len(s) - 1))]
-        i, j = cells
-        _, bends, _ = pieces.over(U[i], U[i + 1], s[j], s[j + 1])
-        squares = np.diff(U)[i] ** 2 * bends[0] + np.diff(s)[j] ** 2 * bends[2]
-        error = float(squares.max()) / 8.0
+        _, error = certified_errors(_cells(U, s, flows, pieces), pieces, np.inf)
     return ForwardTable(
         U=U,
         s=s,
         Q=flows,
         half=np.nan_to_num(half, nan=float(support.Q_max)).reshape(shape),
         guessed=guessed.reshape(shape),
-        error=error + ROUNDING,
+        error=error,
         certified=pieces is not None,
+    )
+
+
+def _cells(U: Floats, s: Floats, Q: Floats, pieces: MapPieces) -> CellsOfFlow:
+    shape = len(U) - 1, len(s) - 1
+    low_U, high_U = (np.repeat(x, shape[1]) for x in (U[:-1], U[1:]))
+    across, steps = (np.tile(x, shape[0]) for x in (s[:-1], np.diff(s)))
+    Q00, Q01, Q10, Q11 = (
+        Q[a, b].ravel()
+        for a in (slice(None, -1), slice(1, None))
+        for b in (slice(None, -1), slice(1, None))
+    )
+    _, bends, kinked = pieces.over(low_U, high_U, across, across + steps)
+    curved = ((high_U - low_U) ** 2 * bends[0] + steps**2 * bends[2]) / 8.0
+    return CellsOfFlow(
+        U00=low_U,
+        U01=low_U,
+        U10=high_U,
+        U11=high_U,
+        r=0.0 * Q00,
+        dr=0.0 * Q00 + 1.0,
+        dp=across,
+        ddp=steps,
+        low=Q00,
+        dlow=Q01 - Q00,
+        span=Q10 - Q00,
+        dspan=Q11 - Q10 - Q01 + Q00,
+        curved=np.where(kinked, np.inf, curved),
     )

@@ -1,0 +1,75 @@
+"""Stated errors of exported tables beside the largest at 10⁶ points.
+
+`python -m benchmarks.table_errors`; a valve with a dead band of 6 %, learnt from 5,000 samples
+between 25 and 55 °C. The figures stand in docs/methods/models.md.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from valvemap.model.flow_map import FlowMap
+from valvemap.model.flow_table import flow_table
+from valvemap.model.inverse_map import invert
+from valvemap.model.lookup_table import lookup_table, place
+from valvemap.model.model_structures import TensorSpline
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Samples
+from valvemap.model.support import Support
+from valvemap.model.valve_tables import valve_tables
+
+POINTS, N, T = 1_000_000, 5_000, 40.0
+
+
+def figures(estimator: Any) -> dict[str, tuple[float, float]]:
+    """Stated and largest error of each table: U in %, flows in l/min."""
+    rng = np.random.default_rng(4)
+    U, dp, oil = rng.uniform(0, 100, N), rng.uniform(1, 200, N), np.linspace(25.0, 55.0, N)
+    Q = 2.0 * np.clip(U - 6.0, 0, 90) * np.sqrt(dp / 200) * (1.0 + 0.004 * (oil - T))
+    samples = Samples.of(np.arange(N), U, dp, 0 * dp, Q + 0.3 * rng.normal(size=N), oil)
+    state, _ = estimator.update(estimator.initial_state(), samples)
+    inverse = lookup_table(estimator, state, T=T)
+    flows = flow_table(estimator, state, inverse)
+    forward = valve_tables(estimator, state, inverse, Support.none(), 0.3).forward
+
+    def flow(at_U: np.ndarray, at_dp: np.ndarray) -> np.ndarray:
+        return np.asarray(estimator.predict(state, at_U, at_dp, np.full(len(at_U), T))[0])
+
+    dp = rng.uniform(inverse.dp[0], inverse.dp[-1], POINTS)
+    low, high = (np.interp(dp, inverse.dp, x) for x in (inverse.lowest, inverse.highest))
+    Q = rng.uniform(low, high)
+    U, exact = inverse.interpolate(Q, dp)[0], invert(estimator, state, Q, dp, T).U
+    both = np.isfinite(U) & np.isfinite(exact)
+    demand = rng.uniform(flows.Q[0], flows.Q[-1], POINTS)
+    sheet, wanted = flows.interpolate(demand, dp), invert(estimator, state, demand, dp, T).U
+    known = np.isfinite(sheet) & np.isfinite(wanted)
+    at_U, at_s = rng.uniform(0, 100, POINTS), rng.uniform(0, forward.s[-1], POINTS)
+    (i, u), (j, v) = place(forward.U, at_U), place(forward.s, at_s)
+    low_U, high_U = ((1 - v) * forward.Q[k, j] + v * forward.Q[k, j + 1] for k in (i, i + 1))
+    of_sheet = flow(sheet[known], dp[known]) - flow(wanted[known], dp[known])
+    pairs = {
+        "C, ST: U": (inverse.error_U, U[both] - exact[both]),
+        "C, ST: flow": (inverse.error_Q, flow(U[both], dp[both]) - Q[both]),
+        "CSV: U": (flows.error_U, sheet[known] - wanted[known]),
+        "CSV: flow": (flows.error_Q, of_sheet),
+        "FMU: flow": (forward.error, (1 - u) * low_U + u * high_U - flow(at_U, at_s**2)),
+    }
+    return {name: (stated, float(np.abs(x).max())) for name, (stated, x) in pairs.items()}
+
+
+def main() -> None:
+    """Print a row per map."""
+    for name, estimator in (
+        ("eq. (7)", RecursiveLeastSquares()),
+        ("spline, 63 parameters", RecursiveLeastSquares(TensorSpline.uniform(6, 4))),
+        ("RBF network", RbfNetwork()),
+        ("`Auto`", FlowMap()),
+    ):
+        found = figures(estimator)
+        cells = (f"{stated:.3g} / {largest:.3g}" for stated, largest in found.values())
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
