@@ -1,8 +1,10 @@
 """The page's memory in a browser: trends, alarms, units; and that nothing pretends."""
 
 import math
+import re
 import time
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -39,6 +41,9 @@ _HEIGHT = """() => { // how low texts, charts and fields reach; an empty card us
     }
     return Math.min(Math.max(...low), innerHeight) / innerHeight;
 }"""
+
+
+NO_DATA = 0x809B_0000
 
 
 @asynccontextmanager
@@ -117,6 +122,31 @@ async def test_the_state_alarms_and_silences_are_bands_over_the_trend():
             "ms => new Date(ms).toLocaleTimeString('en-GB')", frozen.t / 1e6
         )
         assert f"Sensor frozen from {begun} on" in await lanes.get_attribute("aria-label")
+
+
+async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the_history():
+    shown, _ = alarmed()
+    doubtful = time.time_ns() - 300 * S, time.time_ns() - 200 * S
+    whole = shown.courses
+
+    async def with_a_doubt(asked, span, every_ns):
+        found = []
+        for (id_, _), course in zip(asked, await whole(asked, span, every_ns), strict=True):
+            is_of_signal = ".Signals." in id_
+            are = [doubtful[0] <= t < doubtful[1] and not is_of_signal for t in course.times]
+            values = [math.nan if is_ else v for is_, v in zip(are, course.values, strict=True)]
+            codes = [NO_DATA if is_ else 0 for is_ in are]
+            found.append(replace(course, values=values, codes=codes))
+        return found
+
+    shown.courses = with_a_doubt
+    async with visit(shown) as (visitor, _):
+        await visitor.open("trend/V1?span=600")
+        lanes = visitor.page.locator("canvas.lanes[aria-label*='uncertain from']")
+        await lanes.wait_for()
+        told = (await lanes.get_attribute("aria-label")).split("Estimate of ")[1]
+        assert re.fullmatch(r"\w+: ok from \S+ to \S+; uncertain from \S+ to \S+; ok from .*", told)
+        assert visitor.problems == []
 
 
 async def test_without_a_history_the_trend_says_so():

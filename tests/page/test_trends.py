@@ -36,6 +36,23 @@ async def test_a_trend_has_the_values_of_the_history_at_common_intervals():
     assert np.array_equal(found.courses[0], [wanted] * 3)
 
 
+async def test_where_some_values_are_uncertain_or_none_is_good_the_trend_says_so():
+    class Doubtful(ShownService):
+        async def courses(self, asked, span, every_ns):
+            found = await super().courses(asked, span, every_ns)
+            for course in found:
+                for k, t in enumerate(course.times):
+                    if t >= NOW - 400 * S:
+                        course.codes[k] = 0x40A4_0000
+                    if t >= NOW - 350 * S:
+                        course.codes[k], course.values[k] = 0x809B_0000, math.nan
+            return found
+
+    found = await trends(Doubtful()).read(V1, NAMES, (NOW - 600 * S, NOW - 300 * S), S)
+    for doubt in found.doubts:
+        assert doubt.tolist() == [0] * 200 + [1] * 50 + [2] * 50
+
+
 async def test_what_is_past_is_read_once_for_all_who_look_and_pan():
     shown = ShownService()
     read = trends(shown)

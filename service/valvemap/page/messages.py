@@ -86,6 +86,7 @@ def pack_trend(question: int, trend: Trend) -> bytes:
             times.tobytes(),
             np.array([n], "<u4").tobytes(),
             *(np.asarray(course, "<f4").tobytes() for course in trend.courses),
+            *(np.asarray(doubt, "<u1").tobytes() for doubt in trend.doubts),
         )
     )
 

@@ -31,12 +31,15 @@ STEPS_MS: Final = (
 MOST_INTERVALS: Final = 2_000
 MOST_NAMES: Final = 16
 _TILE = 120  # intervals
-_MOST_TILES = 3_000  # 1.5 kB each
+_MOST_TILES = 3_000  # 2 kB each
 _SETTLES_S = 20.0  # rows of the history may come so late
 _TOGETHER_S = 900.0  # longer tiles are read one variable at a time: no request takes long
 _MOST_AT_ONCE = MOST_INTERVALS // _TILE + 1  # longer tiles of one request
 _QUICK_S, _SLOW_S = 0.25, 1.0  # a request after which more, or single tiles, are read at once
 _KINDS = ("Average", "Minimum", "Maximum")
+_DOUBT = len(_KINDS)  # row of a tile: 0 all values are Good, 1 some are, NaN none is
+_ROWS = _DOUBT + 1
+_UNCERTAIN, _BAD = 0x4000_0000, 0x8000_0000
 _MS = 1_000_000  # ns
 
 
@@ -50,6 +53,8 @@ class Trend:
         Start of the first interval and length of each, UTC ns.
     courses
         By variable: mean, least and largest value, (3, n) each; NaN: no value.
+    doubts
+        By variable, (n,): 0 all values of an interval are Good, 1 some are, 2 none is.
     is_kept
         Whether it comes from the service's history, instead of what the page has seen.
     since
@@ -59,6 +64,7 @@ class Trend:
     start: int
     step: int
     courses: Sequence[NDArray[np.float32]]
+    doubts: Sequence[NDArray[np.uint8]]
     is_kept: bool
     since: int
 
@@ -137,15 +143,23 @@ class Trends:
             try:
                 async with self._connection():
                     await self._fetch(valve.name, names, first // _TILE, (last - 1) // _TILE, step)
-                courses = [self._cut(valve.name, name, first, last, step) for name in names]
+                cut = [self._cut(valve.name, name, first, last, step) for name in names]
                 return Trend(
-                    first * step, step, courses, is_kept=True, since=self._since(valve.name)
+                    start=first * step,
+                    step=step,
+                    courses=[found[:_DOUBT] for found in cut],
+                    doubts=[
+                        np.nan_to_num(found[_DOUBT], nan=2.0).astype(np.uint8) for found in cut
+                    ],
+                    is_kept=True,
+                    since=self._since(valve.name),
                 )
             except CommandRejected:
                 self._keeps_none = True
         seen = self._seen.get(valve.name) or Seen((), 1)
         courses = [seen.bucketed(name, first * step, step, last - first) for name in names]
-        return Trend(first * step, step, courses, is_kept=False, since=seen.since)
+        doubts = [np.where(np.isnan(course[0]), 2, 0).astype(np.uint8) for course in courses]
+        return Trend(first * step, step, courses, doubts, is_kept=False, since=seen.since)
 
     async def past_conditions(self, span: tuple[int, int], most: int) -> Sequence[ConditionChange]:
         """Return the newest changes of all alarms in a span (UTC ns), the newest first.
@@ -226,18 +240,23 @@ class Trends:
             raise CommandRejected("no history is kept")
         count = -(-(span[1] - span[0]) // (_TILE * step))
         for k, name in enumerate(names):
-            tiles = np.full((count, 3, _TILE), np.nan, np.float32)
+            tiles = np.full((count, _ROWS, _TILE), np.nan, np.float32)
             for row, course in enumerate(found[k * len(_KINDS) : (k + 1) * len(_KINDS)]):
                 places = (np.array(course.times, np.int64) - span[0]) // step
                 inside = (places >= 0) & (places < count * _TILE)
                 tile, column = np.divmod(places[inside], _TILE)
                 tiles[tile, row, column] = np.array(course.values, np.float32)[inside]
+                if row == 0:
+                    codes = np.array(course.codes, np.uint32)[inside]
+                    tiles[tile, _DOUBT, column] = np.where(
+                        codes >= _BAD, np.nan, codes >= _UNCERTAIN
+                    )
             for place, tile_ in enumerate(tiles):
                 self._tiles[valve, name, step, first + place] = tile_.copy()
 
     def _cut(self, valve: str, name: str, first: int, last: int, step: int) -> NDArray[np.float32]:
         """Join tiles; forget those that may still grow."""
-        found = np.full((3, last - first), np.nan, np.float32)
+        found = np.full((_ROWS, last - first), np.nan, np.float32)
         settled = self._clock.now() - int(_SETTLES_S * 1e9)
         for index in range(first // _TILE, (last - 1) // _TILE + 1):
             key = valve, name, step, index

@@ -114,7 +114,7 @@ export class Live extends EventTarget {
   /** The same for a speed of an axis, at its newest pressures. */
   invertSpeed(axis, v) { return this.#ask({ invert: axis, v }); }
 
-  /** Courses of variables over a span in ms: {start, step, since (ms), kept, courses: [[mean, least, largest], …]}. */
+  /** Courses of variables over a span in ms: {start, step, since (ms), kept, courses: [[mean, least, largest], …], doubts: by course 0 where all values of an interval are Good, 1 some, 2 none}. */
   trend(valve, names, from, to, step) { return this.#ask({ trend: valve, names, from: Math.floor(from), to: Math.ceil(to), step }); }
 
   /** Changes of alarms in a span in ms, the newest first: {past, kept}. */
@@ -254,8 +254,9 @@ export class Live extends EventTarget {
     const courses = view.getUint16(2, true), number = view.getUint32(4, true), n = view.getUint32(32, true);
     const read = (at) => Float32Array.from({ length: n }, (_, k) => view.getFloat32(at + 4 * k, true));
     const found = Array.from({ length: courses }, (_, c) => [0, 1, 2].map((k) => read(36 + 4 * n * (3 * c + k))));
-    const [start, step, since] = [8, 16, 24].map((at) => view.getFloat64(at, true));
-    this.#asked.get(number)?.({ start, step, since, kept: view.getUint8(1) === 1, courses: found });
+    const [start, step, since] = [8, 16, 24].map((at) => view.getFloat64(at, true)), behind = 36 + 12 * n * courses;
+    const doubts = Array.from({ length: courses }, (_, c) => Uint8Array.from({ length: n }, (_, k) => view.getUint8(behind + n * c + k)));
+    this.#asked.get(number)?.({ start, step, since, kept: view.getUint8(1) === 1, courses: found, doubts });
     this.#asked.delete(number);
   }
 

@@ -1,4 +1,4 @@
-// Over a trend: the valve's state and its alarms as lanes, alarms as shaded spans, other events as marks.
+// Over a trend: the valve's state, that of its estimate, and its alarms as lanes, alarms as shaded spans, other events as marks.
 
 import { css, h, pen } from "./dom.js";
 import { clock, REASONS, spaced } from "./format.js";
@@ -10,9 +10,10 @@ const INSET = 6; // px before the name of a lane
 const SEVERITY = ["--good", "--note", "--warning", "--alarm"];
 const FONT = "11px system-ui, sans-serif";
 const SILENT = "no samples";
+const DOUBTS = [["ok", 0], ["partly uncertain", 1], ["uncertain", 2]]; // of an estimate: label, severity
 
-/** `span()` is [from, to] in ms; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples. */
-export function trendLanes({ live, valve, span, changes, areAllKnown, silences }) {
+/** `span()` is [from, to] in ms; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history. */
+export function trendLanes({ live, valve, span, changes, areAllKnown, silences, estimator, doubts }) {
   const canvas = h("canvas.lanes", { role: "img", "aria-label": "State" });
 
   /** Spans of alarms of this valve and of the service. */
@@ -64,38 +65,40 @@ export function trendLanes({ live, valve, span, changes, areAllKnown, silences }
     ctx.restore();
   }
 
-  /** A lane for the state, and one for each alarm: how long it was active. */
+  /** Spans of the estimate's status, with its label. */
+  const estimates = () => doubts().map(({ from, to, doubt }) => ({ from, to, label: DOUBTS[doubt][0], severity: DOUBTS[doubt][1] }));
+
+  /** A lane for the state, one for the estimate where a history is kept, and one for each alarm: how long it was active. */
   function draw(chart) {
     const found = active(), laneOf = ({ source, name }) => `${source === "Service" ? "Service " : ""}${name}`;
     const kinds = [...new Set(found.map(laneOf))].slice(0, MOST_LANES), [from, to] = span();
-    canvas.style.height = `${(kinds.length + 1) * LANE}px`;
+    const isSeen = (one) => (one.to ?? to) > from && one.from < to;
+    const standing = [["State", states().filter(isSeen)], [estimator, estimates().filter(isSeen)]].filter(([, spans], k) => k === 0 || spans.length);
+    canvas.style.height = `${(kinds.length + standing.length) * LANE}px`;
     const { context } = pen(canvas), [left, width] = [chart.bbox.left, chart.bbox.width].map((x) => x / devicePixelRatio);
     context.font = FONT;
     context.textBaseline = "middle";
     const x = (ms) => left + width * Math.min(Math.max((ms - from) / (to - from), 0), 1);
     const bar = (lane, a, b, colour) => { context.fillStyle = colour; context.fillRect(x(a), lane * LANE + 2, Math.max(x(b) - x(a), 2), LANE - 4); };
-    const isSeen = (a, b) => b > from && a < to;
-    const seen = states().filter((one) => isSeen(one.from, one.to ?? to));
-    const said = [...seen, ...found.map((one) => ({ ...one, label: spaced(laneOf(one)) }))].map(({ label, from: a, to: b }) => `${label} ${a > 0 ? `from ${clock(a)}` : ""} ${b === null ? "on" : `to ${clock(b)}`}`);
-    canvas.setAttribute("aria-label", `State and alarms: ${said.join("; ") || "none known"}`);
-    for (const one of seen) {
-      const end = one.to ?? to;
-      bar(0, one.from, end, css(one.severity ? SEVERITY[one.severity] : "--good-ground"));
-      if (x(end) - x(one.from) < context.measureText(one.label).width + 2 * INSET) continue;
-      context.fillStyle = css(one.severity ? "--card" : "--good");
-      context.fillText(one.label, x(one.from) + INSET, LANE / 2);
-    }
-    for (const one of found) if (kinds.includes(laneOf(one))) bar(kinds.indexOf(laneOf(one)) + 1, one.from, one.to ?? to, css(SEVERITY[one.severity]));
-    ["State", ...kinds.map(spaced)].forEach((name, k) => {
-      context.textAlign = "right";
-      context.fillStyle = css("--soft");
-      if (k === 0) context.fillText(name, left - INSET, LANE / 2);
-      context.textAlign = "left";
-      if (k === 0) return;
+    const written = (text, at, lane, colour, align = "left") => { context.textAlign = align; context.fillStyle = css(colour); context.fillText(text, at, (lane + 0.5) * LANE); };
+    const told = ({ label, from: a, to: b }) => `${label} ${a > 0 ? `from ${clock(a)}` : ""} ${b === null ? "on" : `to ${clock(b)}`}`;
+    const said = [...standing[0][1], ...found.map((one) => ({ ...one, label: spaced(laneOf(one)) }))].map(told);
+    const estimate = standing[1] ? `. Estimate of ${estimator}: ${standing[1][1].map(told).join("; ")}` : "";
+    canvas.setAttribute("aria-label", `State and alarms: ${said.join("; ") || "none known"}${estimate}`);
+    standing.forEach(([name, spans], lane) => {
+      written(name, left - INSET, lane, "--soft", "right");
+      for (const one of spans) {
+        const end = one.to ?? to;
+        bar(lane, one.from, end, css(one.severity ? SEVERITY[one.severity] : "--good-ground"));
+        if (x(end) - x(one.from) >= context.measureText(one.label).width + 2 * INSET) written(one.label, x(one.from) + INSET, lane, one.severity ? "--card" : "--good");
+      }
+    });
+    for (const one of found) if (kinds.includes(laneOf(one))) bar(kinds.indexOf(laneOf(one)) + standing.length, one.from, one.to ?? to, css(SEVERITY[one.severity]));
+    kinds.map(spaced).forEach((name, k) => {
+      const lane = k + standing.length;
       context.fillStyle = css("--card");
-      context.fillRect(left - 1, k * LANE + 2, context.measureText(name).width + 2 * INSET, LANE - 4);
-      context.fillStyle = css("--ink");
-      context.fillText(name, left + INSET, (k + 0.5) * LANE);
+      context.fillRect(left - 1, lane * LANE + 2, context.measureText(name).width + 2 * INSET, LANE - 4);
+      written(name, left + INSET, lane, "--ink");
     });
   }
 

@@ -29,6 +29,18 @@ export function tabled(series, found, shift = 0) {
   return made;
 }
 
+/** Spans in which course `of` was 0 certain, 1 partly, 2 not at all: {from, to, doubt} in ms; none where no course has a value. */
+export function doubtSpans(found, of) {
+  const spans = [], n = found.doubts[of]?.length ?? 0;
+  for (let k = 0; k < n; k++) {
+    if (!found.courses.some(([mean]) => Number.isFinite(mean[k]))) continue;
+    const from = found.start + k * found.step, to = from + found.step, doubt = found.doubts[of][k], last = spans.at(-1);
+    if (last?.doubt === doubt && from - last.to <= GAP_STEPS * found.step) last.to = to;
+    else spans.push({ from, to, doubt });
+  }
+  return spans;
+}
+
 /** Add the newest values (in the service's units), of time `at` in ms. */
 export function addNewest(rows, series, values, at) {
   if (!at || at <= rows.newest || Math.abs(Date.now() - at) > LATEST_MS || !values.some(Number.isFinite)) return;

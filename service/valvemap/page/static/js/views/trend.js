@@ -6,7 +6,7 @@ import { clock, fixed, KINDS, NAN, span as spanText, spaced } from "../format.js
 import { merged } from "../intervals.js";
 import { bounded, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
 import { trendLanes } from "../trend_lanes.js";
-import { addNewest, emptyRows, joined, tabled } from "../trend_rows.js";
+import { addNewest, doubtSpans, emptyRows, joined, tabled } from "../trend_rows.js";
 import { decimals, inUnits, shown } from "../units.js";
 
 const REFRESH_MS = 30000; // what is live is read again so often, from the history
@@ -22,8 +22,8 @@ export function trendView(root, { live, valve, query, keep }) {
     ["Signals.U", "U", "%", "--line-1"], ["Signals.T", "T", "°C", "--line-2"],
     ["Signals.p1", "p₁", "bar", "--line-1"], ["Signals.p2", "p₂", "bar", "--line-2"], ["Signals.dp", "Δp", "bar", "--line-3"],
   ];
-  const names = SERIES.map(([name]) => name);
-  let rows = emptyRows(SERIES, state.span), others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, isClosed = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
+  const names = SERIES.map(([name]) => name), PREDICTED = 1;
+  let rows = emptyRows(SERIES, state.span), doubts = [], others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, isClosed = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
@@ -33,7 +33,7 @@ export function trendView(root, { live, valve, query, keep }) {
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name, kind }) => name !== valve.name && !kind).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
-  const lanes = trendLanes({ live, valve, span: () => [from(), to()], changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences });
+  const lanes = trendLanes({ live, valve, span: () => [from(), to()], changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences, estimator, doubts: () => doubts });
   const charts = [["Flow", [0, 1]], ["Residual Q − Q̂", [2]], ["Control voltage and oil temperature", [4, 5]], ["Pressures", [6, 7, 8]]];
   const bodies = charts.map(() => h("div.chart.fit"));
   const readout = h("tbody"), when = h("h2"), list = h("ol.marks");
@@ -113,7 +113,7 @@ export function trendView(root, { live, valve, query, keep }) {
     isReading = false;
     if (isClosed) return;
     failed = found.error ?? "";
-    if (!found.error) { rows = tabled(SERIES, found); source = { kept: found.kept, since: found.since }; }
+    if (!found.error) { rows = tabled(SERIES, found); doubts = found.kept ? doubtSpans(found, PREDICTED) : []; source = { kept: found.kept, since: found.since }; }
     others = other && !other.error ? tabled(SERIES, other, otherAt) : null;
     draw();
     mark(root, "reading", false);
