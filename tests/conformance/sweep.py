@@ -60,8 +60,6 @@ async def sweeps(program, folder) -> Mapping[str, object]:
 async def swept(peer, url) -> Swept:
     await peer.ask("connect", url=url)
     nodes = (await peer.ask("walk", root=ROOT, reference=REFERENCES))["nodes"]
-    below = await peer.ask("walk", root=OBJECTS, reference=HIERARCHICAL)
-    methods = sorted({tuple(pair) for pair in below["methods"]})
     counts, faults, types = {}, 0, {}
     for first in range(0, len(nodes), READ_AT_ONCE):
         some = nodes[first : first + READ_AT_ONCE]
@@ -70,11 +68,7 @@ async def swept(peer, url) -> Swept:
         types |= read["types"]
         for code, n in read["codes"].items():
             counts[int(code)] = counts.get(int(code), 0) + n
-    arguments = [{"type": "Double", "value": 0.0}] * TOO_MANY
-    answers = [
-        (await peer.ask("call", owner=owner, method=method, inputs=arguments))["code"]
-        for owner, method in methods
-    ]
+    answers = await answers_of_methods(peer)
     await peer.ask("disconnect")
     known = set(nodes)
     coded = {id_: type_ for id_, type_ in types.items() if f"{id_}.EnumStrings" in known}
@@ -83,12 +77,29 @@ async def swept(peer, url) -> Swept:
         attributes=sum(counts.values()),
         faults=faults,
         failed=sum(n for code, n in counts.items() if code in FAILED),
-        methods=len(methods),
-        denied=answers.count(DENIED),
-        dead=sum(code not in {DENIED, *WRONG_ARGUMENTS} for code in answers),
+        methods=len(answers),
+        denied=list(answers.values()).count(DENIED),
+        dead=len(dead_methods(answers)),
         codes=len(coded),
         untyped=sum(type_.removeprefix("ns=0;") == INT32 for type_ in coded.values()),
     )
+
+
+async def answers_of_methods(peer):
+    """Call every method with too many arguments; return its StatusCode by owner and method."""
+    below = await peer.ask("walk", root=OBJECTS, reference=HIERARCHICAL)
+    arguments = [{"type": "Double", "value": 0.0}] * TOO_MANY
+    return {
+        (owner, method): (await peer.ask("call", owner=owner, method=method, inputs=arguments))[
+            "code"
+        ]
+        for owner, method in sorted({tuple(pair) for pair in below["methods"]})
+    }
+
+
+def dead_methods(answers):
+    """Those that answer neither that they are denied, nor that the arguments are wrong."""
+    return [of for of, code in answers.items() if code not in {DENIED, *WRONG_ARGUMENTS}]
 
 
 async def aggregated(peer, url, past):

@@ -133,6 +133,7 @@ async def raised(folder, **more):
     users = UserStore()
     users.add("operator", Role.OPERATOR, PASSWORD)
     users.add("observer", Role.OBSERVER, PASSWORD)
+    users.add("engineer", Role.ENGINEER, PASSWORD)
     settings = results_settings(users=users, pki=pki, **more)
     live = identification()
     with HistoryFile(folder / "history.sqlite") as store:
