@@ -49,6 +49,11 @@ def test_each_change_is_one_event_with_who_did_it():
     assert texts[1] == "Changed acknowledged by anna; still active."
 
 
+def test_an_event_names_the_alarm_in_words():
+    _, line = heard(Alarm(name="SensorLost", active=False), since=0)
+    assert [event.text for event in line.after(0)] == ["Sensor lost cleared; not acknowledged yet."]
+
+
 def test_an_alarm_of_the_service_is_an_event_of_no_valve():
     _, line = heard(Alarm(source="Service", name="Checkpoint"))
     assert [event.valve for event in line.after(0)] == [""]

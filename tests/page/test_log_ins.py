@@ -23,7 +23,9 @@ class Plant:
     def clients(self, user, password, address):
         self.addresses.append(address)
         service, rig = ShownService(), ShownService()
-        if password != "right":
+        if password == "away":
+            service.up = False
+        elif password != "right":
             service.connect = self._refuse
         self.made.append((user, service, rig))
         return service, rig
@@ -99,6 +101,14 @@ async def test_wrong_passwords_are_said_and_stop_before_the_service_locks_the_us
     other = await visit.post("/log-in", user="anna", password="right")
     assert other.status_code == 200
     visit.clock.advance(306.0)
+    assert (await visit.log_in()).status_code == 200
+
+
+async def test_a_service_that_does_not_answer_is_no_wrong_password():
+    visit = Visit()
+    answers = [await visit.log_in("away") for _ in range(5)]
+    assert {answer.status_code for answer in answers} == {503}
+    assert "does not answer: try again" in answers[-1].json()["error"]
     assert (await visit.log_in()).status_code == 200
 
 

@@ -1,5 +1,6 @@
 """Alarms that wait for an operator: active, unacknowledged or unconfirmed; changes of others."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,7 @@ from valvemap.readings import ConditionChange
 MOST_SHOWN = 300
 MOST_PAST = 500
 SERVICE = "Service"
+_BEGINS_A_WORD = re.compile(r"(?<=[a-z])[A-Z]")
 _ALARM, _WARNING = 700, 400  # severities of Part 9 from which on
 
 
@@ -91,12 +93,13 @@ def severity_of(severity: int) -> Severity:
 
 def _event_of(change: ConditionChange) -> tuple[Severity, str]:
     by = f" by {change.user}" if change.user else ""
+    name = _BEGINS_A_WORD.sub(lambda found: f" {found[0].lower()}", change.name)
     if change.active and not change.acked:
-        return severity_of(change.severity), f"{change.name} raised. {change.text}"
+        return severity_of(change.severity), f"{name} raised. {change.text}"
     if change.active:
-        return Severity.NOTE, f"{change.name} acknowledged{by}; still active."
+        return Severity.NOTE, f"{name} acknowledged{by}; still active."
     if not change.acked:
-        return Severity.NOTE, f"{change.name} cleared; not acknowledged yet."
+        return Severity.NOTE, f"{name} cleared; not acknowledged yet."
     if not change.confirmed:
-        return Severity.NOTE, f"{change.name} acknowledged{by}; to be confirmed."
-    return Severity.NOTE, f"{change.name} cleared and dealt with."
+        return Severity.NOTE, f"{name} acknowledged{by}; to be confirmed."
+    return Severity.NOTE, f"{name} cleared and dealt with."

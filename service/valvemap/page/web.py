@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from valvemap.clock import Clock
-from valvemap.errors import ValvemapError
+from valvemap.errors import SourceLost, ValvemapError
 from valvemap.page.commands import carry_out
 from valvemap.page.door import Door
 from valvemap.page.exposition import CONTENT_TYPE
@@ -133,6 +133,9 @@ class Page:
                 try:
                     host = request.client.host if request.client else ""
                     secret = await self.log_ins.log_in(user, password, host)
+                except SourceLost as error:
+                    words = f"the service does not answer: try again in a moment ({error})"
+                    return _answer(503, error=words)
                 except ValvemapError as error:
                     return _answer(403, error=str(error))
             case _:

@@ -67,6 +67,12 @@ const seconds = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-d
 const minutes = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit" });
 const days = new Intl.DateTimeFormat("en-GB", { day: "numeric", month: "short" });
 
+/** The minute before a time in s; before now while there are no data. */
+function newest(max) {
+  const end = max > 0 ? max : Date.now() / 1000;
+  return [end - SECONDS, end];
+}
+
 function timeTicks(chart, ticks) {
   const step = ticks.length > 1 ? ticks[1] - ticks[0] : 1;
   return ticks.map((t) => {
@@ -82,7 +88,7 @@ export function timeChart(parent, height, series, { unit, unit2, bands = [], ran
     padding: [8, unit2 ? 0 : right, 0, 0], legend: { show: false },
     cursor: { drag: { x: false, y: false }, points: { size: 6 }, ...cursor },
     scales: {
-      x: { time: true, range: (_, __, max) => span?.() ?? [max - SECONDS, max] },
+      x: { time: true, range: (_, __, max) => span?.() ?? newest(max) },
       y: range ? { range } : {},
       ...(unit2 ? { second: {} } : {}),
     },

@@ -137,7 +137,7 @@ function drawNav(view) {
   const unseen = live.alarms.filter(({ acked }) => !acked).length;
   nav.replaceChildren(...views().filter(({ isTab }) => !isTab).map((known) => h("a", {
     href: hrefOf(known), "aria-current": known === view ? "page" : null, title: `Key ${known.digit}`, "aria-keyshortcuts": known.digit,
-  }, known.title, known.key === "alarms" && unseen ? h("span.bubble", { "aria-label": `${unseen} not acknowledged` }, String(unseen)) : null)));
+  }, known.title, known.key === "alarms" && unseen ? h("span.bubble", { title: `${unseen} not acknowledged`, "aria-label": `${unseen} not acknowledged` }, String(unseen)) : null)));
 }
 
 function drawLink() {
