@@ -104,7 +104,9 @@ async def test_a_fault_that_is_injected_on_the_page_appears_on_the_time_line(vis
     await visitor.page.locator("select[name=kind]").select_option("bad_quality")
     await visitor.page.locator("input[name=duration]").fill("20")
     await visitor.page.locator("button", has_text="Inject").click()
-    await visitor.page.locator("[role=status]", has_text="Injected: bad_quality").wait_for()
+    await visitor.page.locator(
+        "[role=status]", has_text="Injected: Samples of Bad quality"
+    ).wait_for()
     await visitor.open("timeline")
     event = visitor.page.locator(".events li[data-kind=status]", has_text="Valvistor")
     await event.first.wait_for(timeout=30_000)

@@ -7,7 +7,7 @@ const STEPS = [
     text: "The service has never seen this valve. It learns the flow over U and Δp from the samples as they come: watch the surface settle, and “Extrapolated” shrink." },
   { title: "Break the valve", view: "rig", seen: /^#\/rig/,
     text: "Log in as operator (the demo has printed the password), choose “Damage” and press Inject. The rig's main edge now passes less oil than before." },
-  { title: "Read what it reports", view: "alarms", seen: /^#\/alarms/,
+  { title: "Read what it reports", view: "alarms", seen: /^#\/(alarms|trend|map)/, // its links lead there
     text: "Within seconds an alarm says what was measured, what it may be, and what to do. From there, “Trend at that time” and “Place in the map” show it." },
 ];
 
@@ -31,7 +31,7 @@ export function tour(user, panel, again) {
     if (panel.hidden) return;
     const { title, text, seen } = STEPS[step], isThere = seen.test(location.hash);
     panel.replaceChildren(
-      h("p.step", {}, `Tour, step ${step + 1} of ${STEPS.length}`), h("h2", {}, title), h("p", {}, text),
+      h("p.step", {}, `Tour, step ${step + 1} of ${STEPS.length}`), h("h2", {}, title), h("p.words", {}, text),
       h("div.buttons", {}, h("button.quiet", { type: "button", onclick: close }, "Close"),
         step ? h("button.quiet", { type: "button", onclick: () => go(step - 1) }, "Back") : null,
         !isThere ? h("button", { type: "button", onclick: () => go(step) }, "Show me")

@@ -5,13 +5,14 @@ import { clock, KINDS } from "../format.js";
 import { inUnits } from "../units.js";
 
 const MOST_REPORTS = 12;
+const USUAL_S = 10;
 
 const SCENARIOS = [
   ["demo", "what the demo begins with"], ["scattered", "U and Δp jump over the whole range"], ["structured", "U in steps, Δp swept at each"],
   ["cycle", "the working cycle of a machine"], ["ageing_valve", "a valve that wears, and is damaged"], ["verification", "points between the others"],
 ];
-const FAULTS = [
-  ["damage", "Damage: the main edge passes more or less, at once", "%", -10], ["wear", "Wear: drifts there over the duration", "%", 10],
+const FAULTS = [ // kind, sentence, unit, usual size, usual duration in s
+  ["damage", "Damage: the main edge passes more or less, at once", "%", -10, 0], ["wear", "Wear: drifts there over the duration", "%", 10],
   ["temperature_ramp", "Oil temperature drifts", "K", 10], ["spikes", "Spikes on Q", "l/min", 30], ["offset", "Offset of Q", "l/min", 5],
   ["offset.p1", "Offset of p1", "bar", 5], ["frozen.p2", "p2 stands still", "", 1], ["bad_quality", "Samples of Bad quality", "share", 1],
   ["drop_out", "Samples are not sent", "share", 0.5], ["clock_step", "The source's clock jumps", "s", 5],
@@ -21,7 +22,7 @@ export function rigView(root, { live, valve, user }) {
   const scenario = h("select", { name: "scenario" }, SCENARIOS.map(([name, text]) => h("option", { value: name }, `${name}: ${text}`)));
   const kind = h("select", { name: "kind" }, FAULTS.map(([name, text]) => h("option", { value: name }, text)));
   const size = h("input", { name: "size", type: "number", step: "any", required: true }), unit = h("span.muted");
-  const duration = h("input", { name: "duration", type: "number", min: 0, step: "any", value: 10, required: true });
+  const duration = h("input", { name: "duration", type: "number", min: 0, step: "any", required: true });
   const reports = h("ol.events"), done = h("p.words", { role: "status" }), hint = h("p.muted");
   const start = h("button", { type: "button", onclick: () => act({ scenario: scenario.value }, `Scenario ${scenario.value} runs.`) }, "Start");
   const stop = h("button.quiet", { type: "button", onclick: () => act({ scenario: "" }, "The scenario is stopped.") }, "Stop");
@@ -34,7 +35,7 @@ export function rigView(root, { live, valve, user }) {
       h("section.card", {}, h("header", {}, h("h2", {}, `Break something of ${valve.name}`)),
         h("form.form", { onsubmit: (event) => {
           event.preventDefault();
-          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`);
+          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.selectedOptions[0].text.split(":")[0]}, ${size.value} ${unitOf()} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`);
         } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject)), done),
     ),
     h("section.card.reports", {}, h("header", {}, h("h2", {}, `What the service reports of ${valve.name}`), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), reports),
@@ -46,10 +47,13 @@ export function rigView(root, { live, valve, user }) {
     if (!found.length) reports.append(h("li.muted", {}, "Nothing yet."));
   }
 
+  const unitOf = () => FAULTS.find(([name]) => name === kind.value)[2];
+
   function choose() {
-    const [, , of, usual] = FAULTS.find(([name]) => name === kind.value);
+    const [, , of, usual, seconds = USUAL_S] = FAULTS.find(([name]) => name === kind.value);
     say(unit, of ? `in ${of}` : "(not used)");
     size.value = usual;
+    duration.value = seconds;
   }
 
   async function act(command, text) {

@@ -1,0 +1,50 @@
+"""The tour of a demo leads through three views, covers none, and is done where its links lead."""
+
+from contextlib import asynccontextmanager
+
+import pytest
+
+from support.browser import Visit, chromium
+from support.served_page import served
+from support.shown_service import Alarm, ShownService
+
+pytestmark = pytest.mark.chromium
+
+RIG = "opc.tcp://127.0.0.1:1/rig/"
+BELOW = """() => document.querySelector('aside.tour').getBoundingClientRect().top
+    >= document.querySelector('main').getBoundingClientRect().bottom - 0.5"""
+
+
+@asynccontextmanager
+async def opened(size=(1280, 800)):
+    shown = ShownService(alarms=[Alarm(name="Changed", severity=500)])
+    async with served(shown, RIG) as (_, url), chromium() as browser:
+        width, height = size
+        context = await browser.new_context(viewport={"width": width, "height": height})
+        yield Visit(await context.new_page(), url)
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (820, 1180), (390, 844)])
+async def test_the_tour_covers_nothing_and_is_done_where_its_links_lead(size):
+    async with opened(size) as visitor:
+        page, step = visitor.page, visitor.page.locator("aside.tour button:last-child")
+        await visitor.open("overview")
+        for view in ("map", "rig", "alarms"):
+            await step.and_(page.get_by_text("Show me").or_(page.get_by_text("Next"))).click()
+            await page.locator(f"main[data-view={view}]").wait_for()
+            assert await page.evaluate(BELOW)
+        await page.locator("main").get_by_text("Trend at that time").click()
+        await page.locator("main[data-view=trend]").wait_for()
+        await step.and_(page.get_by_text("Done")).click()
+        await page.locator("aside.tour").wait_for(state="hidden")
+        assert visitor.problems == []
+
+
+async def test_damage_lasts_unless_told_otherwise():
+    async with opened() as visitor:
+        await visitor.open("rig")
+        kind, duration = (visitor.page.locator(f"[name={x}]") for x in ("kind", "duration"))
+        await kind.wait_for()
+        assert await duration.input_value() == "0"
+        await kind.select_option("frozen.p2")
+        assert await duration.input_value() == "10"
