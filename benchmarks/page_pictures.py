@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 from playwright.async_api import Browser, Page, async_playwright
 
 DOCS = Path(__file__).parents[1] / "docs"
-_GRAPHICS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
-_DESK, _TABLET = (1280, 800), (820, 1180)
+GRAPHICS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+DESK, _TABLET = (1280, 800), (820, 1180)
 _STARTS_S = 400.0  # the first start of all compiles
 _SEEN_S = 240.0  # time that a busy machine may need
 _SCENARIO = """
@@ -38,7 +38,7 @@ class Picture:
     seen: str  # a regular expression
     look_s: float = 2.0
     theme: str = "light"
-    size: tuple[int, int] = _DESK
+    size: tuple[int, int] = DESK
 
     @property
     def file(self) -> Path:
@@ -50,7 +50,7 @@ _ANSWERED = r"95 %: [\d.]+ to"
 _MISSING = "Red: the map.*samples learnt from"
 PICTURES = (
     # so long that the maps are settled before something is broken
-    Picture("commissioning", "commissioning/Boom", _MISSING, look_s=75.0),
+    Picture("commissioning", "commissioning/Boom", _MISSING, look_s=120.0),
     Picture("rig", "rig/Arm", "Injected"),
     Picture("overview", "overview", "valve changed"),
     Picture("timeline", "timeline", "found an abrupt change"),
@@ -70,9 +70,9 @@ def main() -> None:
 
 
 async def _draw(program: str) -> None:
-    async with _demo() as (url, password), async_playwright() as driver:
+    async with demo(_SCENARIO) as (url, password), async_playwright() as driver:
         browser = await driver.chromium.launch(
-            executable_path=program, args=["--no-sandbox", *_GRAPHICS]
+            executable_path=program, args=["--no-sandbox", *GRAPHICS]
         )
         pages: dict[tuple[str, tuple[int, int]], Page] = {}
         for picture in PICTURES:
@@ -116,20 +116,23 @@ async def _break_something(page: Page, password: str) -> None:
 
 
 @asynccontextmanager
-async def _demo():
-    """A demo of three valves: (page's URL, operator's password)."""
+async def demo(scenario=None):
+    """A demo, or one of a scenario in TOML: (page's URL, operator's password)."""
     with TemporaryDirectory() as folder:
-        scenario = Path(folder) / "pictures.toml"
-        scenario.write_text(_SCENARIO, encoding="utf-8")
+        options = []
+        if scenario is not None:
+            file = Path(folder) / "pictures.toml"
+            file.write_text(scenario, encoding="utf-8")
+            options = ["--scenario", str(file)]
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-u", "-m", "valvemap", "demo", "--scenario", str(scenario)),
+            *(sys.executable, "-u", "-m", "valvemap", "demo", *options),
             stdout=asyncio.subprocess.PIPE,
         )
         try:
             async with asyncio.timeout(_STARTS_S):
                 url = await _word(process.stdout, "page")
                 password = await _word(process.stdout, "operator")
-                await _word(process.stdout, "Arm:")
+                await _word(process.stdout, "Arm:" if scenario else "Valvistor:")
             reading = asyncio.create_task(process.stdout.read())
             yield url, password
             reading.cancel()
