@@ -86,6 +86,7 @@ async def _draw(program: str) -> None:
             seen = page.locator("main", has_text=re.compile(picture.seen, re.DOTALL))
             await seen.wait_for(timeout=1_000.0 * _SEEN_S)
             await page.wait_for_timeout(1_000.0 * picture.look_s)
+            await page.locator(".strip").wait_for(state="hidden", timeout=1_000.0 * _SEEN_S)
             await page.screenshot(path=picture.file)
             print(picture.file, flush=True)
         await browser.close()
