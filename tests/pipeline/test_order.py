@@ -216,6 +216,24 @@ def test_a_source_whose_clock_was_reset_when_it_restarted_is_gone_on_with():
     assert losses == {"restarts": 1}
 
 
+def test_a_restart_is_found_while_the_first_samples_of_the_run_before_still_wait():
+    before, after = stream(np.arange(7, 12)), stream(np.arange(7, 107), first=30)
+    times, _, losses = run(ORDERED, before, after, flush=True)
+    assert times == [*before.source_time[::6].tolist(), *after.source_time[::6].tolist()]
+    assert losses == {"restarts": 1}
+
+
+@pytest.mark.parametrize("lost", [0, 5])
+def test_a_clock_set_back_after_a_restart_makes_no_later_sample_old(lost):
+    numbers = np.delete(np.arange(400), np.s_[220 : 220 + lost])
+    t = START + (700 + numbers) * STEP
+    t[200:] -= 3_600 * SECOND
+    times, _, losses = run(ORDERED, stream(np.arange(100, 600)), stream(numbers, t), flush=True)
+    assert times[500:] == t.tolist()
+    assert losses.get("gaps", 0) == lost
+    assert losses["restarts"] == 1
+
+
 def test_without_its_numbers_a_valve_is_gone_on_with_by_time():
     changes = stream(np.arange(600))
     silent = changes.item[:] == 5

@@ -103,9 +103,13 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
     order, slot, time = w.order[v], w.slots[v, k], w.slots[v, k, TIME]
     number = _unwrapped(order, slot[NUMBER])
     last, of_before = order[LAST], order[FLOOR] != NEVER and time <= order[FLOOR]
+    if of_before and order[BASE] != NO_NUMBER and number == order[BASE] + 1:
+        order[FLOOR] = NEVER  # the source's clock was set back in this run
+        of_before = False
     came_before = of_before and (last == NO_NUMBER or number != last + 1)
-    if last != NO_NUMBER and number <= last and not came_before:
-        if time > order[HIGH] or not _is_known(order, number, time):
+    taken = not came_before and _is_taken(w, v, k, number)
+    if taken or (last != NO_NUMBER and number <= last and not came_before):
+        if taken or time > order[HIGH] or not _is_known(order, number, time):
             if _is_old(slot):
                 w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
             slot[OPENED] = _NOT_YET  # keep it, whatever is emitted before it
@@ -240,6 +244,16 @@ def _is_known(order: NDArray[np.int64], number: int, time: int) -> bool:
         if number >= order[FIRST] or order[BEFORE_FIRST] == NEVER:
             return False
         last, last_time = order[FIRST] - 1, order[BEFORE_FIRST]
+    return False
+
+
+@inner
+def _is_taken(w: Waiting, v: int, k: int, number: int) -> bool:
+    """Whether another waiting sample has the number: the source restarted before it was emitted."""
+    for m in range(w.order[v, SIZE]):
+        slot = w.slots[v, m]
+        if m != k and slot[SINCE] != NEVER and slot[FILLED] != _GONE and slot[NUMBER] == number:
+            return True
     return False
 
 
