@@ -7,7 +7,7 @@ import struct
 import sys
 from ast import literal_eval
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, Protocol, Self, TypeVar
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
-from valvemap.model.samples import Floats, Samples, Trace
+from valvemap.model.samples import Floats, Samples, Trace, field_names
 from valvemap.vocabulary.statuses import Adaptation
 
 
@@ -36,10 +36,12 @@ class State:
 
     def to_bytes(self, key: str) -> bytes:
         """Serialize the state; ``key`` identifies the hyper-parameters."""
-        arrays: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-        arrays["header_"] = np.array([str(self.state_version), type(self).__name__, key])
-        layout = tuple((name, array.dtype.str, array.shape) for name, array in arrays.items())
-        return b"".join((_npy_head(layout), *(array.tobytes() for array in arrays.values())))
+        kind = type(self)
+        arrays = [np.asarray(getattr(self, name)) for name in field_names(kind)]
+        names = str(kind.state_version), kind.__name__, key
+        layout = tuple((array.dtype, array.shape) for array in arrays)
+        head, header = _npy_head(names, field_names(kind), layout)
+        return b"".join((head, *(array.tobytes() for array in arrays), header))
 
     @classmethod
     def from_bytes(cls, data: bytes, key: str) -> Self:
@@ -61,7 +63,7 @@ class State:
                 arrays = cls.upgraded(header[0], arrays)
                 header = expected if arrays else header
             if header == expected:
-                arrays = {f.name: arrays[f.name] for f in fields(cls)}
+                arrays = {name: arrays[name] for name in field_names(cls)}
         except _UNREADABLE as error:
             raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
         if header != expected:
@@ -94,11 +96,28 @@ class State:
 
 
 @lru_cache(maxsize=256)
-def _npy_head(layout: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
-    """Return numpy's header of such a record; cached, since it takes longer than the arrays."""
-    record, buffer = np.zeros((), list(layout)), io.BytesIO()
+def _npy_head(
+    header: tuple[str, ...],
+    names: tuple[str, ...],
+    layout: tuple[tuple[np.dtype[Any], tuple[int, ...]], ...],
+) -> tuple[bytes, bytes]:
+    """Return the header of numpy and ours; cached: they would take longer than the arrays."""
+    ours = np.array(header)
+    every = zip((*names, "header_"), (*layout, (ours.dtype, ours.shape)), strict=True)
+    record = np.zeros((), [(name, of.str, shape) for name, (of, shape) in every])
+    buffer = io.BytesIO()
     np.save(buffer, record, allow_pickle=False)
-    return buffer.getvalue()[: -record.nbytes]
+    return buffer.getvalue()[: -record.nbytes], ours.tobytes()
+
+
+@lru_cache(maxsize=256)
+def _npy_kind(head: bytes) -> np.dtype[Any]:
+    """Return the type of the record with this header of numpy's; cached, as `_npy_head`."""
+    parsed = literal_eval(head.decode("latin1").strip())
+    kind = np.lib.format.descr_to_dtype(parsed["descr"])
+    if parsed["shape"] != () or kind.hasobject:
+        raise ValueError("not one record of numbers and texts")
+    return kind
 
 
 def _difference(header: tuple[str, ...], expected: tuple[str, str, str]) -> str:
@@ -121,10 +140,7 @@ def _record(data: bytes) -> Any:  # noqa: ANN401 - a record of named arrays
     begin = len(_MAGIC) + 2
     if length > _HEADER_BYTES:
         raise ValueError(f"a header of {length} bytes, at most {_HEADER_BYTES} are allowed")
-    head = literal_eval(data[begin : begin + length].decode("latin1").strip())
-    kind = np.lib.format.descr_to_dtype(head["descr"])
-    if head["shape"] != () or kind.hasobject:
-        raise ValueError("not one record of numbers and texts")
+    kind = _npy_kind(data[begin : begin + length])
     return np.frombuffer(data, kind, 1, begin + length).reshape(())
 
 
@@ -134,8 +150,8 @@ class Template:
     def __init__(self, like: State) -> None:
         said = like.contents()
         self._contents = {
-            f.name: said.get(f.name) or Contents(np.asarray(getattr(like, f.name)))
-            for f in fields(like)
+            name: said.get(name) or Contents(np.asarray(getattr(like, name)))
+            for name in field_names(type(like))
         }
 
     def check(self, state: State) -> None:

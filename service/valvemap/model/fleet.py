@@ -1,7 +1,6 @@
 """Many models at once: the states of a fleet as one structure of arrays."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -11,7 +10,7 @@ from valvemap.model.estimator import State
 from valvemap.model.forgetting import Forgetting
 from valvemap.model.least_squares_state import RlsState, batch_of, learn_segments
 from valvemap.model.place_grid import Grid
-from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace, field_names
 
 UNREAD = frozenset(  # arrays of a state that no result depends on
     {"flows", "places", "visits", "window", "cells", "slots", "recent"}
@@ -46,33 +45,33 @@ def stack(states: Sequence[S]) -> S:
     """Stack the states of M models of equal n; arrays get a leading axis M."""
     kind = type(states[0])
     return kind(
-        **{f.name: np.stack([getattr(state, f.name) for state in states]) for f in fields(kind)}
+        **{name: np.stack([getattr(state, name) for state in states]) for name in field_names(kind)}
     )
 
 
 def repeated(state: S, M: int) -> S:
     """Repeat a state M times; arrays get a leading axis M."""
     kind = type(state)
-    arrays = {f.name: np.asarray(getattr(state, f.name)) for f in fields(kind)}
+    arrays = {name: np.asarray(getattr(state, name)) for name in field_names(kind)}
     return kind(**{name: np.tile(a, (M,) + (1,) * a.ndim) for name, a in arrays.items()})
 
 
 def alone(state: S) -> S:
     """Return a fleet of one model: views, not copies."""
     kind = type(state)
-    return kind(**{f.name: np.asarray(getattr(state, f.name))[None] for f in fields(kind)})
+    return kind(**{name: np.asarray(getattr(state, name))[None] for name in field_names(kind)})
 
 
 def member(fleet: S, m: int) -> S:
     """Return the state of model m: views, not copies."""
     kind = type(fleet)
-    return kind(**{f.name: getattr(fleet, f.name)[m] for f in fields(kind)})
+    return kind(*[getattr(fleet, name)[m] for name in field_names(kind)])
 
 
 def copied(state: S) -> S:
     """Return a copy of a state."""
     kind = type(state)
-    return kind(**{f.name: np.array(getattr(state, f.name)) for f in fields(kind)})
+    return kind(*[np.array(getattr(state, name)) for name in field_names(kind)])
 
 
 def members(fleet: S, chosen: Times) -> S:
@@ -81,7 +80,7 @@ def members(fleet: S, chosen: Times) -> S:
     Arrays that no result depends on (memories of places, windows, cells) are empty.
     """
     kind, nothing = type(fleet), np.empty((len(chosen), 0))
-    arrays = {f.name: getattr(fleet, f.name) for f in fields(kind)}
+    arrays = {name: getattr(fleet, name) for name in field_names(kind)}
     return kind(**{k: nothing if k in UNREAD else a[chosen] for k, a in arrays.items()})
 
 

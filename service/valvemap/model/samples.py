@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple, Self
+from functools import cache
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,16 @@ Singles = NDArray[np.float32]
 Times = NDArray[np.int64]
 Codes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
+
+
+def field_names(kind: type[Any]) -> tuple[str, ...]:
+    """Names of the fields of a dataclass, in their order."""
+    return _field_names(kind)  # type: ignore[arg-type] # a class is hashable
+
+
+@cache
+def _field_names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
 
 
 @dataclass(frozen=True)
@@ -99,7 +110,7 @@ class Samples:
         """Concatenate batches in order."""
         if not parts:
             return cls.empty()
-        columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
+        columns = {name: [getattr(part, name) for part in parts] for name in field_names(cls)}
         return cls(**{name: np.concatenate(column) for name, column in columns.items()})
 
     @property
@@ -116,7 +127,7 @@ class Samples:
         return len(self.t)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Self:
-        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return type(self)(*[getattr(self, name)[rows] for name in field_names(type(self))])
 
 
 class Segments(NamedTuple):

@@ -3,9 +3,6 @@
 import math
 from collections.abc import Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
 from valvemap.errors import CommandRejected
 from valvemap.model.samples import Times
 from valvemap.pipeline.alarm_states import AlarmRule
@@ -16,6 +13,7 @@ from valvemap.pipeline.alarms import (
     ServiceAlarms,
 )
 from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.lane_failures import Rows
 from valvemap.pipeline.ports import AlarmReport, Remark
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 
@@ -115,7 +113,7 @@ class AllAlarms:
             before = alarms.version[places]
 
             def watch(
-                rows: NDArray[np.intp],
+                rows: Rows,
                 alarms: Alarms = alarms,
                 places: Times = places,
                 now: Times = now[chosen],

@@ -82,6 +82,9 @@ class AllValves:
 
     def by_fleet(self, valves: Times) -> Iterator[tuple[Fleet, NDArray[np.intp]]]:
         """Yield each fleet of the given valves (M,), and which of the M are in it."""
+        if len(self.fleets) == 1 and len(valves):
+            yield self.fleets[0], np.arange(len(valves))
+            return
         fleets = self._fleet_of[valves]
         for number in np.unique(fleets):
             yield self.fleets[number], np.flatnonzero(fleets == number)

@@ -27,7 +27,7 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, SET_BACK, SET_FORWARD, Waiting
-from valvemap.pipeline.lane_failures import CopyBuffer, Restore, isolate, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, isolate, saved
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
 from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
@@ -349,7 +349,7 @@ class Arrivals:
         """Align valves together or, if that raises, one by one."""
         parts: list[ByValve] = []
 
-        def align(rows: NDArray[np.intp]) -> None:
+        def align(rows: Rows) -> None:
             self._waiting, samples = do(members[rows])
             parts.append(samples)
 

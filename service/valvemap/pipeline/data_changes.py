@@ -1,11 +1,13 @@
 """Data changes as they come off the wire, decoded into arrays."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from valvemap.model.samples import field_names
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,11 @@ class DataChanges:
         """Join batches, in their order."""
         if not parts:
             return cls.empty()
-        columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
+        columns = {name: [getattr(part, name) for part in parts] for name in field_names(cls)}
         return cls(**{name: np.concatenate(column) for name, column in columns.items()})
 
     def __len__(self) -> int:
         return len(self.item)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
-        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return type(self)(*[getattr(self, name)[rows] for name in field_names(type(self))])

@@ -24,6 +24,7 @@ from valvemap.pipeline.lane_failures import (
     LaneFailure,
     LaneFailures,
     Restore,
+    Rows,
     Step,
     all_of,
     isolate,
@@ -120,7 +121,7 @@ class Fleet:
         judged = samples
         traces: Mapping[str, Trace] = {name: nothing_of(len(samples)) for name in self._lanes}
 
-        def take(rows: NDArray[np.intp]) -> None:
+        def take(rows: Rows) -> None:
             nonlocal judged, traces
             if len(rows) == len(segments.members):
                 judged, traces = self._take(samples, segments)
@@ -184,7 +185,7 @@ class Fleet:
         self._t[running.members] = samples.t[running.stops - 1]
         kernel.last_T(judged.T, judged.quality, self._T, running)
 
-        def watch(_: NDArray[np.intp]) -> None:
+        def watch(_: Rows) -> None:
             for name, own in self._by_inverse(running.members):
                 self.alarms.watch(judged, traces[name], running.of(own))
             self._note(running.members)
@@ -202,7 +203,7 @@ class Fleet:
         early = np.stack([trace.early for trace in traces.values()])
         status = np.stack([trace.status for trace in traces.values()])
 
-        def compare(_: NDArray[np.intp]) -> None:
+        def compare(_: Rows) -> None:
             self.places.learn(judged, residual, early, status, running)
 
         stop = partial(self.stop, None, Step.COMPARISON)
@@ -218,7 +219,7 @@ class Fleet:
             for (name, trace), said in zip(traces.items(), status, strict=True)
         }
 
-    def _look_back(self, m: int, _: NDArray[np.intp]) -> None:
+    def _look_back(self, m: int, _: Rows) -> None:
         """Evaluate the maps of one valve at the places that it left, and rank them."""
         points, one = self.places.points(m), np.array([m])
         maps: list[tuple[Floats, Floats] | None] = []
@@ -227,7 +228,7 @@ class Fleet:
             if lanes.failed[m] or name in self.waits:
                 continue
 
-            def evaluate(_: NDArray[np.intp], lanes: Lanes = lanes) -> None:
+            def evaluate(_: Rows, lanes: Lanes = lanes) -> None:
                 maps[-1] = lanes.predicted(m, *points)
 
             stop = partial(self.stop, name, Step.COMPARISON)
@@ -299,7 +300,7 @@ class Fleet:
         count = sum(bool(lanes.failed[m]) for lanes in self._lanes.values())
         self.alarms.note_stopped(m, count, int(self._t[m]))
 
-    def watch(self, chosen: Times, do: Callable[[NDArray[np.intp]], None]) -> None:
+    def watch(self, chosen: Times, do: Callable[[Rows], None]) -> None:
         """Judge the alarms of the given valves (K,); ``do`` is called with rows of the K."""
         running = np.flatnonzero(~self.stopped()[chosen])
         stop = partial(self.stop, None, Step.ALARMS)
@@ -336,7 +337,7 @@ class Fleet:
         quality = np.full(len(samples), Quality.BAD, np.uint8)
         running = segments.of(~self.stopped()[segments.members])
 
-        def judge(_: NDArray[np.intp]) -> None:
+        def judge(_: Rows) -> None:
             nonlocal quality
             found = self.plan.gate.judge(self._gate, samples, running).quality
             if len(running.members) == len(segments.members):
@@ -354,7 +355,7 @@ class Fleet:
     ) -> None:
         running = ~self.stopped()[segments.members]
 
-        def learn(_: NDArray[np.intp]) -> None:
+        def learn(_: Rows) -> None:
             some = [(status, own.of(running)) for status, own in rests]
             self._support.learn(judged, some, segments.of(running))
 

@@ -23,6 +23,7 @@ MOST_OF_A_REASON: Final = 200  # characters
 SMALL: Final = 16_384  # bytes; smaller copies are allocated, from memory that Python has at hand
 ALIGNED: Final = 64  # bytes; copies begin at a cache line
 
+Rows = NDArray[np.intp]  # an alias: annotations of inner functions are evaluated at each call
 Restore = Callable[[], None]
 Stop = Callable[[int, Exception], None]
 
@@ -91,7 +92,7 @@ class LaneFailures:
 
 def isolate(
     members: Times,
-    do: Callable[[NDArray[np.intp]], None],
+    do: Callable[[Rows], None],
     save: Callable[[Times], Restore],
     stop: Stop,
 ) -> None:
@@ -139,13 +140,13 @@ def isolate(
         isolate(members[one], partial(_at, do, one), save, stop)
 
 
-def _at(do: Callable[[NDArray[np.intp]], None], one: NDArray[np.intp], _: Any) -> None:  # noqa: ANN401
+def _at(do: Callable[[Rows], None], one: Rows, _: Any) -> None:  # noqa: ANN401
     do(one)
 
 
 def isolate_last(
     members: Times,
-    do: Callable[[NDArray[np.intp]], None],
+    do: Callable[[Rows], None],
     restore: Restore,
     stop: Stop,
 ) -> None:

@@ -22,7 +22,7 @@ from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
-from valvemap.pipeline.lane_failures import CopyBuffer, Restore, all_of, isolate_last, saved
+from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, all_of, isolate_last, saved
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
@@ -81,7 +81,7 @@ class Lanes:
         running = ~self.failed[segments.members]
         trace, starts = nothing_of(len(samples)), segments.starts.copy()
 
-        def learn(_: NDArray[np.intp]) -> None:
+        def learn(_: Rows) -> None:
             nonlocal trace
             trace, rests = self._take(samples, segments.of(running))
             starts[running] = rests.starts
@@ -96,7 +96,7 @@ class Lanes:
     @property
     def failed(self) -> NDArray[np.bool_]:
         """Mask (M,) of the lanes that stopped at an error."""
-        return np.asarray(self._notes.status == Status.FAILED)
+        return np.asarray(self._notes.status == _FAILED)
 
     def fail(self, m: int) -> None:
         """Stop the lane of valve ``m``; its state remains."""
@@ -346,6 +346,8 @@ for _status, _quality in {
     Status.FAILED: Quality.BAD,
 }.items():
     _QUALITY[_status] = _quality
+
+_FAILED = int(Status.FAILED)  # as a number: it is compared several times a batch
 
 
 def nothing_of(N: int, status: Status = Status.FAILED) -> Trace:

@@ -57,7 +57,7 @@ class SampleClocks:
 
     def note_offset(self, offset_s: Floats) -> None:
         """Note o_r, (V,), s: a jump of it alone ages no sample."""
-        jump = np.nan_to_num(offset_s - self._offset_s)
+        jump = offset_s - self._offset_s  # NaN at first
         jumped = np.abs(jump) > STEP_S
         if jumped.any():
             self.correction_s[jumped] = _small_is_0(self.correction_s - jump)[jumped]

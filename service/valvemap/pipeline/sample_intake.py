@@ -13,7 +13,7 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.edges import LEAK, Splitter, gathered
 from valvemap.pipeline.fleet import Fleet
-from valvemap.pipeline.lane_failures import Step
+from valvemap.pipeline.lane_failures import Rows, Step
 from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
 from valvemap.pipeline.ports import SignalResults
 from valvemap.vocabulary.signals import PUBLISHED
@@ -183,7 +183,7 @@ class SampleIntake:
         lost, aligned = counts[:, _LOST].sum(axis=1), counts[:, _ALIGNED]
         holds = self._arrivals.timing.holds[valves]
 
-        def watch(rows: NDArray[np.intp]) -> None:
+        def watch(rows: Rows) -> None:
             fleet.alarms.note_losses(places[rows], lost[rows], aligned[rows])
             fleet.alarms.be_patient(places[rows], holds[rows])
 

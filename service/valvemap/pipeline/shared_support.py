@@ -7,13 +7,12 @@ stored bits, so sharing changes no result.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Codes, Flags, Samples, Segments, Times
+from valvemap.model.samples import Codes, Flags, Samples, Segments, Times, field_names
 from valvemap.model.support import Support, SupportOfMany
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, rows_of
 from valvemap.vocabulary.statuses import Status
@@ -97,7 +96,7 @@ class SharedSupport:
 
     @property
     def _arrays(self) -> list[NDArray[Any]]:
-        return [getattr(self._kept, field.name) for field in fields(SupportOfMany)]
+        return [getattr(self._kept, name) for name in field_names(SupportOfMany)]
 
     def one(self, e: int, m: int) -> Support:
         """Return a copy of the support of one estimator's map."""
@@ -147,7 +146,7 @@ class SharedSupport:
             size = len(self._users)
             more = size // SPARE + 1
             self._kept = SupportOfMany(
-                *(_longer(getattr(self._kept, field.name), more) for field in fields(SupportOfMany))
+                *(_longer(getattr(self._kept, name), more) for name in field_names(SupportOfMany))
             )
             self._users = _longer(self._users, more)
             self._free = list(range(size, size + more))
@@ -173,7 +172,7 @@ def _learnt(status: Codes, own: Segments, segments: Segments) -> Flags:
 
 def _is_same(one: Support, other: Support) -> bool:
     """Whether two supports are bitwise equal."""
-    pairs = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(Support))
+    pairs = ((getattr(one, name), getattr(other, name)) for name in field_names(Support))
     return all(a.tobytes() == np.asarray(b, a.dtype).tobytes() for a, b in pairs)
 
 

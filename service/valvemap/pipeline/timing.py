@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Times
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels.scans import Changed
-from valvemap.pipeline.lane_failures import Stop, isolate, raised
+from valvemap.pipeline.lane_failures import Rows, Stop, isolate, raised
 from valvemap.pipeline.scan_search import Comes
 from valvemap.pipeline.valve_timing import (
     ALIKE,
@@ -114,6 +114,8 @@ class Timing:
     def holds(self) -> NDArray[np.bool_]:
         """Mask (V,) of the valves with on-change signals: their silence is no loss."""
         held = np.zeros(len(self.valves), np.bool_)
+        if not self._special.any():
+            return held
         for number in np.flatnonzero(self._special).tolist():
             found = self.valves[number].found
             held[number] = found is not None and bool((found.comes == Comes.HELD).any())
@@ -147,7 +149,7 @@ class Timing:
     ) -> DataChanges:
         out = NOTHING
 
-        def take(_: NDArray[np.intp]) -> None:
+        def take(_: Rows) -> None:
             nonlocal out
             out = self.valves[number].take(changed, flush=flush)
 

@@ -332,8 +332,9 @@ class LiveService:
         silent = self.identification.holds() & self._connected  # on-change signals at rest
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         silent_now = np.flatnonzero(stale)
-        overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
-        self._note_new(overdue)
+        if len(silent_now):
+            source_now = self._source_now()[silent_now]
+            self._note_new(self.identification.say_overdue(silent_now, source_now))
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         await self._doubt_old(ages)
 
@@ -361,7 +362,7 @@ class LiveService:
     def _offset_s(self) -> Floats:
         """Offset of each valve's source against our monotonic time, s."""
         ours = self._clock.now() * 1e-9 - self._clock.monotonic()
-        return ours + np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
+        return np.add(self._source.clock_offset_s, ours, out=np.empty(self._newest.shape))
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
