@@ -1,7 +1,7 @@
 """What one seed draws: plant, clocks, intervals, and the time and kind of every fault."""
 
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 SIMULATED_S: Final = 60.0
@@ -42,6 +42,9 @@ class Case:
 
     ``ends`` are (time, kind, pause before the next start), ``disks`` are (start, stop, kind) of
     the state file's and the history's trouble, ``stalls`` of the process (time, duration).
+    ``edits`` of the configuration are (kind, valve) behind each of the ends, ``rivals`` the times
+    at which a second service is started on the same state file, ``calls`` of clients are (time,
+    kind, valve).
     """
 
     seed: int
@@ -56,6 +59,9 @@ class Case:
     disks: tuple[tuple[float, float, str], ...]
     stalls: tuple[tuple[float, float], ...]
     service_steps: tuple[tuple[float, float], ...]
+    edits: tuple[tuple[tuple[str, int], ...], ...] = ()
+    rivals: tuple[float, ...] = ()
+    calls: tuple[tuple[float, str, int], ...] = ()
 
     @property
     def valves(self):
@@ -64,6 +70,23 @@ class Case:
 
 def draw(seed):
     """Draw a case. Each kind of trouble is absent from many cases, so that it is seen alone."""
+    case, rng = draw_plain(seed), random.Random(f"{seed} people")
+    valve = lambda: rng.randrange(case.valves)  # noqa: E731
+    quiet_from = SIMULATED_S - CALM_S
+    return replace(
+        case,
+        sink_s=case.sink_s and rng.choice((case.sink_s, 2.5)),
+        edits=tuple(
+            tuple((rng.choice(EDITS), valve()) for _ in range(rng.choice((0, 1, 1, 2))))
+            for _ in case.ends
+        ),
+        rivals=tuple(at for (at,) in _spread(rng, quiet_from, (0, 0, 1), tuple)),
+        calls=_spread(rng, SIMULATED_S, (0, 4), lambda: (rng.choice(CALLS), valve())),
+    )
+
+
+def draw_plain(seed):
+    """The plant and its faults, without edits of the configuration, rivals and clients."""
     rng = random.Random(seed)
     valves = rng.choice((1, 1, 2, 2, 3))
     parts = rng.choice((1, valves)) if valves > 1 else 1
@@ -88,6 +111,11 @@ def draw(seed):
     )
 
 
+EDITS: Final = (
+    *("flow", "pressure", "command", "node", "name", "swap"),
+    *("estimator", "also", "accuracy"),
+)
+CALLS: Final = ("demand", "predict", "invert", "freeze and resume", "unknown", "not finite")
 _ENDS: Final = ("kill", "kill", "power", "stop")
 
 

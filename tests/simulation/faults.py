@@ -12,6 +12,7 @@ from valvemap.runtime import sources as sources_module
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.state_keeper import StateKeeper
+from valvemap.storage import state_lock
 
 
 def an_early_acknowledgement():
@@ -35,6 +36,11 @@ def a_missing_lock():
     """Two sources call the consumer at the same time."""
     without = SimpleNamespace(**{**vars(asyncio), "Lock": _NoLock})
     return mock.patch.object(sources_module, "asyncio", without)
+
+
+def a_state_file_without_lock():
+    """Two services use one state file."""
+    return mock.patch.object(state_lock.fcntl, "flock", return_value=None)
 
 
 class _NoLock:
@@ -135,6 +141,7 @@ FAULTS = (
     an_early_acknowledgement,
     a_lost_sync,
     a_missing_lock,
+    a_state_file_without_lock,
     an_acknowledgement_after_a_refused_save,
     a_save_without_transaction,
     a_forgotten_counter,

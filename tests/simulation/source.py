@@ -77,14 +77,14 @@ class Server:
         self._sent = {}
         self._ids = 0
         self._cuts = (*case.cuts, *((when, away, 0.0) for when, away, _ in case.restarts))
+        self._steps = (*case.steps, *((when, by) for when, _, by in case.restarts))
         self._restarts = [when for when, *_ in case.restarts]
         self._oldest = 0  # sample of the history
         self._sampled = 0
         self.longest = 0  # queue of a subscription
 
     def ahead_s(self):
-        steps = (*self.case.steps, *((when, by) for when, _, by in self.case.restarts))
-        return sum(by for when, by in steps if self._time.elapsed > when)
+        return sum(by for when, by in self._steps if self._time.elapsed > when)
 
     @property
     def started(self):
@@ -216,15 +216,24 @@ class Server:
         oldest = max(first, self._sampled - self.case.history, self._oldest)
         return [k for k in range(oldest, min(stop, self._sampled)) if not self.off[k]]
 
-    def as_changes(self, parts, numbered_here):
-        """The parts of samples as data changes; valves have their numbers at this source."""
+    @property
+    def taken(self):
+        """Number of samples of each valve until now."""
+        self.advance()
+        return self._sampled
+
+    def as_changes(self, parts, numbered_here, gains):
+        """The parts of samples as data changes; valves have their numbers at this source.
+
+        ``gains`` (PER_VALVE,) by valve: the configured units.
+        """
         item, value, status, t = [], [], [], []
         for valve, k, first, stop in parts:
             here = numbered_here[valve] * PER_VALVE
             last = stop if self.case.numbered else min(stop, PER_VALVE - 1)
             for signal in range(first, last):
                 item.append(here + signal)
-                value.append(self.values[valve][k, signal])
+                value.append(self.values[valve][k, signal] * gains[valve][signal])
                 status.append(BAD if signal == Signal.Q and self.bad[valve][k] else 0)
                 t.append(self.t[k])
         return DataChanges(
@@ -234,10 +243,10 @@ class Server:
             np.array(t, np.int64),
         )
 
-    def as_samples(self, valve, rows):
+    def as_samples(self, valve, rows, gains):
         """Samples of one valve, as aligned."""
         k = np.array(rows)
-        columns = dict(zip(MEASURED, self.values[valve][k].T, strict=False))
+        columns = dict(zip(MEASURED, (self.values[valve][k] * gains).T, strict=False))
         quality = np.where(self.bad[valve][k], Quality.BAD, Quality.GOOD).astype(np.uint8)
         ends = np.array([valve]), np.array([0]), np.array([len(k)])
         return ByValve(Samples(t=self.t[k], quality=quality, **columns), Segments(*ends))
@@ -246,8 +255,9 @@ class Server:
 class Client:
     """One process's client: fulfils `valvemap.runtime.sources.SourceWithHeir`."""
 
-    def __init__(self, server, time):
+    def __init__(self, server, time, plant):
         self.server, self._time = server, time
+        self._gains = {valve: plant[valve].gains for valve in server.case.valves}
         self.resumes_behind = set()  # samples (valve, k) before the position that was resumed
         self._here = {valve: n for n, valve in enumerate(server.case.valves)}
         self._holds_back = False
@@ -367,7 +377,7 @@ class Client:
         self.mark = (self._subscription, self._message, self._known)
         if not self._holds_back:
             self.commit(self.mark)
-        return self.server.as_changes(parts, self._here)
+        return self.server.as_changes(parts, self._here, self._gains)
 
     async def drop(self):
         self._connected = False

@@ -1,6 +1,7 @@
 """Files in memory, with the promises that SQLite makes: whole commits, safe once synced."""
 
 from collections import Counter
+from dataclasses import replace
 
 from valvemap.errors import StorageError
 
@@ -14,6 +15,7 @@ class StateFile:
     def __init__(self):
         self.committed = {}
         self.durable = {}
+        self.aside = []  # (checkpoint, reason)
         self.refuses = False
         self.saves = 0
 
@@ -29,7 +31,13 @@ class StateFile:
         self.durable = self.committed
 
     def put_aside(self, aside, moved):
-        pass
+        gone = {(one.valve, one.estimator) for one, _ in aside} | moved.keys()
+        put = {
+            new: replace(self.committed[old], valve=new[0], estimator=new[1])
+            for old, new in moved.items()
+        }
+        kept = {name: one for name, one in self.committed.items() if name not in gone}
+        self.committed, self.aside = kept | put, [*self.aside, *aside]
 
     def lose_power(self):
         self.committed = self.durable

@@ -1,38 +1,38 @@
-"""One seed: lives of the real service in a simulated world, and what must be true of them."""
+"""One seed: lives of the real service in a simulated world; `judge` says what must be true."""
 
 import asyncio
 import hashlib
 import random
+import tempfile
 from collections import Counter
 from dataclasses import dataclass, field
+from pathlib import Path
 from unittest import mock
 
 import structlog
 
+from simulation import judge, people
 from simulation.draws import SIMULATED_S, draw
+from simulation.installation import edited, fresh, installed, reorder
 from simulation.source import Client, Server
 from simulation.stores import PastFile, StateFile
 from simulation.virtual_loop import DeadlockError, VirtualTime, process
 from support.plant import START
 from valvemap.errors import SourceLost
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
-from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, AlignmentSettings
-from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.kernels import waiting as slots
-from valvemap.pipeline.quality_gate import QualityGate
-from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.runtime import live as live_module
 from valvemap.runtime import past as past_module
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.past import PastKeeper, results_of, signals_of
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
+from valvemap.storage.state_lock import FileLock
+from valvemap.vocabulary.signals import PER_VALVE
 from valvemap.vocabulary.statuses import Quality
 
-RLS = "RLS"
-_SLACK_S = 1.0  # between two looks at what is shown
-_MOST_PENDING = 256
+_FOLDER = tempfile.TemporaryDirectory(prefix="simulation")  # of the lock file
+_SHARPEST_S = 6.0  # how long a kill waits for the moment at which it hurts most
+_SHARP_S = 0.1
 
 
 @dataclass
@@ -45,11 +45,11 @@ class Outcome:
     counts: Counter
 
 
-def simulate(seed):
+def simulate(seed, drawn=draw):
     """Live through one seed."""
-    world = World(draw(seed))
+    world = World(drawn(seed))
     with (
-        structlog.testing.capture_logs() as logs,
+        structlog.testing.capture_logs() as world.logs,
         mock.patch.multiple(
             live_module, FEWEST_AT_ONCE=world.case.at_once, FIRST_AT_ONCE=world.case.at_once
         ),
@@ -61,38 +61,9 @@ def simulate(seed):
             world.violated("all tasks wait for ever")
         except Exception as error:  # noqa: BLE001 - whatever ends the service is a finding
             world.violated(f"the service ended with {error!r}")
-    for line in logs:
+    for line in world.logs:
         world.note(sorted(line.items()))
     return Outcome(seed, world.violations, world.trace.hexdigest(), world.counts)
-
-
-def fresh(case):
-    """An identification of the case's valves that has learnt nothing."""
-    numbered = {valve: part.numbered for part in case.sources for valve in part.valves}
-    reorder_s = reorder(case)
-    plans = [
-        ValvePlan(
-            f"V{valve}",
-            QualityGate(),
-            {RLS: RecursiveLeastSquares()},
-            RLS,
-            map_Q=(50.0, 100.0),
-            map_dp=(50.0, 100.0),
-        )
-        for valve in range(case.valves)
-    ]
-    settings = AlignmentSettings(
-        max_wait_ns=round(2e9 * reorder_s),
-        reorder_ns=round(1e9 * reorder_s),
-        max_pending=_MOST_PENDING,
-    )
-    flags = tuple(numbered[valve] for valve in range(case.valves))
-    return Identification(plans, Alignment(settings, (("T",),) * case.valves, flags))
-
-
-def reorder(case):
-    """How long samples wait for earlier ones, s: longer than any of a connected source is late."""
-    return 4.0 * max(part.publishing_s + part.period_s for part in case.sources)
 
 
 @dataclass
@@ -105,12 +76,13 @@ class Shown:
 
     async def publish(self, results):
         world = self.world
-        found = results.estimators[RLS]
         for m, valve in enumerate(results.valves.tolist()):
+            name, own = world.plant[valve].name, world.plant[valve].estimator
+            found = results.estimators[own]
             self.quality[valve], self.t[valve] = int(found.quality[m]), int(found.t[m])
             world.note((valve, self.quality[valve], self.t[valve], int(found.sample_count[m])))
-            name = f"V{valve}"
-            world.published[results_of(name, RLS)] += int(found.t[m] > 0)
+            for estimator, of in results.estimators.items():
+                world.published[results_of(name, estimator)] += int(of.t[m] > 0)
             world.published[results_of(name, past_module._INVERSE)] += int(results.inverse.t[m] > 0)
             lost = results.signals.quality[m] == Quality.BAD and results.signals.t[m] > 0
             world.published[signals_of(name)] += int(lost)
@@ -137,7 +109,14 @@ class World:
         self.server_of = {v: server for server in self.servers for v in server.case.valves}
         self.number_of = {v: self._numbers(v) for v in self.server_of}  # sample by source time
         self.states, self.past = StateFile(), PastFile()
+        self.plant = installed(case)
+        self.meanings = {}  # each configuration of a valve, by the text stored with its states
+        self.lock_path = Path(_FOLDER.name) / "state"
+        self.clients = []  # of this life
+        self.logs = []
         self.learnt = [[] for _ in range(case.valves)]  # samples (k), in their order
+        self.began = [0] * case.valves  # how many of them were learnt before the present map
+        self.converted = [False] * case.valves  # whether the map was, to another unit
         self.published = Counter()  # rows for the history, of this life
         self.stored = Counter()  # rows of the history at the start of this life
         self.violations = []
@@ -159,29 +138,46 @@ class World:
 
     def run(self):
         """Every life, and the judgement at the end."""
-        for at, kind, pause in (*self.case.ends, (SIMULATED_S, "stop", 0.0)):
+        edits = (*self.case.edits, *[()] * len(self.case.ends))
+        last = (SIMULATED_S, "stop", 0.0), ()
+        for (at, kind, pause), changes in (*zip(self.case.ends, edits, strict=False), last):
             if self.time.elapsed < at:
                 self._live(at, kind)
                 self.time.elapsed += pause
                 self.counts[kind] += 1
-        self._judge_states()
+            for edit in changes:
+                self.plant = edited(self.plant, *edit)
+                self.counts[edit[0]] += 1
+        judge.of_states(self)
+
+    def fresh(self):
+        """An identification of the present configuration that has learnt nothing."""
+        return fresh(self.case, self.plant)
+
+    def known_as(self, row, estimators):
+        """The valve that a stored state of one of these estimators was learnt from, or None."""
+        found = self.meanings.get(row.meaning)
+        return found.valve if found is not None and row.estimator in estimators else None
 
     def _thread_takes(self):
         slow = self.case.thread_s
         return (self.rng.uniform(0.0, slow), self.rng.uniform(0.0, slow)) if slow else (0.0, 0.0)
 
     def _live(self, until, kind):
-        clients = [Client(server, self.time) for server in self.servers]
+        clients = self.clients = [Client(s, self.time, self.plant) for s in self.servers]
+        self.meanings |= {one.meaning.to_text(): one for one in self.plant}
         parts = [
             Part(str(n) if len(clients) > 1 else None, client, client.server.case.valves)
             for n, client in enumerate(clients)
         ]
         self.published, self.stored = Counter(), self.past.rows.copy()
+        lock = FileLock(self.lock_path)
         with process(self.time, self._thread_takes) as loop:
             loop.set_exception_handler(self._forgotten)
             loop.run_until_complete(self._process(Sources(parts), until, kind))
-            for client in clients:
+            for client in self.clients:
                 client.alive = False  # a killed process says no good-bye
+            lock.close()  # as the kernel does
             self.states.refuses = self.past.refuses = True  # a dead process writes nothing
         self.states.refuses = self.past.refuses = False
         self.note(kind)
@@ -199,7 +195,8 @@ class World:
         settings = LiveSettings(
             stale_after_s=case.stale_after_s, reorder_s=reorder(case), map_interval_s=20.0
         )
-        identification = fresh(case)
+        identification = self.fresh()
+        self.numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
         keeper = PastKeeper(self.past, [plan.name for plan in identification.plans])
         shown = Shown(self)
         live = LiveService(
@@ -212,14 +209,21 @@ class World:
             self._learn,
             keeper,
         )
+        before, logged = self.states.load(), len(self.logs)
         await live.start()
-        self._judge_start(identification, [part.source for part in sources.parts])
+        said = repr(self.logs[logged:])
+        judge.of_start(self, identification, [p.source for p in sources.parts], before, said)
         stop = asyncio.Event()
         supervision = SupervisorSettings(
             startup_timeout_s=0.0, tick_s=case.tick_s, connected_before=True
         )
         supervising = asyncio.create_task(supervise_all(sources, live, clock, stop, supervision))
+        taking = _Taking(live, self.states)
+        at_work = asyncio.create_task(self._others(live, settings, supervision))
         await self._watch(live, keeper, shown, until, supervising)
+        if kind == "kill" and len(sources.parts) > 1 and case.sink_s:
+            await self._sharpen(taking)
+        at_work.cancel()
         if kind != "stop":
             return
         live.end_soon()
@@ -229,14 +233,33 @@ class World:
         if not await live.keep(within_s=live.time_left_s):
             self.counts["not all saved"] += 1
             return
-        self._judge_history(keeper)
-        self._judge_counts(identification)
+        judge.of_history(self, keeper)
+        judge.of_counts(self, identification)
 
     def _learn(self, name, samples: Samples):
-        valve = int(name[1:])
+        valve = self.numbers[name]
         self.learnt[valve] += [self.number_of[valve][t] for t in samples.t.tolist()]
         self.published[signals_of(name)] += len(samples)
         self.note((name, samples.t.tolist()))
+
+    async def _others(self, live, settings, supervision):
+        """Clients call the service, and somebody starts a second one."""
+        rivals = [(at, "rival", 0) for at in self.case.rivals]
+        for at, kind, valve in sorted([*self.case.calls, *rivals]):
+            if at < self.time.elapsed:
+                continue
+            await asyncio.sleep(at - self.time.elapsed)
+            if kind == "rival":
+                await people.rival(self, settings, supervision)
+            else:
+                people.call(self, live.identification, kind, valve)
+
+    async def _sharpen(self, taking):
+        """Wait for the worst moment of a kill: states were just saved, and a batch is half done."""
+        for _ in range(round(_SHARPEST_S / _SHARP_S)):
+            if taking.was_overtaken():
+                return
+            await asyncio.sleep(_SHARP_S)
 
     async def _watch(self, live, keeper, shown, until, supervising):
         """Run until the end of this life; look every second at what must hold at any time."""
@@ -247,115 +270,45 @@ class World:
             self.states.refuses, self.past.refuses = "state" in troubles, "history" in troubles
             time.service_ahead_s = sum(by for at, by in case.service_steps if at <= now)
             for at, by in case.stalls:
-                if now - _SLACK_S < at <= now:
+                if now - judge.SLACK_S < at <= now:
                     time.elapsed += by
                     self.disturbed = time.elapsed
-            await asyncio.sleep(min(_SLACK_S, until - time.elapsed))
-            self._judge_shown(shown)
-            self._judge_queues(live, keeper)
+            await asyncio.sleep(min(judge.SLACK_S, until - time.elapsed))
+            judge.of_shown(self, shown)
+            judge.of_queues(self, live, keeper)
         if supervising.done():
             supervising.result()
             self.violated("the supervision ended")
 
-    def _judge_shown(self, shown):
-        """Nothing older than announced is Good."""
-        now, limit = self.time.elapsed, self.case.stale_after_s + self.case.tick_s + _SLACK_S
-        limit += self.case.sink_s * 4
-        if now < self.disturbed + self.case.tick_s + _SLACK_S + self.case.sink_s * 4:
-            return
-        for valve, quality in shown.quality.items():
-            server = self.server_of[valve]
-            if quality != Quality.GOOD or shown.t[valve] not in self.number_of[valve]:
-                continue
-            taken = server.at[self.number_of[valve][shown.t[valve]]]
-            stepped = any(taken <= at <= now for at, _ in server.case.steps)
-            if now - taken > limit and not stepped:
-                self.violated(f"V{valve} is Good, {now - taken:.2f} s old, {limit:.2f} allowed")
 
-    def _judge_queues(self, live, keeper):
-        """Each queue is within its bound."""
-        if keeper._rows > self.case.history_rows:
-            self.violated(f"{keeper._rows} rows buffered")
-        if len(live._to_publish) > self.case.valves:
-            self.violated(f"{len(live._to_publish)} valves queued for publication")
-        if live.identification.arrivals.pending().max() > _MOST_PENDING:
-            self.violated("too many samples wait")
-        for server in self.servers:
-            if server.longest > server.case.queue:
-                self.violated("the server's queue is too long")
+class _Taking:
+    """The batches under way, of which states were saved after another batch had overtaken one."""
 
-    def _judge_start(self, identification, clients):
-        """After a restart: what was acknowledged, or lies before the position, is in the states."""
-        behind = set().union(*(client.resumes_behind for client in clients))
-        for valve, learnt in enumerate(self.learnt):
-            aligned = identification.results.counters(valve)["aligned"]
-            if aligned > len(learnt):
-                self.violated(f"V{valve} restored {aligned} samples, {len(learnt)} were learnt")
-            del learnt[aligned:]
-            server = self.server_of[valve]
-            excused = server.excused[valve]
-            known = {*learnt, *self._waiting(identification, valve), *excused}
-            passed = server.acknowledged[valve] | {k for v, k in behind if v == valve}
-            ahead = {k for k in passed - known if not self._is_overtaken(server, k, excused)}
-            if ahead:
-                self.violated(
-                    f"V{valve}: the position is ahead of the state by {sorted(ahead)[:5]}"
-                )
+    def __init__(self, live, states):
+        self._states, self._batches = states, {}  # by valves: changes left, saves when overtaken
+        take, learn = live.take, live.identification.take
 
-    def _waiting(self, identification, valve):
-        one = identification._arrivals.of(valve)
-        times = one.slots[0, :, slots.TIME].tolist()
-        return {self.number_of[valve][t] for t in times if t in self.number_of[valve]}
+        async def noted(changes, valves):
+            own = tuple(valves.tolist())
+            self._batches[own] = len(changes), None
+            try:
+                await take(changes, valves)
+            finally:
+                del self._batches[own]
+                for other, (left, saves) in self._batches.items():
+                    now = states.saves if saves is None else saves
+                    self._batches[other] = left, now
 
-    def _judge_history(self, keeper):
-        """History = published values minus counted losses."""
-        missing = (self.stored + self.published) - self.past.rows
-        if sum(missing.values()) > keeper.lost:
-            self.violated(f"history lacks {dict(missing)}, counted {keeper.lost}")
-        if invented := self.past.rows - (self.stored + self.published):
-            self.violated(f"history holds rows never published: {dict(invented)}")
+        def learning(piece):
+            for own, (left, saves) in self._batches.items():
+                if piece.item[0] // PER_VALVE in own:
+                    self._batches[own] = left - len(piece), saves
+            return learn(piece)
 
-    def _judge_counts(self, identification):
-        """Every lost sample is one that the source dropped, and is counted."""
-        for valve, learnt in enumerate(self.learnt):
-            if not learnt:
-                continue
-            server = self.server_of[valve]
-            lost = set(range(min(learnt), max(learnt))) - set(learnt)
-            excused = server.excused[valve] | self._waiting(identification, valve)
-            wrong = {k for k in lost - excused if not self._is_overtaken(server, k, lost & excused)}
-            if wrong:
-                self.violated(f"V{valve} lost {sorted(wrong)[:5]}, which the source had")
-            if len(set(learnt)) < len(learnt):
-                self.violated(f"V{valve} learnt samples twice")
-            counters = identification.results.counters(valve)
-            self.counts["lost"] += len(lost)
-            self.counts["learnt"] += len(learnt)
-            counted = counters["gaps"] + counters["missing"]
-            is_exact = server.case.numbered and not server.case.restarts
-            if is_exact and counted != len(lost):
-                named = {name: counters[name] for name in COUNTER_NAMES}
-                self.violated(f"V{valve} lost {len(lost)}, counted {named}")
+        live.take, live.identification.take = noted, learning
 
-    def _is_overtaken(self, server, k, dropped):
-        """Whether a late sample lies behind a gap, whose end it need not wait for."""
-        wait = reorder(self.case) / server.case.period_s
-        messy = server.case.late or server.case.split
-        return bool(messy) and any(0 < k - other <= wait for other in dropped)
-
-    def _judge_states(self):
-        """The saved states are the bits of one undisturbed life over the same samples."""
-        again = fresh(self.case)
-        saved = {one: c for one, c in self.states.committed.items() if one[1] == RLS}
-        restored = fresh(self.case)
-        restored.restore(self.states.load())
-        for server in self.servers:
-            for valve in server.case.valves:
-                n = restored.results.counters(valve)["aligned"]
-                if n:
-                    again.learn(server.as_samples(valve, self.learnt[valve][:n]))
-        for one in again.states.checkpoints():
-            key = one.valve, one.estimator
-            if key in saved and saved[key].state != one.state:
-                self.violated(f"{one.valve}: the state is not that of an undisturbed life")
-            self.note(one.state)
+    def was_overtaken(self):
+        return any(
+            left and saves is not None and self._states.saves > saves
+            for left, saves in self._batches.values()
+        )

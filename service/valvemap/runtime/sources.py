@@ -5,7 +5,7 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, Protocol
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from valvemap.clock import Clock
 from valvemap.errors import SourceError, SourceLost
-from valvemap.model.samples import Floats, Times
+from valvemap.model.samples import Floats, Times, field_names
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import Source, SourceCounters
 from valvemap.runtime.supervisor import Consumer, SupervisorSettings, supervise
@@ -130,8 +130,9 @@ class Sources:
     @property
     def counters(self) -> SourceCounters:
         """Sum of the counters of all sources."""
-        every = (astuple(part.source.counters) for part in self.parts)
-        return SourceCounters(*map(sum, zip(*every, strict=True)))
+        every = [part.source.counters for part in self.parts]
+        names = field_names(SourceCounters)
+        return SourceCounters(*(sum(getattr(one, name) for one in every) for name in names))
 
     @property
     def clock_offset_s(self) -> Floats:

@@ -1,0 +1,177 @@
+"""What must be true of a simulated world: each function reports the promises that are broken."""
+
+from simulation.installation import ALSO, MOST_PENDING, OWN, RLS, fresh, reorder
+from valvemap.pipeline.alignment import COUNTER_NAMES
+from valvemap.pipeline.kernels import waiting as slots
+from valvemap.vocabulary.statuses import Quality
+
+SLACK_S = 1.0  # between two looks at what is shown
+_CLOSE = 1e-9  # relative to the largest parameter; of a map converted to another unit
+
+
+def of_shown(world, shown):
+    """Nothing older than announced is Good."""
+    case, now = world.case, world.time.elapsed
+    limit = case.stale_after_s + case.tick_s + SLACK_S + case.sink_s * 4
+    if now < world.disturbed + case.tick_s + SLACK_S + case.sink_s * 4:
+        return
+    for valve, quality in shown.quality.items():
+        server = world.server_of[valve]
+        if quality != Quality.GOOD or shown.t[valve] not in world.number_of[valve]:
+            continue
+        taken = server.at[world.number_of[valve][shown.t[valve]]]
+        stepped = any(taken <= at <= now for at, _ in server.case.steps)
+        if now - taken > limit and not stepped:
+            world.violated(f"V{valve} is Good, {now - taken:.2f} s old, {limit:.2f} allowed")
+
+
+def of_queues(world, live, keeper):
+    """Each queue is within its bound."""
+    if keeper._rows > world.case.history_rows:
+        world.violated(f"{keeper._rows} rows buffered")
+    if len(live._to_publish) > world.case.valves:
+        world.violated(f"{len(live._to_publish)} valves queued for publication")
+    if live.identification.arrivals.pending().max() > MOST_PENDING:
+        world.violated("too many samples wait")
+    for server in world.servers:
+        if server.longest > server.case.queue:
+            world.violated("the server's queue is too long")
+
+
+def of_start(world, identification, clients, before, said):
+    """After a restart: what was acknowledged, or lies before the position, is in the states.
+
+    ``before`` are the states as stored, ``said`` what the service logged in its start.
+    """
+    behind = set().union(*(client.resumes_behind for client in clients))
+    for valve, learnt in enumerate(world.learnt):
+        aligned = identification.results.counters(valve)["aligned"]
+        if aligned > len(learnt):
+            world.violated(f"V{valve} restored {aligned} samples, {len(learnt)} were learnt")
+        del learnt[aligned:]
+        server = world.server_of[valve]
+        if _of_edit(world, identification, valve, before, said):
+            server.excuse((valve, k) for k in range(server.taken))
+        excused = server.excused[valve]
+        known = {*learnt, *waiting(world, identification, valve), *excused}
+        passed = server.acknowledged[valve] | {k for v, k in behind if v == valve}
+        ahead = {k for k in passed - known if not _is_overtaken(world, server, k, excused)}
+        if ahead:
+            world.violated(f"V{valve}: the position is ahead of the state by {sorted(ahead)[:5]}")
+
+
+def _of_edit(world, identification, valve, before, said):
+    """Nothing is learnt under a wrong meaning, nothing is given up that has the right one.
+
+    Returns whether the samples that waited belong to other nodes.
+    """
+    now, learnt = world.plant[valve], world.learnt[valve]
+    rows = [one for one in before if world.known_as(one, (RLS, OWN)) == valve]
+    newest = max(rows, key=lambda one: one.t, default=None)
+    count = identification._valves.lane(now.name, now.estimator).count
+    then = None if newest is None else world.meanings[newest.meaning]
+    if then is None or not now.keeps_map_of(then):
+        world.began[valve], world.converted[valve] = len(learnt), False
+        if count:
+            world.violated(f"V{valve} learns on under another meaning")
+        if newest is not None and newest.t and not _is_kept(world, newest):
+            world.violated(f"V{valve}: its former state is not kept")
+        if newest is not None and newest.t and newest.valve not in said:
+            world.violated(f"V{valve}: no word of its former state")
+        return then is not None and then.node != now.node
+    if newest.t and not count:
+        world.violated(f"V{valve} has forgotten what it had learnt")
+    if then.flow != now.flow:
+        world.converted[valve] = True
+        if newest.t and now.name not in said:
+            world.violated(f"V{valve}: no word of its conversion")
+    return False
+
+
+def _is_kept(world, row):
+    """Whether a state is still in the file, aside or under its name."""
+    stored = [one for one, _ in world.states.aside] + world.states.load()
+    return any(one.state == row.state for one in stored)
+
+
+def waiting(world, identification, valve):
+    """The samples of a valve in its reorder buffer."""
+    one = identification._arrivals.of(valve)
+    times = one.slots[0, :, slots.TIME].tolist()
+    return {world.number_of[valve][t] for t in times if t in world.number_of[valve]}
+
+
+def of_history(world, keeper):
+    """History = published values minus counted losses."""
+    missing = (world.stored + world.published) - world.past.rows
+    if sum(missing.values()) > keeper.lost:
+        world.violated(f"history lacks {dict(missing)}, counted {keeper.lost}")
+    if invented := world.past.rows - (world.stored + world.published):
+        world.violated(f"history holds rows never published: {dict(invented)}")
+
+
+def of_counts(world, identification):
+    """Every lost sample is one that the source dropped, and is counted."""
+    for valve, learnt in enumerate(world.learnt):
+        if not learnt:
+            continue
+        server = world.server_of[valve]
+        lost = set(range(min(learnt), max(learnt))) - set(learnt)
+        excused = server.excused[valve] | waiting(world, identification, valve)
+        wrong = {k for k in lost - excused if not _is_overtaken(world, server, k, lost & excused)}
+        if wrong:
+            world.violated(f"V{valve} lost {sorted(wrong)[:5]}, which the source had")
+        if len(set(learnt)) < len(learnt):
+            world.violated(f"V{valve} learnt samples twice")
+        counters = identification.results.counters(valve)
+        world.counts["lost"] += len(lost)
+        world.counts["learnt"] += len(learnt)
+        counted = counters["gaps"] + counters["missing"]
+        is_exact = server.case.numbered and not server.case.restarts
+        if is_exact and counted != len(lost):
+            named = {name: counters[name] for name in COUNTER_NAMES}
+            world.violated(f"V{valve} lost {len(lost)}, counted {named}")
+
+
+def _is_overtaken(world, server, k, dropped):
+    """Whether a late sample lies behind a gap, whose end it need not wait for."""
+    wait = reorder(world.case) / server.case.period_s
+    messy = server.case.late or server.case.split
+    return bool(messy) and any(0 < k - other <= wait for other in dropped)
+
+
+def of_states(world):
+    """The saved states are the bits of one undisturbed life over the same samples.
+
+    A state that was converted to another unit is as close to it as rounding permits.
+    """
+    again, restored = fresh(world.case, world.plant), fresh(world.case, world.plant)
+    restored.restore(restored.states.review(world.states.load()).checkpoints)
+    for valve, one in enumerate(world.plant):
+        n = restored.results.counters(valve)["aligned"]
+        learnt = world.learnt[valve][world.began[valve] : n]
+        if learnt:
+            server = world.server_of[valve]
+            again.learn(server.as_samples(valve, learnt, one.gains))
+    names = {one.name: one for one in world.plant}
+    stored = {(one.valve, one.estimator): one for one in world.states.load()}
+    for own in again.states.checkpoints():
+        saved, one = stored.get((own.valve, own.estimator)), names[own.valve]
+        if saved is None or own.estimator == ALSO or saved.meaning != own.meaning:
+            continue
+        if world.converted[one.valve]:
+            lanes = [i._valves.lane(own.valve, own.estimator) for i in (again, restored)]
+            if not _are_close(*lanes):
+                world.violated(f"{own.valve}: its converted state is not that of the new unit")
+        elif saved.state != own.state:
+            world.violated(f"{own.valve}: the state is not that of an undisturbed life")
+        world.note(own.state)
+
+
+def _are_close(one, other):
+    theta, same = (lane.estimator.parameters(lane.state)[0] for lane in (one, other))
+    known = theta == theta  # noqa: PLR0124 - not NaN
+    scale = abs(theta[known]).max(initial=0.0)
+    return one.count == other.count and (
+        abs(theta - same)[known].max(initial=0.0) <= _CLOSE * scale
+    )
