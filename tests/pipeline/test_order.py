@@ -234,6 +234,19 @@ def test_a_clock_set_back_after_a_restart_makes_no_later_sample_old(lost):
     assert losses["restarts"] == 1
 
 
+def test_a_clock_set_back_before_the_first_sample_left_drops_nothing_that_is_incomplete():
+    numbers = np.arange(7, 407)
+    t = START + numbers * STEP
+    t[20:] -= 3_600 * SECOND
+    changes = stream(numbers, t)
+    k = 100  # its number comes 20 samples later; those before it have waited long enough by then
+    number, later = 6 * k + 5, 6 * (k + 20)
+    late = np.r_[0:number, number + 1 : later, number, later : len(changes)]
+    times, _, losses = run(ORDERED, rows(changes, late), flush=True)
+    assert times == t.tolist()
+    assert losses == {"clock_steps": 1}
+
+
 def test_without_its_numbers_a_valve_is_gone_on_with_by_time():
     changes = stream(np.arange(600))
     silent = changes.item[:] == 5

@@ -3,6 +3,7 @@
 from simulation.installation import ALSO, MOST_PENDING, OWN, RLS, fresh, reorder
 from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.kernels import waiting as slots
+from valvemap.pipeline.provenance import MEMORY
 from valvemap.vocabulary.statuses import Quality
 
 SLACK_S = 1.0  # between two looks at what is shown
@@ -68,18 +69,19 @@ def _of_edit(world, identification, valve, before, said):
     now, learnt = world.plant[valve], world.learnt[valve]
     rows = [one for one in before if world.known_as(one, (RLS, OWN)) == valve]
     newest = max(rows, key=lambda one: one.t, default=None)
-    count = identification._valves.lane(now.name, now.estimator).count
+    lane = identification._valves.lane(now.name, now.estimator)
     then = None if newest is None else world.meanings[newest.meaning]
     if then is None or not now.keeps_map_of(then):
         world.began[valve], world.converted[valve] = len(learnt), False
-        if count:
+        if lane.count:
             world.violated(f"V{valve} learns on under another meaning")
         if newest is not None and newest.t and not _is_kept(world, newest):
             world.violated(f"V{valve}: its former state is not kept")
         if newest is not None and newest.t and newest.valve not in said:
             world.violated(f"V{valve}: no word of its former state")
-        return then is not None and then.node != now.node
-    if newest.t and not count:
+        beside = [one for one in before if world.known_as(one, (MEMORY,)) == valve]
+        return any(world.meanings[one.meaning].node != now.node for one in beside)
+    if lane.t != newest.t:
         world.violated(f"V{valve} has forgotten what it had learnt")
     if then.flow != now.flow:
         world.converted[valve] = True

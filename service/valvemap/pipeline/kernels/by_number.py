@@ -157,7 +157,7 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
             w.counters[v, DUPLICATES] += _signals(rules.required[v])
             continue
         if last == NO_NUMBER or number > last + 1:
-            _give_up(w, v, last, number, time)
+            _give_up(w, v, last, number, time, rules.max_wait)
         n = emit(w, v, k, rules, out, n)
         if last == NO_NUMBER:
             order[FIRST], order[FIRST_TIME], order[BEFORE_FIRST] = number, time, NEVER
@@ -265,7 +265,7 @@ def _is_jump(order: NDArray[np.int64], step: int, max_wait: int, reorder: int) -
 
 
 @inner
-def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
+def _give_up(w: Waiting, v: int, last: int, number: int, time: int, max_wait: int) -> None:
     """Drop samples between two numbers: incomplete ones count as missing, the rest as gaps."""
     order = w.order[v]
     given_up = order[GIVEN_UP]
@@ -274,7 +274,8 @@ def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
         if slot[FILLED] == _GONE or slot[SINCE] != NEVER or slot[TIME] >= time:
             continue
         if last == NO_NUMBER:  # nothing is missing before the first sample
-            if order[HIGH] == NEVER or slot[TIME] > order[HIGH]:
+            is_before = time - slot[TIME] <= max_wait  # else the clock may have been set back
+            if is_before and (order[HIGH] == NEVER or slot[TIME] > order[HIGH]):
                 slot[FILLED] = _GONE
             continue
         known = slot[FILLED] & _NUMBERED != 0
@@ -302,7 +303,8 @@ def _sweep(w: Waiting, v: int, rules: Rules) -> None:
         if slot[FILLED] == _GONE:
             continue
         opened, since = slot[OPENED], slot[SINCE]
-        passed = since == NEVER and high != NEVER and slot[TIME] <= high
+        newest = order[LAST_TIME] if opened == NEVER else high  # the clock may have been set back
+        passed = since == NEVER and high != NEVER and slot[TIME] <= newest
         if since == _NOT_YET or (passed and (opened == NEVER or high - opened > rules.max_wait)):
             w.counters[v, MISSING] += _is_missing(slot)
             continue
