@@ -135,9 +135,9 @@ def test_a_noisy_sensor_of_U_neither_makes_a_lag_nor_hides_one(seed, tau_Q):
 @pytest.mark.parametrize(
     ("fs", "tau_Q", "seed"),
     [
-        *((*of, seed) for of in ((100.0, 0.1), (10.0, 0.0), (10.0, 0.3)) for seed in range(2)),
-        (100.0, 0.0, 0),
-        pytest.param(100.0, 0.0, 1, marks=missed("a lag of Q of 21 ms is claimed")),
+        (*of, seed)
+        for of in ((100.0, 0.0), (100.0, 0.1), (10.0, 0.0), (10.0, 0.3))
+        for seed in range(2)
     ],
 )
 def test_noisy_pressures_neither_make_a_lag_nor_hide_one(seed, fs, tau_Q):

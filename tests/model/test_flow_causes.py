@@ -170,6 +170,16 @@ def test_the_map_is_that_of_the_valve_not_of_the_meter(shown, highest):
     assert np.sqrt(np.mean((Q - valve(U, dp)) ** 2)) < 1.0 * 0.4
 
 
+def test_beyond_a_compensators_knee_the_flow_that_is_asked_is_that_of_the_knee():
+    U, dp = cycle(30, 3000)
+    state = learnt(U, dp, valve(U, dp) + noise(3000))
+    state.path[paths.KNEE] = 40.0
+    at = np.full(3, 60.0), np.array([40.0, 60.0, 180.0]), np.full(3, 40.0)
+    flow, _ = FlowMap().predict(state, *at)
+    assert (flow == flow[0]).all()
+    assert FlowMap().inverted(state, flow, *at[1:])[0] == pytest.approx(60.0, abs=1e-6)
+
+
 def choked(seed, N):
     U, dp = cycle(seed, N)
     p1 = dp + cycle(seed + 1, N)[0] * 0.5 + 2

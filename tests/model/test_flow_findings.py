@@ -139,22 +139,39 @@ def test_a_map_that_something_moves_is_no_surer_than_that():
     assert (np.abs(flow - valve(U, dp)) < 3.0 + 2.0 * std).all()
 
 
-def test_a_state_of_before_nameless_causes_keeps_all_that_was_learnt():
+@pytest.mark.parametrize("version", [3, 4])
+def test_a_state_of_before_keeps_all_that_was_learnt(version):
     state = learnt(lambda U, dp, t, e: valve(U, dp) + e)
     arrays = {field.name: getattr(state, field.name) for field in fields(state)}
-    for name in ("x", "P", "chance"):
-        arrays[name] = arrays[name][:, : flow_drift.WANDERING]
-    arrays["counters"] = arrays["counters"][: flow_memory.WANDERED]
-    arrays["scalars"] = arrays["scalars"][: flow_fit.PAIR_ERROR]
-    version = {"state_version": 3}
-    older = make_dataclass("FlowMapState", arrays, bases=(State,), frozen=True, namespace=version)
+    arrays["scalars"] = arrays["scalars"][: flow_fit.SLOW]
+    if version == 3:
+        for name in ("x", "P", "chance"):
+            arrays[name] = arrays[name][:, : flow_drift.WANDERING]
+        arrays["counters"] = arrays["counters"][: flow_memory.WANDERED]
+        arrays["scalars"] = arrays["scalars"][: flow_fit.PAIR_ERROR]
+    older = make_dataclass(
+        "FlowMapState", arrays, bases=(State,), frozen=True, namespace={"state_version": version}
+    )
     read = FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
     read.check(state)
     at = np.full(3, 60.0), np.array([20.0, 80.0, 150.0]), np.full(3, 40.0)
     np.testing.assert_array_equal(FlowMap().predict(read, *at), FlowMap().predict(state, *at))
     older.state_version = 2
-    with pytest.raises(StateMismatchError, match="version 2, version 4 is needed"):
+    with pytest.raises(StateMismatchError, match="version 2, version 5 is needed"):
         FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
+
+
+@pytest.mark.parametrize(("white", "slow", "phi"), [(0.3, 0.3, 0.9), (0.1, 0.4, 0.95), (0.4, 0, 0)])
+def test_the_noise_has_a_white_and_a_slow_part(white, slow, phi):
+    rng, wander = np.random.default_rng(3), np.zeros(N)
+    for i in range(1, N):
+        wander[i] = phi * wander[i - 1] + slow * np.sqrt(1 - phi**2) * rng.normal()
+    Q = wander + white * rng.normal(size=N)
+    state = learnt(lambda U, dp, t, e: valve(U, dp) + Q)
+    share = slow**2 / (white**2 + slow**2)
+    assert state.scalars[flow_fit.SLOW] == pytest.approx(share, abs=0.1)
+    assert state.scalars[flow_fit.COLOUR] == pytest.approx(phi, abs=0.06)
+    assert FlowMap().findings(state) == ()
 
 
 def test_a_valve_that_stays_shut_is_no_compensator():

@@ -2,12 +2,11 @@
 
 The log likelihood of the last n samples, up to a constant, is
 
-    L = -n·(1 - ρ) / (1 + ρ) / 2 · ln(mean square of what a coarse map leaves)
+    L = -n/2 · ln(mean square of the innovations of what a coarse map leaves)
 
-with ρ the correlation of successive residuals, that of the better model in a comparison. All
-operators have the same odds before anything is known: one is taken where it gains `rules.CLEAR`,
-and `rules.CLEAR_BESIDE_WANDER` where something may wander (`kernels.flow_evidence`). One that is
-there is kept until the rows are likelier without it by `rules.STILL_CLEAR`.
+whose noise has a white and a slow part (`kernels.flow_evidence`). All operators have the same odds
+before anything is known: one is taken where it gains `rules.CLEAR`. One that is there is kept until
+the rows are likelier without it by `rules.STILL_CLEAR`.
 
 Several combinations are followed at once. Each grows by the operators that explain most of the
 residual together with a change of those that are there; then all parameters are refined jointly.
@@ -62,7 +61,7 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
     beam, is_explained = [at], False
     if np.count_nonzero(given):
         at = known = jointly(evidence, at)
-        is_explained = evidence.of(at).square < rules.EXPLAINED * noise_of(evidence.Q) ** 2
+        is_explained = evidence.explains(at)
         beam = [at] if is_explained else [at, np.zeros_like(at)]
     for _ in range(rules.MOST_OPERATORS):
         beam = _grown(evidence, beam)
@@ -87,7 +86,8 @@ def end_of_meter(evidence: Evidence, given: Floats) -> float:
     if not tried:
         return 0.0
     at = jointly(evidence, min(tried, key=lambda at: evidence.of(at).square))
-    return float(at[paths.TOP]) if evidence.gain(at, given) >= rules.CLEAR else 0.0
+    is_clear = evidence.gain(at, given) >= rules.CLEAR and evidence.explains(at)
+    return float(at[paths.TOP]) if is_clear else 0.0
 
 
 def _grown(evidence: Evidence, beam: list[Floats]) -> list[Floats]:
@@ -159,10 +159,8 @@ def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
 def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
     """By how much operator k gains more than it has to: less if it was known and is there still."""
     without = with_value(at, k, 0.0)
-    gain, beside = evidence.gain(at, without), evidence.gain_beside_wander(at, without)
-    if at[k] > rules.OTHER * given[k] > 0.0:
-        return min(gain, beside) + rules.STILL_CLEAR
-    return min(gain - rules.CLEAR, beside - rules.CLEAR_BESIDE_WANDER)
+    is_known = at[k] > rules.OTHER * given[k] > 0.0
+    return evidence.gain(at, without) + (rules.STILL_CLEAR if is_known else -rules.CLEAR)
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
@@ -227,9 +225,3 @@ def most_delivered(rows: Floats, noise: float) -> tuple[float, float]:
             size = level * min(fall, rise) / max(noise, 1e-9)
             evidence += rules.MOST_OF_JUMP if size > rules.MOST_OF_JUMP else 0.0
     return level, evidence
-
-
-def noise_of(Q: Floats) -> float:
-    """Standard deviation of white noise in readings, from their second differences."""
-    bends = np.abs(Q[2:] - 2.0 * Q[1:-1] + Q[:-2])
-    return float(rules.MEDIAN_TO_STD * np.median(bends) / math.sqrt(6.0)) if len(bends) else 0.0

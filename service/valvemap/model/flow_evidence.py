@@ -28,14 +28,15 @@ DAMPED: Final = (0.0, 0.1, 10.0)  # of JᵀJ's diagonal; tried in turn until a s
 class Left(NamedTuple):
     """What a coarse map leaves.
 
-    Mean squares of the residual and of its innovations, the residual's lag-1 correlation, how many
-    rows count, the residual (N,).
+    Mean squares of the residual and of its innovations, how many rows count, φ and κ of its slow
+    part, see `kernels.flow_evidence`, the residual (N,).
     """
 
     square: float
     innovation: float
-    rho: float
     rows: float
+    phi: float
+    kappa: float
     residual: Floats
 
 
@@ -48,6 +49,8 @@ class Evidence:
         self._axis = coarse(axis_U.breaks[0], axis_U.breaks[-1])
         self._used = np.zeros(len(rows), np.bool_)
         flow_evidence.counted(rows, self._used)
+        square = float(np.einsum("i,i->", self.Q, self.Q)) / max(len(rows), 1)
+        self._floor = rules.MISFIT**2 * square  # no coarse map is nearer to a valve
         self._known: dict[tuple[float, ...], Left] = {}
 
     def of(self, given: Floats) -> Left:
@@ -65,11 +68,12 @@ class Evidence:
     def _fit(self, given: Floats, near: Floats | None = None) -> tuple[Floats, Left]:
         b = np.zeros(flow_evidence.terms_of(self._axis)) if near is None else near.copy()
         ridge = rules.RIDGE if near is None else 1.0
-        residual, out = np.empty(len(self.rows)), np.empty(4)
+        residual, out = np.empty(len(self.rows)), np.empty(5)
         flow_evidence.leftover(
             self._axis, self._top, self.rows, self._used, given, ridge, b, residual, out
         )
-        return b, Left(float(out[0]), float(out[1]), float(out[2]), float(out[3]), residual)
+        square, innovation, many, phi, kappa = map(float, out)
+        return b, Left(square, innovation, many, phi, kappa, residual)
 
     def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Floats) -> None:
         """Fill the map's coefficients with those of the coarse map."""
@@ -84,25 +88,35 @@ class Evidence:
         return slope
 
     def gain(self, better: Floats, than: Floats) -> float:
-        """Log likelihood ratio: coloured noise makes fewer samples worth."""
+        """Log likelihood ratio: what is left is white noise and a slow part."""
         one, other = self.of(better), self.of(than)
-        rho = one.rho if one.square <= other.square else other.rho
-        rho = min(max(rho, 0.0), rules.MOST_COLOUR)
-        return self.gain_if_white(better, than) * (1.0 - rho) / (1.0 + rho)
+        return self._ratio(one.innovation, other.innovation, one.rows)
 
-    def gain_beside_wander(self, better: Floats, than: Floats) -> float:
-        """Log likelihood ratio where something may wander, which follows a residual as it moves."""
-        one, other = self.of(better), self.of(than)
-        return _ratio(one.innovation, other.innovation, one.rows)
+    def whitened(self, x: Floats, left: Left) -> Floats:
+        """Innovations of what adds to a residual that is left (N,)."""
+        out = np.empty(len(x))
+        flow_evidence.innovations(x, self._used, left.phi, left.kappa, out)
+        return out
 
     def gain_if_white(self, better: Floats, than: Floats) -> float:
         """Log likelihood ratio of white noise."""
         one, other = self.of(better), self.of(than)
-        return _ratio(one.square, other.square, one.rows)
+        return self._ratio(one.square, other.square, one.rows)
+
+    def explains(self, at: Floats) -> bool:
+        """Whether hardly more than white noise is left."""
+        noise = rules.EXPLAINED * noise_of(self.Q) ** 2
+        return bool(self.of(at).square < max(noise, self._floor))
+
+    def _ratio(self, one: float, other: float, rows: float) -> float:
+        one, other = one + self._floor, other + self._floor
+        return 0.5 * rows * math.log(other / one) if one > 0.0 and other > 0.0 else 0.0
 
 
-def _ratio(one: float, other: float, rows: float) -> float:
-    return 0.5 * rows * math.log(other / one) if one > 0.0 and other > 0.0 else 0.0
+def noise_of(Q: Floats) -> float:
+    """Standard deviation of white noise in readings, from their second differences."""
+    bends = np.abs(Q[2:] - 2.0 * Q[1:-1] + Q[:-2])
+    return float(rules.MEDIAN_TO_STD * np.median(bends) / math.sqrt(6.0)) if len(bends) else 0.0
 
 
 def coarse(low: float, high: float) -> Axis:
@@ -163,9 +177,9 @@ def precision(evidence: Evidence, at: Floats) -> Floats:
     """Inverse covariance of the parameters (PARAMETERS, PARAMETERS), 0 for those that are fixed."""
     J, ks = slopes(evidence, at), smooth(at)
     left, A = evidence.of(at), np.zeros((paths.PARAMETERS, paths.PARAMETERS))
-    rho = min(max(left.rho, 0.0), rules.MOST_COLOUR)
-    worth = (1.0 - rho) / (1.0 + rho) / max(left.square, 1e-300)
-    A[np.ix_(ks, ks)] = worth * np.einsum("ij,ik->jk", J, J)
+    for n in range(len(ks)):
+        J[:, n] = evidence.whitened(J[:, n].copy(), left)
+    A[np.ix_(ks, ks)] = np.einsum("ij,ik->jk", J, J) / max(left.innovation, 1e-300)
     return A
 
 

@@ -78,10 +78,14 @@ def _wandered(states: FlowMapState) -> NDArray[np.bool_]:
 
 
 def _in_common(states: FlowMapState) -> Floats:
-    """Errors in different cells, at times farther apart than any lag lasts, have it in common."""
+    """Errors in different cells, at times longer apart than a meter's noise lasts, are alike.
+
+    Schwarz's criterion: by their correlation, less half the logarithm of the number of pairs.
+    """
     product, square = (states.scalars[..., k] for k in (fits.PAIR_PRODUCT, fits.PAIR_SQUARE))
-    shared = np.clip(product / np.maximum(square, 1e-300), -0.999, 0.999)
-    return _probability(-0.5 * states.scalars[..., fits.PAIRS] * np.log(1.0 - shared**2))
+    pairs = np.maximum(states.scalars[..., fits.PAIRS], 1.0)
+    shared = np.clip(product / np.maximum(square, 1e-300), 0.0, 0.999)
+    return _probability(-0.5 * (pairs * np.log(1.0 - shared**2) + np.log(pairs)))
 
 
 def _surprising(states: FlowMapState) -> Floats:

@@ -102,7 +102,7 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
     of += gains
     of[(found == 0.0) & (np.arange(flow_path.PARAMETERS) != flow_path.LEAST)] = 0.0
     if found[flow_path.PLAY]:
-        left, noise = evidence.of(found).square, flow_causes.noise_of(rows[:, flow_path.LEFT_Q])
+        left, noise = evidence.of(found).square, flow_evidence.noise_of(rows[:, flow_path.LEFT_Q])
         path[flow_path.HYSTERESIS] += _sign(left > rules.OTHER_HYSTERESIS * noise**2)
     path[flow_path.NEWS] = found[flow_path.NEWS]
     of_found = flow_evidence.precision(evidence, found)
@@ -189,7 +189,7 @@ def _watch(state: FlowMapState, both: Both) -> None:
     Q = rows[:, flow_path.LEFT_Q]
     if len(Q) < rules.SEEN_BELOW:
         return
-    noise = flow_causes.noise_of(Q)
+    noise = flow_evidence.noise_of(Q)
     _watch_pump(path, rows, noise)
     before, at = path[flow_path.LEAST_SEEN], flow_path.GAINS + flow_path.LEAST
     least, gain = flow_causes.least_shown(Q, noise)

@@ -59,7 +59,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 4  # 3: without what moves the flow and has no name
+    state_version: ClassVar[int] = 5  # 4: noise of one colour; 3: nothing nameless
 
     cells: NDArray[np.float32]
     theta: Floats
@@ -81,15 +81,20 @@ class FlowMapState(State):
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Version 3: nothing without a name was looked for."""
-        if version != "3":
+        """Version 4: noise was AR(1), without a white part; 3: nothing nameless was looked for."""
+        if version not in ("3", "4"):
             return {}
-        for name in ("x", "P"):
-            still = arrays[name][:, flow_drift.STILL]
-            arrays[name] = np.insert(arrays[name], flow_drift.WANDERING, still, axis=1)
-        arrays["chance"] = np.insert(arrays["chance"], flow_drift.WANDERING, 0.0, axis=1)
+        if version == "3":
+            for name in ("x", "P"):
+                still = arrays[name][:, flow_drift.STILL]
+                arrays[name] = np.insert(arrays[name], flow_drift.WANDERING, still, axis=1)
+            arrays["chance"] = np.insert(arrays["chance"], flow_drift.WANDERING, 0.0, axis=1)
         for name, size in (("counters", flow_memory.COUNTERS), ("scalars", flow_fit.SCALARS)):
             arrays[name] = np.pad(arrays[name], (0, size - len(arrays[name])))
+        scalars = arrays["scalars"]
+        scalars[flow_fit.SLOW] = scalars[flow_fit.COLOUR] > 0.0
+        scalars[flow_fit.AFTER] = scalars[flow_fit.COLOUR] * scalars[flow_fit.NEXT]
+        scalars[flow_fit.AFTER_WEIGHT] = scalars[flow_fit.NEXT_WEIGHT]
         return arrays
 
     def contents(self) -> Mapping[str, Contents]:

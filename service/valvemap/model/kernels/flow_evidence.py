@@ -3,9 +3,13 @@
 A map that is linear in its coefficients is filtered by a linear meter as its regressors are. So
 for any parameters the best coarse map follows by least squares, and the residual is evidence.
 
-What is left is white noise and something that wanders, r_i = m_i + v_i, m_(i+1) = m_i + share·v_i
-(a local level: Harvey 1989, 2.3, in its steady state). Its innovations v are white, so their mean
-square is the likelihood. An operator that only follows what wanders gains nothing.
+What is left is white noise and a slow part, a first-order process (ARMA(1, 1): Harvey 1989), as in
+`flow_noise`: with m its mean before a row and κ the gain of its filter in the steady state,
+
+    r_i = m_i + v_i,    m_(i+1) = φ·(m_i + κ·v_i)
+
+The innovations v are white, so their mean square is the likelihood, φ and κ being the likeliest.
+φ = 1 is a level that wanders: an operator that only follows what wanders gains nothing.
 """
 
 import math
@@ -26,7 +30,7 @@ def leftover(
     axis: Axis, top: float, rows: Floats, used: np.ndarray, given: Floats, ridge: float, b: Floats,
     residual: Floats, out: Floats,
 ) -> None:  # fmt: skip
-    """Fill ``out`` (4,): mean squares of residual and innovations, lag-1 correlation, rows.
+    """Fill ``out`` (5,): mean squares of residual and innovations, rows, φ and κ.
 
     ``rows`` (N, paths.COLUMNS) in the order of time; ``used`` (N,) see `counted`;
     ``given`` (PARAMETERS,); ``axis`` of a coarse
@@ -39,7 +43,7 @@ def leftover(
     base, work = np.zeros(N, np.int64), np.empty(3)
     _regressors(axis, top, rows, given, X, t, base, work)
     X = _filtered(X, t, base, given)
-    _fit(X, rows, used, given, ridge, b, residual, out)
+    _fit(X, rows, used, given, ridge, b, residual, t, out)
 
 
 @kernel
@@ -163,7 +167,7 @@ def _filtered(X: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
 @maker
 def _fit(
     X: Floats, rows: Floats, used: np.ndarray, given: Floats, ridge: float, b: Floats,
-    residual: Floats, out: Floats,
+    residual: Floats, work: Floats, out: Floats,
 ) -> None:  # fmt: skip
     N, K = X.shape
     prior = b.copy()
@@ -225,31 +229,39 @@ def _fit(
             for i in range(N):
                 if used[i]:
                     square += min(residual[i] ** 2, limit * limit)
-    squares = products = before = 0.0
+    squares = 0.0
     for i in range(N):
         if used[i]:
-            r = residual[i] = min(max(residual[i], -limit), limit)
-            squares += r * r
-            products += r * before
-            before = r
-    out[0] = squares / max(known, 1)
-    out[1] = _least_new(residual, used, squares) / max(known, 1)
-    out[2] = products / squares if squares > 0.0 else 0.0
-    out[3] = known
+            residual[i] = min(max(residual[i], -limit), limit)
+            squares += residual[i] ** 2
+    out[0], out[1], out[2], out[3], out[4] = squares, squares, max(known, 1), 0.0, 0.0
+    for phi in rules.SLOW_KEPT:
+        for kappa in rules.SLOW_GAINS:
+            square = _innovate(residual, used, phi, kappa, work)
+            if square < out[1]:
+                out[1], out[3], out[4] = square, phi, kappa
+    out[0], out[1] = out[0] / out[2], out[1] / out[2]
+
+
+@kernel
+def innovations(residual: Floats, used: np.ndarray, phi: float, kappa: float, out: Floats) -> None:
+    """Fill ``out`` (N,) with a residual's innovations, 0 at rows that do not count."""
+    out[:] = 0.0
+    _innovate(residual, used, phi, kappa, out)
 
 
 @inner
-def _least_new(residual: Floats, used: np.ndarray, least: float) -> float:
-    """Sum of the squares of the innovations, at the likeliest share that stays."""
-    for share in rules.WANDERS:
-        level = squares = 0.0
-        for i in range(len(residual)):
-            if used[i]:
-                new = residual[i] - level
-                level += share * new
-                squares += new * new
-        least = min(least, squares)
-    return least
+def _innovate(
+    residual: Floats, used: np.ndarray, phi: float, kappa: float, out: Floats
+) -> float:  # fmt: skip
+    """Sum of the squares of the innovations, which ``out`` becomes where rows count."""
+    slow = squares = 0.0
+    for i in range(len(residual)):
+        if used[i]:
+            out[i] = residual[i] - slow
+            slow = phi * (slow + kappa * out[i])
+            squares += out[i] * out[i]
+    return squares
 
 
 @maker

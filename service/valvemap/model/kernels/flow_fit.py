@@ -28,7 +28,7 @@ LAM = 0  # prior.FAMILIES precisions
 VARIANCE, MISFIT, SCALE = 4, 5, 6  # σ², δ², mean square of the flow
 WITHIN, WITHIN_WEIGHT = 7, 8  # squares of samples against their own cells, and their number
 NEXT, NEXT_WEIGHT = 9, 10  # products of successive ones, and their number
-LAST_ERROR, COLOUR = 11, 12  # error of the last sample against its cell; ρ
+LAST_ERROR, COLOUR = 11, 12  # error of the last sample against its cell; φ of `flow_noise`
 SCALE_WEIGHT = 13  # samples that SCALE is the mean of
 FREE = 14  # parameters that the samples determine
 LAST_U, LAST_S = 15, 16  # of the last sample
@@ -42,7 +42,10 @@ STAY_T = 23  # °C; of the last stay on either side: two places
 SURPRISE, STAYS_SEEN = 25, 26  # mean square of stays, in variances; stays it is the mean of
 PAIR_ERROR = 27  # of the last stay that is to be compared, against its own cell
 PAIR_PRODUCT, PAIR_SQUARE, PAIRS = 28, 29, 30  # sums over pairs of stays in different cells
-SCALARS = 31
+SLOW = 31  # the noise's slow part, as a share of σ²
+AFTER, AFTER_WEIGHT = 32, 33  # products of errors two samples apart, and their number
+ERROR_BEFORE = 34  # error of the sample before the last one
+SCALARS = 35
 
 
 @inner

@@ -10,6 +10,7 @@ import numpy as np
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.kernels.flow_basis import Axis, interval, values
 from valvemap.model.kernels.flow_look import by_temperature, clipped, viscosity
@@ -44,7 +45,7 @@ def invert(
         status[i] = _UNIDENTIFIED
         if not memory.counters[FITTED]:
             continue
-        s, _ = clipped(axis_s, math.copysign(math.sqrt(abs(dp[i])), dp[i]))
+        s, _ = clipped(axis_s, paths.effective(dp[i], math.inf, memory.path))
         _section(axis_s, memory.theta, s, room, along)
         room.at[PLACE_S] = s
         found[AT], found[HIGHEST], found[LOWEST] = math.nan, -math.inf, math.inf

@@ -129,9 +129,8 @@ def evaluate(
         Q[i] = spread[i] = math.nan
         if not (memory.counters[FITTED] and math.isfinite(U[i] + dp[i])):
             continue
-        s = math.copysign(math.sqrt(abs(dp[i])), dp[i])
         u, _ = clipped(axis_U, U[i])
-        r, _ = clipped(axis_s, s)
+        r, _ = clipped(axis_s, paths.effective(dp[i], math.inf, memory.path))
         side = 0 if U[i] >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
         look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room)

@@ -42,7 +42,7 @@ COLUMNS = 7
 
 @inner
 def effective(dp: float, p1: float, path: Floats) -> float:
-    """Root of the Δp that counts, √bar."""
+    """Root of the Δp that counts, √bar; ``p1`` is infinite where nothing is to choke."""
     size = abs(dp)
     if path[CHOKE] > 0.0:
         size = min(size, path[CHOKE] * max(p1, p1 - dp, 0.0))  # of the pressure upstream

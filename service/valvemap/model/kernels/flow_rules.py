@@ -47,7 +47,8 @@ NOISE_MEMORY: Final = 4000.0  # samples; over which variance and correlation are
 WAY_U: Final = 15.0  # %; way of U over which a map says the same again
 WAY_S: Final = 0.2  # of the largest √|Δp|; the same along s
 COLOUR_FROM: Final = 4.0  # samples in a cell from which its error tells of the noise's correlation
-MOST_COLOUR: Final = 0.98  # largest correlation of successive errors that is believed
+MOST_COLOUR: Final = 0.96  # largest correlation of successive errors that is believed
+METER_LASTS: Final = 0.25  # s; time constant of a meter's noise at most
 SURE_COLOUR: Final = 3.0  # standard errors from which on a correlation is believed
 OUTLIERS: Final = 0.005  # prior share of samples that the meter invents
 OUTLIER_WIDTH: Final = 4.0  # root mean squares of the flow; width of their even density
@@ -82,8 +83,6 @@ SHARED: Final = 8.0  # samples that have the doubt about gain and edge in common
 REFUSED: Final = 3.0  # stays in a row; refused as outliers, they are what the cell is now
 SHORTEST_STAY: Final = 4  # samples; of which a stay consists that is refused
 STAY_MEMORY: Final = 500.0  # stays; over which their surprise is averaged
-PAIR_MEMORY: Final = 128.0  # pairs of stays over which it is judged whether they have errors in
-# common: 200 s and more
 FEWEST_STAYS: Final = 100.0  # stays from which on their surprise tells of misfit
 SURPRISED: Final = 1.35  # variances; mean square of stays that nothing listed explains; healthy
 # valves have .1-1.1, valves with a hidden cause 1.6-2.5
@@ -139,10 +138,10 @@ SHARES_COARSE: Final = (
     0.8,
     1.0,
 )  # of U_end; its knots
-WANDERS: Final = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)  # of an innovation; what stays in a
-# residual that wanders, of which the likeliest is taken
+SLOW_KEPT: Final = (0.6, 0.85, 0.95, 1.0)  # of the slow part of a residual, from row to row
+SLOW_GAINS: Final = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)  # of an innovation that is slow; of
+# both the likeliest are taken
 CLEAR: Final = 40.0  # log likelihood from which on an operator is taken
-CLEAR_BESIDE_WANDER: Final = 20.0  # the same where something may wander: true ones gain 30 or more
 STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
 MOST_OPERATORS: Final = 4  # taken in one look
 SHARES_TOP: Final = (0.9, 0.97, 1.0)  # of the readings; where a meter's end is looked for

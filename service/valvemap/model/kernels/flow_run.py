@@ -8,6 +8,7 @@ import math
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_noise as noises
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
@@ -157,7 +158,7 @@ def _learn(
             if counters[STAY_CELL] == number:
                 visit = (counters[STAYS] - 1) * rules.LONGEST_STAY + memory.stay[SAMPLES]
             doubt = (scalars[fits.VARIANCE] + at[SURE]) * max(visit / rules.SHORTEST_STAY, 1.0)
-            doubt *= (1.0 + scalars[fits.COLOUR]) / (1.0 - scalars[fits.COLOUR])
+            doubt *= noises.spreads(scalars, 1.0)
             plays.weigh(memory.play, path[paths.LAGGED], residual, slope, doubt)
         distance = apart(axis_U, axis_s, memory.cells[number], number, at)
         if bent <= rules.STEADY_FILTER * scalars[fits.VARIANCE]:
@@ -169,8 +170,7 @@ def _learn(
     scalars[fits.SCALE] += share * (Q * Q - scalars[fits.SCALE])
     way = abs(u - scalars[fits.LAST_U]) / rules.WAY_U
     way += abs(r - scalars[fits.LAST_S]) / (rules.WAY_S * axis_s.breaks[-1])
-    alike = scalars[fits.COLOUR] * math.exp(-way)
-    worth = (1.0 - alike) / (1.0 + alike)
+    worth = 1.0 / noises.spreads(scalars, math.exp(-way))
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
         shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own
@@ -231,7 +231,7 @@ def _trust(
     """Probability that a sample is none that the meter invented, by the map or by its cell."""
     scalars, counters, cell = memory.scalars, memory.counters, memory.cells[number]
     if not cell[COUNT] > 0.0:  # a fit weighs a cell of one sample against all others
-        scalars[fits.LAST_ERROR] = 0.0
+        noises.skip(scalars)
         return 1.0
     width = rules.OUTLIER_WIDTH * math.sqrt(scalars[fits.SCALE])
     noise, variance = scalars[fits.VARIANCE], room.at[TOTAL]
@@ -252,25 +252,7 @@ def _trust(
     if cell[COUNT] > 0.0 and not paths.filters(memory.path):
         of_way *= apart(axis_U, axis_s, cell, number, room.at)
     if cell[COUNT] > 0.0 and of_way < noise:
-        _note_error(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], scalars)
+        noises.note(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], scalars)
     else:
-        scalars[fits.LAST_ERROR] = 0.0
+        noises.skip(scalars)
     return weight
-
-
-@inner
-def _note_error(error: float, weight: float, count: float, age: int, scalars: Floats) -> None:
-    """Add an error against the sample's own cell to the noise's variance and correlation."""
-    rest = 1.0 - 1.0 / min(max(0.5 * age, 50.0), rules.NOISE_MEMORY)  # early maps were worse
-    part = count / (count + 1.0)
-    scalars[fits.WITHIN] = rest * scalars[fits.WITHIN] + weight * part * error * error
-    scalars[fits.WITHIN_WEIGHT] = rest * scalars[fits.WITHIN_WEIGHT] + weight
-    last = scalars[fits.LAST_ERROR]
-    scalars[fits.LAST_ERROR] = weight * error if count >= rules.COLOUR_FROM else 0.0
-    if last != 0.0 and count >= rules.COLOUR_FROM:
-        scalars[fits.NEXT] = rest * scalars[fits.NEXT] + weight * error * last
-        scalars[fits.NEXT_WEIGHT] = rest * scalars[fits.NEXT_WEIGHT] + weight
-        many, variance = scalars[fits.NEXT_WEIGHT], scalars[fits.WITHIN]
-        rho = scalars[fits.NEXT] / many * scalars[fits.WITHIN_WEIGHT] / max(variance, 1e-300)
-        sure = rho * rho * many > rules.SURE_COLOUR**2
-        scalars[fits.COLOUR] = min(max(rho, 0.0), rules.MOST_COLOUR) if sure else 0.0

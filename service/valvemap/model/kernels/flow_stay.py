@@ -4,6 +4,7 @@ import math
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_noise as noises
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
@@ -69,6 +70,7 @@ def begin_again(memory: Memory) -> None:
     memory.counters[BEGAN] = memory.counters[USED]
     memory.counters[PAIR_TIME] = 0
     memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
+    memory.scalars[fits.SLOW :] = 0.0
     for side in range(2):
         drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
 
@@ -152,10 +154,7 @@ def end_stay(memory: Memory, room: Room) -> None:
     """Let the drift learn from the stay that ends."""
     counters, scalars, stay = memory.counters, memory.scalars, memory.stay
     many = stay[SAMPLES]
-    rho = scalars[fits.COLOUR]
-    noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / max(many, 1.0), 1.0)
-    alike = rho**many
-    noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
+    noise = noises.of_stay(many, scalars)
     if paths.filters(memory.path):  # the filter's errors are common to a stay
         noise = max(noise, rules.STAY_BEHIND_FILTER * scalars[fits.VARIANCE])
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
@@ -203,14 +202,15 @@ def _note_pair(variance: float, memory: Memory) -> None:
     """
     counters, scalars, stay = memory.counters, memory.scalars, memory.stay
     now, before = counters[STAY_TIME], counters[PAIR_TIME]
-    if before != 0 and 0.0 <= 1e-9 * float(now - before) < rules.LONGEST_LAG:
+    apart_s = 1e-9 * float(now - before)
+    if before != 0 and 0.0 <= apart_s < 2.0 * rules.METER_LASTS:
         return
     error, most = stay[RESIDUAL] / stay[SAMPLES] - stay[KNOWN_OFF], math.sqrt(variance)
     error = min(max(error, -rules.MOST_STAY * most), rules.MOST_STAY * most)
     if before != 0 and counters[PAIR_CELL] != counters[STAY_CELL]:
-        keep, other = 1.0 - 1.0 / rules.PAIR_MEMORY, scalars[fits.PAIR_ERROR]
+        keep, other = 1.0 - 1.0 / rules.STAY_MEMORY, scalars[fits.PAIR_ERROR]
         square = 0.5 * (error * error + other * other)
-        alike = scalars[fits.COLOUR] ** float(max(counters[USED] - counters[PAIR_SAMPLE], 1))
+        alike = scalars[fits.SLOW] * math.exp(-max(apart_s, 0.0) / rules.METER_LASTS)
         for place in (fits.PAIR_PRODUCT, fits.PAIR_SQUARE, fits.PAIRS):
             scalars[place] *= keep
         scalars[fits.PAIR_PRODUCT] += error * other - alike * square
