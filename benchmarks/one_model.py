@@ -78,8 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--only", default="")
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     wanted = parser.parse_args(arguments)
-    first = REPORT if wanted.report else 0
+    first = REPORT if wanted.report else wanted.first
     for name in (name for name in ROWS if wanted.only in name):
         seeds = range(first, first + wanted.seeds)
         ours = [measured(_ours(ROWS[name](seed)), ROWS[name](seed)) for seed in seeds]

@@ -102,6 +102,13 @@ def test_an_operator_is_named_and_measured(name):
     assert found(U, dp, shown(U, dp) + noise()) == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.parametrize("before", [150, 400])
+def test_friction_is_found_wherever_it_held_the_spool_before_the_rows(before):
+    U, dp = cycle(30, N + before)
+    Q = valve(slipping(U, 2.0), dp) + noise(N + before)
+    assert found(U[before:], dp[before:], Q[before:]) == pytest.approx({paths.STICK: 2}, rel=0.05)
+
+
 def test_two_lags_at_once_are_told_apart():
     U, dp = cycle(30)
     Q = lagging(valve(late(U, 10), dp), 0.3) + noise()

@@ -28,16 +28,22 @@ DAMPED: Final = (0.0, 0.1, 10.0)  # of JᵀJ's diagonal; tried in turn until a s
 class Left(NamedTuple):
     """What a coarse map leaves.
 
-    Mean squares of the residual and of its innovations, how many rows count, φ and κ of its slow
-    part, see `kernels.flow_evidence`, the residual (N,).
+    Mean square of the residual, how many rows count, at which phase friction began (slips), the
+    residual (N,).
     """
 
     square: float
-    innovation: float
     rows: float
+    phase: float
+    residual: Floats
+
+
+class Noise(NamedTuple):
+    """Mean square of a residual's innovations; φ and κ, see `kernels.flow_evidence`."""
+
+    innovation: float
     phi: float
     kappa: float
-    residual: Floats
 
 
 class Evidence:
@@ -52,6 +58,9 @@ class Evidence:
         square = float(np.einsum("i,i->", self.Q, self.Q)) / max(len(rows), 1)
         self._floor = rules.MISFIT**2 * square  # no coarse map is nearer to a valve
         self._known: dict[tuple[float, ...], Left] = {}
+        self._noises: dict[tuple[float, ...], Noise] = {}
+        self._in_phase = True  # where no operator is needed, none has a phase to be searched for
+        self._in_phase = self.explains(np.zeros(paths.PARAMETERS))
 
     def of(self, given: Floats) -> Left:
         """What the best coarse map leaves with these parameters."""
@@ -59,6 +68,15 @@ class Evidence:
         if key not in self._known:
             self._known[key] = self._fit(given)[1]
         return self._known[key]
+
+    def noise(self, given: Floats) -> Noise:
+        """White noise and slow part that are left."""
+        key = tuple(given.tolist())
+        if key not in self._noises:
+            out = np.empty(3)
+            flow_evidence.colour(self.of(given).residual, self._used, out)
+            self._noises[key] = Noise(*map(float, out))
+        return self._noises[key]
 
     @property
     def spent(self) -> int:
@@ -68,12 +86,13 @@ class Evidence:
     def _fit(self, given: Floats, near: Floats | None = None) -> tuple[Floats, Left]:
         b = np.zeros(flow_evidence.terms_of(self._axis)) if near is None else near.copy()
         ridge = rules.RIDGE if near is None else 1.0
-        residual, out = np.empty(len(self.rows)), np.empty(5)
+        residual, out = np.empty(len(self.rows)), np.empty(3)
         flow_evidence.leftover(
-            self._axis, self._top, self.rows, self._used, given, ridge, b, residual, out
-        )
-        square, innovation, many, phi, kappa = map(float, out)
-        return b, Left(square, innovation, many, phi, kappa, residual)
+            self._axis, self._top, self.rows, self._used, given, ridge, self._in_phase, b, residual,
+            out,
+        )  # fmt: skip
+        square, many, phase = map(float, out)
+        return b, Left(square, many, phase, residual)
 
     def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Floats) -> None:
         """Fill the map's coefficients with those of the coarse map."""
@@ -89,13 +108,13 @@ class Evidence:
 
     def gain(self, better: Floats, than: Floats) -> float:
         """Log likelihood ratio: what is left is white noise and a slow part."""
-        one, other = self.of(better), self.of(than)
-        return self._ratio(one.innovation, other.innovation, one.rows)
+        one, other = self.noise(better), self.noise(than)
+        return self._ratio(one.innovation, other.innovation, self.of(better).rows)
 
-    def whitened(self, x: Floats, left: Left) -> Floats:
-        """Innovations of what adds to a residual that is left (N,)."""
+    def whitened(self, x: Floats, noise: Noise) -> Floats:
+        """Innovations of what adds to a residual of that noise (N,)."""
         out = np.empty(len(x))
-        flow_evidence.innovations(x, self._used, left.phi, left.kappa, out)
+        flow_evidence.innovations(x, self._used, noise.phi, noise.kappa, out)
         return out
 
     def gain_if_white(self, better: Floats, than: Floats) -> float:
@@ -176,10 +195,10 @@ def solved(A: Floats, b: Floats, damped: float = 0.0) -> Floats:
 def precision(evidence: Evidence, at: Floats) -> Floats:
     """Inverse covariance of the parameters (PARAMETERS, PARAMETERS), 0 for those that are fixed."""
     J, ks = slopes(evidence, at), smooth(at)
-    left, A = evidence.of(at), np.zeros((paths.PARAMETERS, paths.PARAMETERS))
+    noise, A = evidence.noise(at), np.zeros((paths.PARAMETERS, paths.PARAMETERS))
     for n in range(len(ks)):
-        J[:, n] = evidence.whitened(J[:, n].copy(), left)
-    A[np.ix_(ks, ks)] = np.einsum("ij,ik->jk", J, J) / max(left.innovation, 1e-300)
+        J[:, n] = evidence.whitened(J[:, n].copy(), noise)
+    A[np.ix_(ks, ks)] = np.einsum("ij,ik->jk", J, J) / max(noise.innovation, 1e-300)
     return A
 
 

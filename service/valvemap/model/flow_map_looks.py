@@ -110,6 +110,7 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
         path[: flow_path.PARAMETERS] = found
         play[flow_play.HALF] = found[flow_path.PLAY]
         path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
+        path[flow_path.PHASE] = evidence.of(found).phase
         state.precision[:] = of_found
         if (found == given)[: flow_path.TOP].all():
             _empty_bounds(state, both)

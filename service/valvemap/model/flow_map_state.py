@@ -89,7 +89,8 @@ class FlowMapState(State):
                 still = arrays[name][:, flow_drift.STILL]
                 arrays[name] = np.insert(arrays[name], flow_drift.WANDERING, still, axis=1)
             arrays["chance"] = np.insert(arrays["chance"], flow_drift.WANDERING, 0.0, axis=1)
-        for name, size in (("counters", flow_memory.COUNTERS), ("scalars", flow_fit.SCALARS)):
+        sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
+        for name, size in (sizes | {"path": flow_path.PLACES}).items():
             arrays[name] = np.pad(arrays[name], (0, size - len(arrays[name])))
         scalars = arrays["scalars"]
         scalars[flow_fit.SLOW] = scalars[flow_fit.COLOUR] > 0.0

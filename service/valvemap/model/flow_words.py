@@ -58,7 +58,7 @@ def describe(state: FlowMapState) -> str:
 def _by_temperature(state: FlowMapState) -> bool:
     warm = np.arange(drifts.RATES, drifts.STATES)
     mean, variance = state.now[:, 0, warm], state.now[:, 1 + warm, warm]
-    return bool((mean**2 > rules.SURE_COLOUR**2 * variance).any() and (variance > 0.0).any())
+    return bool((mean**2 > rules.SURE**2 * variance).any() and (variance > 0.0).any())
 
 
 def _moving(state: FlowMapState) -> str:

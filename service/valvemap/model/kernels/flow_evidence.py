@@ -27,11 +27,12 @@ ALONG_S = 3
 
 @kernel
 def leftover(
-    axis: Axis, top: float, rows: Floats, used: np.ndarray, given: Floats, ridge: float, b: Floats,
-    residual: Floats, out: Floats,
+    axis: Axis, top: float, rows: Floats, used: np.ndarray, given: Floats, ridge: float,
+    in_phase: bool, b: Floats, residual: Floats, out: Floats,  # noqa: FBT001
 ) -> None:  # fmt: skip
-    """Fill ``out`` (5,): mean squares of residual and innovations, rows, φ and κ.
+    """Fill ``out`` (3,): mean square of the residual, number of rows, phase of friction.
 
+    ``in_phase``: friction holds the spool at U at first; else all `rules.PHASES` are tried.
     ``rows`` (N, paths.COLUMNS) in the order of time; ``used`` (N,) see `counted`;
     ``given`` (PARAMETERS,); ``axis`` of a coarse
     map along U, ``top`` the largest √Δp. ``b`` (`terms_of`,) becomes the coarse map, drawn towards
@@ -39,11 +40,19 @@ def leftover(
     do not count.
     """
     N, K = len(rows), len(b)
-    X, t = np.zeros((N, K)), np.zeros(N)
-    base, work = np.zeros(N, np.int64), np.empty(3)
-    _regressors(axis, top, rows, given, X, t, base, work)
-    X = _filtered(X, t, base, given)
-    _fit(X, rows, used, given, ridge, b, residual, t, out)
+    t, base, work = np.zeros(N), np.zeros(N, np.int64), np.empty(3)
+    prior, other, left, last = b.copy(), np.empty(K), np.empty(N), np.empty(3)
+    out[0] = math.inf
+    for phase in rules.PHASES:  # where friction held the spool at first is not known
+        X = np.zeros((N, K))
+        _regressors(axis, top, rows, given, phase, X, t, base, work)
+        X = _filtered(X, t, base, given)
+        other[:], last[2] = prior, phase
+        _fit(X, rows, used, given, ridge, other, left, last)
+        if last[0] < out[0]:
+            out[:], b[:], residual[:] = last, other, left
+        if in_phase or given[paths.STICK] == 0.0:
+            break
 
 
 @kernel
@@ -94,11 +103,11 @@ def _row(axis: Axis, u: float, share: float, x: Floats, work: Floats) -> None:
 
 @maker
 def _regressors(
-    axis: Axis, top: float, rows: Floats, given: Floats, X: Floats, t: Floats, base: np.ndarray,
-    work: Floats,
+    axis: Axis, top: float, rows: Floats, given: Floats, phase: float, X: Floats, t: Floats,
+    base: np.ndarray, work: Floats,
 ) -> None:  # fmt: skip
     path = np.zeros(paths.PLACES)
-    path[: paths.PARAMETERS] = given
+    path[: paths.PARAMETERS], path[paths.PHASE] = given, phase
     low, high, at, p = axis.breaks[0], axis.breaks[-1], 0, 0.0
     for i in range(len(rows)):
         step = rows[i, paths.STEP]
@@ -167,7 +176,7 @@ def _filtered(X: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
 @maker
 def _fit(
     X: Floats, rows: Floats, used: np.ndarray, given: Floats, ridge: float, b: Floats,
-    residual: Floats, work: Floats, out: Floats,
+    residual: Floats, out: Floats,
 ) -> None:  # fmt: skip
     N, K = X.shape
     prior = b.copy()
@@ -234,13 +243,21 @@ def _fit(
         if used[i]:
             residual[i] = min(max(residual[i], -limit), limit)
             squares += residual[i] ** 2
-    out[0], out[1], out[2], out[3], out[4] = squares, squares, max(known, 1), 0.0, 0.0
+    out[0], out[1] = squares / max(known, 1), max(known, 1)
+
+
+@kernel
+def colour(residual: Floats, used: np.ndarray, out: Floats) -> None:
+    """Fill ``out`` (3,): mean square of the innovations, φ and κ, the likeliest."""
+    work, many = np.empty(len(residual)), 0
+    out[0] = math.inf
+    for i in range(len(residual)):
+        many += used[i]
     for phi in rules.SLOW_KEPT:
         for kappa in rules.SLOW_GAINS:
-            square = _innovate(residual, used, phi, kappa, work)
-            if square < out[1]:
-                out[1], out[3], out[4] = square, phi, kappa
-    out[0], out[1] = out[0] / out[2], out[1] / out[2]
+            square = _innovate(residual, used, phi, kappa, work) / max(many, 1)
+            if square < out[0]:
+                out[0], out[1], out[2] = square, phi, kappa
 
 
 @kernel

@@ -39,7 +39,7 @@ def note(error: float, weight: float, count: float, age: int, scalars: Floats) -
     one = scalars[fits.NEXT] / many / variance
     two = scalars[fits.AFTER] / max(scalars[fits.AFTER_WEIGHT], 1.0) / variance
     scalars[fits.COLOUR] = scalars[fits.SLOW] = 0.0
-    if one > 0.0 and one * one * many > rules.SURE_COLOUR**2:
+    if one > 0.0 and one * one * many > rules.SURE**2:
         scalars[fits.COLOUR] = min(max(two / one, one), rules.MOST_COLOUR)
         scalars[fits.SLOW] = min(one / scalars[fits.COLOUR], 1.0)
 

@@ -32,7 +32,8 @@ FLOOR = 2 * PARAMETERS + 5  # (l/min)²; least variance of the noise behind a me
 MOST, MOST_GAIN = 2 * PARAMETERS + 6, 2 * PARAMETERS + 7  # l/min a pump delivers; evidence of it
 PARTS = 2 * PARAMETERS + 8  # %; spools behind the relays, RELAY_COUNT places
 RELAY_COUNT = 8
-PLACES = PARTS + RELAY_COUNT
+PHASE = PARTS + RELAY_COUNT  # slips from U to where friction holds the spool at the first row
+PLACES = PHASE + 1
 
 # Columns of the last samples.
 STEP, LEFT_U, LEFT_DP, LEFT_P1, LEFT_Q = 0, 1, 2, 3, 4  # s since the row before, as measured
@@ -55,7 +56,8 @@ def effective(dp: float, p1: float, path: Floats) -> float:
 def spool(U: float, step: float, fresh: bool, path: Floats) -> float:  # noqa: FBT001
     """Move the spool towards U, behind lag and hysteresis but for play; give where it is."""
     if fresh:
-        path[LAGGED] = path[STUCK] = U
+        path[LAGGED] = U
+        path[STUCK], path[PHASE] = U + path[PHASE] * path[STICK], 0.0
         for k in range(RELAY_COUNT):
             path[PARTS + k] = U
     elif path[LAG_U] > 0.0:

@@ -81,7 +81,7 @@ def decide(play: Floats) -> bool:
         return is_far
     if play[SLOPES] > 0.0:
         off = play[ERRORS] / play[SLOPES]
-        if off * off * play[SLOPES] > rules.PLAY_SURE**2 and abs(off) < rules.PLAY_STEP:
+        if off * off * play[SLOPES] > rules.SURE**2 and abs(off) < rules.PLAY_STEP:
             play[HALF] = min(max(play[HALF] + off, 0.0), GRID[MANY - 1])
             _forget(play)
     return False

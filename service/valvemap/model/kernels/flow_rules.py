@@ -49,7 +49,7 @@ WAY_S: Final = 0.2  # of the largest √|Δp|; the same along s
 COLOUR_FROM: Final = 4.0  # samples in a cell from which its error tells of the noise's correlation
 MOST_COLOUR: Final = 0.96  # largest correlation of successive errors that is believed
 METER_LASTS: Final = 0.25  # s; time constant of a meter's noise at most
-SURE_COLOUR: Final = 3.0  # standard errors from which on a correlation is believed
+SURE: Final = 3.0  # standard errors from which on a correlation or a correction of play is believed
 OUTLIERS: Final = 0.005  # prior share of samples that the meter invents
 OUTLIER_WIDTH: Final = 4.0  # root mean squares of the flow; width of their even density
 
@@ -99,7 +99,6 @@ PLAY_AGAIN: Final = 100.0  # the same where there is some already
 PLAY_FROM: Final = 800  # samples of a map from which on it tells of play
 PLAY_KEPT: Final = 0.9998  # of what was gained, per sample: 5,000 samples
 PLAY_STEP: Final = 0.1  # %; a half play that differs by less needs no new map
-PLAY_SURE: Final = 3.0  # standard deviations from which on a correction is made
 
 # Temperature.
 THINNING: Final = 0.03  # 1/K; rate of the oil's viscosity, ISO VG 32-68 near 40 °C
@@ -139,8 +138,9 @@ SHARES_COARSE: Final = (
     1.0,
 )  # of U_end; its knots
 SLOW_KEPT: Final = (0.6, 0.85, 0.95, 1.0)  # of the slow part of a residual, from row to row
-SLOW_GAINS: Final = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)  # of an innovation that is slow; of
+SLOW_GAINS: Final = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)  # of an innovation that is slow; of
 # both the likeliest are taken
+PHASES: Final = (0.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # slips; where friction may hold a spool
 CLEAR: Final = 40.0  # log likelihood from which on an operator is taken
 STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
 MOST_OPERATORS: Final = 4  # taken in one look
