@@ -159,8 +159,11 @@ def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
 def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
     """By how much operator k gains more than it has to: less if it was known and is there still."""
     without = with_value(at, k, 0.0)
+    gain = evidence.gain(at, without)
+    if k == paths.NEWS:  # each controller moves the next U by the noise of this Q, which is no harm
+        gain = min(gain, evidence.gain(with_value(at, k, paths.PAST), without))
     is_known = at[k] > rules.OTHER * given[k] > 0.0
-    return evidence.gain(at, without) + (rules.STILL_CLEAR if is_known else -rules.CLEAR)
+    return gain + (rules.STILL_CLEAR if is_known else -rules.CLEAR)
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:

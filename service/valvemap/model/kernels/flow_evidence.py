@@ -125,9 +125,20 @@ def _regressors(
         u = min(max(p, low), high)
         s = paths.effective(rows[i, paths.LEFT_DP], rows[i, paths.LEFT_P1], path)
         _row(axis, u, s / top, X[i], work)
-        if given[paths.NEWS] > 0.0 and 0 < i < len(rows) - 1:
+        if given[paths.NEWS] > paths.PAST and 0 < i < len(rows) - 1:
             around = rows[i - 1, paths.LEFT_U] + rows[i + 1, paths.LEFT_U]
             X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - 0.5 * around
+        elif given[paths.NEWS] > 0.0 and i >= base[i] + rules.BEFORE_NEWS:
+            X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - _expected(rows, i)
+
+
+@inner
+def _expected(rows: Floats, i: int) -> float:
+    """U of row i by the straight line through the rows before."""
+    m, U = rules.BEFORE_NEWS, 0.0
+    for j in range(1, m + 1):
+        U += (2.0 * (2 * m + 1) - 6.0 * j) / (m * (m - 1)) * rows[i - j, paths.LEFT_U]
+    return U
 
 
 @maker

@@ -21,6 +21,7 @@ CHOKE, KNEE = 5, 6  # of p1 that Δp counts up to; bar that it counts up to
 DEAD_Q, AVERAGE, LAG_Q = 7, 8, 9  # s
 TOP, LEAST = 10, 11  # l/min
 NEWS = 12  # 1 where Q goes with the news in U from sample to sample: U reacts to noise
+PAST = 0.5  # of NEWS where the news is what the samples before did not tell, without those behind
 PARAMETERS = 13
 
 # Places in `path` behind the parameters.

@@ -175,6 +175,7 @@ STAY_BEHIND_FILTER: Final = 4.0  # of the noise's variance; least variance of a 
 LIKELIER: Final = 1.0  # log likelihood from which on a rival takes an operator's place
 EXPLAINED: Final = 1.5  # of the white noise's variance; rows that are left so little need no rivals
 MOST_TRIED: Final = 1500  # coarse maps fitted in a look before it tries no more rivals: .5 s
+BEFORE_NEWS: Final = 6  # samples, whose straight line says which U was to come
 ODDS: Final = 0.01  # of an operator, before anything is known
 WORTH_SAYING: Final = 0.5  # probability from which on a finding is given
 SAID_FOR: Final = 3600.0  # s; for which a sudden change is a finding
