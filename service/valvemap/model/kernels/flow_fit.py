@@ -85,12 +85,13 @@ def fit(
     work = np.empty((4, 3))
     solved.gather(axis_U, axis_s, cells, work, of)
     ridge, done = 1.0 / (rules.ANYTHING**2 * scale), False
+    square = 1.0 / (rules.SQUARE**2 * scale)
     for k_round in range(rounds + 1):
         done = done or k_round == rounds
         sigma2, delta2 = scalars[VARIANCE], scalars[MISFIT]
         _start(axis_U, axis_s, lam, w, v, ridge, work, to)
         solved.assemble(n_s, of, sigma2, delta2, to)
-        if not solved.solve(n_s, of, ridge * axis_s.breaks[-1] ** 4, to):
+        if not solved.solve(n_s, of, square * axis_s.breaks[-1] ** 4, to):
             return False
         solved.explain(n_s, of, sigma2, delta2, to)
         if not factorise(to.A_prior, len(theta), 2 * n_s + 3):
@@ -107,8 +108,11 @@ def fit(
     scalars[FREE] = to.scalars[solved.FREE]
     scalars[EVIDENCE] = _evidence(2 * n_s + 3, scalars, to)
     spread(axis_U, axis_s, to.Z, to.lifted[0], root, theta, work, std)
+    terms = np.full(plain.TERMS, ridge)
+    terms[0] = terms[1] = lam[prior.ZERO]
+    terms[4] = square
     scalars[PLAIN] = plain.mix(
-        axis_U, axis_s, of, to.scalars[solved.LEFT], to.scalars[solved.FREE], theta, std
+        axis_U, axis_s, of, to.scalars[solved.LEFT], to.scalars[solved.FREE], terms, theta, std
     )
     return True
 

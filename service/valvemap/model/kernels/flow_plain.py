@@ -37,11 +37,14 @@ def coefficient(axis_U: Axis, axis_s: Axis, term: int, i: int, j: int) -> float:
 
 @maker
 def mix(
-    axis_U: Axis, axis_s: Axis, of: Design, least: float, free: float, theta: Floats, std: Singles,
+    axis_U: Axis, axis_s: Axis, of: Design, least: float, free: float, known: Floats,
+    theta: Floats, std: Singles,
 ) -> float:  # fmt: skip
     """Replace the map by its mean with eq. (7); give the probability of the latter.
 
-    ``least`` is what the smooth map leaves, Σ precision·residual², by ``free`` parameters.
+    ``least`` is what the smooth map leaves, Σ precision·residual², by ``free`` parameters;
+    ``known`` (TERMS,) are the precisions of the terms before there is a sample: where Δp goes with
+    U the samples do not tell them apart.
     """
     n_s, firsts, rows, y, precision = len(axis_s.sites), of.firsts, of.rows, of.y, of.precision
     A, b, x = np.zeros((TERMS, TERMS)), np.zeros(TERMS), np.empty(TERMS)
@@ -58,6 +61,8 @@ def mix(
             b[p] += precision[k] * x[p] * y[k]
             for q in range(TERMS):
                 A[p, q] += precision[k] * x[p] * x[q]
+    for p in range(TERMS):
+        A[p, p] += known[p]
     if len(y) <= TERMS or not invert(A):
         return 0.0
     for p in range(TERMS):

@@ -25,6 +25,8 @@ SETTLED: Final = 0.2  # of its logarithm; a precision that moves less in a round
 # Priors: scales by the flow's root mean square, degrees of freedom of what is estimated.
 BEND: Final = 0.01  # of the flow; a bend of U's curve at one knot, before anything is known
 CURVE: Final = 0.3  # of the flow; a bend along s from 0 to the largest s
+SQUARE: Final = 0.05  # of the flow; s·|s| at the largest s: small beside the root's law, which
+# decides where Δp goes with U
 TWIST: Final = 0.01  # of the flow; how a bend of U's curve is bent along s
 ZERO_FLOW: Final = 0.02  # of the flow; flow at Δp = 0: an offset of the meter
 ANYTHING: Final = 10.0  # of the flow; coefficients, whatever the valve: makes the prior proper
