@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.connect_plants import Plant, contradicted, plant
 from benchmarks.connect_second import SECOND
+from benchmarks.connect_third import KINDS, drawn
 from benchmarks.connect_unseen import UNSEEN
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.grouping import Group, group
@@ -38,7 +39,7 @@ class Outcome:
 def outcome(subject: Plant) -> Outcome:
     """Judge a plant as `connect` does; obey the first right option of every question."""
     groups = group(subject.candidates)
-    verdicts = [judge(one, subject.record) for one in groups]
+    verdicts = [judge(one, subject.record, None, subject.rating) for one in groups]
     if not groups or any(v.question for v in verdicts):
         story = "; ".join(f"{v.valve}: {v.question.about}" for v in verdicts if v.question)
         obeyed = None if subject.asks else _obeyed(subject, groups, verdicts)
@@ -94,7 +95,7 @@ def _obeyed(subject: Plant, groups: list[Group], verdicts: list[Verdict]) -> boo
             signals = [a.removeprefix("--signal=") for a in option.answers if "--signal" in a]
             scales = [a.removeprefix("--scale=") for a in option.answers if "--scale" in a]
             given = of_valve(parse_answers(signals, scales), own.name)
-            again = judge(own, subject.record, given)
+            again = judge(own, subject.record, given, subject.rating)
             if again.question is None and not list(_of_one(subject, again)):
                 settled.append(again)
                 break
@@ -146,6 +147,11 @@ def main() -> None:
         own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]
         found = [outcome(one) for one in own if one.asks is not findable]
         print(table(title, found, show=asked.show))
+    third = seeds[: max(len(seeds) // 2, 1)]
+    print(table("drawn, labels right", [outcome(drawn(s)) for s in third], show=asked.show))
+    for kind in KINDS:
+        own = [outcome(faulty(s, kind)) for s in third[: max(len(third) // 4, 1)]]
+        print(table(f"drawn, {kind}", own, show=asked.show))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from valvemap.pipeline.units import Quantity, Unit, unit_of
 from valvemap.plant.candidates import Candidate
+from valvemap.plant.evidence import Rating
 from valvemap.plant.reading import Record
 
 Floats = NDArray[np.float64]
@@ -133,7 +134,8 @@ STATED: Final = ("property", "brackets", "suffix", "property", "both")
 class Plant:
     """What browsing and watching return, and the truth by valve and signal, in our units.
 
-    ``asks`` is True where a question is the only right outcome; ``kind`` names the shape.
+    ``asks`` is True where a question is the only right outcome; ``kind`` names the shape;
+    ``rating`` is what the user gives of the name plate.
     """
 
     kind: str
@@ -141,6 +143,7 @@ class Plant:
     record: Record
     truth: Mapping[str, Mapping[str, tuple[str, Floats]]]
     asks: bool = False
+    rating: Rating = field(default_factory=Rating)
 
 
 @dataclass

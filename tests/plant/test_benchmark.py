@@ -5,6 +5,7 @@ import pytest
 from benchmarks.connect import outcome
 from benchmarks.connect_plants import contradicted, plant
 from benchmarks.connect_second import SECOND
+from benchmarks.connect_third import KINDS, drawn, faulty
 from benchmarks.connect_unseen import UNSEEN
 
 RIGHT, CAUGHT = 0.9, 0.95  # shares
@@ -31,3 +32,15 @@ def test_no_plant_as_vendors_write_them_is_wrong_in_silence(name):
     for seed in range(3):
         found = outcome((UNSEEN | SECOND)[name](seed))
         assert found.result != "wrong", found.story
+
+
+def test_drawn_plants_are_accepted_among_distractors_and_none_errs_in_silence():
+    found = [outcome(drawn(seed)) for seed in range(500, 525)]
+    assert not [one.story for one in found if one.result == "wrong"]
+    assert sum(one.result == "right" for one in found) >= RIGHT * len(found)
+    assert all(one.obeyed for one in found if one.obeyed is not None)
+
+
+def test_faults_that_no_name_shows_are_asked():
+    found = [outcome(faulty(seed, kind)) for kind in KINDS for seed in range(500, 503)]
+    assert sum(one.result == "asked" for one in found) >= CAUGHT * len(found)

@@ -47,8 +47,15 @@ PLATEAUS: Final[Mapping[Role, Plateau]] = {
     Role.Q: (1.0, 3_000.0, 0.5, 0.5),  # l/min
 }
 COEFFICIENT: Final[Plateau] = (0.3, 45.0, 0.5, 0.35)  # l/min/√bar, of the valve as far open as seen
+MISFIT: Final[Plateau] = (0.0, 0.025, 1.0, 0.3)
+"""What the law leaves of a valve's Q beyond noise, as a share of its spread: spool, lag, oil."""
+MISFIT_OF_OTHERS: Final[Plateau] = (0.06, 1.0, 0.5, 1.0)
+"""The same of readings that are wrong: a law seldom fits by chance."""
+_BY_CHANCE: Final = -3.0  # nats at most
+_LEAST_MISFIT: Final = 0.015  # of the spread of Q; less is not told from noise
 _MOVING, _MOVING_U = 0.3, 15.0  # share of U √Δp, and % of U, by which a valve moves
 _UNMOVED: Final = -6.0  # nats for a flow that does not move with it
+_LEAST_RATED: Final = 0.5  # share of the rated flow, at U = 100 %; below, with the square of U
 _VACUUM: Final = -2.0  # bar; a sensor's offset may be as low
 _BACKWARDS: Final = log(0.03)  # that the pressure behind a valve is the higher one all the time
 OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
@@ -185,6 +192,7 @@ def of_law(fit: Fit) -> float:
     total = -_REVERSED * max(0.0, fit.reversed_share - _FEW_REVERSED)
     if not fit.moves:
         return total
+    total += _on_plateau(fit.misfit, MISFIT)
     return total - 0.5 * _rows(fit) * log(fit.left / fit.total)
 
 
@@ -204,11 +212,20 @@ def most_of_law(rows: int) -> float:
 
 
 def of_no_law(fit: Fit) -> float:
-    """Return the same for the hypothesis that none of the readings is right."""
+    """Return the same for the hypothesis that none of the readings is right.
+
+    Q follows U, and pressures that are not seen; or those that are, in another scale or from
+    another place (at BIC's price).
+    """
     if not fit.moves:
         return 0.0
-    left = max(_NONE_EXPLAINS * fit.total, fit.noise)
-    return -0.5 * _rows(fit) * log(left / fit.total)
+    rows, least = _rows(fit), _LEAST_MISFIT**2 * fit.total
+    left = max(min(fit.left, _NONE_EXPLAINS * fit.total), fit.noise)
+    law = -0.5 * rows * log(left / fit.total)
+    freed = (min(fit.freed, fit.residual) + least) / (fit.residual + least)
+    elsewhere = -0.5 * rows * log(freed) - 0.5 * fit.parts_freed * log(rows)
+    unseen = _on_plateau(max(fit.misfit, _LEAST_MISFIT), MISFIT_OF_OTHERS, _BY_CHANCE)
+    return law + max(unseen, elsewhere)
 
 
 def _of_flow(signals: Mapping[Role, Signal]) -> dict[Role, Floats]:
@@ -226,7 +243,8 @@ def _of_rating(signals: Mapping[Role, Signal], k: float, rating: Rating) -> dict
         found["p1 contradicts the rated pressure"] = _on_plateau(signals[Role.P1].top, plateau)
     if rating.flow_l_min and k > 0.0:
         rated = rating.flow_l_min / rating.drop_bar**0.5
-        plateau = (0.06 * rated, 1.5 * rated, 0.3, 0.15)
+        opened = min(signals[Role.U].top / 100.0, 1.0)
+        plateau = (_LEAST_RATED * opened**2 * rated, 1.5 * rated, 0.3, 0.15)
         found["Q contradicts the rated flow"] = _on_plateau(k, plateau)
     return found
 

@@ -1,22 +1,24 @@
 r"""The orifice law as a test of an assignment: Q = f(U) · sign(Δp) √|Δp|.
 
 f is a broken line through quantiles of U, so the scales of U and Q do not matter; a first-order lag
-of the flow meter is chosen from a few. The test compares the variance that the law leaves with the
-variance of Q, both no smaller than the noise of Q: its change from sample to sample, or what the
-law leaves, if that is less.
+of the flow meter and a play of the spool are chosen from a few. The test compares the variance that
+the law leaves with the variance of Q, both no smaller than the noise of Q: its change from sample
+to sample, or what the law leaves, if that is less.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-KNOTS: Final = (0.0, 0.2, 0.4, 0.6, 0.8)  # shares of the samples below each
-LAGS_S: Final = (0.0, 0.06, 0.25, 1.0)  # s, of a flow meter
+KNOTS: Final = (0.0, 0.1, 0.25, 0.4, 0.55, 0.7, 0.85)  # shares of the samples below each
+LAGS_S: Final = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)  # s, of a flow meter
+_FINER: Final = (1.25, 1.12)  # times the best lag, and of those again
+PLAYS: Final = (0.02, 0.04, 0.07)  # of the span of U, between command and spool
 LEAST_ROWS: Final = 20  # samples; fewer test nothing
 _RIDGE: Final = 1e-6
 _CLEAR_DP: Final = 1.0  # bar
@@ -24,10 +26,11 @@ _CLEAR_FLOW: Final = 0.1  # of the largest flow
 _CLEAR_NOISE: Final = 5.0  # times the noise of the flow
 _NOISE_STEPS: Final = 6.0**0.5 * 0.6745  # of the median of second differences
 _MOVES: Final = 0.02  # of its largest value: a part that moves
+_CLEAR_SHARE: Final = 0.05  # of the largest Δp; what is smaller counts as this
 _ENDS: Final = (0.1, 0.9)  # shares of the samples below
 _TELLS: Final = 2.0  # times more is left without U, if U tells something of the flow
 _FALLS: Final = 0.7  # share of the flow at the lower end
-_LEAST_NOISE: Final = 0.08  # of the spread of Q: what no law of so few parts can explain
+_LEAST_NOISE: Final = 0.04  # of the spread of Q: what no law of so few parts can explain
 LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit leaves
 
 
@@ -35,9 +38,10 @@ LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit 
 class Fit:
     """Result of the test: variances (squared unit of Q), and the share of reversed samples.
 
-    ``residual`` is what is left without the least noise; ``parts_beside`` the number of parts that
-    other valves add to the law and that move. A flow that ``falls`` while the valve opens is not
-    explained.
+    ``residual`` is what is left without the least noise; ``freed`` the same where the pressures may
+    have an offset and other weights (``parts_freed``), as those of another place, or in another
+    scale, would. ``parts_beside`` is the number of parts that other valves add to the law and that
+    move. A flow that ``falls`` while the valve opens is not explained.
     """
 
     left: float
@@ -46,6 +50,8 @@ class Fit:
     reversed_share: float
     rows: int
     residual: float = 0.0
+    freed: float = 0.0
+    parts_freed: int = 1
     parts_beside: int = 0
     falls: bool = False
 
@@ -57,6 +63,11 @@ class Fit:
         return max(0.0, 1.0 - max(self.left - self.noise, 0.0) / (self.total - self.noise))
 
     @property
+    def misfit(self) -> float:
+        """What the law leaves beyond the noise, as a share of the spread of Q; 0 without test."""
+        return float(np.sqrt(1.0 - self.explained)) if self.moves else 0.0
+
+    @property
     def moves(self) -> bool:
         """Whether Q moves by more than its noise."""
         return self.rows >= LEAST_ROWS and self.total > 4.0 * self.noise + 1e-12
@@ -66,11 +77,17 @@ NOT_TESTED: Final = Fit(0.0, 0.0, 0.0, 0.0, 0)
 
 
 def fit(
-    U: Floats, dp: Floats, Q: Floats, step_s: float, beside: Sequence[tuple[Floats, Floats]] = ()
+    U: Floats,
+    dp: Floats,
+    Q: Floats,
+    step_s: float,
+    beside: Sequence[tuple[Floats, Floats]] = (),
+    p1: Floats | None = None,
 ) -> Fit:
     """Fit the law to N samples at equal steps; NaN are left out.
 
-    ``beside`` are U and Δp of other valves whose flows are in Q, too.
+    ``beside`` are U and Δp of other valves whose flows are in Q, too. With ``p1``, another weight
+    of it than that of p2 is tried, too.
 
     >>> t = np.linspace(0, 20, 400)
     >>> U, dp = 50 + 40 * np.sin(t), 90 + 60 * np.sin(0.7 * t)
@@ -86,18 +103,24 @@ def fit(
         return NOT_TESTED
     U, dp, Q = U[good], dp[good], Q[good]
     total = float(np.var(Q))
-    own = _parts(U, dp)
     others = [part for U2, dp2 in beside for part in _parts(U2[good], dp2[good])]
-    columns = np.stack([*own, *others], axis=1)
+    lags = [lag / step_s for lag in LAGS_S if lag < len(Q) * step_s or lag == 0.0]
+    best = min((_fitted(U, dp, Q, others, lag) for lag in lags), key=lambda one: one.left)
+    for step in _FINER if best.lag else ():
+        near = (best.lag / step, best.lag * step)
+        best = min(best, *(_fitted(U, dp, Q, others, lag) for lag in near),
+                   key=lambda one: one.left)  # fmt: skip
+    spools = (_played(U, play * float(np.ptp(U))) for play in PLAYS)
+    best = min(best, *(_fitted(spool, dp, Q, others, best.lag) for spool in spools),
+               key=lambda one: one.left)  # fmt: skip
+    U, columns, lag, weights = best.U, best.columns, best.lag, best.weights
     rows, parts = columns.shape
-    lags = (lag / step_s for lag in LAGS_S if lag < rows * step_s or lag == 0.0)
-    fits = ((*_least_squares(_lagged(columns, steps), Q), steps) for steps in lags)
-    left, weights, lag = min(fits, key=lambda one: one[0])
-    left *= rows / max(rows - parts - 1, 1)
+    own = columns[:, : parts - len(others)]
+    left = best.left * rows / max(rows - parts - 1, 1)
     residual, noise = left, min(_noise(Q), left) + _LEAST_NOISE**2 * total
     moving = sum(float(part.std()) > _MOVES * float(np.abs(part).max()) for part in others)
     without_U, _ = _least_squares(_lagged(columns[:, [0]], lag), Q)
-    falls = without_U > _TELLS * max(left, noise) and _falls(U, weights[: len(own)])
+    falls = without_U > _TELLS * max(left, noise) and _falls(U, weights[: own.shape[1]])
     return Fit(
         left=total if falls else max(left, noise),
         total=total,
@@ -105,9 +128,51 @@ def fit(
         reversed_share=0.0 if beside else _reversed_share(dp, Q),
         rows=rows,
         residual=residual,
+        freed=_freed(best, dp, Q, None if p1 is None else p1[good]) if not others else residual,
+        parts_freed=1 if p1 is None else 2,
         parts_beside=moving,
         falls=falls,
     )
+
+
+class _Fitted(NamedTuple):
+    """Mean square of what is left, and what it was fitted with."""
+
+    left: float
+    weights: Floats
+    columns: Floats
+    U: Floats
+    lag: float
+
+
+def _fitted(U: Floats, dp: Floats, Q: Floats, others: Sequence[Floats], lag: float) -> _Fitted:
+    columns = np.stack([*_parts(U, dp), *others], axis=1)
+    left, weights = _least_squares(_lagged(columns, lag), Q)
+    return _Fitted(left, weights, columns, U, lag)
+
+
+def _freed(best: _Fitted, dp: Floats, Q: Floats, p1: Floats | None) -> float:
+    """Return what is left if the pressures may have an offset, and p1 another weight than p2.
+
+    To first order: √(Δp + a + b·p1) = √Δp + (a + b·p1) / (2 √Δp).
+    """
+    f = np.stack(_parts(best.U, np.ones_like(dp)), axis=1) @ best.weights
+    size = np.abs(dp)
+    slope = f / np.sqrt(np.maximum(size, _CLEAR_SHARE * size.max()) + 1e-12)
+    more = [slope] if p1 is None else [slope, slope * (p1 - p1.mean())]
+    columns = np.column_stack([best.columns, *more])
+    left, _ = _least_squares(_lagged(columns, best.lag), Q)
+    rows, parts = columns.shape
+    return float(left * rows / max(rows - parts - 1, 1))
+
+
+def _played(U: Floats, width: float) -> Floats:
+    """Return the middle of a spool that follows N values of U through a play of this width."""
+    half, found, at = width / 2.0, [], float(U[0])
+    for u in U.tolist():
+        at = min(max(at, u - half), u + half)
+        found.append(at)
+    return np.array(found)
 
 
 def moves(values: Floats) -> bool:

@@ -25,6 +25,7 @@ _SPANS: Final = {
     "V": ((0.0, 10.0), (-10.0, 10.0), (0.0, 5.0)),
     "mV": ((0.0, 10_000.0), (-10_000.0, 10_000.0)),
 }
+_SPANS_OFF: Final = (0.5, 2.0, 0.1, 10.0)  # times; of a sensor taken for one of another span
 _VOLTS: Final = (0.0, 10.0)  # of a command
 _USUAL_SPAN: Final = 0.9  # probability of the first of them where no range states it
 _COUNTS_FROM: Final = 1_000.0  # an integer beyond it is none of our units, except psi and kPa
@@ -262,6 +263,11 @@ def mistaken(scale: Scale, role: Role) -> list[Scale]:
         for unit in others
         if unit is not None and unit != own
     ]
+    if role in {Role.P1, Role.P2}:
+        for times in _SPANS_OFF:
+            measure = Measure(None, own, (0.0, 100.0), (0.0, 100.0 * times))
+            reason = f"{times:g} times as large: its sensor has another span"
+            found.append(Scale(measure, 0.0, reason, stated=False))
     if role is Role.U:
         volts = Measure(raw=_VOLTS, scaled=(0.0, 100.0))
         found.append(Scale(volts, 0.0, f"in V instead of {own.symbol}", stated=False))

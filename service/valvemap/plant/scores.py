@@ -137,7 +137,8 @@ class Scores:
         key = nodes[Role.U].node, ends[0] < ends[1], nodes[Role.Q].node, *pressures
         if (found := self._fits.get(key)) is None:
             drop = evidence.pressure_drop(values)
-            found = fit(values[Role.U], drop, values[Role.Q], self._record.step_s)
+            U, Q, step = values[Role.U], values[Role.Q], self._record.step_s
+            found = fit(U, drop, Q, step, p1=values.get(Role.P1))
             self._fits[key] = found
         return found
 
