@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.connect_plants import Plant, contradicted, plant
 from benchmarks.connect_second import SECOND
-from benchmarks.connect_third import KINDS, drawn
+from benchmarks.connect_third import KINDS, drawn, faulty
 from benchmarks.connect_unseen import UNSEEN
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.grouping import Group, group
@@ -140,8 +140,8 @@ def main() -> None:
     print(table("labels right", [outcome(plant(s)) for s in seeds], show=asked.show))
     still = [outcome(plant(s, excitation="rest")) for s in seeds[: len(seeds) // 4]]
     print(table("labels right, nothing moves", still, show=asked.show))
-    faulty = [outcome(contradicted(s)) for s in seeds[: max(50, len(seeds) // 4)]]
-    print(table("contradicted", faulty, show=asked.show))
+    against = [outcome(contradicted(s)) for s in seeds[: max(50, len(seeds) // 4)]]
+    print(table("contradicted", against, show=asked.show))
     few = seeds[: max(1, len(seeds) // 20)]
     for findable, title in ((True, "as vendors write them"), (False, "cannot be known")):
         own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]

@@ -64,8 +64,14 @@ class Fit:
 
     @property
     def misfit(self) -> float:
-        """What the law leaves beyond the noise, as a share of the spread of Q; 0 without test."""
-        return float(np.sqrt(1.0 - self.explained)) if self.moves else 0.0
+        """What the law leaves beyond the noise, as a share of the spread of Q; 0 without test.
+
+        The pressures have noise, too, and that of Q is an estimate: it counts twice.
+        """
+        if not self.moves:
+            return 0.0
+        noise = 2.0 * self.noise - LEAST_LEFT * self.total
+        return float(np.sqrt(max(self.left - noise, 0.0) / self.total))
 
     @property
     def moves(self) -> bool:
