@@ -312,6 +312,11 @@ def test_one_meter_for_two_valves_is_asked(plant, moving):
     verdicts = plant.verdicts()
     assert len(verdicts) == 2
     assert all("one meter for the valves V1, V2" in v.question.about for v in verdicts)
+    for verdict in verdicts:
+        assert "all are learnt together" in verdict.question.options[0].consequence
+        settled = obey(plant, verdict, verdict.question.options[0])
+        assert settled.question is None
+        assert nodes(settled)["Q"] == "Durchfluss"
 
 
 def test_gauges_without_a_unit_beside_a_meter_in_gpm_are_asked(plant, moving):

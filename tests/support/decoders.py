@@ -64,8 +64,10 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import WATCH, Axis, AxisPlan
 from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kept_watches import pack_watch
+from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.ports import AlarmReport
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing
@@ -210,6 +212,13 @@ def _of_states():
     )
     found["state: watches of axes"] = Decoder(
         partial(Axis(_AXIS).resume, WATCH), lambda: [_packed_watch()], (StateMismatchError,)
+    )
+    meters = Meters(["m", "m"], [(0.0, 100.0)] * 2)
+    meters.share(gathered({0: plant(20)}), lambda valve, error: None)
+    found["state: shared meters"] = Decoder(
+        lambda data: meters.from_bytes(0, data, "key"),
+        lambda: [bytes(meters.to_bytes(0, "key") or b"")],
+        (StateMismatchError,),
     )
     found["state: arrays"] = Decoder(_arrays_of, _arrays, (StateMismatchError,))
     found["state: arrivals"] = Decoder(

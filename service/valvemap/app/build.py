@@ -1,12 +1,13 @@
 """Builds plans, alignment and layouts from the configuration, without importing a server."""
 
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, Final, TypeVar
 
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.axes import AxisConfig
 from valvemap.config.estimators import build_estimator
+from valvemap.config.meters import meters_of
 from valvemap.config.models import (
     RECOMMENDED,
     Config,
@@ -116,8 +117,9 @@ def timing_of(
 
 def build_plans(config: Config) -> list[ValvePlan]:
     """Return a plan per valve; objects of equal configuration are created once and shared."""
-    shared = _Shared()
-    return [_plan(config, valve, shared) for valve in config.valves]
+    shared, meters = _Shared(), meters_of(config.valves)
+    plans = [_plan(config, valve, shared) for valve in config.valves]
+    return [replace(plan, meter=meters.get(plan.name, "")) for plan in plans]
 
 
 def meaning_of(

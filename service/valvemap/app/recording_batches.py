@@ -1,4 +1,4 @@
-"""Recordings as batches of samples, in memory of constant size, divided among edges and lines."""
+"""Recordings as batches of samples, in memory of constant size, divided among edges and meters."""
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -9,6 +9,7 @@ import numpy as np
 
 from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.edges import Splitter, gathered
+from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
@@ -48,18 +49,23 @@ def name_of(recording: object) -> Path:
 
 
 class EdgeSplitting:
-    """Splits the samples of valves with ports on their way to edges, batch by batch."""
+    """Splits the samples of valves with ports and of shared meters, batch by batch."""
 
     def __init__(self, plans: Mapping[str, ValvePlan]) -> None:
         self._names = list(plans)
         self._splitter = Splitter(
             [plan.part for plan in plans.values()], self._names, most=MOST_SPLIT
         )
+        self._meters = Meters(
+            [plan.meter for plan in plans.values()],
+            [plan.U_range for plan in plans.values()],
+            most=MOST_SPLIT,
+        )
         self._lines = {plan.name for plan in plans.values() if plan.part and plan.part.edge is None}
 
     def take(self, name: str, samples: Samples, use: Callable[[str, Samples], Floats]) -> None:
         """Call ``use`` with samples; of a line it returns the leakage, for those of its edges."""
-        if not self._splitter:
+        if not (self._splitter or self._meters):
             use(name, samples)
             return
         number, coming = self._names.index(name), {}
@@ -67,9 +73,10 @@ class EdgeSplitting:
             self._splitter.note_leakage(number, samples.t, use(name, samples))
         else:
             coming[number] = samples
-        arrived, used = self._splitter.split(gathered(coming), _raise)
-        for m, start, stop in zip(*arrived.segments, strict=True):
-            rows = np.arange(start, stop)[used[start:stop]]
+        arrived, of_meters = self._meters.share(gathered(coming), _raise)
+        arrived, used = self._splitter.split(arrived, _raise)
+        for m, start, stop in zip(*(x.tolist() for x in arrived.segments), strict=True):
+            rows = np.arange(start, stop)[of_meters.get(m, used[start:stop])]
             if len(rows):
                 use(self._names[m], arrived.samples[rows])
 

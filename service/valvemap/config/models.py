@@ -25,6 +25,7 @@ from valvemap.config.estimators import (
 )
 from valvemap.config.feed_forward import FeedForwardConfig, check_command_unit, check_feed_forward
 from valvemap.config.logs import LogConfig
+from valvemap.config.meters import check_meters
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.nameplate import IdentificationConfig
 from valvemap.config.ports import PortsConfig, check_each_once, node_id
@@ -54,6 +55,7 @@ RESERVED_ESTIMATORS = (
     "Recommended",
     "RecommendedReason",
     "Edge",
+    "Meter",
     *PARTS,
 )
 RECOMMENDED = "recommended"  # value of ``inverse``
@@ -602,6 +604,11 @@ class Config(SettingsFile):
         idle = sorted(set(names) - {source for _, source in (*of_valves, *of_axes)})
         if idle:
             raise ValueError(f"source {idle[0]!r} is named by no valve")
+        return self
+
+    @model_validator(mode="after")
+    def _meters_can_be_divided(self) -> Self:
+        check_meters(self.valves)
         return self
 
     @property

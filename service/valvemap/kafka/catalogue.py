@@ -67,6 +67,12 @@ def catalogue_of(
                 f"site {site}: valve {with_ports} has ports; a fleet takes valves with nodes, one "
                 "for each edge"
             )
+        with_meter = [plan.name for plan in plans if plan.meter]
+        if with_meter:
+            raise ConfigurationError(
+                f"site {site}: valves {', '.join(with_meter)} share a flow meter; a fleet takes "
+                "valves with a meter each; `valvemap serve` takes these"
+            )
         if config.axes:
             raise ConfigurationError(
                 f"site {site}: axis {config.axes[0].name}: a fleet takes valves alone; `valvemap "

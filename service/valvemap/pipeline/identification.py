@@ -131,7 +131,7 @@ class Identification:
             valves, arrivals, intake, maps, approved, armed, commands, lines
         )
         self._kept = self.states = KeptStates(
-            valves, arrivals, approved, alarms, maps, intake.splitter
+            valves, arrivals, approved, alarms, maps, intake.splitter, intake.meters
         )
         self.stamping, self.failures = arrivals.timing, valves.failures
         self._columns = self.kept_columns = KeptColumns(valves, intake, approved)

@@ -13,12 +13,14 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline
 from valvemap.pipeline.edges import Splitter
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
+from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.provenance import (
     ALARMS,
     BASELINE,
     EDGE,
     MEMORY,
+    METER,
     PLACES,
     TIMING,
     Reviewed,
@@ -42,8 +44,8 @@ class KeptStates:
         State stored beside the estimators'.
     maps
         Recomputed after a restore.
-    splitter
-        What waits of the edges of valves with ports.
+    splitter, meters
+        What is kept of the edges of valves with ports, and of valves behind a shared meter.
     """
 
     def __init__(
@@ -54,13 +56,14 @@ class KeptStates:
         alarms: AllAlarms,
         maps: MapsAndSurveys,
         splitter: Splitter,
+        meters: Meters,
     ) -> None:
         self._valves = valves
         self._arrivals = arrivals
         self._approved = approved
         self._alarms = alarms
         self._maps = maps
-        self._splitter = splitter
+        self._splitter, self._meters = splitter, meters
         self._memory_keys: dict[
             tuple[int, bool | tuple[str, ...], bool], str
         ] = {}  # by fleet, `_has`
@@ -110,6 +113,7 @@ class KeptStates:
             ALARMS: self._take_alarms,
             PLACES: self._take_places,
             EDGE: self._take_edge,
+            METER: self._take_meter,
         }
         known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator in (MEMORY, PLACES)):
@@ -170,6 +174,9 @@ class KeptStates:
         edge = self._splitter.to_bytes(valve, key)
         if edge is not None:
             found.append(_beside(name, EDGE, edge, state.t, key))
+        meter = self._meters.to_bytes(valve, key)
+        if meter is not None:
+            found.append(_beside(name, METER, meter, state.t, key))
         return [replace(one, meaning=self._meanings[valve]) for one in found]
 
     def _of_service(self) -> list[Checkpoint]:
@@ -235,6 +242,10 @@ class KeptStates:
     def _take_edge(self, kept: Checkpoint) -> None:
         number = self._number(kept)
         self._splitter.from_bytes(number, kept.state, self._memory_key(number))
+
+    def _take_meter(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        self._meters.from_bytes(number, kept.state, self._memory_key(number))
 
     def _take_places(self, kept: Checkpoint) -> None:
         fleet, m = self._valves.at(self._number(kept))

@@ -36,7 +36,8 @@ BASELINE: Final = "Baseline"  # its approved map; likewise
 ALARMS: Final = "Alarms"  # the state of its alarms; likewise
 PLACES: Final = "Recommended"  # the errors of its estimators' maps at places; likewise
 EDGE: Final = "Edge"  # what waits of an edge of a valve with ports; likewise
-BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES, EDGE)
+METER: Final = "Meter"  # what is kept of a valve behind a shared meter; likewise
+BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES, EDGE, METER)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.edges import LEAK, Splitter, gathered
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Rows, Step
+from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
 from valvemap.pipeline.ports import SignalResults
 from valvemap.vocabulary.signals import PUBLISHED
@@ -46,6 +47,8 @@ class SampleIntake:
         Evidence for and against plausible signals.
     splitter : Splitter
         Splits the samples of valves with ports into those of edges.
+    meters : Meters
+        Divides the flow of meters among the valves behind them.
     """
 
     def __init__(self, valves: AllValves, arrivals: Arrivals) -> None:
@@ -62,6 +65,9 @@ class SampleIntake:
         self._insists = np.array([plan.insist for plan in valves.plans], np.bool_)
         self.splitter = Splitter(
             [plan.part for plan in valves.plans], [plan.name for plan in valves.plans]
+        )
+        self.meters = Meters(
+            [plan.meter for plan in valves.plans], [plan.U_range for plan in valves.plans]
         )
 
     def take(self, changes: DataChanges) -> ByValve:
@@ -82,7 +88,7 @@ class SampleIntake:
 
         Of valves with ports, the lines come first: their leakage is not the edges' flow.
         """
-        if not self.splitter:
+        if not (self.splitter or self.meters):
             self._note_newest(arrived)
             arrived = self._without_implausible(arrived)
             self._estimate(arrived)
@@ -90,7 +96,15 @@ class SampleIntake:
         lines, others = self.splitter.divide(arrived)
         self._note_newest(lines)
         self._estimate(lines)
-        others, used = self.splitter.split(others, self._stop_edge)
+        before = self.meters.dropped.copy()
+        others, of_meters = self.meters.share(others, self._stop_alignment)
+        unmet = np.flatnonzero(self.meters.dropped > before)
+        for fleet, own in self._valves.by_fleet(unmet):
+            self._note_losses(fleet, unmet[own])
+        others, used = self.splitter.split(others, self._stop_alignment)
+        for valve, first, last in zip(*(x.tolist() for x in others.segments), strict=True):
+            if valve in of_meters:
+                used[first:last] = of_meters[valve]
         self._note_newest(others)
         rows, learnt = np.flatnonzero(used), others.segments.among(used)
         some = ByValve(others.samples[rows], learnt.of(learnt.stops > learnt.starts))
@@ -116,7 +130,7 @@ class SampleIntake:
                         leakage = traces[LEAK].predicted[start:stop]
                         self.splitter.note_leakage(line, samples.t[start:stop], leakage)
 
-    def _stop_edge(self, valve: int, error: Exception) -> None:
+    def _stop_alignment(self, valve: int, error: Exception) -> None:
         self._valves.stop(valve, Step.ALIGNMENT, None, error)
 
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
@@ -181,6 +195,7 @@ class SampleIntake:
     def _note_losses(self, fleet: Fleet, valves: Times) -> None:
         counts, places = self._arrivals.counts(valves), self._valves.places[valves]
         lost, aligned = counts[:, _LOST].sum(axis=1), counts[:, _ALIGNED]
+        lost = lost + self.meters.dropped[valves]
         holds = self._arrivals.timing.holds[valves]
 
         def watch(rows: Rows) -> None:

@@ -60,7 +60,8 @@ class ValvePlan:
     is never written to the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is
     that of the sensors, ``nodes`` are their names in messages about missing signals, ``alarms`` the
     rules of the alarms; ``nameplate`` is published only; ``meaning`` is stored with the states.
-    ``part`` says which edge or line it is of a valve with ports.
+    ``part`` says which edge or line it is of a valve with ports, ``meter`` the meter that it shares
+    with other valves ("": none).
     """
 
     name: str
@@ -80,6 +81,7 @@ class ValvePlan:
     follows: bool = False
     references: frozenset[str] = frozenset()
     part: Part | None = None
+    meter: str = ""
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,8 @@ def judge(
     best = found[0]
     least_U = 0.0 if ports.is_directional(group) else None
     if group.one_meter and Role.Q not in given.nodes and Role.Q in best.nodes:
-        return Verdict(group.name, best, _one_meter(group, best), others, least_U)
+        named = next((r for r in found if not (r.mistake or r.missing or r.beside)), best)
+        return Verdict(group.name, named, _one_meter(group, named), others, least_U)
     if best.missing:
         return Verdict(group.name, best, _missing(group, best), others)
     if best.probability >= ACCEPTED and not best.mistake and not best.beside:
@@ -196,9 +197,12 @@ def _one_meter(group: Group, best: Reading) -> Question:
     """Ask about a meter that measures several valves together."""
     valves = ", ".join(group.one_meter)
     about = f"Q: one meter for the valves {valves}, whose flows add up in it"
-    consequence = "right only if the other valves stay shut, or have another meter"
+    consequence = (
+        "answered for each of them, all are learnt together; a valve that is left out (--skip) "
+        "must stay shut"
+    )
     answers = tuple(a for role in best.nodes for a in _answers(group.name, role, best))
-    own = Option("it measures this valve alone", consequence, answers, best.probability)
+    own = Option("Q is the sum of their flows", consequence, answers, best.probability)
     return Question(about, (own,))
 
 

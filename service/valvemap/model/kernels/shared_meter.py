@@ -1,0 +1,102 @@
+"""The loop of `SharedMeter`: recursive least squares on the sum of several valves' flows.
+
+The state's ``P`` is the covariance of the weights in units of the noise's variance. A sample
+changes at most two weights of each valve, and its gain those that are known together with them.
+"""
+
+import math
+
+import numpy as np
+
+from valvemap.model.kernels.compiled import lean_kernel
+from valvemap.model.samples import Floats
+
+KNOTS = 81  # of a valve's gain over its range of U: every 1.25 %
+LEAST_NOISE = 1e-3  # l/min
+USUAL_NOISE = 0.4  # l/min; of a meter, before the first sample
+USUAL_SLOPE = 0.2  # l/min/√bar/%; standard deviation of a gain's slope at U = 0
+BEND_OF_EDGE = 0.05  # l/min/√bar/%/√%; the same where an overlap ends
+OVERLAPPED = 20.0  # % of U; no overlap is larger
+USUAL_BEND = 0.003  # l/min/√bar/%/√%; of the slope's change
+USUAL_LEAK = 0.02  # l/min/√bar; standard deviation of what a shut valve passes
+USUAL_KINK = 0.003  # l/min/√bar; standard deviation of each knot beside all that
+KEPT = 20_000.0  # samples of one weight after which its variance has grown by its own size
+FEW = 50.0  # samples before residuals are clipped
+CLIPPED = 4.0  # standard deviations
+MEMORY = 5_000.0  # samples over which the noise is averaged
+# Places in `sums`: mean square of the residuals, and their number.
+MEAN_SQUARE, COUNT = 0, 1
+SUMS = 2
+
+
+@lean_kernel
+def learn(
+    U: Floats, dp: Floats, Q: Floats, usable: np.ndarray, low: Floats, high: Floats,
+    weights: Floats, P: Floats, sums: Floats, most: Floats, others: Floats, std: Floats,
+    places: np.ndarray, x: Floats, Px: Floats, parts: Floats,
+) -> None:  # fmt: skip
+    """Learn from N samples of M valves, U and dp (M, N); write what is not valve m's, (M, N).
+
+    ``others`` is the flow of all other valves as predicted from the samples before, ``std`` its
+    standard deviation in that of the noise; NaN of a sample that is not usable. ``most`` (n,) is
+    the largest variance of each weight; ``places``, ``x`` (2 M,), ``Px`` (n,) and ``parts`` (M, 2)
+    are scratch.
+    """
+    M, n = len(U), len(weights)
+    for i in range(len(Q)):
+        known = usable[i] and math.isfinite(Q[i])
+        for m in range(M):
+            others[m, i] = std[m, i] = math.nan
+            known = known and math.isfinite(U[m, i] + dp[m, i])
+        if not known:
+            continue
+        for m in range(M):
+            at = (U[m, i] - low[m]) / (high[m] - low[m]) * (KNOTS - 1)
+            at = min(max(at, 0.0), KNOTS - 1.0)
+            knot = min(int(at), KNOTS - 2)
+            root = math.copysign(math.sqrt(abs(dp[m, i])), dp[m, i])
+            places[2 * m], places[2 * m + 1] = m * KNOTS + knot, m * KNOTS + knot + 1
+            x[2 * m], x[2 * m + 1] = (1.0 - at + knot) * root, (at - knot) * root
+        for k in range(n):
+            total = 0.0
+            for a in range(2 * M):
+                total += P[places[a], k] * x[a]
+            Px[k] = total
+        noise = max(sums[MEAN_SQUARE], LEAST_NOISE**2)
+        predicted = whole = 0.0
+        for m in range(M):
+            own = 0.0
+            for a in range(2 * m, 2 * m + 2):
+                predicted += x[a] * weights[places[a]]
+                own += x[a] * Px[places[a]]
+            whole += own
+            parts[m, 0] = own  # covariance with the sum
+            alone = 0.0
+            for a in range(2 * m, 2 * m + 2):
+                for b in range(2 * m, 2 * m + 2):
+                    alone += x[a] * P[places[a], places[b]] * x[b]
+            parts[m, 1] = alone
+        for m in range(M):
+            own = x[2 * m] * weights[places[2 * m]] + x[2 * m + 1] * weights[places[2 * m + 1]]
+            others[m, i] = predicted - own
+            variance = whole - 2.0 * parts[m, 0] + parts[m, 1]
+            std[m, i] = math.sqrt(max(variance, 0.0))
+        spread = 1.0 + whole
+        residual = Q[i] - predicted
+        if sums[COUNT] > FEW:
+            widest = CLIPPED * math.sqrt(noise * spread)
+            residual = min(max(residual, -widest), widest)
+        for k in range(n):
+            weights[k] += Px[k] / spread * residual
+        for k in range(n):
+            gain = Px[k] / spread
+            if gain != 0.0:
+                for j in range(n):
+                    P[k, j] -= gain * Px[j]
+        for a in range(2 * M):
+            k = places[a]
+            if x[a] != 0.0:
+                P[k, k] = min(max(P[k, k], 0.0) * (1.0 + 1.0 / KEPT), most[k])
+        sums[COUNT] += 1.0
+        share = 1.0 / min(sums[COUNT] + FEW, MEMORY)
+        sums[MEAN_SQUARE] += share * (residual * residual / spread - sums[MEAN_SQUARE])
