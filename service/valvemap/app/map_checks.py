@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from valvemap.app.learnt_valve import LearntValve
-from valvemap.app.recording_batches import EdgeSplitting
+from valvemap.app.recording_batches import FlowSplitting
 from valvemap.model.inverse_map import invert
 from valvemap.model.samples import Floats, Samples, Trace
 from valvemap.pipeline import valve_state
@@ -47,7 +47,7 @@ def check_maps(valve: LearntValve, samples: Samples, *, scored: bool) -> Mapping
 def verified_maps(
     valves: Mapping[str, LearntValve],
     batches: Iterable[tuple[str, Samples]],
-    splitting: EdgeSplitting,
+    splitting: FlowSplitting,
 ) -> dict[str, list[Mapping[str, MapCheck]]]:
     """Test the maps of all valves on batches; a list of tests by valve."""
     checks: dict[str, list[Mapping[str, MapCheck]]] = {name: [] for name in valves}

@@ -48,7 +48,7 @@ def name_of(recording: object) -> Path:
     return recording if isinstance(recording, Path) else Path(type(recording).__name__)
 
 
-class EdgeSplitting:
+class FlowSplitting:
     """Splits the samples of valves with ports and of shared meters, batch by batch."""
 
     def __init__(self, plans: Mapping[str, ValvePlan]) -> None:

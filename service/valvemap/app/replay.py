@@ -12,7 +12,7 @@ from valvemap.app.build import build_layout, build_plans
 from valvemap.app.given import layout_of, recordings_in
 from valvemap.app.learnt_valve import BEST_FIT, LearntValve
 from valvemap.app.map_checks import MapCheck, check_maps, summed, verified_maps
-from valvemap.app.recording_batches import EdgeSplitting, Progress, one_ahead, read_batches
+from valvemap.app.recording_batches import FlowSplitting, Progress, one_ahead, read_batches
 from valvemap.config.loading import check_has_valves
 from valvemap.config.models import Config, ValveConfig
 from valvemap.errors import ConfigurationError, RecordingError
@@ -141,7 +141,7 @@ def replay(
     turn = one_ahead if read_ahead else iter
     valves: dict[str, LearntValve] = {}
     found = dict[str, None]()
-    splitter = EdgeSplitting(plans or {})
+    splitter = FlowSplitting(plans or {})
     for recording in recordings_in(recordings):
         for name, samples in read_batches(recording, layout, progress, turn):
             found[name] = None
@@ -166,7 +166,7 @@ def replay(
         checks = {name: [check_maps(v, v.last, scored=False)] for name, v in valves.items()}
     else:
         coming = (read_batches(one, layout, progress, turn) for one in recordings_in(verify))
-        checks = verified_maps(valves, chain.from_iterable(coming), EdgeSplitting(plans or {}))
+        checks = verified_maps(valves, chain.from_iterable(coming), FlowSplitting(plans or {}))
     return {
         name: _report(valve, summed(checks[name]), verified=verify is not None)
         for name, valve in valves.items()
