@@ -175,6 +175,16 @@ def test_the_noise_has_a_white_and_a_slow_part(white, slow, phi):
     assert FlowMap().findings(state) == ()
 
 
+def test_map_and_inverse_of_a_compensator_are_flat_in_the_pressure_drop_beyond_it():
+    state = learnt(SHOWN[Code.COMPENSATOR][0], many=5000)
+    at, T = np.full(3, 60.0), np.full(3, 40.0)
+    dp = np.array([30.0, 100.0, 190.0])
+    Q, std = FlowMap().predict(state, at, dp, T)
+    assert np.ptp(Q) == 0.0
+    assert abs(Q[0] - 4.0 * 56.0 * np.sqrt(10.0) / 30.0) < 3.0 * std[0] < 0.1 * Q[0]
+    assert FlowMap().inverted(state, Q, dp, T)[0] == pytest.approx(at)
+
+
 def test_a_valve_that_stays_shut_is_no_compensator():
     t, dp = np.arange(100) * 10_000_000, np.linspace(20, 180, 100)
     samples = Samples.of(t, 0 * dp, dp, 0 * dp, np.full(100, 1e-3))
