@@ -14,18 +14,11 @@ import numpy as np
 from benchmarks import circumstances as c
 from benchmarks.one_model_rows import both_ways, compensated
 from valvemap.model.samples import Samples
-from valvemap.pipeline.commission import (
-    Command,
-    CommissionState,
-    Seen,
-    Settings,
-    start,
-    step,
-    written,
-)
+from valvemap.pipeline.commission import start, step, written
 from valvemap.pipeline.commission_learner import Learnt, learn
 from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_plan import Plan
+from valvemap.pipeline.commission_state import Command, CommissionState, Seen, Settings
 from valvemap.vocabulary.commission import Phase
 
 SAMPLE_S: Final = 0.01

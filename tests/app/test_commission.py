@@ -11,7 +11,7 @@ from support.feeding import PASSWORD, VALVE, Heard, ListeningRig, settings
 from valvemap.app.commission import CommissionRun, settings_of
 from valvemap.config.commission import CommissionConfig
 from valvemap.config.models import Config, NodesConfig, SourceConfig, ValveConfig
-from valvemap.pipeline.commission import Reason
+from valvemap.pipeline.commission_state import Reason
 from valvemap.storage.commission_files import RunFiles, last_run, new_run
 from valvemap.vocabulary.commission import Phase
 from valvemap_rig.circuit import Bench, true_flow

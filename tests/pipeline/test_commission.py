@@ -5,19 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from valvemap.pipeline.commission import (
-    Command,
-    CommissionState,
-    Reason,
-    Seen,
-    Settings,
-    lost,
-    start,
-    step,
-    written,
-)
+from valvemap.pipeline.commission import lost, start, step, written
 from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
 from valvemap.pipeline.commission_plan import Plan, Uncertainty, route, sweep
+from valvemap.pipeline.commission_state import Command, CommissionState, Reason, Seen, Settings
 from valvemap.vocabulary.commission import Phase
 
 LIMITS = Limits((10.0, 90.0), 200.0, safe_U=20.0, p1_range=(100.0, 210.0), p_most=220.0)

@@ -34,21 +34,12 @@ from valvemap.opcua_client.results_client import ResultsClient, Security
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.opcua_source.client import OpcUaSource
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.commission import (
-    Command,
-    CommissionState,
-    Seen,
-    Settings,
-    in_words,
-    lost,
-    start,
-    step,
-    written,
-)
+from valvemap.pipeline.commission import in_words, lost, start, step, written
 from valvemap.pipeline.commission_learner import Learnt, learn
 from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_plan import Plan
 from valvemap.pipeline.commission_ports import CommissionResults
+from valvemap.pipeline.commission_state import Command, CommissionState, Seen, Settings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import supervise
 from valvemap.storage.commission_files import RunFiles

@@ -13,159 +13,28 @@ led, and the source takes the valve back when it stops.
 """
 
 import math
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import replace
 from typing import Final
 
+from valvemap.pipeline.commission_guard import ending, fault, noted, past_half_turn, refusal
 from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
-from valvemap.pipeline.commission_plan import Plan, sweep
+from valvemap.pipeline.commission_plan import sweep
+from valvemap.pipeline.commission_state import (
+    UNKNOWN,
+    Command,
+    CommissionState,
+    Reason,
+    Seen,
+    Settings,
+    Watch,
+)
 from valvemap.vocabulary.commission import Phase
 
 HEARTBEAT_S: Final = 0.08  # s; shortest interval between heartbeats
 MOST_HEARTBEAT: Final = 2**32 - 1  # UInt32; 0 hands the valve back
 AGAIN_S: Final = 0.5  # s of good samples before a paused run continues
 ARRIVED_U, ARRIVED_LOAD = 0.2, 1.0  # %, bar; distance at which a point counts as reached
-STILL_U: Final = 1.0  # %; change of U during the checks that shows another writer
-STUCK_SPAN: Final = 0.6  # share of the range of U without a change of the opening: stuck
-STUCK_CHANGE: Final = 0.08  # 1; change of Q/√Δp, share of the largest, below which it is none
-DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
-UNKNOWN: Final = Point()
 HELD_OFF_S: Final = 0.1  # s without a violation until the schedule is followed again
-
-
-class Reason(Enum):
-    """Cause of a pause, an end or a limited command; the value is a sentence."""
-
-    NONE = ""
-    ACCURATE = "the requested accuracy is reached"
-    TIME_UP = "the time is up"
-    OPERATOR = "the operator aborted"
-    OPERATOR_GONE = "no sign of the operator's terminal"
-    SOURCE_LOST = "the source is not connected"
-    STALE = "samples are too old"
-    BAD_SAMPLE = "samples are Bad, or not numbers"
-    NOT_TAKEN = "the source refuses commands"
-    PRESSURE = "a pressure is above the limit for an abort"
-    LIMIT = "pressure or flow is beyond its limit: U retreats"
-    NOT_FOLLOWED = "the measured U does not follow the command"
-    STUCK = "the flow does not follow U"
-    OUTAGE = "the pause lasted too long"
-    FEED_FORWARD = "feed-forward is armed: disarm it first"
-    OTHER_WRITER = "U moves before the first command: it has another writer"
-    U_OUTSIDE = "the measured U is outside the permitted range"
-    P_ORDER = "p1 is below p2 although U is open: p1 and p2 may be exchanged"
-    LIMIT_BEFORE = "pressure or flow is beyond its limit before the first command"
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings of a run: limits, plan, and times in s.
-
-    Attributes
-    ----------
-    accuracy
-        Standard deviation of the map over its range (RMS, l/min) that ends the run; 0: none does.
-    max_age_s
-        Largest age of a sample, by its arrival.
-    check_s
-        Time of good samples before the first command.
-    operator_s
-        Largest age of the operator's sign.
-    outage_s
-        Longest pause.
-    opening
-        Q/√Δp of the valve at full signal, l/min/√bar, by its nominal ranges; 0: not known.
-    follow_s, follow_percent
-        Longest delay of U behind its command, and the distance that is accepted beyond it.
-    has_heartbeat
-        Whether the source watches a heartbeat.
-    """
-
-    limits: Limits = field(default_factory=Limits)
-    plan: Plan = field(default_factory=Plan)
-    accuracy: float = 0.0
-    max_age_s: float = 0.15
-    check_s: float = 1.0
-    operator_s: float = 1.0
-    outage_s: float = 60.0
-    opening: float = 0.0
-    follow_s: float = 0.5
-    follow_percent: float = 3.0
-    has_heartbeat: bool = True
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What a step knows: the newest sample (%, bar, l/min), its age (s), and the map's state.
-
-    ``error`` is the map's standard deviation (RMS, l/min); ``route`` the next points to visit, with
-    a number that changes with each new route.
-    """
-
-    connected: bool = True
-    age_s: float = math.inf
-    good: bool = True
-    U: float = math.nan
-    p1: float = math.nan
-    p2: float = math.nan
-    Q: float = math.nan
-    operator_age_s: float = 0.0
-    abort: bool = False
-    feed_forward: bool = False
-    error: float = math.nan
-    route: tuple[Point, ...] = ()
-    route_number: int = 0
-
-
-@dataclass(frozen=True)
-class Watch:
-    """Memory of the checks: commands of the last `follow_s`, extremes of U and of Q/√Δp."""
-
-    commands: tuple[tuple[float, float], ...] = ()  # t, U
-    U: tuple[float, float] = (math.inf, -math.inf)
-    opening: tuple[float, float] = (math.inf, -math.inf)
-    most: float = 0.0
-
-
-@dataclass(frozen=True)
-class CommissionState:
-    """State of a run.
-
-    ``at`` is the last command that the source accepted, unknown while the valve is not led;
-    ``elapsed`` the time of sweep and refinement (s), which pauses do not count into; ``since`` the
-    start of the phase, ``stepped`` the time of the last step.
-    """
-
-    phase: Phase = Phase.IDLE
-    reason: Reason = Reason.NONE
-    at: Point = UNKNOWN
-    accepted: float = -math.inf
-    stepped: float = -math.inf
-    since: float = -math.inf
-    elapsed: float = 0.0
-    ends_in: Phase = Phase.DONE
-    heartbeat: int = 0
-    beaten: float = -math.inf
-    good_since: float = math.inf
-    beyond: float = -math.inf  # time of the last violation of a limit
-    refused_since: float = math.inf
-    route: tuple[Point, ...] = ()  # points still to be visited
-    route_number: int = 0
-    watch: Watch = field(default_factory=Watch)
-
-    @property
-    def is_led(self) -> bool:
-        """Whether a command of this run is in effect."""
-        return self.at.is_known
-
-
-@dataclass(frozen=True)
-class Command:
-    """What to write now: U (%), the load's set point (bar), a heartbeat; None: not written."""
-
-    U: float | None = None
-    load: float | None = None
-    heartbeat: int | None = None
 
 
 def start(state: CommissionState, now: float) -> CommissionState:
@@ -194,10 +63,10 @@ def step(
     if state.phase.is_over or state.phase is Phase.IDLE:
         return state, Command()
     passed = min(max(now - state.stepped, 0.0), MOST_STEP_S)
-    state = _noted(settings, replace(state, stepped=now), seen, now)
+    state = noted(settings, replace(state, stepped=now), seen, now)
     if state.phase is Phase.CHECKING:
         return _checked(settings, state, seen, now)
-    reason = _ending(settings, state, seen, now)
+    reason = ending(settings, state, seen, now)
     if reason is not Reason.NONE and state.phase is not Phase.RETURNING:
         state = _enter(state, Phase.RETURNING, reason, now, Phase.ABORTED)
     if state.phase is Phase.RETURNING:
@@ -246,63 +115,15 @@ def in_words(settings: Settings, state: CommissionState, seen: Seen) -> str:
     return "; ".join(parts)
 
 
-def _noted(settings: Settings, state: CommissionState, seen: Seen, now: float) -> CommissionState:
-    """Update what the checks remember."""
-    fault = _fault(settings, seen)
-    good_since = math.inf if fault is not Reason.NONE else min(state.good_since, now)
-    watch = state.watch
-    older = sum(now - t > settings.follow_s for t, _ in watch.commands)
-    watch = replace(watch, commands=watch.commands[max(older - 1, 0) :])  # one from before stays
-    drop = seen.p1 - seen.p2
-    if fault is Reason.NONE and abs(drop) > DROP_TO_JUDGE:
-        opening = seen.Q / math.sqrt(abs(drop))
-        watch = replace(
-            watch,
-            U=(min(watch.U[0], seen.U), max(watch.U[1], seen.U)),
-            opening=(min(watch.opening[0], opening), max(watch.opening[1], opening)),
-            most=max(watch.most, abs(opening)),
-        )
-    beyond = now if fault is Reason.NONE and _is_beyond(settings.limits, seen) else state.beyond
-    return replace(state, good_since=good_since, watch=watch, beyond=beyond)
-
-
-def _fault(settings: Settings, seen: Seen) -> Reason:
-    """Return why the newest sample cannot be used, or NONE."""
-    if not seen.connected:
-        return Reason.SOURCE_LOST
-    if not seen.age_s <= settings.max_age_s:
-        return Reason.STALE
-    finite = all(math.isfinite(x) for x in (seen.U, seen.p1, seen.p2, seen.Q))
-    return Reason.NONE if seen.good and finite else Reason.BAD_SAMPLE
-
-
-def _is_beyond(limits: Limits, seen: Seen) -> bool:
-    pairs = (seen.p1, limits.p1_range), (seen.p2, limits.p2_range), (seen.Q, limits.Q_range)
-    return any(not low <= x <= high for x, (low, high) in pairs)
-
-
 def _checked(
     settings: Settings, state: CommissionState, seen: Seen, now: float
 ) -> tuple[CommissionState, Command]:
     """Judge signals before the first command."""
-    low, high = settings.limits.U_range
-    moved = state.watch.U[1] - state.watch.U[0] > STILL_U
-    fault = _fault(settings, seen)
-    against = fault is Reason.NONE and seen.p1 < seen.p2 - 1.0 and seen.Q > 0.0
-    for reason, holds in (
-        (Reason.OPERATOR, seen.abort),
-        (Reason.OPERATOR_GONE, seen.operator_age_s > settings.operator_s),
-        (Reason.FEED_FORWARD, seen.feed_forward),
-        (Reason.OTHER_WRITER, moved),
-        (Reason.U_OUTSIDE, fault is Reason.NONE and not low <= seen.U <= high),
-        (Reason.P_ORDER, against),
-        (Reason.LIMIT_BEFORE, state.beyond == now),
-        (fault, now - state.since > settings.check_s + settings.outage_s),
-    ):
-        if holds:
-            return _enter(state, Phase.REFUSED, reason, now), Command()
+    reason = refusal(settings, state, seen, now)
+    if reason is not Reason.NONE:
+        return _enter(state, Phase.REFUSED, reason, now), Command()
     if now - state.good_since < settings.check_s:
-        return replace(state, reason=fault), Command()
+        return replace(state, reason=fault(settings, seen)), Command()
     return _begun(settings, state, seen, now)
 
 
@@ -319,41 +140,6 @@ def _begun(
     phase = Phase.REFINING if state.elapsed >= settings.plan.sweep_s else Phase.SWEEPING
     state = replace(_enter(state, phase, Reason.NONE, now), watch=Watch(most=state.watch.most))
     return state, _beat(settings, state, Command(seen.U, load if has_load else None), now)
-
-
-def _ending(settings: Settings, state: CommissionState, seen: Seen, now: float) -> Reason:
-    """Return why the run ends early, or NONE."""
-    high = settings.limits.p_most
-    fresh = _fault(settings, seen) is Reason.NONE
-    for reason, holds in (
-        (Reason.OPERATOR, seen.abort),
-        (Reason.OPERATOR_GONE, seen.operator_age_s > settings.operator_s),
-        (Reason.PRESSURE, fresh and max(seen.p1, seen.p2) > high),
-        (Reason.NOT_FOLLOWED, fresh and state.is_led and not _follows(settings, state, seen, now)),
-        (Reason.STUCK, fresh and _is_stuck(settings, state)),
-        (Reason.NOT_TAKEN, now - state.refused_since > settings.follow_s),
-        (Reason.OUTAGE, state.phase is Phase.PAUSED and now - state.since > settings.outage_s),
-    ):
-        if holds:
-            return reason
-    return Reason.NONE
-
-
-def _follows(settings: Settings, state: CommissionState, seen: Seen, now: float) -> bool:
-    """Whether the measured U is near a command of the last `follow_s`."""
-    commands = state.watch.commands
-    if not commands or now - commands[0][0] < settings.follow_s:
-        return True
-    near = [U for _, U in commands]
-    return min(near) - settings.follow_percent <= seen.U <= max(near) + settings.follow_percent
-
-
-def _is_stuck(settings: Settings, state: CommissionState) -> bool:
-    watch = state.watch
-    if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
-        return False
-    most = max(watch.most, settings.opening)
-    return watch.opening[1] - watch.opening[0] < STUCK_CHANGE * most
 
 
 def _returned(
@@ -380,10 +166,10 @@ def _driven(
     settings: Settings, state: CommissionState, seen: Seen, now: float, passed: float
 ) -> tuple[CommissionState, Command]:
     """Sweep, refine, retreat from a limit, or pause."""
-    fault = _fault(settings, seen)
-    if fault is Reason.SOURCE_LOST:  # the source's own watchdog acts
+    found = fault(settings, seen)
+    if found is Reason.SOURCE_LOST:  # the source's own watchdog acts
         return replace(lost(state, now), refused_since=math.inf), Command()
-    if fault is not Reason.NONE or state.phase is Phase.PAUSED:
+    if found is not Reason.NONE or state.phase is Phase.PAUSED:
         return _paused(settings, state, seen, now)
     if not state.is_led:  # the first command was refused
         return state, _begun(settings, state, seen, now)[1]
@@ -395,7 +181,7 @@ def _paused(
 ) -> tuple[CommissionState, Command]:
     """Go to the safe point while the valve is led; continue after `AGAIN_S` of good samples."""
     if state.phase is not Phase.PAUSED:
-        state = _enter(state, Phase.PAUSED, _fault(settings, seen), now)
+        state = _enter(state, Phase.PAUSED, fault(settings, seen), now)
     elif now - state.good_since >= AGAIN_S:
         return _begun(settings, state, seen, now)
     return state, _towards(settings, state, _safe(settings.limits, state.at), now)
@@ -411,7 +197,7 @@ def _swept(
         return _returned(settings, _enter(state, Phase.RETURNING, reason, now), seen, now)
     if state.phase is Phase.SWEEPING and state.elapsed >= settings.plan.sweep_s:
         state = _enter(state, Phase.REFINING, Reason.NONE, now)
-    state, target = _target(settings, _past_half_turn(settings, state), seen)
+    state, target = _target(settings, past_half_turn(settings, state), seen)
     retreats = now - state.beyond < HELD_OFF_S
     state = replace(state, reason=Reason.LIMIT if retreats else Reason.NONE)
     if retreats:
@@ -420,14 +206,6 @@ def _swept(
     slow = replace(settings.limits, slew_percent_per_s=pace.U, load_slew_bar_per_s=pace.load)
     target = bounded(slow, state.at, target, now - state.accepted)
     return state, _towards(settings, state, target, now)
-
-
-def _past_half_turn(settings: Settings, state: CommissionState) -> CommissionState:
-    """Forget the extremes once U has covered enough of its range with a changing opening."""
-    watch = state.watch
-    if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
-        return state
-    return replace(state, watch=Watch(commands=watch.commands, most=watch.most))
 
 
 def _target(

@@ -7,9 +7,9 @@ import numpy as np
 
 from valvemap.model.estimator import Estimator
 from valvemap.model.samples import Samples
-from valvemap.pipeline.commission import Settings
 from valvemap.pipeline.commission_limits import Point, Range
 from valvemap.pipeline.commission_plan import Uncertainty, route
+from valvemap.pipeline.commission_state import Settings
 from valvemap.vocabulary.statuses import Quality
 
 POINTS_U, POINTS_S = 33, 13  # of the grid on which the map is judged

@@ -1,0 +1,113 @@
+"""Guards of a commissioning run: what refuses, pauses, limits and ends it. Pure."""
+
+import math
+from dataclasses import replace
+from typing import Final
+
+from valvemap.pipeline.commission_limits import Limits
+from valvemap.pipeline.commission_state import CommissionState, Reason, Seen, Settings, Watch
+from valvemap.vocabulary.commission import Phase
+
+STILL_U: Final = 1.0  # %; change of U during the checks that shows another writer
+STUCK_SPAN: Final = 0.6  # share of the range of U without a change of the opening: stuck
+STUCK_CHANGE: Final = 0.08  # 1; change of Q/√Δp, share of the largest, below which it is none
+DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
+
+
+def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) -> CommissionState:
+    """Update what the checks remember."""
+    usable = fault(settings, seen) is Reason.NONE
+    good_since = math.inf if not usable else min(state.good_since, now)
+    watch = state.watch
+    older = sum(now - t > settings.follow_s for t, _ in watch.commands)
+    watch = replace(watch, commands=watch.commands[max(older - 1, 0) :])  # one from before stays
+    drop = seen.p1 - seen.p2
+    if usable and abs(drop) > DROP_TO_JUDGE:
+        opening = seen.Q / math.sqrt(abs(drop))
+        watch = replace(
+            watch,
+            U=(min(watch.U[0], seen.U), max(watch.U[1], seen.U)),
+            opening=(min(watch.opening[0], opening), max(watch.opening[1], opening)),
+            most=max(watch.most, abs(opening)),
+        )
+    beyond = now if usable and _is_beyond(settings.limits, seen) else state.beyond
+    return replace(state, good_since=good_since, watch=watch, beyond=beyond)
+
+
+def fault(settings: Settings, seen: Seen) -> Reason:
+    """Return why the newest sample cannot be used, or NONE."""
+    if not seen.connected:
+        return Reason.SOURCE_LOST
+    if not seen.age_s <= settings.max_age_s:
+        return Reason.STALE
+    finite = all(math.isfinite(x) for x in (seen.U, seen.p1, seen.p2, seen.Q))
+    return Reason.NONE if seen.good and finite else Reason.BAD_SAMPLE
+
+
+def refusal(settings: Settings, state: CommissionState, seen: Seen, now: float) -> Reason:
+    """Return why a run does not begin, or NONE."""
+    low, high = settings.limits.U_range
+    moved = state.watch.U[1] - state.watch.U[0] > STILL_U
+    found = fault(settings, seen)
+    usable = found is Reason.NONE
+    for reason, holds in (
+        (Reason.OPERATOR, seen.abort),
+        (Reason.OPERATOR_GONE, seen.operator_age_s > settings.operator_s),
+        (Reason.FEED_FORWARD, seen.feed_forward),
+        (Reason.OTHER_WRITER, moved),
+        (Reason.U_OUTSIDE, usable and not low <= seen.U <= high),
+        (Reason.P_ORDER, usable and seen.p1 < seen.p2 - 1.0 and seen.Q > 0.0),
+        (Reason.LIMIT_BEFORE, state.beyond == now),
+        (found, now - state.since > settings.check_s + settings.outage_s),
+    ):
+        if holds:
+            return reason
+    return Reason.NONE
+
+
+def ending(settings: Settings, state: CommissionState, seen: Seen, now: float) -> Reason:
+    """Return why the run ends early, or NONE."""
+    high = settings.limits.p_most
+    fresh = fault(settings, seen) is Reason.NONE
+    for reason, holds in (
+        (Reason.OPERATOR, seen.abort),
+        (Reason.OPERATOR_GONE, seen.operator_age_s > settings.operator_s),
+        (Reason.PRESSURE, fresh and max(seen.p1, seen.p2) > high),
+        (Reason.NOT_FOLLOWED, fresh and state.is_led and not _follows(settings, state, seen, now)),
+        (Reason.STUCK, fresh and _is_stuck(settings, state)),
+        (Reason.NOT_TAKEN, now - state.refused_since > settings.follow_s),
+        (Reason.OUTAGE, state.phase is Phase.PAUSED and now - state.since > settings.outage_s),
+    ):
+        if holds:
+            return reason
+    return Reason.NONE
+
+
+def past_half_turn(settings: Settings, state: CommissionState) -> CommissionState:
+    """Forget the extremes once U has covered enough of its range with a changing opening."""
+    watch = state.watch
+    if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
+        return state
+    return replace(state, watch=Watch(commands=watch.commands, most=watch.most))
+
+
+def _is_beyond(limits: Limits, seen: Seen) -> bool:
+    pairs = (seen.p1, limits.p1_range), (seen.p2, limits.p2_range), (seen.Q, limits.Q_range)
+    return any(not low <= x <= high for x, (low, high) in pairs)
+
+
+def _follows(settings: Settings, state: CommissionState, seen: Seen, now: float) -> bool:
+    """Whether the measured U is near a command of the last `follow_s`."""
+    commands = state.watch.commands
+    if not commands or now - commands[0][0] < settings.follow_s:
+        return True
+    near = [U for _, U in commands]
+    return min(near) - settings.follow_percent <= seen.U <= max(near) + settings.follow_percent
+
+
+def _is_stuck(settings: Settings, state: CommissionState) -> bool:
+    watch = state.watch
+    if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
+        return False
+    most = max(watch.most, settings.opening)
+    return watch.opening[1] - watch.opening[0] < STUCK_CHANGE * most
