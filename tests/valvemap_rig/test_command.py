@@ -38,3 +38,10 @@ def test_zero_drops_the_command_at_once_and_gives_the_valve_to_the_hand():
     command = Command().written(40.0).beaten(7, now=0.0).beaten(0, now=0.1)
     assert command.in_force is None
     assert command.written(20.0).seen(9.0).in_force == 20.0
+
+
+def test_the_load_falls_with_the_heartbeat_as_the_signal_does():
+    command = Command().written(40.0).loaded(120.0).beaten(7, now=0.0)
+    assert command.seen(0.44).load_in_force == 120.0
+    assert command.seen(0.46).load_in_force is None
+    assert command.beaten(0, now=0.1).load_in_force is None

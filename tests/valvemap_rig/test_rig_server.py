@@ -93,6 +93,7 @@ async def test_the_namespace_and_the_browse_paths_are_those_of_the_contract(obse
         "Temperature",
         "Sequence",
         "UCommand",
+        "LoadCommand",
         "Heartbeat",
         "InjectFault",
     ):

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -110,6 +112,18 @@ def test_a_command_moves_the_valve_from_the_next_block_on():
     assert (later.valves["Valvistor"].U_true == 60).all()
 
 
+def test_a_commanded_load_takes_the_place_of_the_sweep_until_it_is_withdrawn():
+    scenario, name = BUILTIN["external"], "Valvistor"
+    state, dp = initial(scenario, 0), []
+    for load in (150.0, 60.0, math.nan):
+        state, block = advance(scenario, state, 200, Commands(load={name: load}))
+        dp.append(block.valves[name].dp_true[-1])
+    p0 = scenario.valves[0].circuit.p0_bar
+    assert dp[:2] == pytest.approx([p0 - 150.0, p0 - 60.0], abs=5.0)
+    own = run(scenario, [200] * 3)[-1].valves[name].dp_true[-1]
+    assert dp[2] == pytest.approx(own, abs=1.0)
+
+
 def test_a_commanded_fault_starts_with_the_next_block():
     scenario = Scenario()
     state, _ = advance(scenario, initial(scenario, 0), 50)
@@ -136,6 +150,7 @@ def test_a_fault_of_one_valve_leaves_the_other_alone():
         (Commands(U={"Nobody": 1.0}), "Nobody: no such valve; allowed are Valvistor"),
         (Commands(U={"Valvistor": 101.0}), r"U command must be within 0 … 100 %, not 101"),
         (Commands(U={"Valvistor": float("nan")}), "must be within"),
+        (Commands(load={"Valvistor": 401.0}), "0 … 400 bar, not 401"),
         (
             Commands(faults=(("Valvistor", Fault(kind=FaultKind.DAMAGE)),) * 201),
             "more than 200 faults",

@@ -1,20 +1,20 @@
-"""The external control signal and its watchdog; no I/O.
+"""The external control signal, the load's set point, and their watchdog; no I/O.
 
-While ``Heartbeat`` is 0, ``UCommand`` is applied as written (manual operation). After the first
-heartbeat, the client must keep changing it. If it does not change for `STANDSTILL_S`, or returns to
-0, the command is dropped and the rig's default signal applies. After a time-out, the client resumes
-by changing the heartbeat or writing 0.
+While ``Heartbeat`` is 0, ``UCommand`` and ``LoadCommand`` are applied as written (manual
+operation). After the first heartbeat, the client must keep changing it. If it does not change for
+`STANDSTILL_S`, or returns to 0, the commands are dropped and the rig's own apply. After a time-out,
+the client resumes by changing the heartbeat or writing 0.
 """
 
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
-STANDSTILL_S: Final = 0.5
+STANDSTILL_S: Final = 0.45  # s; with the time until it is noticed, U is safe within .5 s
 
 
 @dataclass(frozen=True)
 class Command:
-    """State of the external command; ``U`` (%) is None while the rig's default applies.
+    """State of the external commands, None while the rig's own apply: ``U`` (%), ``load`` (bar).
 
     ``heartbeat`` is the last one written, ``moved_s`` the time of its last change; ``dropped``: the
     watchdog has timed out.
@@ -24,11 +24,12 @@ class Command:
     >>> command = Command().written(40.0).beaten(1, now=0.0).seen(now=0.4)
     >>> command.in_force
     40.0
-    >>> print(command.seen(now=0.51).in_force)
+    >>> print(command.seen(now=0.46).in_force)
     None
     """
 
     U: float | None = None
+    load: float | None = None
     heartbeat: int = 0
     moved_s: float = 0.0
     dropped: bool = False
@@ -38,9 +39,18 @@ class Command:
         """The external control signal (%), None for the rig's default."""
         return None if self.dropped else self.U
 
+    @property
+    def load_in_force(self) -> float | None:
+        """The external set point of the load (bar), None for the rig's own."""
+        return None if self.dropped else self.load
+
     def written(self, U: float) -> Self:
         """Return the state after a control signal (%) was written."""
         return replace(self, U=U)
+
+    def loaded(self, load: float) -> Self:
+        """Return the state after a set point of the load (bar) was written."""
+        return replace(self, load=load)
 
     def beaten(self, heartbeat: int, now: float) -> Self:
         """Return the state after a heartbeat was written at ``now`` (s)."""
@@ -53,4 +63,6 @@ class Command:
     def seen(self, now: float) -> Self:
         """Return the state after a check of the watchdog at ``now`` (s)."""
         still = self.heartbeat != 0 and now - self.moved_s > STANDSTILL_S
-        return replace(self, U=None, dropped=True) if still and not self.dropped else self
+        if not still or self.dropped:
+            return self
+        return replace(self, U=None, load=None, dropped=True)

@@ -28,17 +28,21 @@ from valvemap_rig.kernels import Floats
 from valvemap_rig.machine import Machine
 from valvemap_rig.machine_simulation import MachineBlock
 from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench, faultable
-from valvemap_rig.simulation import RigBlock, ValveBlock
+from valvemap_rig.simulation import MOST_LOAD_BAR, RigBlock, ValveBlock
 
 GOOD = 0
 VALVE_TYPE = "Types.RigValve"
-_NOT_OF_ALL = ("ReachableU", "ReachableDp", "InjectFault", "UCommand", "Heartbeat")  # of a fleet's
+_NOT_OF_ALL = (  # of a fleet's
+    *("ReachableU", "ReachableDp", "InjectFault"),
+    *("UCommand", "LoadCommand", "Heartbeat"),
+)
 _REACHABLE_U = np.linspace(0.0, 100.0, 21)
 
 StartScenario = Callable[[str], None]
 StopScenario = Callable[[], None]
 InjectFault = Callable[[str, str, float, float], str | None]
 CommandU = Callable[[str, float], None]
+CommandLoad = Callable[[str, float], None]
 Heartbeat = Callable[[str, int], None]
 _Place = HardenedServer | Declarations
 _Unit = TypeVar("_Unit", ValveBlock, MachineBlock)
@@ -48,12 +52,13 @@ Updates = list[tuple[Variable, object, int, int]]
 
 @dataclass(frozen=True)
 class Actions:
-    """Actions of operators: method calls, and writes of ``UCommand`` and ``Heartbeat``."""
+    """Actions of operators: method calls, and writes of the two commands and ``Heartbeat``."""
 
     start_scenario: StartScenario
     stop_scenario: StopScenario
     inject_fault: InjectFault
     command_U: CommandU
+    command_load: CommandLoad
     heartbeat: Heartbeat
 
 
@@ -336,7 +341,7 @@ def _add_valve_type(server: HardenedServer, scenario: Scenario) -> ua.NodeId:
         """Do nothing: methods of the type are never called."""
 
     async def declare(place: Declarations, own: ua.NodeId) -> None:
-        nobody = Actions(nothing, nothing, nothing, nothing, nothing)
+        nobody = Actions(*(nothing,) * 6)
         await _add_valves_own(place, own, scenario.valves[0], nobody)
 
     return add_type(
@@ -451,6 +456,18 @@ async def _add_commands(
         on_write=lambda U: actions.command_U(name, U),
         description=words,
     )
+    if isinstance(unit, ValveBench):
+        await add_variable(
+            server,
+            place,
+            f"{prefix}.LoadCommand",
+            0.0,
+            unit=Unit.BAR,
+            value_range=(0.0, MOST_LOAD_BAR),
+            writable_by=Role.OPERATOR,
+            on_write=lambda load: actions.command_load(name, load),
+            description="Set point of p2 from outside; taken by the scenario 'external'",
+        )
     await add_variable(
         server,
         place,
@@ -459,8 +476,8 @@ async def _add_commands(
         type=ua.VariantType.UInt32,
         writable_by=Role.OPERATOR,
         on_write=lambda count: actions.heartbeat(name, count),
-        description="Counts while somebody stands behind UCommand; when it stands still for "
-        f"{STANDSTILL_S:g} s or goes back to 0, U is the rig's own again; 0 = UCommand by hand",
+        description="Counts while somebody stands behind the commands; when it stands still for "
+        f"{STANDSTILL_S:g} s or goes back to 0, the rig's own apply again; 0 = commands by hand",
     )
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable
 from typing import Self
 
@@ -115,7 +116,12 @@ class RigServer(Startable):
         server = await HardenedServer.create(settings, clock)
         rig = cls(server, scenario, on_block, clock)
         actions = Actions(
-            rig.start_scenario, rig.stop_scenario, rig.inject_fault, rig.command_U, rig.heartbeat
+            rig.start_scenario,
+            rig.stop_scenario,
+            rig.inject_fault,
+            rig.command_U,
+            rig.command_load,
+            rig.heartbeat,
         )
         rig._nodes = await add_rig(server, scenario, actions)
         if scenario.history_s > 0.0:
@@ -252,8 +258,12 @@ class RigServer(Startable):
         """Set the external control signal (%), used within 0.02 s by the external excitation."""
         self._commands[valve] = self._commands[valve].written(U)
 
+    def command_load(self, valve: str, load: float) -> None:
+        """Set the load's set point (bar), used as `command_U` is."""
+        self._commands[valve] = self._commands[valve].loaded(load)
+
     def heartbeat(self, valve: str, count: int) -> None:
-        """Set the heartbeat of the client that writes U; see :mod:`valvemap_rig.command`."""
+        """Set the heartbeat of the client that commands; see :mod:`valvemap_rig.command`."""
         now = self._clock.monotonic()
         self._commands[valve] = self._commands[valve].beaten(count, now)
 
@@ -280,7 +290,8 @@ class RigServer(Startable):
         return max(ahead, min(_TICK_S, 1 / rate)) if ahead > 0 else 0.0
 
     def _compute(self, scenario: Scenario, rate: float) -> None:
-        commands = Commands(U=self._U_in_force(scenario), faults=tuple(self._faults))
+        U = self._U_in_force(scenario)
+        commands = Commands(U=U, load=self._loads_in_force(), faults=tuple(self._faults))
         self._faults.clear()
         commanded = isinstance(scenario.excitation, External) or any(
             machine.takes_commands for machine in scenario.machines
@@ -301,6 +312,10 @@ class RigServer(Startable):
         given = {valve: command.in_force for valve, command in self._commands.items()}
         idle = {**dict.fromkeys(given, own), **{m.name: 0.0 for m in scenario.machines}}
         return {name: idle[name] if U is None else U for name, U in given.items()}
+
+    def _loads_in_force(self) -> dict[str, float]:
+        given = {valve: self._commands[valve].load_in_force for valve in self._state.valves}
+        return {valve: math.nan if load is None else load for valve, load in given.items()}
 
     def _publish(self, n: int, lag_s: float) -> None:
         first, self._taken = self._taken, self._taken + n

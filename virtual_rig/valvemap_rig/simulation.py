@@ -3,6 +3,7 @@
 The same scenario and commands give the same samples bit for bit, for any division into blocks.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -33,25 +34,29 @@ from valvemap_rig.sensors import SensorMemory, measure
 from valvemap_rig.valvistor import pilot_opening
 
 MOST_FAULTS = 200
+MOST_LOAD_BAR = 400.0
 
 
 @dataclass(frozen=True)
 class Commands:
-    """Commands of an operator before a block: signals (%) and faults, by valve name.
+    """Commands of an operator before a block: signals (%), loads and faults, by valve name.
 
-    Faults start with the block's first sample; their ``start_s`` is ignored.
+    ``load`` is the set point of p2 (bar), NaN for the excitation's own. Faults start with the
+    block's first sample; their ``start_s`` is ignored.
     """
 
     U: Mapping[str, float] = field(default_factory=dict)
+    load: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[tuple[str, Fault], ...] = ()
 
 
 @dataclass(frozen=True)
 class ValveState:
-    """State of one valve between blocks."""
+    """State of one valve between blocks; ``load`` (bar) is NaN while none is commanded."""
 
     U: float
     faults: Faults
+    load: float = float("nan")
     hysteresis: float = float("nan")
     pilot: float = float("nan")
     spool: tuple[float, float] = (float("nan"), 0.0)  # %, %/s; where it is at the next sample
@@ -158,8 +163,8 @@ def advance(
     Raises
     ------
     ScenarioError
-        if a command names an unknown valve, a U outside 0 … 100 % (a machine: ± 100 %), or too
-        many faults.
+        if a command names an unknown valve, a U outside 0 … 100 % (a machine: ± 100 %), a load
+        outside 0 … 400 bar, or too many faults.
 
     Examples
     --------
@@ -214,6 +219,8 @@ def _advance_valve(
     rate, seed, name = scenario.sample_rate_hz, scenario.seed, bench.name
     period = 1.0 / rate
     U, p2_set = drive(scenario.excitation, index, rate, bench.circuit.p0_bar, seed, name, state.U)
+    if isinstance(scenario.excitation, External) and math.isfinite(state.load):
+        p2_set = np.full(len(index), state.load)
     held = play(U, bench.valve.hysteresis_percent, state.hysteresis)
     pilot = lag(held, bench.valve.pilot_lag_s, period, state.pilot)
     moved, spool = pilot, state.spool
@@ -286,6 +293,13 @@ def _obeyed(state: RigState, commands: Commands) -> RigState:
         if not low <= U <= 100:
             raise ScenarioError(f"{name}: U command must be within {low} … 100 %, not {U!r}")
         units[name] = replace(unit, U=float(U))
+    for name, load in commands.load.items():
+        unit = _unit(units, name)
+        if isinstance(unit, MachineState) or not (math.isnan(load) or 0 <= load <= MOST_LOAD_BAR):
+            raise ScenarioError(
+                f"{name}: a load command is for a valve, 0 … {MOST_LOAD_BAR:g} bar, not {load!r}"
+            )
+        units[name] = replace(unit, load=float(load))
     for name, fault in commands.faults:
         unit = _unit(units, name)
         faults = (*unit.faults, ActiveFault(fault, state.index))
