@@ -41,7 +41,14 @@ class BoundedClient(UaClient):
 
     async def call(self, request: object, *, timeout: float | None = None) -> bytes:  # noqa: ASYNC109 - asyncua's way
         """Send a request and return the response's body from its TypeId on."""
-        return await self._send_request(request, timeout)
+        try:
+            return await self._send_request(request, timeout)
+        except asyncio.CancelledError as cancelled:
+            if type(cancelled) is asyncio.CancelledError:
+                raise
+            # wait_for2 has a kind of its own, which `asyncio.timeout` of Python 3.11 does not take
+            # for the end of its time
+            raise asyncio.CancelledError from None
 
     @override
     async def get_endpoints(
