@@ -24,7 +24,7 @@ from valvemap.vocabulary.commission import Phase
 SAMPLE_S: Final = 0.01
 PUBLISHED_S: Final = 0.04
 WRITE_S: Final = 0.015
-WATCHDOG_S: Final = 0.5  # of the source's heartbeat, as the rig's
+WATCHDOG_S: Final = 0.45  # of the source's heartbeat, as the rig's
 LEARN_S: Final = 1.0
 SUPPLY, LEAST_LOAD, MOST_LOAD = 200.0, 5.0, 197.0  # bar
 LOAD_LAG_S: Final = 0.08
@@ -235,7 +235,8 @@ class Loop:
             self.plant.write(now, command.U, command.load, command.heartbeat)
             if command.U is not None:
                 self.log.writes.append((now, command.U))
-        self.state = written(self.state, command, now, refused=refused and command != Command())
+        taken = Command() if refused else command
+        self.state = written(self.state, taken, now, refused=taken != command)
 
 
 def samples_of(rows: list[tuple[float, ...]]) -> Samples:

@@ -24,6 +24,7 @@ SCENARIO = BUILTIN["external"].model_copy(
     update={"excitation": External(sweep_s=3.1, p2_low_bar=30.0, p2_high_bar=190.0)}
 )
 SLEW, LOW, HIGH = 300.0, 0.0, 80.0
+LOADED = {"load_range_bar": (20.0, 190.0), "load_slew_bar_per_s": 600.0, "safe_load_bar": 150.0}
 
 
 class Stage:
@@ -54,7 +55,9 @@ class Stage:
             valves=(
                 ValveConfig(
                     name=VALVE,
-                    nodes=NodesConfig.of_rig(VALVE, commanded=True),
+                    nodes=NodesConfig.of_rig(
+                        VALVE, commanded=True, loaded="safe_load_bar" in self.commission
+                    ),
                     commission=CommissionConfig(
                         range_percent=(LOW, HIGH), slew_percent_per_s=SLEW, **self.commission
                     ),
@@ -88,6 +91,23 @@ async def test_a_run_identifies_the_valve_and_hands_it_back(tmp_path):
         lines = [json.loads(line) for line in files.audit.read_text().splitlines()]
         assert [lines[0]["event"], lines[-1]["event"]] == ["started", "ended"]
         assert lines[-1]["phase"] == "DONE"
+
+
+async def test_a_driven_load_crosses_the_range_of_pressure_drops(tmp_path):
+    async with Stage(tmp_path, sweep_s=10.0, most_s=14.0, **LOADED) as stage:
+        run, files = stage.run()
+        with files:
+            state = await run.run()
+        assert (state.phase, state.reason) == (Phase.DONE, Reason.TIME_UP)
+        t, load = np.array(stage.heard.loads).T
+        assert (load.min(), load.max()) == pytest.approx((20.0, 190.0), abs=8.0)
+        assert np.all(np.abs(np.diff(load)) <= 600.0 * (np.diff(t) + 0.05))
+        assert load[-1] == 150.0
+        assert run.learnt.drops[0] < 25.0
+        assert run.learnt.drops[1] > 160.0
+        U, dp = (x.ravel() for x in np.meshgrid(np.linspace(5, 75, 15), np.linspace(20, 150, 8)))
+        Q, _ = run._estimator.predict(run.learnt.state, U, dp, np.full(U.shape, 40.0))
+        assert np.sqrt(np.mean((Q - true_flow(Bench(), U, dp)) ** 2)) < 0.5
 
 
 async def test_an_abort_reaches_the_safe_u_and_a_resumed_run_keeps_what_was_learnt(tmp_path):

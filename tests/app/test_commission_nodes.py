@@ -74,6 +74,14 @@ async def call(seen, part, name, *arguments):
     return await owner.call_method(ua.NodeId(f"{VALVE}.{part}.{name}", seen.index), *arguments)
 
 
+async def until_taken(seen, name):
+    """Call a method until it is taken: a run is over before its last samples are learnt."""
+    while True:
+        with suppress(ua.UaStatusCodeError):
+            return await call(seen, "Commission", name, 0.0)
+        await asyncio.sleep(0.1)
+
+
 @asynccontextmanager
 async def present(seen):
     """An operator whose client writes the heartbeat."""
@@ -139,6 +147,27 @@ async def test_abort_reaches_the_safe_u_within_half_a_second(tmp_path):
             await seen.until("Commission.State", is_over)
         assert await seen.value("Commission.Reason") == "the operator aborted"
         assert next(t for t, U in heard.commands if t > at and U == 0.0) - at < 0.6
+        assert keeps_limits(heard)
+
+
+async def test_an_aborted_run_is_resumed_with_what_it_had_learnt(tmp_path):
+    async with staged(tmp_path, sweep_s=3.0, most_s=5.0) as (seen, heard):
+        with pytest.raises(ua.UaStatusCodeError, match="BadInvalidState"):
+            await call(seen, "Commission", "Resume", 0.0)
+        async with asyncio.timeout(90), present(seen):
+            await call(seen, "Commission", "Start", 0.0)
+            await seen.until("Commission.TimeLeft", lambda left: left < 3.5)
+            await call(seen, "Commission", "Abort")
+            await seen.until("Commission.State", is_over)
+            recording = await seen.value("Commission.Recording")
+            await until_taken(seen, "Resume")
+            await seen.until("Commission.State", lambda state: state == Phase.SWEEPING)
+            assert await seen.value("Commission.TimeLeft") < 3.6
+            await seen.until("Commission.State", is_over)
+        assert await seen.value("Commission.State") == Phase.DONE
+        assert await seen.value("Commission.Recording") == recording
+        with pytest.raises(ua.UaStatusCodeError, match="BadInvalidState"):
+            await call(seen, "Commission", "Resume", 0.0)
         assert keeps_limits(heard)
 
 

@@ -10,6 +10,9 @@ from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.vocabulary.commands import BY_MQTT
 
 NODES = "[valves.nodes]\nU = 's=U'\np1 = 's=p1'\np2 = 's=p2'\nQ = 's=Q'\n"
+COMMANDED = "required_U = 's=C'\nheartbeat = 's=B'\n"
+DRIVEN = f"[[valves]]\n{NODES}{COMMANDED}[valves.commission]\n"
+LOADED = f"[[valves]]\n{NODES}{COMMANDED}load = 's=L'\n[valves.commission]\n"
 FED = f"[[valves]]\n{NODES}required_U = 's=C'\n[valves.feed_forward]\n"
 
 
@@ -93,6 +96,21 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         (FED + "max_width_percent = nan\n", "valves[0].feed_forward.max_width_percent"),
         ("[[valves]]\n[valves.feed_forward]\n", "nodes.required_U is needed"),
         ("[[valves]]\n" + NODES + "heartbeat = 's=B'\n", "heartbeat: required_U is needed, too"),
+        (
+            f"[[valves]]\n{NODES}load = 's=L'\n",
+            "load: heartbeat is needed, too; the source would keep the last load",
+        ),
+        (LOADED, "valves[0]: commission.load_range_bar is needed with nodes.load"),
+        (LOADED + "load_range_bar = [10, 90]\n", "commission.safe_load_bar is needed with"),
+        (
+            LOADED + "load_range_bar = [10, 90]\nsafe_load_bar = 99\n",
+            "commission.safe_load_bar = 99: must be within load_range_bar = [10.0, 90.0]",
+        ),
+        (DRIVEN + "safe_load_bar = 9\n", "commission.safe_load_bar: nodes.load is needed"),
+        (
+            "[[valves]]\nU_range_percent = [10, 90]\n[valves.commission]\nsafe_percent = 0\n",
+            "commission.safe_percent = 0: must be within U_range_percent = [10.0, 90.0]",
+        ),
         ("[[valves]]\n" + NODES + "T = 's=p1'\n", "p1 and T are the same node, 's=p1'"),
         (
             "[[valves]]\nU_range_percent = [-100, 100]\n",

@@ -24,6 +24,7 @@ from guarded_opcua import (
 from guarded_opcua.security.certificates import trust
 from support.proxy import Proxy
 from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
+from valvemap.opcua_client.transport import BoundedClient
 from valvemap.opcua_source import subscription as subscriptions
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from valvemap.opcua_source.source_nodes import parse_node_id
@@ -286,6 +287,35 @@ async def test_a_heartbeat_that_is_no_UInt32_is_named(plant):
 async def test_a_refused_value_is_named(source):
     with pytest.raises(SourceRejected, match=r"required_U of valve V1.*250.*BadOutOfRange"):
         await source.write_required_U(0, 250.0)
+
+
+async def test_of_commands_in_one_request_each_is_taken_or_refused_by_itself(plant):
+    nodes = replace(NODES, heartbeat="nsu=urn:plant;s=V1.Beat")
+    source = OpcUaSource(plant.settings, [nodes])
+    await source.connect()
+    refused = await source.write_commands(0, {"required_U": 250.0, "load": 90.0, "heartbeat": 5})
+    await source.close()
+    assert "BadOutOfRange" in refused.pop("required_U")
+    assert refused == {"load": "valve V1 has no node load"}
+    node = plant.server.ua.get_node(ua.NodeId("V1.Beat", plant.server.namespace_index))
+    assert await node.read_value() == 5
+
+
+async def test_a_request_whose_response_meets_its_timeout_has_timed_out(monkeypatch):
+    class WithResult(asyncio.CancelledError):
+        """As asyncua's wait_for raises it before Python 3.12."""
+
+    async def answered_too_late(*_):
+        try:
+            await asyncio.sleep(60.0)
+        except asyncio.CancelledError:
+            raise WithResult from None
+
+    client = BoundedClient()
+    monkeypatch.setattr(client, "_send_request", answered_too_late)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.01):
+            await client.call(None)
 
 
 async def test_a_valve_without_the_node_cannot_be_written_to(plant):

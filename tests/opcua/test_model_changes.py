@@ -77,6 +77,12 @@ async def heard(client, node):
     return events
 
 
+def test_a_valve_that_can_be_driven_is_another_model():
+    driven = replace(BOOM, is_driven=True)
+    assert version_of_valve(driven) != version_of_valve(BOOM)
+    assert changes([BOOM], [driven]) == {"Boom": ADDED | DELETED}
+
+
 def test_what_came_and_went_is_said_of_the_valve_and_of_what_it_is_below():
     both = REFERENCE_ADDED | REFERENCE_DELETED
     assert changes([BOOM, BUCKET], [BOOM, STICK]) == {

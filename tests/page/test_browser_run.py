@@ -13,6 +13,7 @@ from support.shown_service import ShownService
 pytestmark = pytest.mark.chromium
 
 START = ("V1.Commission", "Start", ((0.5,),))
+RESUME = ("V1.Commission", "Resume", ((0.5,),))
 ABORT = ("V1.Commission", "Abort", ((),))
 
 
@@ -43,7 +44,9 @@ async def test_a_run_is_started_kept_alive_and_aborted_by_an_operator():
     shown = driven()
     async with opened(shown) as visitor:
         card = visitor.page.locator(".guided-run")
-        start, abort = (card.get_by_role("button", name=name) for name in ("Start", "Abort"))
+        start, resume, abort = (
+            card.get_by_role("button", name=name) for name in ("Start", "Resume", "Abort")
+        )
         await card.locator("text=not started").wait_for()
         assert await start.is_disabled()
         await visitor.log_in()
@@ -66,11 +69,16 @@ async def test_a_run_is_started_kept_alive_and_aborted_by_an_operator():
         async with asyncio.timeout(20.0):
             while ABORT not in shown.calls:  # noqa: ASYNC110 - no event
                 await asyncio.sleep(0.05)
+        assert await resume.is_hidden()
         say(shown, 7, "aborted; the operator aborted")
         await card.locator("text=the operator aborted").wait_for()
         written = len(shown.writes)
         await asyncio.sleep(1.5)
         assert len(shown.writes) <= written + 1
+        await resume.click()
+        async with asyncio.timeout(20.0):
+            while RESUME not in shown.calls:  # noqa: ASYNC110 - no event
+                await asyncio.sleep(0.05)
         assert visitor.problems == []
 
 

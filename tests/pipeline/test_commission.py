@@ -1,6 +1,7 @@
 """The commissioning's state machine: limits by construction, reactions, checks, resuming."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,12 +18,18 @@ GOOD = Seen(age_s=0.0, U=20.0, p1=200.0, p2=100.0, Q=10.0)
 STEP_S = 0.04
 
 
+LOADED = replace(
+    SETTINGS,
+    limits=replace(LIMITS, load_range=(40.0, 160.0), load_slew_bar_per_s=300.0, safe_load=150.0),
+)
+
+
 class Course:
     """Steps in simulated time; the valve follows its command at once."""
 
     def __init__(self, settings=SETTINGS, seen=GOOD):
         self.settings, self.seen, self.now = settings, seen, 0.0
-        self.state, self.writes = start(CommissionState(), 0.0), []
+        self.state, self.writes, self.loads = start(CommissionState(), 0.0), [], []
 
     def steps(self, seconds, **seen):
         for _ in range(round(seconds / STEP_S)):
@@ -33,6 +40,8 @@ class Course:
             self.state, command = step(self.settings, self.state, self.seen, self.now)
             if command.U is not None:
                 self.writes.append((self.now, command.U))
+            if command.load is not None:
+                self.loads.append((self.now, command.load))
             self.state = written(self.state, command, self.now)
         return self.state
 
@@ -170,7 +179,7 @@ def test_refused_commands_end_the_run():
         course.now += STEP_S
         course.state, command = step(SETTINGS, course.state, course.seen, course.now)
         refused = command != Command()
-        course.state = written(course.state, command, course.now, refused=refused)
+        course.state = written(course.state, Command(), course.now, refused=refused)
     assert course.state.reason in {Reason.NOT_TAKEN, Reason.NOT_FOLLOWED}
 
 
@@ -188,3 +197,48 @@ def test_refinement_goes_where_the_variance_is_and_comes_back_from_the_other_sid
     moves = route(limits, Plan().pace(limits), Point(10.0), Point(10.0, 100.0), at)
     assert max(move.U for move in moves) > 80.0
     assert moves == moves[::-1]
+
+
+def test_the_load_begins_where_it_is_and_keeps_its_range_and_slew():
+    course = Course(LOADED)
+    state = course.steps(14.0)
+    t, load = np.array(course.loads).T
+    assert (state.phase, load[0], load[-1]) == (Phase.DONE, 100.0, 150.0)
+    assert (load.min(), load.max()) == pytest.approx((40.0, 160.0), abs=2.0)
+    assert (np.abs(np.diff(load)) <= 300.0 * np.diff(t) + 1e-9).all()
+
+
+@pytest.mark.parametrize("fault", [{"abort": True}, {"p2": 250.0}, {"operator_age_s": 5.0}])
+def test_an_abort_takes_the_load_to_its_safe_value_too(fault):
+    course = Course(LOADED)
+    course.steps(3.0)
+    at = course.now
+    assert course.steps(1.0, **fault).phase is Phase.ABORTED
+    assert course.loads[-1][1] == 150.0
+    assert next(t for t, U in course.writes if t > at and U == 20.0) - at <= 0.5
+
+
+def test_a_refused_load_is_offered_again_with_u_held_then_ends_the_run():
+    course = Course(LOADED)
+    for _ in range(40):
+        course.now += STEP_S
+        course.state, command = step(LOADED, course.state, course.seen, course.now)
+        if command.U is not None:
+            course.writes.append((course.now, command.U))
+        taken = replace(command, load=None)
+        course.state = written(course.state, taken, course.now, refused=taken != command)
+    assert course.state.reason is Reason.NOT_TAKEN
+    assert {U for _, U in course.writes} == {20.0}
+
+
+def test_after_a_pause_of_its_own_it_leads_again_from_the_measured_u():
+    course = Course()
+    course.steps(3.0)
+    course.now += 0.6  # the process was held up; the source has taken the valve back
+    course.seen = Seen(**{**vars(course.seen), "U": 33.0})
+    n = len(course.writes)
+    course.state, _ = step(SETTINGS, course.state, course.seen, course.now)
+    assert (course.state.phase, course.state.reason) == (Phase.PAUSED, Reason.STALLED)
+    assert not course.state.is_led
+    assert course.steps(0.8).phase is Phase.SWEEPING
+    assert course.writes[n][1] == 33.0

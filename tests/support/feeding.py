@@ -44,6 +44,7 @@ class Heard:
     """What came in at the rig, and how the valve stood, all with the time (monotonic, s)."""
 
     commands: list = field(default_factory=list)
+    loads: list = field(default_factory=list)
     heartbeats: list = field(default_factory=list)
     refused: list = field(default_factory=list)
     U: list = field(default_factory=list)
@@ -64,6 +65,10 @@ class ListeningRig(RigServer):
             raise CommandRejected("the rig is in manual mode")
         self.heard.commands.append((time.monotonic(), U))
         super().command_U(valve, U)
+
+    def command_load(self, valve, load):
+        self.heard.loads.append((time.monotonic(), load))
+        super().command_load(valve, load)
 
     def heartbeat(self, valve, count):
         self.heard.heartbeats.append((time.monotonic(), count))

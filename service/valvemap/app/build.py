@@ -213,6 +213,7 @@ def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
         accuracy=shared(_accuracy, valve.signals, valve.nodes.dp is not None),
         meaning=meaning_of(config, valve, estimators),
         part=_part(valve),
+        is_driven=valve.nodes.required_U is not None and valve.nodes.heartbeat is not None,
     )
 
 

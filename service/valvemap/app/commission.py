@@ -25,7 +25,6 @@ from valvemap.errors import (
     ConfigurationError,
     SourceError,
     SourceLost,
-    SourceRejected,
     ValvemapError,
 )
 from valvemap.model.estimator import Estimator
@@ -33,6 +32,7 @@ from valvemap.model.samples import Samples, Times
 from valvemap.opcua_client.results_client import ResultsClient, Security
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import HEARTBEAT, LOAD, REQUIRED_U
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.commission import in_words, lost, start, step, written
 from valvemap.pipeline.commission_learner import Learnt, learn
@@ -51,6 +51,7 @@ LEARN_S: Final = 1.0  # s between two fits of the map
 NOTE_S: Final = 1.0  # s between two lines of the audit record
 ASK_S: Final = 2.0  # s; timeout of the question to the service
 WRITE_S: Final = 0.3  # s; a write that takes longer is taken as lost
+_ROLES: Final = {"U": REQUIRED_U, "load": LOAD, "heartbeat": HEARTBEAT}  # by field of Command
 _FIELDS: Final = ("most_s", "sweep_s", "period_s")
 
 log = structlog.get_logger(__name__)
@@ -71,21 +72,19 @@ def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
                 "source takes the valve back when the heartbeat stops"
             )
     given, anything = valve.commission, (-math.inf, math.inf)
+    U_range = given.range_percent or valve.U_range_percent
     limits = Limits(
-        U_range=given.range_percent or valve.U_range_percent,
+        U_range=U_range,
         slew_percent_per_s=given.slew_percent_per_s,
-        safe_U=given.safe_percent,
+        safe_U=given.safe_percent if given.safe_percent is not None else _nearest(0.0, U_range),
+        load_range=given.load_range_bar,
+        load_slew_bar_per_s=given.load_slew_bar_per_s,
+        safe_load=given.safe_load_bar or 0.0,
         p1_range=given.p1_range_bar or anything,
         p2_range=given.p2_range_bar or anything,
         Q_range=given.Q_range_l_min or anything,
         p_most=given.p_most_bar or math.inf,
     )
-    low, high = limits.U_range
-    if not low <= limits.safe_U <= high:
-        raise ConfigurationError(
-            f"valve {valve.name}: commission.safe_percent = {limits.safe_U:g}: must be within "
-            f"{[low, high]}"
-        )
     nominal = max(map(abs, valve.Q_range_l_min)) / math.sqrt(max(map(abs, valve.dp_range_bar)))
     return Settings(
         limits=limits,
@@ -112,7 +111,7 @@ def plan_in_words(valve: ValveConfig, settings: Settings) -> list[str]:
         f"heartbeat  {valve.nodes.heartbeat}: the source takes the valve back when it stops",
         f"checks     {settings.check_s:g} s of good samples; U still; feed-forward disarmed",
         f"sweep      {plan.sweep_s:g} s: U {low:g} … {high:g} % and back every {plan.period_s:g} s",
-        "load       is not written: the map covers the Δp that the plant shows during the run",
+        _load_in_words(valve, settings),
         f"refinement until {plan.most_s:g} s{ends}: moves of {pace.U:.3g} %/s to uncertain points",
         f"limits     U {low:g} … {high:g} %, {limits.slew_percent_per_s:g} %/s",
         f"retreat    p1 {_range(limits.p1_range)}, p2 {_range(limits.p2_range)} bar",
@@ -120,6 +119,22 @@ def plan_in_words(valve: ValveConfig, settings: Settings) -> list[str]:
         f"end        above {limits.p_most:g} bar, on Ctrl-C or Enter, without the terminal",
         f"safe U     {limits.safe_U:g} % within {within:.2g} s, then handed back to the source",
     ]
+
+
+def _load_in_words(valve: ValveConfig, settings: Settings) -> str:
+    limits = settings.limits
+    if limits.load_range is None:
+        return "load       is not written: the map covers the Δp that the plant shows in the run"
+    low, high = limits.load_range
+    return (
+        f"load       {valve.nodes.load}: {low:g} … {high:g} bar and back every "
+        f"{settings.plan.period_of_load():.3g} s, {limits.load_slew_bar_per_s:g} bar/s; safe "
+        f"{limits.safe_load:g} bar"
+    )
+
+
+def _nearest(x: float, bounds: tuple[float, float]) -> float:
+    return min(max(x, bounds[0]), bounds[1])
 
 
 def _range(bounds: tuple[float, float]) -> str:
@@ -241,7 +256,7 @@ class CommissionRun:
         """
         elapsed = self._files.elapsed()
         for samples in self._files.before():
-            self.learnt = self._learnt(samples)
+            self.learnt = await asyncio.to_thread(self._learnt, samples)
         self.state = start(CommissionState(elapsed=elapsed), self._clock.monotonic())
         self._note(event="started", user=self._user, settings=_plain(self._settings))
         settings = replace(build_supervisor_settings(self._config), tick_s=TICK_S)
@@ -294,21 +309,20 @@ class CommissionRun:
     async def _write(self, command: Command) -> None:
         if command == Command():
             return
-        refused = False
+        given = {role: getattr(command, name) for name, role in _ROLES.items()}
+        commands = {role: value for role, value in given.items() if value is not None}
         try:
             async with asyncio.timeout(WRITE_S):
-                if command.U is not None:
-                    await self._source.write_required_U(0, command.U)
-                if command.heartbeat is not None:
-                    await self._source.write_heartbeat(0, command.heartbeat)
-        except SourceRejected as error:
-            refused = True
-            self._note(event="refused", reason=str(error))
+                refused = await self._source.write_commands(0, commands)
         except (SourceLost, TimeoutError) as error:  # it may have been taken, or not
             self._note(event="write lost", reason=str(error) or "no response")
             self.state = lost(self.state, self._clock.monotonic())
             return
-        self.state = written(self.state, command, self._clock.monotonic(), refused=refused)
+        for reason in refused.values():
+            self._note(event="refused", reason=reason)
+        taken = replace(command, **{name: None for name, of in _ROLES.items() if of in refused})
+        now = self._clock.monotonic()
+        self.state = written(self.state, taken, now, refused=bool(refused))
 
     def _append(self, samples: Samples | None) -> None:
         if samples is None or not len(samples):
@@ -349,6 +363,7 @@ class CommissionRun:
                 "phase": state.phase.name,
                 "reason": state.reason.value,
                 "U_percent": _known(state.at.U),
+                "load_bar": _known(state.at.load),
                 "elapsed_s": round(state.elapsed, 2),
             }
         )
@@ -369,6 +384,9 @@ def _plain(settings: Settings) -> dict[str, Any]:
         "U_range_percent": list(limits.U_range),
         "slew_percent_per_s": limits.slew_percent_per_s,
         "safe_percent": limits.safe_U,
+        "load_range_bar": limits.load_range and list(limits.load_range),
+        "load_slew_bar_per_s": limits.load_slew_bar_per_s,
+        "safe_load_bar": limits.safe_load,
         "sweep_s": plan.sweep_s,
         "most_s": plan.most_s,
         "accuracy_l_min": settings.accuracy,

@@ -12,10 +12,10 @@ from valvemap.app.commission import CommissionRun, settings_of
 from valvemap.clock import Clock
 from valvemap.config.loading import config_of
 from valvemap.config.models import Config
-from valvemap.errors import CommandRejected, ConfigurationError, ValvemapError
+from valvemap.errors import CommandRejected, ValvemapError
 from valvemap.pipeline.commission_ports import CommissionResults, CommissionSink
 from valvemap.pipeline.identification import Identification
-from valvemap.storage.commission_files import RunFiles, new_run
+from valvemap.storage.commission_files import RunFiles, last_run, new_run
 from valvemap.vocabulary.commission import Phase
 
 END_S: Final = 2.0  # s; longest wait for runs to return to their safe U at the service's end
@@ -54,17 +54,29 @@ class Commissions:
         self._sink, self._clock = sink, clock
         self._folder = config.state.file.parent / "commission"
         self._runs: dict[str, _Run] = {}
-        self.valves = [valve.name for valve in config.valves if can_be_driven(config, valve.name)]
+        self.valves = [plan.name for plan in identification.plans if plan.is_driven]
 
     def start_commission(self, valve: str, accuracy: float, user: str) -> None:
         """Start a run; see `CommissionOperator`."""
+        self._begin(valve, accuracy, user, new_run(self._folder, valve, self._clock.now()))
+
+    def resume_commission(self, valve: str, accuracy: float, user: str) -> None:
+        """Continue the last run; see `CommissionOperator`."""
+        file = last_run(self._folder, valve)
+        if file is None:
+            raise CommandRejected(f"{valve}: there is no run to resume; Start begins one")
+        most_s = config_of(self._config, valve).valves[0].commission.most_s
+        if RunFiles(file, valve).elapsed() >= most_s:
+            raise CommandRejected(f"{valve}: the last run was complete; Start begins a new one")
+        self._begin(valve, accuracy, user, file)
+
+    def _begin(self, valve: str, accuracy: float, user: str, file: Path) -> None:
         if valve in self._runs:
             raise CommandRejected(f"{valve}: a run is under way; Abort ends it")
         number = next(n for n, one in enumerate(self._config.valves) if one.name == valve)
         if self._identification.armed.is_armed(number):
             raise CommandRejected(f"{valve}: feed-forward is armed: disarm it first")
         config = config_of(self._config, valve)
-        file = new_run(self._folder, valve, self._clock.now())
         files = RunFiles(file, valve)
         run = CommissionRun(
             config,
@@ -136,12 +148,3 @@ class Commissions:
 def _ended(why: str, file: Path) -> CommissionResults:
     line = f"{Phase.ABORTED.sentence}: {why}"
     return CommissionResults(Phase.ABORTED, why, line, time_left=0.0, recording=str(file))
-
-
-def can_be_driven(config: Config, valve: str) -> bool:
-    """Return whether the configuration of a valve permits runs."""
-    try:
-        settings_of(config_of(config, valve).valves[0])
-    except ConfigurationError:
-        return False
-    return True

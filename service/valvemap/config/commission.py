@@ -1,20 +1,27 @@
 """The section of a valve's commissioning: what `valvemap commission` may do to the plant."""
 
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
 from valvemap.config.sections import Section
 
 Range = tuple[float, float]
+
+_RANGES: Final = (
+    *("range_percent", "load_range_bar"),
+    *("p1_range_bar", "p2_range_bar", "Q_range_l_min"),
+)
 Percent = Annotated[float, Field(ge=-100.0, le=100.0)]
+Load = Annotated[float, Field(ge=0.0, le=1_000.0)]
 
 
 class CommissionConfig(Section):
     """How `valvemap commission` drives the valve: U is written to ``nodes.required_U``.
 
     Every command is within range and slew. Beyond a limit of p1, p2 or Q, U retreats towards
-    ``safe_percent``; above ``p_most_bar`` the run ends.
+    ``safe_percent``; above ``p_most_bar`` the run ends. With ``nodes.load``, the set point of p2 is
+    written as well, and retreats towards ``safe_load_bar``.
     """
 
     range_percent: tuple[Percent, Percent] | None = Field(
@@ -23,7 +30,18 @@ class CommissionConfig(Section):
     slew_percent_per_s: float = Field(
         400.0, gt=0.0, le=10_000.0, description="fastest change of U that is written"
     )
-    safe_percent: Percent = Field(0.0, description="U that the valve returns to")
+    safe_percent: Percent | None = Field(
+        None, description="U that the valve returns to; none: the permitted U nearest to 0"
+    )
+    load_range_bar: tuple[Load, Load] | None = Field(
+        None, description="lowest and highest set point of the load, needed with nodes.load"
+    )
+    load_slew_bar_per_s: float = Field(
+        400.0, gt=0.0, le=10_000.0, description="fastest change of the load's set point"
+    )
+    safe_load_bar: Load | None = Field(
+        None, description="set point that the load returns to, needed with nodes.load"
+    )
     period_s: float = Field(
         4.0, ge=0.5, le=600.0, description="time of U from end to end of its range and back"
     )
@@ -53,18 +71,39 @@ class CommissionConfig(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        for name in ("range_percent", "p1_range_bar", "p2_range_bar", "Q_range_l_min"):
+        for name in _RANGES:
             bounds = getattr(self, name)
             if bounds is not None and not bounds[0] < bounds[1]:
                 raise ValueError(f"{name} = {list(bounds)}: the first must be below the second")
-        bounds = self.range_percent
-        if bounds is not None and not bounds[0] <= self.safe_percent <= bounds[1]:
-            raise ValueError(
-                f"safe_percent = {self.safe_percent:g}: must be within range_percent = "
-                f"{list(bounds)}"
-            )
         if self.sweep_s > self.most_s:
             raise ValueError(
                 f"sweep_s = {self.sweep_s:g}: must not exceed most_s = {self.most_s:g}"
             )
         return self
+
+    def check_within(self, U_range: Range, *, has_load: bool) -> None:
+        """Check against the rest of the valve's configuration.
+
+        Raises
+        ------
+        ValueError
+            naming the field.
+        """
+        bounds, safe = self.range_percent or U_range, self.safe_percent
+        if safe is not None and not bounds[0] <= safe <= bounds[1]:
+            of = "range_percent" if self.range_percent is not None else "U_range_percent"
+            raise ValueError(
+                f"commission.safe_percent = {safe:g}: must be within {of} = {list(bounds)}"
+            )
+        given, load = self.load_range_bar, self.safe_load_bar
+        if has_load and (given is None or load is None):
+            missing = "load_range_bar" if given is None else "safe_load_bar"
+            raise ValueError(f"commission.{missing} is needed with nodes.load")
+        if not has_load and not (given is None and load is None):
+            name = "safe_load_bar" if given is None else "load_range_bar"
+            raise ValueError(f"commission.{name}: nodes.load is needed; no load is written without")
+        if given is not None and load is not None and not given[0] <= load <= given[1]:
+            raise ValueError(
+                f"commission.safe_load_bar = {load:g}: must be within load_range_bar = "
+                f"{list(given)}"
+            )

@@ -302,11 +302,18 @@ class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: i
         description="UInt32 that counts while the voltage is written; the source takes its own "
         "command when it stops or is 0",
     )
+    load: str | None = Field(
+        None,
+        description="where commissioning writes the set point of the load (p2), if at all; "
+        "under the same heartbeat",
+    )
 
     @model_validator(mode="after")
     def _heartbeat_is_of_a_command(self) -> Self:
         if self.heartbeat is not None and self.required_U is None:
             raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
+        if self.load is not None and self.heartbeat is None:
+            raise ValueError("load: heartbeat is needed, too; the source would keep the last load")
         return self
 
     @model_validator(mode="after")
@@ -339,13 +346,14 @@ class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: i
         return node
 
     @classmethod
-    def of_rig(cls, valve: str, *, commanded: bool = False) -> Self:
-        """Return the virtual rig's nodes, including the written ones if ``commanded``."""
+    def of_rig(cls, valve: str, *, commanded: bool = False, loaded: bool = False) -> Self:
+        """Return the virtual rig's nodes; the written ones if ``commanded``, ``loaded``."""
         head = f"nsu={RIG_NAMESPACE};s={valve}."
         return cls(
             **{signal.label: head + signal.at_rig for signal in Signal},
             required_U=head + "UCommand" if commanded else None,
             heartbeat=head + "Heartbeat" if commanded else None,
+            load=head + "LoadCommand" if loaded else None,
         )
 
 
@@ -433,6 +441,11 @@ class ValveConfig(Section):
             is_written=self.nodes.required_U is not None,
             has_heartbeat=self.nodes.heartbeat is not None,
         )
+        return self
+
+    @model_validator(mode="after")
+    def _commission_fits(self) -> Self:
+        self.commission.check_within(self.U_range_percent, has_load=self.nodes.load is not None)
         return self
 
     @model_validator(mode="after")

@@ -114,10 +114,11 @@ class SignalConfig(Section):
 
 
 class SignalsConfig(per_signal("Signals", lambda _: (SignalConfig, SignalConfig()))):  # type: ignore[misc]
-    """The signals of a valve, and the command that is written."""
+    """The signals of a valve, and the commands that are written."""
 
     dp: SignalConfig = SignalConfig()
     required_U: SignalConfig = SignalConfig()
+    load: SignalConfig = SignalConfig()
 
     @model_validator(mode="after")
     def _quantities_fit(self) -> Self:

@@ -1,4 +1,4 @@
-"""The nodes of commissioning runs: Start, Abort, State, Progress, and the operator's heartbeat."""
+"""The nodes of commissioning runs: methods, State, Progress, and the operator's heartbeat."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -25,6 +25,14 @@ from valvemap.pipeline.ports import Answer
 from valvemap.vocabulary.commission import Phase
 
 _HEARTBEAT: Final = "Heartbeat"
+_START: Final = (
+    "Start a run: U is written to the valve, and the load's set point where there is one, within "
+    f"the limits of [valves.commission]. Write {_HEARTBEAT} at least once a second until the end; "
+    "without it, U returns to its safe value. Refused while feed-forward is armed."
+)
+_RESUME: Final = (
+    "Continue the last run where it was interrupted, with what it had learnt; otherwise as Start."
+)
 _TEXT: Final = ua.VariantType.String
 _LONGEST_S: Final = 3_600.0
 _MOST_FLOW: Final = 10_000.0  # l/min; more than any valve passes
@@ -82,24 +90,25 @@ class CommissionNodes:
             if not node.writable:
                 self._variables[node.id] = variable
         prefix = f"{valve}.{COMMISSION}"
-        await add_method(
-            server,
-            parent,
-            f"{prefix}.Start",
-            partial(_start, operator, valve),
-            inputs=(
-                Argument(
-                    "Accuracy",
-                    "End when the map's 95 % interval is ± this or less; 0 uses the whole time",
-                    unit=Unit.LITRE_PER_MINUTE,
-                    value_range=(0.0, _MOST_FLOW),
-                ),
-            ),
-            required=Role.OPERATOR,
-            description="Start a run: U is written to the valve, within the limits of "
-            f"[valves.commission]. Write {_HEARTBEAT} at least once a second until the end; "
-            "without it, U returns to its safe value. Refused while feed-forward is armed.",
+        accuracy = Argument(
+            "Accuracy",
+            "End when the map's 95 % interval is ± this or less; 0 uses the whole time",
+            unit=Unit.LITRE_PER_MINUTE,
+            value_range=(0.0, _MOST_FLOW),
         )
+        for name, begin, words in (
+            ("Start", operator.start_commission, _START),
+            ("Resume", operator.resume_commission, _RESUME),
+        ):
+            await add_method(
+                server,
+                parent,
+                f"{prefix}.{name}",
+                partial(_begin, begin, valve),
+                inputs=(accuracy,),
+                required=Role.OPERATOR,
+                description=words,
+            )
         await add_method(
             server,
             parent,
@@ -155,8 +164,8 @@ def _values(results: CommissionResults) -> Iterator[tuple[str, Any]]:
     yield "Recording", results.recording
 
 
-def _start(operator: CommissionOperator, valve: str, accuracy: float) -> Answer[None]:
-    return answered(partial(operator.start_commission, valve, accuracy, str(caller())), _nothing)
+def _begin(begin: Callable[[str, float, str], None], valve: str, accuracy: float) -> Answer[None]:
+    return answered(partial(begin, valve, accuracy, str(caller())), _nothing)
 
 
 def _abort(operator: CommissionOperator, valve: str) -> Answer[None]:

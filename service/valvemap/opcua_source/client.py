@@ -312,8 +312,7 @@ class OpcUaSource:
         SourceRejected
             if the valve has no such node, or the server rejects the value.
         """
-        scaling = self._valves[valve].measure(REQUIRED_U).scaling(REQUIRED_U)
-        await self._write(valve, REQUIRED_U, scaling.back(float(U)))
+        await self._write(valve, REQUIRED_U, U)
 
     async def write_heartbeat(self, valve: int, count: int) -> None:
         """Write the heartbeat (UInt32) of one valve to its node at the source.
@@ -325,30 +324,54 @@ class OpcUaSource:
         """
         await self._write(valve, HEARTBEAT, count)
 
-    async def _write(self, valve: int, role: str, number: float) -> None:
+    async def write_commands(self, valve: int, commands: Mapping[str, float]) -> dict[str, str]:
+        """Write commands of one valve in one request; ``commands`` by role: U in %, load in bar.
+
+        Returns
+        -------
+        dict
+            By role, why the server rejected a command; empty if it took all of them.
+
+        Raises
+        ------
+        SourceLost
+        """
         if self._connection is None:
             raise SourceLost(f"{self._settings.url}: not connected")
-        target = self._writable.get((valve, role))
-        if target is None:
-            raise SourceRejected(f"valve {self._valves[valve].valve} has no node {role}")
-        value = round(number) if target.type not in _FLOATS else number
-        with self._connection.errors(f"writing {target.label}"):
-            (status,) = await self._connection.session.write(
-                ua.WriteParameters(
-                    NodesToWrite=[
-                        ua.WriteValue(
-                            NodeId=target.node,
-                            AttributeId=ua.AttributeIds.Value,
-                            Value=ua.DataValue(ua.Variant(value, target.type), StatusCode=None),
-                        )
-                    ]
+        own = {role: self._writable.get((valve, role)) for role in commands}
+        targets = {role: target for role, target in own.items() if target is not None}
+        refused = {
+            role: f"valve {self._valves[valve].valve} has no node {role}"
+            for role in commands.keys() - targets
+        }
+        if not targets:
+            return refused
+        labels = ", ".join(target.label for target in targets.values())
+        values = [self._value(valve, role, commands[role], of) for role, of in targets.items()]
+        with self._connection.errors(f"writing {labels}"):
+            answers = await self._connection.session.write(ua.WriteParameters(NodesToWrite=values))
+        for (role, target), status in zip(targets.items(), answers, strict=True):
+            if not status.is_good():
+                refused[role] = (
+                    f"{target.label} does not take {commands[role]:g} at {self._settings.url}: "
+                    f"{status_name(status.value)}"
                 )
-            )
-        if not status.is_good():
-            raise SourceRejected(
-                f"{target.label} does not take {number:g} at {self._settings.url}: "
-                f"{status_name(status.value)}"
-            )
+        return refused
+
+    async def _write(self, valve: int, role: str, number: float) -> None:
+        refused = await self.write_commands(valve, {role: number})
+        if refused:
+            raise SourceRejected(refused[role])
+
+    def _value(self, valve: int, role: str, number: float, target: WritableNode) -> ua.WriteValue:
+        if role != HEARTBEAT:
+            number = self._valves[valve].measure(role).scaling(role).back(float(number))
+        value = round(number) if target.type not in _FLOATS else number
+        return ua.WriteValue(
+            NodeId=target.node,
+            AttributeId=ua.AttributeIds.Value,
+            Value=ua.DataValue(ua.Variant(value, target.type), StatusCode=None),
+        )
 
     @property
     def is_held(self) -> bool:

@@ -17,7 +17,7 @@ from valvemap.pipeline.units import Measure
 from valvemap.vocabulary.item_states import ItemState
 from valvemap.vocabulary.signals import PER_VALVE, READ, Signal
 
-REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # nodes that are written
+REQUIRED_U, LOAD, HEARTBEAT = "required_U", "load", "heartbeat"  # nodes that are written
 
 _NODE_ID = re.compile(
     r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)", re.DOTALL
@@ -42,10 +42,11 @@ class ValveNodes:
 
     A transmitter ``dp`` takes the place of ``p1`` and ``p2``; its changes come as those of p1, and
     p2 is 0. Optional are ``T``, ``sequence`` (a counter that increments with each sample),
-    ``required_U`` (to which the feed-forward voltage is written) and ``heartbeat`` (UInt32,
-    incremented while feed-forward is active). ``measures`` holds by name the units of the signals
-    and of the command; ``insist`` accepts them even if the source's EngineeringUnits or EURange
-    differ. ``kind`` and ``words`` say in messages what it is, and how its signals are called there.
+    ``required_U`` (to which the feed-forward voltage is written), ``load`` (the set point of p2,
+    which commissioning writes) and ``heartbeat`` (UInt32, incremented while U is written).
+    ``measures`` holds by name the units of the signals and of the commands; ``insist`` accepts them
+    even if the source's EngineeringUnits or EURange differ. ``kind`` and ``words`` say in messages
+    what it is, and how its signals are called there.
     """
 
     valve: str
@@ -56,6 +57,7 @@ class ValveNodes:
     T: str | None = None
     sequence: str | None = None
     required_U: str | None = None
+    load: str | None = None
     heartbeat: str | None = None
     measures: Mapping[str, Measure] = field(default_factory=dict)
     insist: bool = False
@@ -338,7 +340,7 @@ def _of_valve(number: int, nodes: ValveNodes) -> Iterator[Wanted]:
 
     for signal, name, text in nodes.signals():
         yield wanted(number * PER_VALVE + signal, text, name)
-    for role in (REQUIRED_U, HEARTBEAT):
+    for role in (REQUIRED_U, LOAD, HEARTBEAT):
         text = getattr(nodes, role)
         if text is not None:
             yield wanted(None, text, role)

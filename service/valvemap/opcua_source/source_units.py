@@ -10,7 +10,7 @@ from asyncua import ua
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, in_one_line
 from valvemap.opcua_client.requests import read_properties
-from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes, copies_of
+from valvemap.opcua_source.source_nodes import LOAD, REQUIRED_U, CheckedNodes, ValveNodes, copies_of
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import (
     QUANTITY_OF,
@@ -190,9 +190,10 @@ def _wanted(
         if signal < len(MEASURED):
             yield valve, valves[valve].source_of(MEASURED[signal]), node.node, node.label
     for number in range(len(valves)):
-        command = nodes.writable.get((number, REQUIRED_U))
-        if command is not None:
-            yield number, REQUIRED_U, command.node, command.label
+        for role in (REQUIRED_U, LOAD):
+            command = nodes.writable.get((number, role))
+            if command is not None:
+                yield number, role, command.node, command.label
 
 
 def _said(information: object, bounds: object) -> SaidOfNode:

@@ -67,10 +67,10 @@ async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
 
 
 async def _guide(log_in: LogIn, run: str, command: dict[str, Any]) -> None:
-    """Start a guided run, keep it alive, or abort it."""
+    """Start or resume a guided run, keep it alive, or abort it."""
     match command:
-        case {"do": "Start", "accuracy": float() | int() as accuracy}:
-            await log_in.service.call(run, "Start", [[_finite(accuracy)]])
+        case {"do": "Start" | "Resume" as step, "accuracy": float() | int() as accuracy}:
+            await log_in.service.call(run, step, [[_finite(accuracy)]])
         case {"do": "Heartbeat", "count": float() | int() as count}:
             await log_in.service.write(f"{run}.Heartbeat", _finite(count))
         case {"do": "Abort"}:

@@ -16,7 +16,14 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from valvemap.pipeline.commission_guard import ending, fault, noted, past_half_turn, refusal
+from valvemap.pipeline.commission_guard import (
+    ending,
+    fault,
+    has_stalled,
+    noted,
+    past_half_turn,
+    refusal,
+)
 from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
 from valvemap.pipeline.commission_plan import sweep
 from valvemap.pipeline.commission_state import (
@@ -64,6 +71,8 @@ def step(
         return state, Command()
     passed = min(max(now - state.stepped, 0.0), MOST_STEP_S)
     state = noted(settings, replace(state, stepped=now), seen, now)
+    if has_stalled(settings, state, now):
+        state = lost(state, now, Reason.STALLED)
     if state.phase is Phase.CHECKING:
         return _checked(settings, state, seen, now)
     reason = ending(settings, state, seen, now)
@@ -77,25 +86,31 @@ def step(
 def written(
     state: CommissionState, command: Command, now: float, *, refused: bool = False
 ) -> CommissionState:
-    """Return the state after the source's response to ``command`` at ``now`` (s)."""
-    if refused:
-        return replace(state, refused_since=min(state.refused_since, now))
+    """Return the state after the source took ``command`` at ``now`` (s).
+
+    ``command`` is the part that was taken; ``refused`` says that there was another.
+    """
     if command.heartbeat:
         state = replace(state, heartbeat=command.heartbeat, beaten=now)
+    if refused:
+        state = replace(state, refused_since=min(state.refused_since, now))
+    elif command.U is not None:
+        state = replace(state, refused_since=math.inf)
+    if command.load is not None:
+        state = replace(state, at=Point(state.at.U, command.load), accepted=now)
     if command.U is None:
         return state
-    load = state.at.load if command.load is None else command.load
     watch = replace(state.watch, commands=(*state.watch.commands, (now, command.U)))
-    return replace(
-        state, at=Point(command.U, load), accepted=now, refused_since=math.inf, watch=watch
-    )
+    return replace(state, at=Point(command.U, state.at.load), accepted=now, watch=watch)
 
 
-def lost(state: CommissionState, now: float) -> CommissionState:
+def lost(
+    state: CommissionState, now: float, reason: Reason = Reason.SOURCE_LOST
+) -> CommissionState:
     """Return the state after a write without a response: what is in effect is not known."""
     state = replace(state, at=UNKNOWN, beaten=-math.inf, good_since=math.inf)
     if state.phase in {Phase.SWEEPING, Phase.REFINING}:
-        return _enter(state, Phase.PAUSED, Reason.SOURCE_LOST, now)
+        return _enter(state, Phase.PAUSED, reason, now)
     return state
 
 
@@ -112,6 +127,8 @@ def in_words(settings: Settings, state: CommissionState, seen: Seen) -> str:
         parts.append(f"map ± {1.96 * seen.error:.2g} l/min{wanted}")
     if state.is_led:
         parts.append(f"U {state.at.U:.1f} %")
+        if not math.isnan(state.at.load):
+            parts.append(f"load {state.at.load:.0f} bar")
     return "; ".join(parts)
 
 
@@ -171,7 +188,8 @@ def _driven(
         return replace(lost(state, now), refused_since=math.inf), Command()
     if found is not Reason.NONE or state.phase is Phase.PAUSED:
         return _paused(settings, state, seen, now)
-    if not state.is_led:  # the first command was refused
+    lacks_load = settings.limits.load_range is not None and math.isnan(state.at.load)
+    if not state.is_led or lacks_load:  # the first command was refused, or a part of it
         return state, _begun(settings, state, seen, now)[1]
     return _swept(settings, replace(state, elapsed=state.elapsed + passed), seen, now)
 

@@ -11,6 +11,7 @@ from valvemap.vocabulary.commission import Phase
 STILL_U: Final = 1.0  # %; change of U during the checks that shows another writer
 STUCK_SPAN: Final = 0.6  # share of the range of U without a change of the opening: stuck
 STUCK_CHANGE: Final = 0.08  # 1; change of Q/√Δp, share of the largest, below which it is none
+STALLED_S: Final = 0.4  # s without a heartbeat, after which the source may have the valve
 DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
 
 
@@ -81,6 +82,11 @@ def ending(settings: Settings, state: CommissionState, seen: Seen, now: float) -
         if holds:
             return reason
     return Reason.NONE
+
+
+def has_stalled(settings: Settings, state: CommissionState, now: float) -> bool:
+    """Whether the last heartbeat is so old that the source may have taken the valve back."""
+    return settings.has_heartbeat and state.is_led and now - state.beaten > STALLED_S
 
 
 def past_half_turn(settings: Settings, state: CommissionState) -> CommissionState:

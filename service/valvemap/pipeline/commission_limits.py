@@ -53,7 +53,13 @@ class Limits:
     def safe_within_s(self) -> float:
         """Longest time from any permitted command to the safe one, s."""
         low, high = self.U_range
-        return max(self.safe_U - low, high - self.safe_U) / self.slew_percent_per_s
+        of_U = max(self.safe_U - low, high - self.safe_U) / self.slew_percent_per_s
+        if self.load_range is None:
+            return of_U
+        low, high = self.load_range
+        return max(
+            of_U, max(self.safe_load - low, high - self.safe_load) / self.load_slew_bar_per_s
+        )
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,7 @@ def bounded(limits: Limits, before: Point, wanted: Point, elapsed_s: float) -> P
     """
     step_s = min(max(elapsed_s, 0.0), MOST_STEP_S)
     U = _moved(before.U, wanted.U, limits.slew_percent_per_s * step_s, limits.U_range)
-    if limits.load_range is None:
+    if limits.load_range is None or math.isnan(before.load):
         return Point(U)
     most = limits.load_slew_bar_per_s * step_s
     return Point(U, _moved(before.load, wanted.load, most, limits.load_range))

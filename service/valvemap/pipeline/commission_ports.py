@@ -35,6 +35,15 @@ class CommissionOperator(Protocol):
             if one is under way, or feed-forward is armed.
         """
 
+    def resume_commission(self, valve: str, accuracy: float, user: str) -> None:
+        """Learn the samples of the last run, and continue it where it was interrupted.
+
+        Raises
+        ------
+        CommandRejected
+            as `start_commission`, or if there is no run, or it was complete.
+        """
+
     def abort_commission(self, valve: str) -> None:
         """Let a run return to its safe U, and end."""
 

@@ -21,6 +21,7 @@ class Reason(Enum):
     OPERATOR = "the operator aborted"
     OPERATOR_GONE = "no sign of the operator's terminal"
     SOURCE_LOST = "the source is not connected"
+    STALLED = "the heartbeat paused: the source may have taken the valve back"
     STALE = "samples are too old"
     BAD_SAMPLE = "samples are Bad, or not numbers"
     NOT_TAKEN = "the source refuses commands"

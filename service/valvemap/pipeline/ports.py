@@ -170,6 +170,7 @@ class ValveDescription:
     nameplate: Nameplate = BLANK
     U_range: tuple[float, float] = (0.0, 100.0)
     is_line: bool = False
+    is_driven: bool = False
 
 
 @dataclass(frozen=True)

@@ -352,6 +352,7 @@ def descriptions(plans: Sequence[ValvePlan]) -> tuple[ValveDescription, ...]:
             nameplate=plan.nameplate,
             U_range=plan.U_range,
             is_line=plan.part is not None and plan.part.edge is None,
+            is_driven=plan.is_driven,
         )
         for plan in plans
     )

@@ -38,6 +38,7 @@ QUANTITY_OF: Final = {
     **{signal.label: Quantity(signal.unit) for signal in SENSORS},
     "dp": Quantity.PRESSURE,
     "required_U": Quantity.OPENING,
+    "load": Quantity.PRESSURE,
 }
 """By signal, named as in the configuration."""
 

@@ -61,7 +61,7 @@ class ValvePlan:
     that of the sensors, ``nodes`` are their names in messages about missing signals, ``alarms`` the
     rules of the alarms; ``nameplate`` is published only; ``meaning`` is stored with the states.
     ``part`` says which edge or line it is of a valve with ports, ``meter`` the meter that it shares
-    with other valves ("": none).
+    with other valves ("": none). ``is_driven``: commissioning runs may drive it.
     """
 
     name: str
@@ -82,6 +82,7 @@ class ValvePlan:
     references: frozenset[str] = frozenset()
     part: Part | None = None
     meter: str = ""
+    is_driven: bool = False
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import { user } from "../user.js";
 const HEARTBEAT_MS = 400; // the run ends without one for a second
 const UNSEEN_MS = 5000; // after a start, until its run is seen
 const OVER = [0, 6, 7, 8]; // not started, done, aborted, refused
+const INTERRUPTED = [0, 7]; // by the end of the service, or aborted
 const TEXTS = ["Progress", "Recording"].map((name) => `Commission.${name}`);
 
 /** The card, hidden where the valve cannot be driven; its update, and what ends its heartbeat. */
@@ -14,17 +15,18 @@ export function guidedRun({ live, valve }) {
   let beats = 0, beating = null, beganAt = 0, hasBegun = false;
   const accuracy = h("input", { type: "number", min: 0, step: 0.1, value: 0, "aria-label": "Accuracy" });
   const unit = h("span.muted");
-  const begin = h("button", { type: "button", onclick: start }, "Start");
+  const begin = h("button", { type: "button", onclick: () => start("Start") }, "Start");
+  const resume = h("button", { type: "button", onclick: () => start("Resume") }, "Resume");
   const abort = h("button.danger", { type: "button", onclick: () => act({ run: valve.name, do: "Abort" }) }, "Abort");
   const progress = h("p"), recording = h("p.words"), hint = h("p.words"), problem = h("p.words", { role: "alert" });
   const element = h("section.card.guided-run", {}, h("header", {}, h("h2", {}, "Guided run")),
     h("p.words", {}, "Moves U through its range, within the limits of [valves.commission], until the map is known. This page must stay open and in front: without it the run ends at the safe U."),
-    h("p", {}, h("label", {}, "End at ± ", accuracy), " ", unit, " ", begin, " ", abort),
+    h("p", {}, h("label", {}, "End at ± ", accuracy), " ", unit, " ", begin, " ", resume, " ", abort),
     progress, recording, hint, problem);
 
-  async function start() {
+  async function start(how) {
     if (!confirm(`${valve.name} will move. Is everybody clear of the machine?`)) return;
-    if (!(await act({ run: valve.name, do: "Start", accuracy: fromShown(accuracy.valueAsNumber || 0, "l/min") }))) return;
+    if (!(await act({ run: valve.name, do: how, accuracy: fromShown(accuracy.valueAsNumber || 0, "l/min") }))) return;
     [beganAt, hasBegun] = [performance.now(), false];
     beating ??= setInterval(beat, HEARTBEAT_MS);
   }
@@ -52,7 +54,8 @@ export function guidedRun({ live, valve }) {
     hasBegun ||= !isOver;
     if (beating && isOver && (hasBegun || performance.now() - beganAt > UNSEEN_MS)) end();
     say(unit, shown("l/min"));
-    begin.disabled = Boolean(old) || !isOver || !user.name;
+    resume.hidden = !INTERRUPTED.includes(state);
+    begin.disabled = resume.disabled = Boolean(old) || !isOver || !user.name;
     abort.disabled = Boolean(old) || isOver || !user.name;
     const [line, file] = TEXTS.map((name) => live.get(name)?.value || "");
     say(progress, old ? `Not known: ${old.why}` : inUnits(line));
