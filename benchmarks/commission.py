@@ -79,8 +79,8 @@ def undriven(valve: Valve, seed: int, seconds: float, *, steps: bool) -> float:
     return error(valve, estimator, state)
 
 
-def maps(seeds: Sequence[int]) -> None:
-    """Print the table of maps."""
+def maps(seeds: Sequence[int], only: str = "") -> None:
+    """Print the table of maps; ``only`` the columns whose name begins so."""
     print("RMSE in σ after 30 s / 60 s, median (largest) over the seeds")
     for name, valve in VALVES.items():
         line, held = [], True
@@ -90,6 +90,8 @@ def maps(seeds: Sequence[int]) -> None:
             ("machine work", lambda s, T, v=valve: undriven(v, s, T, steps=False)),
             ("steps", lambda s, T, v=valve: undriven(v, s, T, steps=True)),
         ):
+            if not what.startswith(only):
+                continue
             found = {T: [how(seed, T) for seed in seeds] for T in TIMES}
             cells = [f"{np.median(f):.2f} ({max(f):.2f})" for f in found.values()]
             line.append(f"{what} {' / '.join(cells)}")
@@ -111,11 +113,10 @@ def fault(seed: int) -> dict[str, Any]:
         for k in range(round(at / SAMPLE_S) + 1, round((at + 2.0) / SAMPLE_S)):
             loop.log.U.append((k * SAMPLE_S, loop.plant.sample(k * SAMPLE_S)[0]))
         loop = Loop(loop.plant, settings, None, before=loop, begin_s=at + 2.0).run(45.0)
-    t, U = np.array(loop.log.writes).T
-    low, high = valve.U_range
-    beyond = U.min() < low or U.max() > high
-    steep = np.abs(np.diff(U)) > settings.limits.slew_percent_per_s * np.diff(t) + 1e-9
-    same = np.diff(t) > 1.5  # s; led anew from the measured U
+    limits = settings.limits
+    beyond = _is_beyond(loop.log.writes, valve.U_range, limits.slew_percent_per_s)
+    load_range = limits.load_range or (-np.inf, np.inf)
+    beyond |= _is_beyond(loop.log.loads, load_range, limits.load_slew_bar_per_s)
     first = next((when for when, phase, _ in loop.log.phases if when >= at - 1e-9), np.inf)
     if kind == "pump limit":  # U turns towards the safe one
         after = [(when, u) for when, u in loop.log.writes if when >= at]
@@ -124,12 +125,22 @@ def fault(seed: int) -> dict[str, Any]:
     safe = at_U[(at_U[:, 0] >= at) & (np.abs(at_U[:, 1]) < 1.0), 0]
     return {
         "kind": kind,
-        "beyond": bool(beyond or (steep & ~same).any()),
+        "beyond": beyond,
         "reaction": first - at,
         "safe": float(safe[0] - at) if len(safe) else np.inf,
         "end": loop.state.phase,
         "kept": len(loop.log.rows) >= before,
     }
+
+
+def _is_beyond(
+    written: list[tuple[float, float]], bounds: tuple[float, float], slew: float
+) -> bool:
+    """Whether commands left their range or slew; a pause begins anew from what is measured."""
+    t, x = np.array(written).T
+    steep = np.abs(np.diff(x)) > slew * np.diff(t) + 1e-9
+    again = np.diff(t) > 1.5  # s
+    return bool(x.min() < bounds[0] or x.max() > bounds[1] or (steep & ~again).any())
 
 
 def _retreat(loop: Loop, at: float, after: list[tuple[float, float]]) -> float:
@@ -149,7 +160,7 @@ def _retreat(loop: Loop, at: float, after: list[tuple[float, float]]) -> float:
 def faults(seeds: Sequence[int]) -> None:
     """Print a line per kind of fault."""
     found = [fault(seed) for seed in seeds]
-    print(f"{len(found)} runs; U or slew beyond limits in {sum(f['beyond'] for f in found)}")
+    print(f"{len(found)} runs; U, load or slew beyond limits in {sum(f['beyond'] for f in found)}")
     for kind in KINDS:
         own = [f for f in found if f["kind"] == kind]
         if not own:
@@ -176,12 +187,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=0, help="of the maps")
     parser.add_argument("--faults", type=int, default=0, help="runs with a fault")
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
+    parser.add_argument("--only", default="", help="columns of the maps: the first letters")
     wanted = parser.parse_args(arguments)
     first = REPORT if wanted.report else 0
     if wanted.faults:
         faults(range(first, first + wanted.faults))
     if wanted.seeds:
-        maps(range(first, first + wanted.seeds))
+        maps(range(first, first + wanted.seeds), wanted.only)
     return 0
 
 

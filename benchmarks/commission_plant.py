@@ -138,9 +138,10 @@ class Happening:
 
 @dataclass
 class Log:
-    """What was written and seen: (t, U) accepted, phases by time, samples."""
+    """What was written and seen: (t, U) and (t, load) accepted, phases by time, samples."""
 
     writes: list[tuple[float, float]] = field(default_factory=list)
+    loads: list[tuple[float, float]] = field(default_factory=list)
     phases: list[tuple[float, Phase, str]] = field(default_factory=list)
     U: list[tuple[float, float]] = field(default_factory=list)
     rows: list[tuple[float, ...]] = field(default_factory=list)
@@ -235,6 +236,8 @@ class Loop:
             self.plant.write(now, command.U, command.load, command.heartbeat)
             if command.U is not None:
                 self.log.writes.append((now, command.U))
+            if command.load is not None:
+                self.log.loads.append((now, command.load))
         taken = Command() if refused else command
         self.state = written(self.state, taken, now, refused=taken != command)
 

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks import circumstances as c
 from valvemap.model.dynamics import Dynamics, fit_dynamics
 from valvemap.model.samples import Samples
-from valvemap.pipeline.valve_dynamics import ValveDynamics
+from valvemap.pipeline.dynamics_reference import DynamicsReferences
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.statuses import Status
 
@@ -131,10 +131,10 @@ def changes(seeds: range, rate: float = 100.0) -> str:
     judged = dict.fromkeys(found, 0)
     for seed in seeds:
         for slower in found:
-            valve = ValveDynamics()
+            references = DynamicsReferences()
             for again, share in ((1, 1.0), (2, slower)):
                 samples, _, _ = plant(seed, rate, limited=False, again=again, slower=share)
-                results = valve.accept(fit_dynamics(samples), 0)
+                results = references.judge(0, fit_dynamics(samples), 0)
             judged[slower] += results.status is DynamicsStatus.OK
             found[slower] += bool(results.findings)
     return (

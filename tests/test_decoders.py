@@ -39,7 +39,7 @@ NAMES = (
     *("client: positions", "state: Valvistor.RLS", "state: Valvistor.RML"),
     *("state: Valvistor.RBF", "state: Valvistor.Auto", "state: Valvistor.Diagnostics"),
     *("state: Valvistor.Signals", "state: Valvistor.Baseline", "state: Valvistor.Alarms"),
-    *("state: Valvistor.Recommended", "state: shared meters"),
+    *("state: Valvistor.Recommended", "state: shared meters", "state: Valvistor.Dynamics"),
     *("state: Service.Alarms", "state: arrivals", "file: CSV", "file: CSV.gz", "file: Parquet"),
     *("file: points", "file: users", "file: configuration", "file: certificates"),
     *("file: trusted certificates", "file: revocation lists", "wire: certificates"),

@@ -1,19 +1,10 @@
-"""Dynamics of live valves: who gathers, what is fitted when, and what counts as a change."""
-
-import math
-from dataclasses import replace
+"""Dynamics of live valves: who gathers, and what is fitted when."""
 
 import numpy as np
-import pytest
 
-from valvemap.model.dynamics import Dynamics, NotFitted, Quantity
 from valvemap.model.samples import Samples, Segments
-from valvemap.model.spool_fit import Hold
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.valve_dynamics import AT_ONCE, DynamicsInTurn, ValveDynamics
-from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus
-from valvemap.vocabulary.findings import FindingCode
-from valvemap.vocabulary.statuses import Status
+from valvemap.pipeline.valve_dynamics import AT_ONCE, DynamicsInTurn
 
 WINDOW_S = 60.0
 
@@ -25,15 +16,6 @@ def a_second(valves, k, rate=100):
     n = np.arange(len(valves)) * rate
     segments = Segments(np.array(valves, np.int64), n, n + rate)
     return ByValve(Samples.concatenate([one] * len(valves)), segments)
-
-
-def dynamics(f, std=0.1):
-    """Dynamics with this natural frequency, Hz."""
-    told = Quantity(f, std, Status.OK)
-    return Dynamics(
-        told, Quantity(0.7, 0.01, Status.OK), Quantity(), Quantity(), Quantity(),
-        Quantity(0.02, 0.001, Status.OK), 50.0, 0.1, Hold.CONSTANT, np.zeros(3), (0.0, 1.0, 1.0),
-    )  # fmt: skip
 
 
 def run(turns, valves, seconds, took_s=1.0, rate=100, begin=0):
@@ -83,34 +65,3 @@ def test_no_second_fit_begins_while_one_runs():
         turns.take(a_second([0], k), float(k + 1))
     assert turns.job(80.0) is not None
     assert turns.job(81.0) is None
-
-
-def test_half_the_frequency_is_a_finding_and_its_noise_is_not():
-    valve = ValveDynamics()
-    assert not valve.accept(dynamics(20.0), 1).findings
-    for f in np.random.default_rng(1).normal(20.0, 0.1, 500):
-        assert not valve.accept(dynamics(f), 2).findings
-    (finding,) = valve.accept(dynamics(10.0), 3).findings
-    assert finding.code is FindingCode.DYNAMICS_CHANGE
-    assert finding.probability > 0.99
-    assert "from 20 to 10 ±" in finding.sentence
-    assert not valve.accept(dynamics(20.1), 4).findings
-
-
-def test_an_uncertain_frequency_is_no_finding():
-    valve = ValveDynamics()
-    valve.accept(dynamics(20.0), 1)
-    assert not valve.accept(dynamics(12.0, std=3.0), 2).findings
-
-
-@pytest.mark.parametrize("status", [DynamicsStatus.UNEXCITED, DynamicsStatus.TOO_SLOW])
-def test_what_is_not_fitted_has_its_reason_and_no_values(status):
-    found = ValveDynamics().accept(NotFitted(status, "because"), 5)
-    assert (found.status, found.sentence, found.t) == (status, "because", 5)
-    assert all(math.isnan(one.value) for one in found.quantities)
-
-
-def test_a_frequency_that_is_not_told_is_not_ok():
-    found = ValveDynamics().accept(replace(dynamics(20.0), natural_frequency=Quantity()), 1)
-    assert found.status is DynamicsStatus.UNEXCITED
-    assert len(found.quantities) == len(DYNAMIC_QUANTITIES)

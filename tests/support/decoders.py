@@ -64,6 +64,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import WATCH, Axis, AxisPlan
 from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.pipeline.dynamics_reference import DynamicsReference
 from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kept_watches import pack_watch
@@ -196,6 +197,7 @@ def _of_states():
         "Baseline": keeper._take_baseline,
         "Alarms": keeper._take_alarms,
         "Recommended": keeper._take_places,
+        "Dynamics": keeper._take_dynamics,
     }
     found = {}
     for kept in learnt.states.kept():
@@ -607,6 +609,9 @@ def _learnt(samples=300):
     learnt.take_samples(0, plant(samples))
     learnt.maps.refresh()
     learnt.do(ports.Command.of("approve", VALVE))
+    learnt._references.of[0] = DynamicsReference(
+        np.array(20.0), np.array(0.1), np.array(9, np.int64)
+    )
     learnt._alarms.of_service.note(0, {ServiceAlarm.CHECKPOINT: 1e9})
     return learnt
 

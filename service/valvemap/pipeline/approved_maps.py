@@ -9,6 +9,7 @@ from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.baseline import Baseline, Difference, difference
+from valvemap.pipeline.dynamics_reference import DynamicsReferences
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.valve_state import Lane
 from valvemap.vocabulary.statuses import Status
@@ -23,6 +24,8 @@ class ApprovedMaps:
         The valves.
     commands
         Resets a valve's estimators.
+    references
+        Of the valves' dynamics: those of a new valve, too.
 
     Attributes
     ----------
@@ -32,15 +35,20 @@ class ApprovedMaps:
         Number of approvals of each valve, (V,).
     """
 
-    def __init__(self, valves: AllValves, commands: EstimatorCommands) -> None:
+    def __init__(
+        self, valves: AllValves, commands: EstimatorCommands, references: DynamicsReferences
+    ) -> None:
         self._valves = valves
         self._commands = commands
+        self._references = references
         self.baselines: dict[int, Baseline] = {}
         self.counts = np.zeros(len(valves.plans), np.int64)
         self._unpacked: tuple[tuple[str, str, str], Lane] | None = None  # of the last question
 
     def approve(self, valve: str) -> None:
         """Store the estimators' states as the valve's baseline, the map when new.
+
+        The next fit of its dynamics is their reference.
 
         Raises
         ------
@@ -56,6 +64,7 @@ class ApprovedMaps:
         self.counts[number] += 1
         keys, count = self._valves.estimator_keys(number), int(self.counts[number])
         self.baselines[number] = Baseline.of(count, state.t, state.lanes, keys)
+        self._references.forget(number)
 
     def roll_back(self, valve: str) -> None:
         """Restore every estimator's state of the baseline.
@@ -84,6 +93,7 @@ class ApprovedMaps:
         for name in self._valves.plans[number].estimators:
             self._commands.reset(valve, name)
         self.baselines.pop(number, None)
+        self._references.forget(number)
 
     def compare(self, valve: str, estimator: str) -> Difference:
         """Return the difference of an estimator's map from the baseline's.

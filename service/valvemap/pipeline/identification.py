@@ -25,6 +25,7 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
 from valvemap.pipeline.call_journal import Call, CallJournal, changes_state
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.dynamics_reference import DynamicsReferences, Outcome
 from valvemap.pipeline.dynamics_results import DynamicsResults
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_columns import KeptColumns
@@ -123,7 +124,8 @@ class Identification:
         self._intake = self.plausibility = intake = SampleIntake(valves, arrivals)
         self.maps = maps = MapsAndSurveys(valves, intake)
         self._commands = self.answers = commands = EstimatorCommands(valves)
-        self._approved = approved = ApprovedMaps(valves, self._commands)
+        self._references = references = DynamicsReferences()
+        self._approved = approved = ApprovedMaps(valves, self._commands, references)
         self._alarms = alarms = AllAlarms(valves, service_alarms)
         self._armed = self.armed = armed = ArmedValves(valves)
         self._lines = lines = LineInverse(valves, intake)
@@ -131,7 +133,7 @@ class Identification:
             valves, arrivals, intake, maps, approved, armed, commands, lines
         )
         self._kept = self.states = KeptStates(
-            valves, arrivals, approved, alarms, maps, intake.splitter, intake.meters
+            valves, arrivals, approved, alarms, maps, intake.splitter, intake.meters, references
         )
         self.stamping, self.failures = arrivals.timing, valves.failures
         self._columns = self.kept_columns = KeptColumns(valves, intake, approved)
@@ -216,6 +218,11 @@ class Identification:
     def note_dynamics(self, valve: int, found: DynamicsResults) -> None:
         """Note the dynamics of one valve; its results show them from now on."""
         self._results.note_dynamics(valve, found)
+
+    @changes_state
+    def judge_dynamics(self, valve: int, outcome: Outcome, t: int) -> None:
+        """Compare a fit of samples up to ``t`` (UTC ns) with the valve's reference, and note it."""
+        self._results.note_dynamics(valve, self._references.judge(valve, outcome, t))
 
     def timing(self, valve: int) -> tuple[str, ...]:
         """Describe how each of a valve's signals is stamped."""

@@ -4,13 +4,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from valvemap.model.estimator import StateMismatchError, key_of
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import dynamics_reference, valve_state
 from valvemap.pipeline.alignment import AlignmentSettings, optional_in_keys
 from valvemap.pipeline.all_alarms import OF_SERVICE, AllAlarms
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline
+from valvemap.pipeline.dynamics_reference import DynamicsReferences
 from valvemap.pipeline.edges import Splitter
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.meters import Meters
@@ -18,6 +19,7 @@ from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.provenance import (
     ALARMS,
     BASELINE,
+    DYNAMICS,
     EDGE,
     MEMORY,
     METER,
@@ -46,6 +48,8 @@ class KeptStates:
         Recomputed after a restore.
     splitter, meters
         What is kept of the edges of valves with ports, and of valves behind a shared meter.
+    references
+        What the valves' dynamics are compared with.
     """
 
     def __init__(
@@ -57,6 +61,7 @@ class KeptStates:
         maps: MapsAndSurveys,
         splitter: Splitter,
         meters: Meters,
+        references: DynamicsReferences,
     ) -> None:
         self._valves = valves
         self._arrivals = arrivals
@@ -64,6 +69,8 @@ class KeptStates:
         self._alarms = alarms
         self._maps = maps
         self._splitter, self._meters = splitter, meters
+    references
+        What the valves' dynamics are compared with.
         self._memory_keys: dict[
             tuple[int, bool | tuple[str, ...], bool], str
         ] = {}  # by fleet, `_has`
@@ -114,6 +121,7 @@ class KeptStates:
             PLACES: self._take_places,
             EDGE: self._take_edge,
             METER: self._take_meter,
+            DYNAMICS: self._take_dynamics,
         }
         known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator in (MEMORY, PLACES)):
@@ -177,6 +185,10 @@ class KeptStates:
         meter = self._meters.to_bytes(valve, key)
         if meter is not None:
             found.append(_beside(name, METER, meter, state.t, key))
+        reference = self._references.of.get(valve)
+        if reference is not None:
+            packed = reference.to_bytes(dynamics_reference.KEY)
+            found.append(_beside(name, DYNAMICS, packed, int(reference.t)))
         return [replace(one, meaning=self._meanings[valve]) for one in found]
 
     def _of_service(self) -> list[Checkpoint]:
@@ -246,6 +258,9 @@ class KeptStates:
     def _take_meter(self, kept: Checkpoint) -> None:
         number = self._number(kept)
         self._meters.from_bytes(number, kept.state, self._memory_key(number))
+
+    def _take_dynamics(self, kept: Checkpoint) -> None:
+        self._references.from_bytes(self._number(kept), kept.state)
 
     def _take_places(self, kept: Checkpoint) -> None:
         fleet, m = self._valves.at(self._number(kept))

@@ -37,7 +37,8 @@ ALARMS: Final = "Alarms"  # the state of its alarms; likewise
 PLACES: Final = "Recommended"  # the errors of its estimators' maps at places; likewise
 EDGE: Final = "Edge"  # what waits of an edge of a valve with ports; likewise
 METER: Final = "Meter"  # what is kept of a valve behind a shared meter; likewise
-BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES, EDGE, METER)
+DYNAMICS: Final = "Dynamics"  # what its dynamics are compared with; likewise
+BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES, EDGE, METER, DYNAMICS)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,10 @@
-"""Dynamics of valves while they work: whose samples are gathered, what the fits found. Pure.
+"""Dynamics of valves while they work: whose samples are gathered, which fit is due. Pure.
 
 A fit takes seconds, and wants a minute of samples at 100 Hz. Few valves gather at once, in turn, so
 that neither memory nor processor time depend on the number of valves. The caller runs each fit
 beside everything else and accepts its outcome.
 """
 
-import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,61 +13,16 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.dynamics import LEAST_HZ, Dynamics, NotFitted, Quantity, fit_dynamics
+from valvemap.model.dynamics import LEAST_HZ, fit_dynamics
 from valvemap.model.samples import Samples
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.dynamics_results import DynamicsResults
-from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus
-from valvemap.vocabulary.findings import Finding, FindingCode
-from valvemap.vocabulary.statuses import Status
+from valvemap.pipeline.dynamics_reference import Outcome
 
 MOST_SAMPLES: Final = 60_000  # of a window, if samples come very quickly
 AT_ONCE: Final = 8  # valves that gather samples: 2 MB each at 1 kHz
 RATE_S: Final = 5.0  # s over which samples are counted
-CHANGED: Final = 0.2  # relative change that matters, beyond its uncertainty
-SURE: Final = 4.0  # standard deviations
 
-Outcome = Dynamics | NotFitted
 Job = Callable[[], Outcome]
-
-
-class ValveDynamics:
-    """The results of one valve's fits, compared with the first good one.
-
-    Examples
-    --------
-    >>> ValveDynamics().accept(fit_dynamics(Samples.empty()), 0).status.label
-    'waiting'
-    """
-
-    def __init__(self) -> None:
-        self._first: Dynamics | None = None
-
-    def accept(self, outcome: Outcome, t: int) -> DynamicsResults:
-        """Return the results after a fit of samples up to ``t``, UTC ns."""
-        if isinstance(outcome, NotFitted):
-            return DynamicsResults(outcome.status, outcome.sentence, t)
-        quantities = tuple(getattr(outcome, q.field) for q in DYNAMIC_QUANTITIES)
-        f = outcome.natural_frequency
-        if f.status is not Status.OK:
-            status = DynamicsStatus.UNEXCITED
-            return DynamicsResults(status, status.sentence, t, quantities)
-        if self._first is None:
-            self._first = outcome
-        before = self._first.natural_frequency
-        moved = math.log(f.value / before.value)
-        spread = math.hypot(f.std / f.value, before.std / before.value)
-        sentence = _in_words(outcome)
-        if abs(moved) < CHANGED + SURE * spread:
-            return DynamicsResults(DynamicsStatus.OK, sentence, t, quantities)
-        cause = "a sticky spool or a low" if moved < 0.0 else "a higher"
-        why = (
-            f"The spool's natural frequency went from {before.value:.3g} to {f.value:.3g} ± "
-            f"{1.96 * f.std:.2g} Hz: {cause} pilot pressure may be the cause."
-        )
-        sure = math.erf((abs(moved) - CHANGED) / max(spread, 1e-9) / math.sqrt(2.0))
-        finding = Finding(FindingCode.DYNAMICS_CHANGE, sure, why)
-        return DynamicsResults(DynamicsStatus.OK, sentence, t, quantities, (finding,))
 
 
 class DynamicsInTurn:
@@ -174,16 +128,3 @@ class _Window:
         if len(self._batches) <= first:
             return 0.0
         return 1e-9 * float(self._batches[-1].t[-1] - self._batches[first].t[0])
-
-
-def _in_words(found: Dynamics) -> str:
-    parts = []
-    for quantity in DYNAMIC_QUANTITIES:
-        one: Quantity = getattr(found, quantity.field)
-        if one.status is Status.OK:
-            unit, factor = quantity.in_words
-            shown = f"{factor * one.value:.3g} ± {1.96 * factor * one.std:.1g}"
-            parts.append(f"{quantity.name} {shown}{'' if unit == '1' else f' {unit}'}")
-        else:
-            parts.append(f"{quantity.name} not excited")
-    return f"{', '.join(parts)}; residual {found.noise:.2g} l/min."

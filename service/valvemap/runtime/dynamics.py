@@ -8,7 +8,7 @@ from valvemap.clock import Clock
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.dynamics_results import NOTHING_YET, DynamicsResults
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.valve_dynamics import DynamicsInTurn, Job, ValveDynamics
+from valvemap.pipeline.valve_dynamics import DynamicsInTurn, Job
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.vocabulary.dynamics import DynamicsStatus
 
@@ -32,7 +32,6 @@ class LiveDynamics:
         valves = len(identification.plans)
         self._identification, self._clock = identification, clock
         self._turns = DynamicsInTurn(valves, share, window_s, clock.monotonic())
-        self._valves = [ValveDynamics() for _ in range(valves)]
         self._fit: asyncio.Task[None] | None = None
         for valve in range(valves):
             self._identification.note_dynamics(valve, NOTHING_YET)
@@ -60,9 +59,7 @@ class LiveDynamics:
     async def _work(self, valve: int, t: int, job: Job) -> None:
         began = self._clock.monotonic()
         try:
-            self._identification.note_dynamics(
-                valve, self._valves[valve].accept(await in_daemon_thread(job), t)
-            )
+            self._identification.judge_dynamics(valve, await in_daemon_thread(job), t)
         except Exception as error:
             status = DynamicsStatus.FAILED
             why = f"{status.sentence} ({type(error).__name__}: {error})"
