@@ -143,6 +143,21 @@ def changes(seeds: range, rate: float = 100.0) -> str:
     )
 
 
+def healthy(hours: int, first: int) -> str:
+    """Return how many minutes of healthy valves have a finding: another valve each hour."""
+    found = judged = 0
+    for seed in range(first, first + hours):
+        references = DynamicsReferences()
+        for minute in range(1, 61):
+            samples, _, _ = plant(seed, 100.0, limited=bool(seed % 2), again=minute)
+            results = references.judge(0, fit_dynamics(samples), 0)
+            judged += results.status is DynamicsStatus.OK
+            found += bool(results.findings)
+            if minute % 10 == 0:
+                print(f"hour {seed - first + 1}, minute {minute}: {found} in {judged}", flush=True)
+    return f"{hours} healthy hours at 100 Hz: {found} findings in {judged} good fits"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -150,8 +165,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
     parser.add_argument("--each", action="store_true", help="print every seed")
     parser.add_argument("--changes", action="store_true", help="how often a change is found")
+    parser.add_argument("--hours", type=int, default=0, help="hours of healthy valves")
     wanted = parser.parse_args(arguments)
     first = REPORT if wanted.report else 0
+    if wanted.hours:
+        print(healthy(wanted.hours, first))
+        return 0
     if wanted.changes:
         print(changes(range(first, first + wanted.seeds)))
         return 0

@@ -1,4 +1,4 @@
-"""Sheets of known valves: ``python -m benchmarks.sheet [--seeds N] [--report]``.
+"""Sheets of known valves: ``python -m benchmarks.sheet [--seeds N] [--report] [--valve NAME]``.
 
 *Guided*: 60 s, triangles of U of 24 s, of the load of 9.2 s. *Classic*: 120 s at constant Δp,
 triangles of 60 s; both are read by `make_sheet`. For each figure: its spread over seeds (standard
@@ -76,12 +76,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.sheet")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--report", action="store_true")
+    parser.add_argument("--valve", default="", help="valves whose names begin so")
     chosen = parser.parse_args()
     first = REPORT if chosen.report else 0
     spread: dict[tuple[str, bool], list[float]] = defaultdict(list)
     errors: dict[tuple[str, bool], list[float]] = defaultdict(list)
     held: dict[tuple[str, bool], list[bool]] = defaultdict(list)
-    for valve in VALVES.values():
+    for valve in (one for name, one in VALVES.items() if name.startswith(chosen.valve)):
         truth = truth_of(valve)
         for classic in (False, True):
             found: dict[tuple[str, str], list[float]] = defaultdict(list)

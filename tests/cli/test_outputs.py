@@ -33,6 +33,7 @@ READ_OF = {
         ("dynamics", "recording"),
         ("sheet", "datasheet"),
         ("sheet", "against"),
+        ("sheet", "steps"),
     ),
 }
 AXIS = "axis r.csv --piston 63 --rod 45 --stroke 800 --dead 0.6"

@@ -7,7 +7,12 @@ import pytest
 
 from benchmarks.commission_plant import VALVES
 from benchmarks.sheet import swept
+from cli.test_dynamics import recorded
+from valvemap.app.build import build_identification
 from valvemap.cli import run
+from valvemap.config.loading import load_config
+from valvemap.pipeline.ports import Command
+from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.recordings import RecordingWriter
 
 DATASHEET = """
@@ -18,6 +23,14 @@ min = 95
 max = 115
 [figures.hysteresis]
 max = 1.5
+"""
+
+
+CONFIG = """
+[state]
+file = "state.sqlite"
+[[valves]]
+name = "V1"
 """
 
 
@@ -64,7 +77,39 @@ def test_the_sheet_stands_beside_a_saved_map(capsys):
     assert "Curve less one.model.json (Auto): " in capsys.readouterr().out
 
 
+def test_recorded_steps_add_dynamics_step_response_and_bode_plot(folder, capsys):
+    recorded(folder / "steps.csv", 40.0)
+    outputs = ["--out", "with.html", "--json", "with.json"]
+    assert run(["sheet", "V1", "--from", "one.csv", "--dynamics", "steps.csv", *outputs]) == 0
+    assert "NaturalFrequency" in capsys.readouterr().out
+    dynamics = json.loads((folder / "with.json").read_text(encoding="utf-8"))["dynamics"]
+    assert dynamics["quantities"]["NaturalFrequency"]["value"] == pytest.approx(8.0, rel=0.03)
+    assert dynamics["frequency_response"]["dB"][-1] < -20.0
+    assert len(dynamics["step_response"]["t"]) > 100
+    page = (folder / "with.html").read_text(encoding="utf-8")
+    assert "Dynamics from steps.csv" in page
+    assert page.count("<svg") == 2
+    assert "phase" in page
+
+
+def test_the_sheet_stands_beside_the_approved_map_of_the_service(folder, capsys):
+    (folder / "v.toml").write_text(CONFIG, encoding="utf-8")
+    identification = build_identification(load_config(folder / "v.toml"))
+    quick = swept(VALVES["dead band 8 %, play 2 %"], 5, period_s=4.0)
+    identification.take_samples(0, quick)
+    identification.do(Command.of("approve", "V1"))
+    with CheckpointFile(folder / "state.sqlite") as store:
+        store.save(identification.states.kept())
+    asked = ["sheet", "V1", "--from", "one.csv", "--config", "v.toml", "--approved"]
+    assert run(asked) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "Curve less the approved map 1-" in shown
+    mean = float(re.search(r"\(Auto\): ([+-][\d.e-]+) l/min in the mean", shown)[1])
+    assert abs(mean) < 1.0
+
+
 WRONG = {
+    "no service": (["--from", "one.csv", "--approved"], 2, "--approved: --config is needed"),
     "no run": ([], 2, "V1': data/commission holds no run of it; name a recording with --from"),
     "both ways": (["--from", "both.csv"], 2, "say --both-ways if the valve works both ways"),
     "no valve": (["--from", "one.csv", "V2"], 2, "one.csv has no such valve; there is V1"),

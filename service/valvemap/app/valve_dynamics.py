@@ -4,6 +4,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from valvemap.app.valve_samples import samples_of
 from valvemap.errors import RecordingError
 from valvemap.model.dynamics import Dynamics, NotFitted, Quantity, fit_dynamics
@@ -29,6 +31,8 @@ def dynamics_of(valve: str, file: Path, layout: Layout | None) -> Dynamics:
 def as_json(valve: str, file: Path, found: Dynamics) -> dict[str, Any]:
     """Return what ``--json`` writes; null where there is no value."""
     t, x = found.step_response()
+    f = np.geomspace(0.05, 5.0, 100) * found.natural_frequency.value
+    dB, degrees = found.frequency_response(f)
     return {
         "valve": valve,
         "recording": file.name,
@@ -40,6 +44,9 @@ def as_json(valve: str, file: Path, found: Dynamics) -> dict[str, Any]:
         "U_between_samples": found.hold.value,
         "residual_std": found.noise,
         "step_response": None if math.isnan(x[-1]) else {"t": t.tolist(), "x": x.tolist()},
+        "frequency_response": None
+        if math.isnan(dB[-1])
+        else {"f": f.tolist(), "dB": dB.tolist(), "degrees": degrees.tolist()},
     }
 
 

@@ -1,32 +1,45 @@
 """A valve's sheet from its recording, judged by a datasheet, compared with an approved map."""
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from valvemap.app.models import open_model
+from valvemap.app.valve_dynamics import as_json as dynamics_as_json
+from valvemap.app.valve_dynamics import dynamics_of
 from valvemap.app.valve_samples import samples_of
 from valvemap.config.datasheet import Datasheet
 from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.model.dynamics import Dynamics
 from valvemap.model.judged_sheet import Apart, Line, Verdict, compare, judge
+from valvemap.model.samples import Floats
 from valvemap.model.sheet import Figure, Sheet, SheetError, make_sheet
 from valvemap.storage.layout import Layout
 
 _NOISE_PERCENT: Final = 1.0  # of a signal at 0
 
 
+class Other(NamedTuple):
+    """Another map: its name, and its flow at U (N,) and one Δp."""
+
+    name: str
+    predict: Callable[[Floats, float], Floats]
+
+
 @dataclass(frozen=True)
 class JudgedSheet:
-    """A sheet, its comparison with a datasheet, and with another map."""
+    """A sheet, its comparison with a datasheet and another map, and the recorded dynamics."""
 
     valve: str
     file: Path
     sheet: Sheet
     lines: tuple[Line, ...]
     apart: Apart | None
+    dynamics: tuple[Path, Dynamics] | None = None
 
     @property
     def fails(self) -> bool:
@@ -41,7 +54,8 @@ def sheet_of(
     datasheet: Datasheet,
     dp_rated: float,
     U_range: tuple[float, float] | None,
-    against: Path | None = None,
+    against: Other | None = None,
+    steps: Path | None = None,
 ) -> JudgedSheet:
     """Make the sheet of a valve from a recording.
 
@@ -50,7 +64,9 @@ def sheet_of(
     U_range
         Rated signal, %; None: 0 to 100 if U never is below 0, else the user is asked.
     against
-        A saved model, with whose map the curve is compared.
+        Another map, with which the curve is compared.
+    steps
+        A recording that tells the dynamics; None: the sheet is without them.
 
     Raises
     ------
@@ -74,12 +90,22 @@ def sheet_of(
     lines = tuple(_line(figure, datasheet) for figure in sheet.figures)
     apart = None
     if against is not None:
-        model = open_model(against, valve=valve)
-        name = f"{against.name} ({model.name})"
-        apart = compare(sheet, name, model.predict(sheet.fit.x, dp_rated))
+        apart = compare(sheet, against.name, against.predict(sheet.fit.x, dp_rated))
         if apart is None:
-            raise ConfigurationError(f"{against}: its map knows no flow at {dp_rated:g} bar")
-    return JudgedSheet(valve, file, sheet, lines, apart)
+            raise ConfigurationError(f"{against.name} knows no flow at {dp_rated:g} bar")
+    dynamics = None if steps is None else (steps, dynamics_of(valve, steps, layout))
+    return JudgedSheet(valve, file, sheet, lines, apart, dynamics)
+
+
+def saved_map(file: Path, valve: str) -> Other:
+    """Return a saved model as a map to compare with.
+
+    Raises
+    ------
+    ConfigurationError, StorageError
+    """
+    model = open_model(file, valve=valve)
+    return Other(f"{file.name} ({model.name})", model.predict)
 
 
 def _line(figure: Figure, datasheet: Datasheet) -> Line:
@@ -122,6 +148,9 @@ def as_json(judged: JudgedSheet) -> dict[str, Any]:
             "largest": apart.largest,
             "at_U": apart.at_U,
         },
+        "dynamics": None
+        if judged.dynamics is None
+        else dynamics_as_json(judged.valve, *judged.dynamics),
     }
     return {key: _finite(value) for key, value in found.items()}
 

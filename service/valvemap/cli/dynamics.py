@@ -51,7 +51,7 @@ def dynamics(
         layout = build_layout(load_config(config))
     with working(f"{recording.name}: fitting spool and meter"):
         found = dynamics_of(valve, recording, layout)
-    _show(valve, found)
+    show_dynamics(f"{valve}: spool and flow meter", found)
     if json_file is not None:
         from valvemap.app.valve_dynamics import as_json
         from valvemap.cli.replay import write_json
@@ -65,10 +65,11 @@ def dynamics(
         write_line(f"written: {out}")
 
 
-def _show(valve: str, found: "Dynamics") -> None:
+def show_dynamics(title: str, found: "Dynamics") -> None:
+    """Print quantities and notes."""
     from valvemap.report.dynamics_words import HEADINGS, notes_of, rows_of
 
-    table = Table(title=f"{valve}: spool and flow meter", title_justify="left")
+    table = Table(title=title, title_justify="left")
     for heading in HEADINGS:
         table.add_column(heading, justify="right" if heading == "value" else "left")
     for row in rows_of(found):

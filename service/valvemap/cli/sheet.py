@@ -12,7 +12,7 @@ from valvemap.cli.progress import working
 from valvemap.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from valvemap.app.valve_sheet import JudgedSheet
+    from valvemap.app.valve_sheet import JudgedSheet, Other
     from valvemap.storage.layout import Layout
 
 _RATED_BAR: Final = 70.0  # 35 bar for each edge
@@ -43,6 +43,14 @@ def sheet(
         Path | None,
         typer.Option(metavar="MODEL.json", help="A saved map to compare the curve with."),
     ] = None,
+    steps: Annotated[
+        Path | None,
+        typer.Option(
+            "--dynamics",
+            metavar="FILE",
+            help="Recording of steps at 100 Hz or more: adds dynamics, step response, Bode plot.",
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.html", help="Write the sheet as a page.", callback=new_file),
@@ -53,6 +61,12 @@ def sheet(
     ] = None,
     data: FolderOption = Path("data"),
     *,
+    approved: Annotated[
+        bool,
+        typer.Option(
+            "--approved", help="Compare the curve with the approved map of the service of --config."
+        ),
+    ] = False,
     both_ways: Annotated[
         bool | None,
         typer.Option(
@@ -62,7 +76,7 @@ def sheet(
     force: ForceOption = False,
 ) -> None:
     """Print a valve's sheet: rated flow, dead band, hysteresis and more, with intervals."""
-    from valvemap.app.valve_sheet import sheet_of
+    from valvemap.app.valve_sheet import saved_map, sheet_of
     from valvemap.cli.replay import write_json
     from valvemap.config.datasheet import Datasheet, read_datasheet
 
@@ -71,9 +85,14 @@ def sheet(
     layout, U_range = _configured(config, valve)
     if both_ways is not None:
         U_range = (-100.0 if both_ways else 0.0), 100.0
+    other = None if against is None else saved_map(against, valve)
+    if approved:
+        if against is not None:
+            raise ConfigurationError("--approved: not with --against; the sheet has one comparison")
+        other = _approved(config, valve)
     rated = dp or expected.rated_dp_bar or _RATED_BAR
     with working(f"{file.name}: fitting the curve"):
-        judged = sheet_of(valve, file, layout, expected, rated, U_range, against)
+        judged = sheet_of(valve, file, layout, expected, rated, U_range, other, steps)
     _show(judged)
     if json_file is not None:
         from valvemap.app.valve_sheet import as_json
@@ -84,7 +103,9 @@ def sheet(
         from valvemap.report.sheet_page import write_sheet  # matplotlib is an extra
 
         title = f"{valve}: sheet from {file.name}"
-        write_sheet(out, title, judged.sheet, judged.lines, judged.apart)
+        found = judged.dynamics
+        dynamics = None if found is None else (found[0].name, found[1])
+        write_sheet(out, title, judged.sheet, judged.lines, judged.apart, dynamics)
         write_line(f"written: {out}")
     if judged.fails:
         raise typer.Exit(1)
@@ -100,6 +121,18 @@ def _last_commission(data: Path, valve: str) -> Path:
             "name a recording with --from, or run `valvemap commission`"
         )
     return found
+
+
+def _approved(config: Path | None, valve: str) -> "Other":
+    """Return the approved map of the configured service."""
+    if config is None:
+        raise ConfigurationError("--approved: --config is needed, too; it names the service")
+    from valvemap.app.approved_map import approved_map
+    from valvemap.app.valve_sheet import Other
+    from valvemap.config.loading import load_config
+
+    found = approved_map(load_config(config), valve)
+    return Other(found.name, found.predict)
 
 
 def _configured(
@@ -132,3 +165,8 @@ def _show(judged: "JudgedSheet") -> None:
         write_line(f"Not a test: {sheet.not_a_test}.")
     for note in notes_of(sheet, judged.apart):
         write_line(note)
+    if judged.dynamics is not None:
+        from valvemap.cli.dynamics import show_dynamics
+
+        file, found = judged.dynamics
+        show_dynamics(f"{judged.valve}: dynamics from {file.name}", found)

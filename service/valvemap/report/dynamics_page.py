@@ -21,16 +21,19 @@ def write_dynamics(file: Path, title: str, found: Dynamics) -> None:
     StorageError
         naming the file.
     """
+    write_page(file, escape(title), dynamics_part(found))
+
+
+def dynamics_part(found: Dynamics) -> str:
+    """Return table, step response, Bode plot and notes as HTML."""
     rows = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in rows_of(found))
     head = "".join(f"<th>{heading}</th>" for heading in HEADINGS)
     body = "\n".join(f"<tr>{row}</tr>" for row in rows)
     notes = "\n".join(f"<li>{escape(note)}</li>" for note in notes_of(found))
     picture = _picture(found) if found.T90.status is Status.OK else ""
-    write_page(
-        file,
-        escape(title),
+    return (
         f"<table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table>\n"
-        f"{picture}\n<ul>\n{notes}\n</ul>",
+        f"{picture}\n<ul>\n{notes}\n</ul>"
     )
 
 

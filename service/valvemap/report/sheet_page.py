@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
+from valvemap.model.dynamics import Dynamics
 from valvemap.model.judged_sheet import Apart, Line
 from valvemap.model.sheet import Sheet
+from valvemap.report.dynamics_page import dynamics_part
 from valvemap.report.plots import COLOURS
 from valvemap.report.sheet_words import HEADINGS, cells, notes_of
 from valvemap.report.standalone_page import as_svg, write_page
@@ -22,7 +24,12 @@ td:last-child { color: #4d5963; font-size: .85rem; max-width: 26rem }
 
 
 def write_sheet(
-    file: Path, title: str, sheet: Sheet, lines: Sequence[Line], apart: Apart | None
+    file: Path,
+    title: str,
+    sheet: Sheet,
+    lines: Sequence[Line],
+    apart: Apart | None,
+    dynamics: tuple[str, Dynamics] | None = None,
 ) -> None:
     """Write the page.
 
@@ -34,6 +41,8 @@ def write_sheet(
         The figures, with datasheet and verdicts.
     apart
         Another map, drawn beside the curve; None without one.
+    dynamics
+        The recording they come from, and the dynamics; None: they were not measured.
 
     Raises
     ------
@@ -48,6 +57,9 @@ def write_sheet(
         f'<p class="what">{what}</p>\n<table><thead><tr>{head}</tr></thead><tbody>\n{rows}\n'
         f"</tbody></table>\n{_picture(sheet, apart)}\n<ul>\n{notes}\n</ul>"
     )
+    if dynamics is not None:
+        source, found = dynamics
+        body += f"\n<h2>Dynamics from {escape(source)}</h2>\n{dynamics_part(found)}"
     write_page(file, escape(title), body, _STYLE)
 
 
