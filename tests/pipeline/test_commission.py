@@ -183,6 +183,17 @@ def test_refused_commands_end_the_run():
     assert course.state.reason in {Reason.NOT_TAKEN, Reason.NOT_FOLLOWED}
 
 
+def test_commands_refused_for_a_moment_do_not_end_the_run():
+    course = Course()
+    course.steps(2.0)
+    for _ in range(11):
+        course.now += STEP_S
+        course.state, command = step(SETTINGS, course.state, course.seen, course.now)
+        refused = command != Command()
+        course.state = written(course.state, Command(), course.now, refused=refused)
+    assert course.steps(1.0).phase is Phase.SWEEPING
+
+
 def test_the_triangles_of_u_and_load_have_periods_without_a_common_multiple():
     plan, limits = Plan(4.0), Limits(load_range=(10.0, 190.0))
     points = np.array([vars(sweep(plan, limits, t))["load"] for t in np.arange(0.0, 40.0, 4.0)])

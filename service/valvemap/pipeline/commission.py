@@ -72,7 +72,7 @@ def step(
     passed = min(max(now - state.stepped, 0.0), MOST_STEP_S)
     state = noted(settings, replace(state, stepped=now), seen, now)
     if has_stalled(settings, state, now):
-        state = lost(state, now, Reason.STALLED)
+        state = replace(lost(state, now, Reason.STALLED), refused_since=math.inf)
     if state.phase is Phase.CHECKING:
         return _checked(settings, state, seen, now)
     reason = ending(settings, state, seen, now)
