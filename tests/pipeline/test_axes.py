@@ -120,7 +120,7 @@ def test_lines_meet_however_they_are_cut_and_bad_samples_are_left_out(samples):
         one.take_line(0, line_A[start:end])
     for start, end in ((0, 250), (250, 260), (270, 600)):  # ten never come
         one.take_line(1, line_B[start:end])
-    whole = one.window()
+    whole = one._window.whole()
     assert len(whole) == 590
     assert np.isnan(whole.pA[200:210]).all()
     good = np.delete(np.arange(600), np.r_[200:210, 260:270])
@@ -136,14 +136,6 @@ def test_samples_of_one_line_alone_do_not_pile_up(samples):
         one.take_line(0, line_A[start : start + 1_000])
     assert len(one._unmet[0][0]) == axes.MOST_WAITING
     assert one.job() is None
-
-
-def test_the_window_is_bounded(samples, monkeypatch):
-    monkeypatch.setattr(axes, "WINDOW_S", 20.0)
-    one = Axis(PLAN)
-    for start in range(0, 12_000, 100):
-        one.take(samples[start : start + 100])
-    assert len(one.window()) <= 2_100
 
 
 def at_rest(samples, seconds):

@@ -31,6 +31,7 @@ from valvemap.model.estimator import key_of
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
 from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.pipeline.axis_window import AxisWindow
 from valvemap.pipeline.edges import MOST_WAITING, paired
 from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
@@ -95,7 +96,7 @@ class Axis:
         self.plan = plan
         self._unmet: list[tuple[Times, Floats]] = [(_NO_TIME, np.empty((5, 0)))] * 2
         self._rest = Rest.initial()
-        self._window: list[tuple[float, AxisSamples]] = []  # s of movement, and its samples
+        self._window = AxisWindow(WINDOW_S, MOST_SAMPLES)
         self._since: list[AxisSamples] | None = None  # while a search runs
         self._works = False
         self._searches = self._refusals = 0
@@ -142,8 +143,7 @@ class Axis:
             return
         passed_s = float(np.clip(steps_s, 0.0, _LONGEST_STEP_S)[moves].sum())
         samples = samples[moves]
-        self._window.append((passed_s, samples))
-        self._trim()
+        self._window.append(passed_s, samples)
         self._to_search_s -= passed_s
         if self._since is not None:
             self._since.append(samples)
@@ -152,14 +152,6 @@ class Axis:
             self._to_refit_s -= passed_s
         if self._watch is not None:
             self._watch = self._watch.after(samples)
-
-    def _trim(self) -> None:
-        """Drop what is older than the window, batch by batch."""
-        length_s = sum(passed_s for passed_s, _ in self._window)
-        n = sum(len(samples) for _, samples in self._window)
-        while len(self._window) > 1 and (length_s > WINDOW_S or n > MOST_SAMPLES):
-            passed_s, oldest = self._window.pop(0)
-            length_s, n = length_s - passed_s, n - len(oldest)
 
     def job(self) -> Job | None:
         """Return the work that is due, for another thread; None: there is none, or one is done.
@@ -170,7 +162,7 @@ class Axis:
             return None
         if self._to_search_s <= 0.0 and self._window:
             self._works, self._since = True, []
-            plan, window = self.plan, self.window()
+            plan, window = self.plan, self._window.whole()
             return partial(identify, window, plan.geometry, memory_s=plan.memory_s)
         if self._to_refit_s <= 0.0 and self._state is not None:
             self._works, self._to_refit_s = True, REFIT_S
@@ -179,15 +171,6 @@ class Axis:
             self._works = True
             return partial(_weighed, self._watch)
         return None
-
-    def window(self) -> AxisSamples:
-        """Return the newest samples with movement, which the next search is over."""
-        batches = [samples for _, samples in self._window]
-        names = [name for name in vars(batches[0]) if name != "t"]
-        return AxisSamples.of(
-            np.concatenate([batch.t for batch in batches]),
-            **{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names},
-        )
 
     def accept(self, outcome: Outcome) -> None:
         """Apply the outcome of a job; a refusal changes no map that there is."""
