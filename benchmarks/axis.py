@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from valvemap.model.axis import AxisFit, AxisGeometry, AxisSamples, edge_regressors
+from valvemap.model.axis import AxisGeometry, AxisSamples
+from valvemap.model.axis_basis import edge_regressors
+from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_search import AxisResult, identify
 from valvemap.vocabulary.edges import EDGES
 from valvemap_rig.directional import OPENS, DirectionalValve, EdgeCurve, true_edge_flow

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from valvemap.model import axis_search
-from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, fit, leakage_share
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
+from valvemap.model.axis_basis import leakage_share
+from valvemap.model.axis_fit import fit
 from valvemap.model.axis_search import fitted, identify
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from valvemap.model.axis import SIZE, AxisGeometry, AxisRegression, AxisSamples, with_theta
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
+from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import (
     CAUSES,
     Condition,
@@ -14,6 +15,7 @@ from valvemap.model.axis_condition import (
     WindowSums,
     weigh,
 )
+from valvemap.model.axis_fit import with_theta
 from valvemap.model.axis_search import fitted
 from valvemap.vocabulary.findings import FindingCode
 from valvemap_rig.directional import DirectionalValve

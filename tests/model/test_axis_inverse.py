@@ -10,7 +10,8 @@ import pytest
 
 from support.structured_text import FunctionBlock
 from valvemap.errors import ConfigurationError
-from valvemap.model.axis import AxisFit, AxisGeometry, AxisRegression
+from valvemap.model.axis import AxisGeometry, AxisRegression
+from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_inverse import axis_table, invert, line_weights
 from valvemap.storage.axis_tables import axis_block, checksum, write_axis_table
 from valvemap.storage.lookup_tables import literal

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from valvemap.model.axis import SIZE, AxisGeometry, AxisRegression, AxisSamples
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
+from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_search import fitted
 from valvemap.pipeline import axis_watch
 from valvemap.pipeline.axis_watch import AxisWatch

@@ -45,7 +45,8 @@ from valvemap.kafka.client_statistics import read_statistics
 from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
 from valvemap.kafka.memory import Columns, Memory, read_memory, sealed, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
-from valvemap.model.axis import SIZE, AxisGeometry, AxisRegression
+from valvemap.model.axis import AxisGeometry, AxisRegression
+from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import Condition, Reference
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.flow_map import FlowMap

@@ -13,7 +13,7 @@ from valvemap.cli.progress import working
 from valvemap.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
-    from valvemap.model.axis import AxisFit
+    from valvemap.model.axis_fit import AxisFit
     from valvemap.model.axis_search import AxisResult
 
 _U_PERCENT: Final = (20, 40, 60, 80, 100)

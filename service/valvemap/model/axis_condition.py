@@ -27,7 +27,9 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from valvemap.model.axis import KNOTS, SIZE, AxisFit, AxisState
+from valvemap.model.axis import AxisState
+from valvemap.model.axis_basis import KNOTS, SIZE
+from valvemap.model.axis_fit import AxisFit
 from valvemap.model.kernels.axis_rows import COMMON, PER_LEAKAGE
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES

@@ -18,7 +18,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valvemap.model.axis import AxisFit, AxisGeometry
+from valvemap.model.axis import AxisGeometry
+from valvemap.model.axis_fit import AxisFit
 from valvemap.model.kernels.axis_rows import ROOT
 from valvemap.model.samples import Codes, Flags, Floats
 from valvemap.vocabulary.edges import EDGES

@@ -6,16 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.axis import (
-    AxisFit,
-    AxisGeometry,
-    AxisRegression,
-    AxisSamples,
-    AxisState,
-    compared,
-    fit,
-    with_theta,
-)
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
+from valvemap.model.axis_fit import AxisFit, compared, fit, with_theta
 from valvemap.model.axis_rest import Rest
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus

@@ -14,16 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.axis import (
-    SIZE,
-    AxisFit,
-    AxisGeometry,
-    AxisRegression,
-    AxisSamples,
-    AxisState,
-    fit,
-    leakage_share,
-)
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
+from valvemap.model.axis_basis import SIZE, leakage_share
+from valvemap.model.axis_fit import AxisFit, fit
 from valvemap.model.axis_inverse import AxisTable, axis_table, invert
 from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_search import AxisResult, identify

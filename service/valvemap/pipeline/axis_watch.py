@@ -10,8 +10,9 @@ from typing import Final, Self
 
 import numpy as np
 
-from valvemap.model.axis import AxisFit, AxisRegression, AxisSamples, AxisState, fit, with_theta
+from valvemap.model.axis import AxisRegression, AxisSamples, AxisState
 from valvemap.model.axis_condition import Condition, Reference, WindowSums
+from valvemap.model.axis_fit import AxisFit, fit, with_theta
 from valvemap.model.samples import Floats
 
 WINDOW_S: Final = 10.0  # s of used movement

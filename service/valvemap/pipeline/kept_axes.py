@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from valvemap.model.axis import SIZE, AxisRegression, AxisState
+from valvemap.model.axis import AxisRegression, AxisState
+from valvemap.model.axis_basis import SIZE
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.samples import Floats

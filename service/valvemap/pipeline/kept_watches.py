@@ -6,8 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from valvemap.model.axis import SIZE, AxisRegression, with_theta
+from valvemap.model.axis import AxisRegression
+from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import Condition, Reference
+from valvemap.model.axis_fit import with_theta
 from valvemap.model.contents import Contents
 from valvemap.pipeline.axis_watch import SUMS, AxisWatch
 from valvemap.pipeline.kept_axes import KeptShape, shape_of
