@@ -138,6 +138,19 @@ def test_samples_of_one_line_alone_do_not_pile_up(samples):
     assert one.job() is None
 
 
+def test_after_a_sudden_change_play_and_spool_are_searched_in_what_comes_then(
+    samples, axis, monkeypatch
+):
+    done(axis)
+    changed = iter([False, True, True, True])
+    monkeypatch.setattr(axes.AxisState, "has_changed", property(lambda _: next(changed)))
+    axis.take(samples[7_100:7_200])
+    axis.take(samples[7_200:7_300])
+    assert len(axis._window) == 100
+    assert axis._to_search_s == pytest.approx(axes.SEARCHES_S[0], abs=1.1)
+    assert axis.results().map is not None
+
+
 def at_rest(samples, seconds):
     """The axis at its last place, for so long, from the next sample on."""
     n, last = round(100 * seconds), samples[-1:]

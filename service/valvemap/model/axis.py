@@ -23,9 +23,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from valvemap.model.axis_basis import PLACES, SIZE, SPLINE, WALTHER
+from valvemap.model.axis_basis import KNOTS, PLACES, SIZE, SPLINE, WALTHER
+from valvemap.model.kernels import axis_drift, flow_drift, flow_rules
 from valvemap.model.kernels import axis_rows as kernel
 from valvemap.model.samples import Codes, Flags, Floats, Times
+from valvemap.vocabulary.edges import EDGES
 
 SPOOL_DAMPING: Final = 0.8  # of the assumed spool; its frequency is found
 _SIGNALS: Final = ("U", "x", "pA", "pB", "pS", "pT")
@@ -114,6 +116,36 @@ class AxisState:
     errors: Floats
     score: Floats
     scores: Floats
+    drift_x: Floats
+    drift_P: Floats
+    drift_chance: Floats
+    drift_now: Floats
+    stay: Floats
+    stay_end: Times
+    stay_noise: Floats
+    known: Floats
+
+    @property
+    def moving(self) -> axis_drift.Moving:
+        """What moves at the edges, as the kernels have it."""
+        return axis_drift.Moving(
+            self.drift_x,
+            self.drift_P,
+            self.drift_chance,
+            self.drift_now,
+            self.stay,
+            self.stay_end,
+            self.stay_noise,
+            self.known,
+        )
+
+    @property
+    def has_changed(self) -> bool:
+        """Whether an edge has changed suddenly, for certain, and not long ago."""
+        chance = self.drift_chance
+        jumped = chance[:, flow_drift.OTHER_GAIN] + chance[:, flow_drift.OTHER_EDGE]
+        moved = np.maximum(jumped, chance[:, flow_drift.WANDERING])
+        return bool((moved > flow_rules.CERTAIN).any())
 
     @property
     def rows(self) -> int:
@@ -150,6 +182,8 @@ class AxisRegression:
         Time constant of forgetting, s of used intervals.
     lowest_bar, margin_mm
         Below this pressure, and this near to an end stop, intervals are left out.
+    changes_per_s
+        Sudden changes expected of an edge, 1/s of use; 0: gain and edge stay (``axis_drift``).
     """
 
     geometry: AxisGeometry
@@ -160,13 +194,21 @@ class AxisRegression:
     memory_s: float = math.inf
     lowest_bar: float = 3.0
     margin_mm: float = 2.0
+    changes_per_s: float = 0.0
 
     def initial_state(self) -> AxisState:
         """Return the state before the first sample."""
+        n = len(EDGES)
+        drift = (n, flow_drift.MODELS, flow_drift.STATES)
+        x, P, chance = np.zeros(drift), np.zeros((*drift, drift[-1])), np.zeros(drift[:2])
+        now = np.zeros((n, 1 + drift[-1], drift[-1]))
+        for k in range(0, n, 2):
+            pair = slice(k, k + 2)
+            flow_drift.begin(x[pair], P[pair], chance[pair], now[pair])
         return AxisState(
             last=np.zeros(1, np.int64),
             memory=np.zeros(len(kernel.MEMORY)),
-            filtered=np.zeros((2, 2, SIZE + 1)),
+            filtered=np.zeros((2, 2, SIZE + 3)),
             M=np.zeros((SIZE, SIZE)),
             b=np.zeros(SIZE),
             squares=np.zeros(3),
@@ -175,6 +217,14 @@ class AxisRegression:
             errors=np.zeros((2, 5)),
             score=np.zeros(SIZE),
             scores=np.zeros((SIZE, SIZE)),
+            drift_x=x,
+            drift_P=P,
+            drift_chance=chance,
+            drift_now=now,
+            stay=np.zeros((n, axis_drift.MEAN + KNOTS)),
+            stay_end=np.zeros(n, np.int64),
+            stay_noise=np.zeros((2, 2)),
+            known=np.zeros((n, KNOTS, KNOTS)),
         )
 
     def update(self, state: AxisState, samples: AxisSamples) -> tuple[AxisState, AxisTrace]:
@@ -196,6 +246,7 @@ class AxisRegression:
             after.errors,
             after.score,
             after.scores,
+            after.moving,
             SPLINE.table,
             SPLINE.breaks,
             self._geometry_numbers,
@@ -239,6 +290,7 @@ class AxisRegression:
                 stride,
                 max(1.0, round(_FADED / (2.0 * math.pi * self.filter_hz * self.period_s))),
                 *WALTHER,
+                self.changes_per_s,
             ]
         )
 

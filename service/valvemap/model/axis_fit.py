@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from valvemap.model.axis import AxisRegression, AxisState
-from valvemap.model.axis_basis import KNOTS, SIZE, SPLINE, columns, edge_regressors
+from valvemap.model.axis_basis import KNOTS, SIZE, SPLINE, columns, edge_regressors, moved_edge
 from valvemap.model.kernels import axis_rows as kernel
+from valvemap.model.kernels import flow_drift
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES
 
 _CORNER: Final = 0.015  # share of the third difference; tuned on simulated axes
 _ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 0.7 to 0.9 tried
+_SHIFT: Final = 0.05  # %; step of derivatives by an edge's shift
 _LEAST_VARIANCE: Final = 1e-10  # (l/min)²
 _COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE = 10.0, 20.0, 1.0  # prior, in the coefficients' units
 _COEFFICIENT_SIZE: Final = 100.0  # l/min/√bar; prior of K itself, wide
@@ -150,6 +152,52 @@ def _fit(
 def with_theta(state: AxisState, theta: Floats) -> AxisState:
     """Return the state with coefficients for the residuals of the next samples."""
     return replace(state, theta=np.ascontiguousarray(theta))
+
+
+def with_map(state: AxisState, found: AxisFit) -> AxisState:
+    """Return the state with a fit of its sums, from which gains and shifts are then learnt."""
+    own = [columns(edge) for edge in EDGES]
+    known = np.stack([found.covariance[part, part] for part in own])
+    return replace(with_theta(state, found.theta), known=known)
+
+
+def moved(found: AxisFit, state: AxisState) -> AxisFit:
+    """Return the fit of a state's sums as the edges are now: with their gains and shifts.
+
+    The covariance holds the doubt about both.
+    """
+    M, doubt = _moved_by(state), np.zeros((SIZE, SIZE))
+    for k, edge in enumerate(EDGES):
+        own, now = columns(edge), state.drift_now[k]
+        gain, shift = now[0, flow_drift.GAIN], now[0, flow_drift.EDGE]
+        unmoved = found.theta[own]
+        risen = (moved_edge(gain, shift + _SHIFT) - M[own, own]) @ unmoved / _SHIFT
+        by = np.stack([unmoved, risen], axis=1)
+        levels = now[1 : 1 + flow_drift.LEVELS, : flow_drift.LEVELS]
+        doubt[own, own] = by @ levels @ by.T
+    return replace(found, theta=M @ found.theta, covariance=M @ found.covariance @ M.T + doubt)
+
+
+def with_moved_sums(state: AxisState) -> AxisState:
+    """Return the state with sums whose fit is the edges as they are now."""
+    back = np.linalg.inv(_moved_by(state))
+    whole = state.M + np.tril(state.M, -1).T
+    scores = state.scores + np.tril(state.scores, -1).T
+    return replace(
+        state,
+        M=np.tril(back.T @ whole @ back),
+        b=back.T @ state.b,
+        scores=np.tril(back.T @ scores @ back),
+    )
+
+
+def _moved_by(state: AxisState) -> Floats:
+    """Return M (n, n): the edges are now M·θ, with θ the fit of the sums."""
+    M = np.eye(SIZE)
+    for k, edge in enumerate(EDGES):
+        own, now = columns(edge), state.drift_now[k, 0]
+        M[own, own] = moved_edge(now[flow_drift.GAIN], now[flow_drift.EDGE])
+    return M
 
 
 def _prior(slope: float) -> Floats:

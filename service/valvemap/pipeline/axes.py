@@ -16,11 +16,12 @@ import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
 from valvemap.model.axis_basis import SIZE, leakage_share
-from valvemap.model.axis_fit import AxisFit, fit
+from valvemap.model.axis_fit import AxisFit, fit, moved, with_map
 from valvemap.model.axis_inverse import AxisTable, axis_table, invert
 from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_search import AxisResult, identify
 from valvemap.model.estimator import key_of
+from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
 from valvemap.pipeline.axis_watch import AxisWatch
@@ -37,6 +38,7 @@ MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
 SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of movement until the first searches
 AGAIN_S: Final = 600.0  # s of movement between two later searches
 REFUSED_AGAIN_S: Final = 30.0  # s of movement after a refused search; doubled by each further one
+CHANGES_PER_S: Final = 1.0 / BETWEEN_JUMPS  # 1/s; sudden changes that are expected of an edge
 REFIT_S: Final = 5.0  # s of movement between two fits of the sums
 SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # up to these differences the sums continue
 _RATED_BAR: Final = 70.0
@@ -57,8 +59,12 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class _Known:
-    """The solution of the sums: the fit, the table that is searched, and the map that is shown."""
+    """The solution of the sums: the fit, the table that is searched, and the map that is shown.
 
+    ``sums`` is the fit of the sums alone, ``fit`` the edges as they are now.
+    """
+
+    sums: AxisFit
     fit: AxisFit
     table: AxisTable
     map: AxisMap
@@ -141,8 +147,11 @@ class Axis:
         if self._since is not None:
             self._since.append(samples)
         if self._state is not None:
+            before = self._state.has_changed
             self._state, _ = self._regression.update(self._state, samples)
             self._to_refit_s -= passed_s
+            if self._state.has_changed and not before:
+                self._search_anew()
         if self._watch is not None:
             self._watch = self._watch.after(samples)
 
@@ -170,6 +179,8 @@ class Axis:
         self._works = False
         if isinstance(outcome, _Known):
             self._known = outcome
+            if self._state is not None:
+                self._state = with_map(self._state, outcome.sums)
             self._begin_watch(outcome)
             return
         if isinstance(outcome, _Weighed):
@@ -188,7 +199,8 @@ class Axis:
         if outcome.of_shape is not None:
             self._of_shape = outcome.of_shape
         if self._state is None or not _are_alike(self._regression, outcome.fit.regression):
-            self._regression, self._state = outcome.fit.regression, outcome.state
+            self._regression = replace(outcome.fit.regression, changes_per_s=CHANGES_PER_S)
+            self._state = outcome.state
             for samples in since:
                 self._state, _ = self._regression.update(self._state, samples)
         self._to_refit_s = 0.0
@@ -204,6 +216,11 @@ class Axis:
         self._window.clear()
         self._watch = self._state = self._since = None
         self._searches = self._refusals = 0
+        self._to_search_s = SEARCHES_S[0]
+
+    def _search_anew(self) -> None:
+        """Search play and spool in what comes after a sudden change alone."""
+        self._window.clear()
         self._to_search_s = SEARCHES_S[0]
 
     def abandon(self) -> None:
@@ -311,7 +328,9 @@ class Axis:
         StateMismatchError
             if it is damaged, or of another geometry, memory, node or unit.
         """
-        regression = AxisRegression(self.plan.geometry, memory_s=self.plan.memory_s)
+        regression = AxisRegression(
+            self.plan.geometry, memory_s=self.plan.memory_s, changes_per_s=CHANGES_PER_S
+        )
         if name == WATCH:
             self._watch = unpack_watch(packed, self.key, regression)
             return
@@ -321,10 +340,12 @@ class Axis:
 
 
 def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _Known:
-    found = fit(regression, state)
-    found = replace(found, covariance=found.covariance + of_shape)
+    sums = fit(regression, state)
+    sums = replace(sums, covariance=sums.covariance + of_shape)
+    found = moved(sums, state)
     table = axis_table(found)
     return _Known(
+        sums,
         found,
         table,
         AxisMap(

@@ -12,7 +12,7 @@ import numpy as np
 
 from valvemap.model.axis import AxisRegression, AxisSamples, AxisState
 from valvemap.model.axis_condition import Condition, Reference, WindowSums
-from valvemap.model.axis_fit import AxisFit, fit, with_theta
+from valvemap.model.axis_fit import AxisFit, fit, with_moved_sums, with_theta
 from valvemap.model.samples import Floats
 
 WINDOW_S: Final = 10.0  # s of used movement
@@ -61,13 +61,13 @@ class AxisWatch:
 
     @classmethod
     def begin(cls, state: AxisState, found: AxisFit, memory_s: float, of_shape: Floats) -> Self:
-        """Return the watch from now on; ``found`` is the fit of ``state``, with its covariance."""
+        """Return the watch from now on; ``found`` is the fit of ``state`` as its edges are now."""
         return cls(
-            replace(found.regression, memory_s=math.inf),
+            replace(found.regression, memory_s=math.inf, changes_per_s=0.0),
             memory_s,
             of_shape,
             Reference.of(found),
-            state,
+            with_moved_sums(state),
             _empty(with_theta(state, found.theta)),
             Condition.initial(),
         )

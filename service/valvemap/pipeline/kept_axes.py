@@ -74,6 +74,14 @@ class _Kept(KeptShape):
     errors: Any
     score: Any
     scores: Any
+    drift_x: Any
+    drift_P: Any
+    drift_chance: Any
+    drift_now: Any
+    stay: Any
+    stay_end: Any
+    stay_noise: Any
+    known: Any
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
@@ -81,6 +89,9 @@ class _Kept(KeptShape):
             **super().contents(),
             "last": Contents(self.last).any_time(),
             "memory": Contents(self.memory).or_nan(),
+            "drift_chance": Contents(self.drift_chance).within(0.0, 1.0),
+            "stay_end": Contents(self.stay_end).any_time(),
+            "stay_noise": Contents(self.stay_noise).within(0.0),
         }
 
 

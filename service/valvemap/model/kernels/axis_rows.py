@@ -16,6 +16,10 @@ from typing import Final
 
 import numpy as np
 
+from valvemap.model.kernels import axis_drift as moves
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.axis_drift import Moving
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Codes, Floats, Times
 
@@ -61,8 +65,7 @@ def thinness(T: float, a: float, b: float) -> float:
 
 
 @inner
-def _basis(table: Floats, breaks: Floats, u: float, scale: float, row: Floats, at: int) -> None:
-    """Add the three spline functions at u, times ``scale``, to a row from ``at`` on."""
+def _interval(breaks: Floats, u: float) -> int:
     low, high = 0, len(breaks) - 2
     while low < high:
         middle = (low + high + 1) // 2
@@ -70,6 +73,13 @@ def _basis(table: Floats, breaks: Floats, u: float, scale: float, row: Floats, a
             low = middle
         else:
             high = middle - 1
+    return low
+
+
+@inner
+def _basis(table: Floats, breaks: Floats, u: float, scale: float, row: Floats, at: int) -> None:
+    """Add the three spline functions at u, times ``scale``, to a row from ``at`` on."""
+    low = _interval(breaks, u)
     y = u - breaks[low]
     for b in range(3):
         row[at + low + b] += scale * (
@@ -79,22 +89,42 @@ def _basis(table: Floats, breaks: Floats, u: float, scale: float, row: Floats, a
 
 @inner
 def _edge(
-    table: Floats, breaks: Floats, y: float, drop: float, sign: float, row: Floats, at: int
-) -> None:
-    """Add an edge's regressors at its own spool position y ≥ 0 (%) and drop (bar)."""
-    s = _root(drop)
-    _basis(table, breaks, min(y, 100.0), sign * s, row, at)
-    row[at + len(breaks) + 1] += sign * 0.01 * y * s * (abs(s) / ROOT - 1.0)
+    table: Floats, breaks: Floats, y: float, drop: float, sign: float, moved: Floats,
+    theta: Floats, row: Floats, at: int, by_shift: int,
+) -> None:  # fmt: skip
+    """Add an edge's regressors at its own spool position y ≥ 0 (%) and drop (bar).
+
+    ``moved`` has gain and shift of the edge; the flow's derivative by the shift is added at
+    ``by_shift``.
+    """
+    s, y = _root(drop), min(y, 100.0)
+    scale, rest = sign * (1.0 + moved[0]), 1.0 - 0.01 * y
+    u = max(y - moved[1] * rest, 0.0)
+    _basis(table, breaks, u, scale * s, row, at)
+    row[at + len(breaks) + 1] += scale * 0.01 * u * s * (abs(s) / ROOT - 1.0)
+    row[by_shift] -= scale * s * rest * _rise(table, breaks, u, theta, at)
 
 
 @inner
-def _sum_row(M: Floats, b: Floats, squares: Floats, row: Floats, places: Times, line: int) -> None:
+def _rise(table: Floats, breaks: Floats, u: float, theta: Floats, at: int) -> float:
+    """Slope of the spline at u."""
+    low = _interval(breaks, u)
+    y, rise = u - breaks[low], 0.0
+    for b in range(3):
+        rise += theta[at + low + b] * (table[low, b, 1] + 2.0 * y * table[low, b, 2])
+    return rise
+
+
+@inner
+def _sum_row(
+    M: Floats, b: Floats, squares: Floats, row: Floats, places: Times, line: int, weight: float
+) -> None:
     n = len(b)
     y = row[n]
-    squares[line] += y * y
+    squares[line] += weight * y * y
     for p in range(len(places)):
         j = places[p]
-        value = row[j]
+        value = weight * row[j]
         if value == 0.0:
             continue
         b[j] += value * y
@@ -118,6 +148,7 @@ def axis_rows(
     errors: Floats,
     score: Floats,
     scores: Floats,
+    moving: Moving,
     table: Floats,
     breaks: Floats,
     geometry: Floats,
@@ -134,7 +165,7 @@ def axis_rows(
         UTC ns (N,), and U, x, pA, pB, pS, pT, T (N, 7) in %, mm, bar and °C. Without T, that of
         the last sample with one holds; without any, 40 °C.
     last, memory, filtered
-        Time of the last sample (1,); ``MEMORY``; the filter's two stages per line (2, 2, n + 1).
+        Time of the last sample (1,); ``MEMORY``; the filter's two stages per line (2, 2, n + 3).
     M, b, squares, counts
         Information (n, n; lower triangle) and (n,); Σy² per line and the rows' weight (3,); number
         of intervals used, and of intervals by reason (6,). Every ``stride``-th one is a row.
@@ -143,13 +174,16 @@ def axis_rows(
         running block's sums and length, rows in blocks, per line (2, 5).
     score, scores
         Σ row·e of the running block (n,), and Σ of its squares over the blocks (n, n).
+    moving
+        What moves at the edges, and what it is learnt from.
     geometry
         A_A, A_B (cm²), stroke (mm), V_A and V_B at their shortest (l).
     settings
         Sampling period (s), half the play (%), the spool's transition (2, 2) and input (2,), the
         filter's share per sample, forgetting per row, lowest pressure (bar), margin at the stops
         (mm), longest gap (s), settling intervals, length of a block (rows), stride, intervals
-        without a row after one that is left out, Walther's a and b of the oil.
+        without a row after one that is left out, Walther's a and b of the oil, sudden changes
+        expected of an edge per second (0: none is followed).
     places
         Columns of line A and of line B, (2, ·).
     status, residual
@@ -159,8 +193,12 @@ def axis_rows(
     half = settings[1]
     share, forget, stride = settings[8], settings[9], int(settings[15])
     A_A, A_B, stroke = geometry[0], geometry[1], geometry[2]
-    rows = np.zeros((2, n + 1))
-    now = np.empty(6)
+    rows, now, moved = np.zeros((2, n + 3)), np.empty(6), np.zeros((moves.EDGES, 2))
+    changes_per_s = settings[19]
+    room, by = (
+        np.zeros((2, drifts.MODELS, drifts.STATES + 1, drifts.STATES)),
+        np.zeros(drifts.STATES),
+    )
     for i in range(len(t)):
         for k in range(6):
             now[k] = signals[i, k]
@@ -190,6 +228,10 @@ def axis_rows(
             memory[13] = _held(memory[13], memory[3], half)
             if memory[13] - memory[0] > PLAY_KNOWN:
                 memory[10] = settings[13]  # U has not yet shown where in its play the spool is
+            if changes_per_s > 0.0:
+                for k in range(moves.EDGES):
+                    moved[k, 0] = moving.now[k, 0, drifts.GAIN]
+                    moved[k, 1] = moving.now[k, 0, drifts.EDGE]
             for part in range(PARTS):
                 before, speed = memory[1], memory[2]
                 off = before - memory[0]
@@ -199,12 +241,16 @@ def axis_rows(
                 w = (part + 0.5) / PARTS
                 a, c = pA + w * (now[2] - pA), pB + w * (now[3] - pB)
                 s, d = pS + w * (now[4] - pS), pT + w * (now[5] - pT)
+                share_of, of_A, of_B = 1.0 / PARTS, rows[0], rows[1]
                 if y > 0.0:
-                    _edge(table, breaks, y, s - a, 1.0 / PARTS, rows[0], 0)
-                    _edge(table, breaks, y, c - d, -1.0 / PARTS, rows[1], 3 * knots)
+                    _edge(table, breaks, y, s - a, share_of, moved[0], theta, of_A, 0, n + 1)
+                    at = 3 * knots
+                    _edge(table, breaks, y, c - d, -share_of, moved[3], theta, of_B, at, n + 2)
                 else:
-                    _edge(table, breaks, -y, a - d, -1.0 / PARTS, rows[0], knots)
-                    _edge(table, breaks, -y, s - c, 1.0 / PARTS, rows[1], 2 * knots)
+                    at = knots
+                    _edge(table, breaks, -y, a - d, -share_of, moved[1], theta, of_A, at, n + 2)
+                    at = 2 * knots
+                    _edge(table, breaks, -y, s - c, share_of, moved[2], theta, of_B, at, n + 1)
             if memory[10] > 0.0:
                 memory[10] -= 1.0
                 reason = GAP
@@ -249,19 +295,25 @@ def axis_rows(
                     errors[line, 4] *= factor
             for line in range(2):
                 row, first, second = rows[line], filtered[line, 0], filtered[line, 1]
-                for p in range(places.shape[1] + 1):
-                    j = places[line, p] if p < places.shape[1] else n
+                for p in range(places.shape[1] + 3):
+                    j = places[line, p] if p < places.shape[1] else n + p - places.shape[1]
                     first[j] += share * (row[j] - first[j])
                     second[j] += share * (first[j] - second[j])
                 if not is_row:
                     continue
-                _sum_row(M, b, squares, second, places[line], line)
-                e = second[n]
+                e, weight = second[n], 1.0
                 for p in range(places.shape[1]):
                     e -= theta[places[line, p]] * second[places[line, p]]
+                if changes_per_s > 0.0:
+                    jumps_per_s = changes_per_s if counts[0] >= rules.MATURE else 0.0
+                    weight = moves.weight_of_row(
+                        moving, line, second, theta, e, t[i], jumps_per_s, room, by
+                    )
+                _sum_row(M, b, squares, second, places[line], line, weight)
                 residual[i, line] = e
                 for p in range(places.shape[1]):
-                    score[places[line, p]] += e * second[places[line, p]]
+                    score[places[line, p]] += weight * e * second[places[line, p]]
+                e *= math.sqrt(weight)
                 errors[line, 0] += e * e
                 errors[line, 2] += e
                 errors[line, 3] += 1.0
