@@ -136,6 +136,9 @@ class Machine(Parameters):
     sensors: MachineSensors = MachineSensors()
     programme: Programme = Programme()
     load: Load = Load()
+    repeats: str | None = Field(
+        default=None, description="machine whose moves and loads it repeats; none: it has its own"
+    )
     controller: Controller | None = Field(
         default=Controller(lead="table"), description="none: UCommand drives the valve"
     )

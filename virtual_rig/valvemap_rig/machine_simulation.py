@@ -91,8 +91,9 @@ def advance_machine(
         2.0 * np.pi * index / rate / supply.tank_drift_period_s
     )
     T = T + temperature_rise(state.faults, index, rate)
-    x_set, v_set = moves(machine.programme, machine.cylinder.stroke_mm, index, rate, seed, name)
-    load = forces(machine.load, index, machine.programme.period_s, rate, seed, name)
+    work = machine.repeats or name
+    x_set, v_set = moves(machine.programme, machine.cylinder.stroke_mm, index, rate, seed, work)
+    load = forces(machine.load, index, machine.programme.period_s, rate, seed, work)
     plant = np.array(state.plant or _at_rest(machine, x_set), dtype=np.float64)
     states, U, Q = kernels.play_through(
         valve_numbers(machine.valve),

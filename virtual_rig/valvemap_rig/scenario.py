@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, Final, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -23,7 +23,7 @@ from valvemap_rig.excitation import (
 )
 from valvemap_rig.faults import EDGES, MACHINE_FAULTS, OF_A_VALVE, Fault, Faultable, FaultKind
 from valvemap_rig.kernels import Floats
-from valvemap_rig.machine import Machine
+from valvemap_rig.machine import Controller, Lead, Machine
 from valvemap_rig.parameters import Parameters
 from valvemap_rig.sensors import Sensors
 
@@ -122,6 +122,13 @@ def faultable(unit: ValveBench | Machine) -> Faultable:
     return Faultable(MACHINE_FAULTS, sensed, EDGES)
 
 
+_SIDE_BY_SIDE: Final[tuple[tuple[str, Lead], ...]] = (
+    ("PIAlone", "none"),
+    ("Table", "table"),
+    ("FixedMap", "external"),
+    ("LivingMap", "external"),
+)
+
 BUILTIN: Mapping[str, Scenario] = MappingProxyType(
     {
         scenario.name: scenario
@@ -184,6 +191,26 @@ BUILTIN: Mapping[str, Scenario] = MappingProxyType(
                     ),
                 ),
             ),
+            Scenario(
+                name="tracking",
+                description="Four equal axes, the same moves: PI alone, with a table, with U from "
+                "outside twice; two edges damaged after a minute.",
+                valves=(),
+                machines=tuple(
+                    Machine(
+                        name=name,
+                        measures="position",
+                        repeats="Axis",
+                        valve=DirectionalValve(leakage_l_min_bar=0.0),
+                        controller=Controller(lead=lead),
+                    )
+                    for name, lead in _SIDE_BY_SIDE
+                ),
+                faults=tuple(
+                    Fault(kind=FaultKind.DAMAGE, start_s=60, size=-30, edge=edge)
+                    for edge in ("PA", "BT")
+                ),
+            ),
         )
     }
 )
@@ -204,7 +231,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     >>> load_scenario("circus")
     Traceback (most recent call last):
     valvemap_rig.scenario.ScenarioError: circus: no such file, nor built in: demo, structured, \
-scattered, verification, cycle, external, feedforward, directional, axis
+scattered, verification, cycle, external, feedforward, directional, axis, tracking
     """
     if str(name_or_path) in BUILTIN:
         return BUILTIN[str(name_or_path)]

@@ -141,6 +141,11 @@ class RigServer(Startable):
         return self._scenario
 
     @property
+    def start_ns(self) -> int:
+        """Source time of the running scenario's first sample, UTC ns; 0: none runs."""
+        return 0 if self._scenario is None else self._state.start_ns
+
+    @property
     def samples(self) -> int:
         """Number of samples published since the start."""
         return self._samples

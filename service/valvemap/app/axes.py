@@ -16,7 +16,7 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.ports import AllSources, KeptElsewhere
-from valvemap.runtime.axes import LiveAxes
+from valvemap.runtime.axes import AxisTap, LiveAxes
 from valvemap.runtime.led_axes import LINES
 from valvemap.runtime.sources import supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
@@ -41,10 +41,12 @@ async def run_axes(
     ready: Callable[[], Awaitable[None]],
     supervision: SupervisorSettings,
     note_states: Callable[[KeptElsewhere], None],
+    tap: AxisTap | None = None,
 ) -> None:
     """Identify the axes of a configuration until ``stop`` is set; without axes, show none.
 
-    ``ready`` is awaited before the first samples; ``note_states`` gets the keeper of the states.
+    ``ready`` is awaited before the first samples; ``note_states`` gets the keeper of the states,
+    ``tap`` the samples.
 
     Raises
     ------
@@ -56,7 +58,7 @@ async def run_axes(
         return
     with CheckpointFile(axes_file(config)) as store:
         sources = build_axis_sources(config, ready)
-        live = build_live_axes(config, server, sources, store, clock)
+        live = build_live_axes(config, server, sources, store, clock, tap)
         await server.follow_axes(live.names, live)
         live.start()
         note_states(live.keeper)
@@ -67,7 +69,12 @@ async def run_axes(
 
 
 def build_live_axes(
-    config: Config, server: AxisServer, source: AllSources, store: CheckpointFile, clock: Clock
+    config: Config,
+    server: AxisServer,
+    source: AllSources,
+    store: CheckpointFile,
+    clock: Clock,
+    tap: AxisTap | None = None,
 ) -> LiveAxes:
     """Return the axes of a configuration, before the first sample."""
     names = [axis.name for axis in config.axes for _ in range(LINES)]
@@ -92,6 +99,7 @@ def build_live_axes(
         reorder_s=config.alignment.reorder_ms * 1e-3,
         stale_after_s=config.alignment.stale_after_s,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
+        tap=tap,
     )
 
 
@@ -105,6 +113,7 @@ def plan_of(axis: AxisConfig) -> AxisPlan:
         axis.memory_s,
         json.dumps(meaning, sort_keys=True),
         feed_forward_of(axis),
+        axis.frozen,
     )
 
 

@@ -36,6 +36,7 @@ from valvemap.model.kernels.compiled import was_warmed_up
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Checkpoint
+from valvemap.runtime.axes import AxisTap
 from valvemap.runtime.daemon_thread import unless_stopped
 from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.live import LiveService
@@ -57,6 +58,7 @@ async def serve(
     on_samples: SampleTap | None = None,
     reload: Reload | None = None,
     manager: ServiceManager | None = None,
+    on_axis_samples: AxisTap | None = None,
 ) -> None:
     """Identify and publish until ``stop`` is set; store all states at the end.
 
@@ -76,6 +78,9 @@ async def serve(
         The queue of reload requests.
     manager
         Notified when clients are served, while the service is alive, and when it stops.
+
+    on_axis_samples
+        Called with each axis' samples, before its answers are written.
 
     Raises
     ------
@@ -108,7 +113,16 @@ async def serve(
         while plan is not None:
             try:
                 following, states = await _live(
-                    plan, store, past, stop, on_samples, reload, known, shown, manager
+                    plan,
+                    store,
+                    past,
+                    stop,
+                    on_samples,
+                    reload,
+                    known,
+                    shown,
+                    manager,
+                    on_axis_samples,
                 )
             except (ValvemapError, HardenedError) as error:
                 if before is None or stop.is_set():
@@ -138,6 +152,7 @@ async def _live(
     known: list[Checkpoint],
     shown: Shown,
     manager: ServiceManager,
+    on_axis_samples: AxisTap | None,
 ) -> tuple[Plan | None, list[Checkpoint]]:
     """Run one configuration to its end; return the next plan (None: stop) and all states."""
     config, clock = plan.config, SystemClock()
@@ -183,6 +198,7 @@ async def _live(
                 plan.compiled.ended,
                 supervision,
                 live.note_states_elsewhere,
+                on_axis_samples,
             ),
         )
     finally:

@@ -21,11 +21,11 @@ from valvemap.app.serve import serve
 from valvemap.app.signals import stop_on_signal
 from valvemap.app.staged_start import first_identification
 from valvemap.app.warm_up import warm_up
-from valvemap.cli import feedforward
+from valvemap.cli import feedforward, tracking
 from valvemap.cli.demo_view import WAITING, Verdict, status_table, verdict_table
 from valvemap.cli.logs import set_up_logs
 from valvemap.cli.output import terminal
-from valvemap.cli.rig_conditions import conditions_in
+from valvemap.cli.rig_conditions import conditions_in, start_in
 from valvemap.cli.rig_kernels import keep_rig_kernels
 from valvemap.cli.under_demo import page_process, rig_process
 from valvemap.clock import SystemClock
@@ -57,12 +57,17 @@ def demo(
         str,
         typer.Option(
             metavar="NAME",
-            help="Scenario of the rig, built in or a TOML file; feedforward compares maps.",
+            help="Scenario of the rig, built in or a TOML file; feedforward and axis compare maps.",
         ),
     ] = "demo",
 ) -> None:
     """Run rig and service, until Ctrl-C."""
     keep_rig_kernels()
+    if scenario == tracking.NAME:
+        set_up_logs(LogConfig(level="error"))
+        with TemporaryDirectory(prefix="valvemap-demo-") as folder:
+            asyncio.run(_axis_demo(Path(folder), duration, terminal()))
+        return
     loaded = load_scenario(scenario)
     if not loaded.valves:
         raise typer.BadParameter(
@@ -123,6 +128,45 @@ async def _feed_forward_demo(
             end = feedforward.END_S if duration is None else min(duration, feedforward.END_S)
             async with page_process(config.server.url, rig_url) as page:
                 _say_where(console, config, rig_url, password, page, armed)
+                await _show(course, console, stop, serving, end)
+    console.print(course.table())
+
+
+async def _axis_demo(folder: Path, duration: float | None, console: Console) -> None:
+    """Commission, then follow the same moves with four feed-forwards."""
+    scenario = load_scenario(tracking.SCENARIO)
+    config = _axis_config(scenario, folder)
+    console.print("compiling: a minute at the very first start ...")
+    identification = build_identification(config)
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    writer = {"user": "operator", "password": SecretStr(password)}
+    config = config.model_copy(update={"source": config.source.model_copy(update=writer)})
+    stop = asyncio.Event()
+    with stop_on_signal(stop):
+        await _compile(config, stop, console)
+        if stop.is_set():
+            return
+        console.print("commissioning: five minutes of work in half a minute ...")
+        await asyncio.to_thread(tracking.commission, config, scenario)
+        course = tracking.Course(scenario, SystemClock())
+
+        def follow(line: str) -> None:
+            if (start_ns := start_in(line)) is not None:
+                course.begin(start_ns)
+
+        async with rig_process(config.source.url, scenario.name, password, follow) as rig_url:
+            serving = asyncio.ensure_future(
+                serve(
+                    config,
+                    stop,
+                    _settings(config, users),
+                    identification,
+                    on_axis_samples=course.take,
+                )
+            )
+            end = tracking.END_S if duration is None else min(duration, tracking.END_S)
+            async with page_process(config.server.url, rig_url) as page:
+                _say_where(console, config, rig_url, password, page)
                 await _show(course, console, stop, serving, end)
     console.print(course.table())
 
@@ -279,6 +323,23 @@ class _View:
 def _best_fit(points: VerificationPoints) -> float:
     X = FiveTerms().regressors(points.U, points.dp, points.T)
     return float(np.sqrt(np.mean((points.Q - X @ batch_least_squares(X, points.Q)) ** 2)))
+
+
+def _axis_config(scenario: Scenario, folder: Path) -> Config:
+    """Return the default configuration with the scenario's axes, no valves, no security."""
+    config = load_config()
+    update = {
+        "security": "None",
+        "startup_timeout_s": 30.0,
+        "publishing_interval_ms": 1000.0 * tracking.INTERVAL_S,
+    }
+    parts = {
+        "source": config.source.model_copy(update=update),
+        "valves": (),
+        "axes": tracking.axes(scenario),
+        "state": StateConfig(file=folder / "state.sqlite"),
+    }
+    return config.model_copy(update=parts)
 
 
 def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Config:

@@ -16,7 +16,7 @@ from valvemap.cli.logs import set_up_logs
 from valvemap.cli.options import FolderOption, ForceOption, RevocationOption, new_file
 from valvemap.cli.output import write_line
 from valvemap.cli.progress import bars
-from valvemap.cli.rig_conditions import CONDITION_S, condition_line
+from valvemap.cli.rig_conditions import CONDITION_S, condition_line, start_line
 from valvemap.cli.rig_kernels import keep_rig_kernels
 from valvemap.config.logs import LogConfig
 from valvemap_rig.fleet_server import FleetServer
@@ -208,9 +208,12 @@ async def _serve(
 
 
 async def _say_conditions(server: RigServer) -> None:
-    """Print the valves' conditions whenever they change, for the demo's true maps."""
-    before = None
+    """Print start and conditions whenever they change, for the demo's true maps."""
+    before, start_ns = None, 0
     while True:
+        if server.start_ns != start_ns:
+            start_ns = server.start_ns
+            write_line(start_line(start_ns))
         now = condition_line(server.conditions())
         if now != before:
             write_line(now)

@@ -138,6 +138,9 @@ class AxisConfig(Section):
     memory_s: float = Field(
         1_800.0, ge=60.0, le=1e9, description="time constant of forgetting, s of movement"
     )
+    frozen: bool = Field(
+        default=False, description="keep the stored map as it is: learn and find nothing"
+    )
     insist: bool = Field(
         default=False, description="take the source's units as they are, though they differ"
     )

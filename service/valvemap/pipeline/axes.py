@@ -48,13 +48,17 @@ _NO_TIME: Final = np.empty(0, np.int64)
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """Configuration of one axis; ``meaning`` are its nodes, units and scalings."""
+    """Configuration of one axis; ``meaning`` are its nodes, units and scalings.
+
+    ``is_frozen``: the stored map stays as it is; nothing is learnt, nothing is found.
+    """
 
     name: str
     geometry: AxisGeometry
     memory_s: float = 1_800.0
     meaning: str = ""
     feed_forward: FeedForward | None = None
+    is_frozen: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,10 +93,14 @@ class Axis:
     ----------
     plan
         Its geometry and memory.
+    on_samples
+        Called with whole samples as soon as they are the newest.
     """
 
-    def __init__(self, plan: AxisPlan) -> None:
-        self.plan = plan
+    def __init__(
+        self, plan: AxisPlan, on_samples: Callable[[AxisSamples], None] | None = None
+    ) -> None:
+        self.plan, self._on_samples = plan, on_samples
         self._unmet: list[tuple[Times, Floats]] = [(_NO_TIME, np.empty((5, 0)))] * 2
         self._rest = Rest.initial()
         self._window = AxisWindow(WINDOW_S, MOST_SAMPLES)
@@ -137,6 +145,10 @@ class Axis:
         self.newest_U = float(samples.U[-1])
         newest = (getattr(samples, name)[-1] for name in ("x", "T", "pA", "pB", "pS", "pT"))
         self._newest = tuple(float(value) for value in newest)
+        if self._on_samples is not None:
+            self._on_samples(samples)
+        if self.plan.is_frozen:
+            return
         self._rest, moves = self._rest.update(samples)
         if not moves.any():
             return
@@ -308,17 +320,28 @@ class Axis:
     @property
     def key(self) -> str:
         """The hash that a stored state is bound to."""
-        return key_of(replace(self.plan, feed_forward=None))
+        return key_of(replace(self.plan, feed_forward=None, is_frozen=False))
 
     def to_bytes(self) -> dict[str, bytes]:
         """Return the learnt state, and the reference of findings, each once there is one."""
         found = {}
-        if self._state is not None:
-            learnt = Learnt(self._regression, self._state, self._of_shape)
+        if (learnt := self.learnt) is not None:
             found[LEARNT] = pack(learnt, self.key)
         if self._watch is not None:
             found[WATCH] = pack_watch(self._watch, self.key)
         return found
+
+    @property
+    def learnt(self) -> Learnt | None:
+        """What has been learnt; None: nothing yet."""
+        if self._state is None:
+            return None
+        return Learnt(self._regression, self._state, self._of_shape)
+
+    def continue_from(self, learnt: Learnt) -> None:
+        """Continue from this; the next `job` gives its map."""
+        self._regression, self._state = learnt.regression, learnt.state
+        self._of_shape, self._to_refit_s = learnt.of_shape, 0.0
 
     def resume(self, name: str, packed: bytes) -> None:
         """Resume a stored state of this name; the next `job` gives its map.
@@ -334,9 +357,7 @@ class Axis:
         if name == WATCH:
             self._watch = unpack_watch(packed, self.key, regression)
             return
-        learnt = unpack(packed, self.key, regression)
-        self._regression, self._state = learnt.regression, learnt.state
-        self._of_shape, self._to_refit_s = learnt.of_shape, 0.0
+        self.continue_from(unpack(packed, self.key, regression))
 
 
 def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _Known:

@@ -1,20 +1,22 @@
 """The live axes: data changes in, maps and the inverse for speed out, states kept."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import structlog
 
 from valvemap.clock import Clock
 from valvemap.errors import CommandRejected, SourceError
+from valvemap.model.axis import AxisSamples
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import LEARNT, WATCH, Axis, AxisPlan, Job
-from valvemap.pipeline.axis_ports import AxisResults, AxisSink, RequiredU
+from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.ports import AllSources, CheckpointStore
 from valvemap.runtime.axis_keeper import AxisKeeper
@@ -28,6 +30,8 @@ from valvemap.vocabulary.statuses import AxisStatus
 SHOWN_S = 0.1  # s; shortest time between two results of an axis
 
 log = structlog.get_logger(__name__)
+
+AxisTap = Callable[[AxisOperator, str, AxisSamples], None]
 
 
 class LiveAxes:
@@ -48,6 +52,8 @@ class LiveAxes:
         Receives what feed-forward writes.
     store
         Keeps the states.
+    tap
+        Called with each axis' samples when they are complete, before its answers are written.
     reorder_s, stale_after_s, checkpoint_interval_s
         Longest wait in the reorder buffer; without a sample for this long, results are stale;
         interval at which the states are saved.
@@ -65,9 +71,12 @@ class LiveAxes:
         reorder_s: float,
         stale_after_s: float,
         checkpoint_interval_s: float,
+        tap: AxisTap | None = None,
     ) -> None:
         now = clock.monotonic()
-        self.axes = [Axis(plan) for plan in plans]
+        self.axes = [
+            Axis(plan, None if tap is None else partial(tap, self, plan.name)) for plan in plans
+        ]
         self._numbers = {plan.name: number for number, plan in enumerate(plans)}
         self._arrivals, self._sink, self._clock = arrivals, sink, clock
         self._stale_after_s = stale_after_s

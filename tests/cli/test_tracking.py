@@ -1,0 +1,92 @@
+"""Tracking in simulation: the demo's own code against the rig's own physics."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from valvemap.app.axes import plan_of
+from valvemap.cli import tracking
+from valvemap.cli.tracking import FIXED, LIVING, PHASES, PI, TABLE, Course
+from valvemap.model.axis import AxisSamples
+from valvemap.pipeline.axes import Axis
+from valvemap_rig.scenario import BUILTIN
+from valvemap_rig.simulation import Commands, advance, initial
+
+pytestmark = pytest.mark.timeout(900)
+
+SCENARIO = BUILTIN["tracking"]
+START_NS, STEP = 10**18, 4
+COMMISSIONING_S, END_S = 240.0, 150.0  # less than the demo takes
+SIGNALS = ("U", "x", "pA", "pB", "pS", "pT", "T")
+
+
+class AtOnce:
+    """The operator and the clock of a course whose service answers at once."""
+
+    def __init__(self):
+        self.axes, self.armed, self.t = {}, set(), START_NS
+
+    def now(self):
+        return self.t
+
+    def arm_axis(self, axis, *, armed):
+        assert armed
+        self.armed.add(axis)
+
+    def demand_speed(self, axis, v):
+        self.axes[axis].demand(v)
+
+
+@pytest.fixture(scope="module")
+def course():
+    """The scenario; answers act 40 ms after their sample."""
+    plans = [plan_of(axis) for axis in tracking.axes(SCENARIO)]
+    first = tracking.commissioned(SCENARIO, Axis(plans[-1]), COMMISSIONING_S)
+    service = AtOnce()
+    found = Course(SCENARIO, service)
+    for plan in plans:
+        one = Axis(plan, partial(found.take, service, plan.name))
+        service.axes[plan.name] = one
+        if plan.name in (FIXED, LIVING):
+            one.continue_from(first.learnt)
+    found.begin(START_NS)
+    state, U = initial(SCENARIO, START_NS), {}
+    for _ in range(round(END_S * SCENARIO.sample_rate_hz / STEP) + 1):
+        state, block = advance(SCENARIO, state, STEP, Commands(U=U))
+        for name, one in service.axes.items():
+            rows = block.machines[name]
+            service.t = int(rows.t[-1])
+            taken = AxisSamples.of(rows.t, **{signal: rows.shown[signal] for signal in SIGNALS})
+            if name not in (FIXED, LIVING):  # what they learn is used by none
+                found.take(service, name, taken)
+                continue
+            one.take(taken)
+            while (job := one.job()) is not None:
+                one.accept(job())
+        answers = {name: service.axes[name].required().U for name in service.armed}
+        U = {name: float(np.clip(u, -100, 100)) for name, u in answers.items() if np.isfinite(u)}
+    assert service.armed == {FIXED, LIVING}
+    return found
+
+
+def test_new_the_maps_track_better_than_a_table_and_a_table_better_than_none(course):
+    errors = course.errors(PHASES[0])
+    assert errors[LIVING] <= 1.1 * errors[FIXED]
+    assert errors[LIVING] <= 0.6 * errors[TABLE]
+    assert errors[TABLE] <= 0.6 * errors[PI]
+
+
+def test_a_minute_after_the_damage_the_living_map_tracks_as_before(course):
+    errors = course.errors(PHASES[1])
+    assert errors[LIVING] <= 0.7 * errors[FIXED]
+    assert errors[LIVING] <= 1.5 * course.errors(PHASES[0])[LIVING]
+    assert "living map" in course.lines()[0]
+    assert course.table().row_count == len(PHASES)
+
+
+def test_the_four_axes_differ_in_name_writing_and_freezing_alone():
+    axes = {axis.name: axis for axis in tracking.axes(SCENARIO)}
+    assert list(axes) == [PI, TABLE, FIXED, LIVING]
+    assert [axis.frozen for axis in axes.values()] == [False, False, True, False]
+    assert [axis.nodes.required_U is None for axis in axes.values()] == [True, True, False, False]
