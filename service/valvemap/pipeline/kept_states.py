@@ -69,8 +69,7 @@ class KeptStates:
         self._alarms = alarms
         self._maps = maps
         self._splitter, self._meters = splitter, meters
-    references
-        What the valves' dynamics are compared with.
+        self._references = references
         self._memory_keys: dict[
             tuple[int, bool | tuple[str, ...], bool], str
         ] = {}  # by fleet, `_has`
