@@ -82,6 +82,9 @@ class NoRuns:
         assert 0.0 <= accuracy <= 10_000.0
         assert user
 
+    def resume_commission(self, valve, accuracy, user):
+        self.start_commission(valve, accuracy, user)
+
     def abort_commission(self, valve):
         raise CommandRejected(f"{valve}: no run is under way")
 

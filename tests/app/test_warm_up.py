@@ -78,6 +78,18 @@ def test_a_long_life_compiles_nothing_that_the_warm_up_did_not():
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
+def test_two_valves_of_those_behind_one_meter_are_warmed_up():
+    valve = Config().valves[0]
+    nodes = [valve.nodes.model_copy(update={"U": f"ns=1;s=U{k}"}) for k in range(3)]
+    valves = tuple(
+        valve.model_copy(update={"name": f"V{k}", "nodes": one}) for k, one in enumerate(nodes)
+    )
+    config = warm_up._one_of_each_kind(Config(valves=valves))
+    assert [one.name for one in config.valves] == ["V0", "V1", "V2"][: len(config.valves)]
+    assert len(config.valves) >= 2
+    assert warm_up._share_a_meter in warm_up._parts(config)
+
+
 def test_two_that_compile_take_each_part_once_and_count_it(monkeypatch):
     ran = []
     parts = [partial(ran.append, number) for number in range(20)]

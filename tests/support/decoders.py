@@ -130,7 +130,8 @@ class Decoder:
 
 _TEXT = (UnicodeDecodeError,)  # librdkafka hands over text
 _MOST_ROWS_S = 0.1  # a packed column of equal values may rightly have as many rows as any block
-_FOREIGN_HEADINGS_S = 0.025  # physics judges some fifty readings of headings that no table knows
+_FOREIGN_HEADINGS_S = 0.04  # physics judges some fifty readings of headings that no table knows,
+# each with plays, offsets and weights of the pressures
 
 
 def decoders(folder):

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from valvemap.app.build import alignment_of, build_identification, build_plans
+from valvemap.config.meters import meters_of
 from valvemap.config.models import Config, ValveConfig
 from valvemap.model import flow_map_warm_up, spool_fit
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
@@ -25,6 +26,7 @@ from valvemap.model.estimator import Estimator, key_of
 from valvemap.model.kernels.compiled import note_warm_up, take_shortcuts, was_warmed_up
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples, Segments, Trace
+from valvemap.model.shared_meter import SharedMeter
 from valvemap.model.support import Support
 from valvemap.numba_version import are_shortcuts_asked_for
 from valvemap.opcua_source.decoding import decode_data_changes
@@ -101,10 +103,16 @@ def warm_up_aside(
 
 
 def _one_of_each_kind(config: Config) -> Config:
-    """Return the configuration with one valve of each kind, apart from names and nodes."""
-    kinds: dict[str, ValveConfig] = {}
+    """Return the configuration with one valve of each kind, apart from names and nodes.
+
+    Two are kept of those behind one meter, which share more than the kind.
+    """
+    kinds: dict[tuple[str, str], ValveConfig] = {}
+    behind = meters_of(config.valves)
+    two = [name for name, meter in behind.items() if meter == next(iter(behind.values()))][:2]
     for valve in config.valves:
-        kinds.setdefault(valve.model_dump_json(exclude=_OF_ONE), valve)
+        kind = valve.model_dump_json(exclude=_OF_ONE)
+        kinds.setdefault((kind, valve.name if valve.name in two else ""), valve)
     return config.model_copy(update={"valves": tuple(kinds.values())})
 
 
@@ -214,7 +222,14 @@ def _parts(config: Config) -> list[Callable[[], None]]:
         *((flow_map_warm_up.look, flow_map_warm_up.begin_again) if finds_structure else ()),
         *((_learn_axis,) if config.axes else ()),
         *((_fit_dynamics,) if config.dynamics.share else ()),
+        *((_share_a_meter,) if meters_of(config.valves) else ()),
     ]
+
+
+def _share_a_meter() -> None:
+    """Compile the division of a flow among valves."""
+    meter, one = SharedMeter(((0.0, 100.0), (0.0, 100.0))), np.ones((2, 1))
+    meter.learn(meter.initial_state(), one, one, one[0], np.ones(1, np.bool_))
 
 
 def _learn_axis() -> None:
@@ -304,6 +319,8 @@ def compile_here(config: Config) -> None:
         _learn_axis()
     if config.dynamics.share:
         _fit_dynamics()
+    if meters_of(config.valves):
+        _share_a_meter()
     identification = build_identification(config)
     if config.valves:
         identification.take(_ONE_CHANGE)

@@ -35,7 +35,7 @@ def look() -> None:
     """Compare what operators leave of a few rows."""
     both, given = axes((0.0, 100.0), (0.0, 200.0)), np.zeros(flow_path.PARAMETERS)
     evidence = Evidence(*both, np.ones((ROWS, flow_path.COLUMNS)))
-    evidence.of(given)
+    evidence.whitened(evidence.of(given).residual, evidence.noise(given))
     evidence.fill(given, *both, _blank().theta)
 
 

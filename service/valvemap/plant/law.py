@@ -111,14 +111,16 @@ def fit(
     total = float(np.var(Q))
     others = [part for U2, dp2 in beside for part in _parts(U2[good], dp2[good])]
     lags = [lag / step_s for lag in LAGS_S if lag < len(Q) * step_s or lag == 0.0]
-    best = min((_fitted(U, dp, Q, others, lag) for lag in lags), key=lambda one: one.left)
+    columns = _columns(U, dp, others)
+    best = min((_fitted(U, columns, Q, lag) for lag in lags), key=lambda one: one.left)
     for step in _FINER if best.lag else ():
         near = (best.lag / step, best.lag * step)
-        best = min(best, *(_fitted(U, dp, Q, others, lag) for lag in near),
+        best = min(best, *(_fitted(U, columns, Q, lag) for lag in near),
                    key=lambda one: one.left)  # fmt: skip
-    spools = (_played(U, play * float(np.ptp(U))) for play in PLAYS)
-    best = min(best, *(_fitted(spool, dp, Q, others, best.lag) for spool in spools),
-               key=lambda one: one.left)  # fmt: skip
+    for play in PLAYS:
+        spool = _played(U, play * float(np.ptp(U)))
+        other = _fitted(spool, _columns(spool, dp, others), Q, best.lag)
+        best = min(best, other, key=lambda one: one.left)
     U, columns, lag, weights = best.U, best.columns, best.lag, best.weights
     rows, parts = columns.shape
     own = columns[:, : parts - len(others)]
@@ -151,8 +153,11 @@ class _Fitted(NamedTuple):
     lag: float
 
 
-def _fitted(U: Floats, dp: Floats, Q: Floats, others: Sequence[Floats], lag: float) -> _Fitted:
-    columns = np.stack([*_parts(U, dp), *others], axis=1)
+def _columns(U: Floats, dp: Floats, others: Sequence[Floats]) -> Floats:
+    return np.stack([*_parts(U, dp), *others], axis=1)
+
+
+def _fitted(U: Floats, columns: Floats, Q: Floats, lag: float) -> _Fitted:
     left, weights = _least_squares(_lagged(columns, lag), Q)
     return _Fitted(left, weights, columns, U, lag)
 
@@ -213,7 +218,7 @@ def quantiles(values: Floats, shares: Sequence[float]) -> list[float]:
 
 def _parts(U: Floats, dp: Floats, at: Floats | None = None) -> list[Floats]:
     """Return the parts of the law with knots among U, for U or ``at``."""
-    root = np.sign(dp) * np.sqrt(np.abs(dp))
+    root = np.copysign(np.sqrt(np.abs(dp)), dp)
     knots = sorted(set(quantiles(U, KNOTS)))
     there = U if at is None else at
     return [root, *(root * np.maximum(there - knot, 0.0) for knot in knots)]
@@ -237,13 +242,14 @@ def _falls(U: Floats, weights: Floats) -> bool:
 
 def _least_squares(columns: Floats, Q: Floats) -> tuple[float, Floats]:
     """Return the mean square of what is left, and the weight of each column."""
-    scale = np.sqrt((columns**2).mean(axis=0)) + 1e-12
+    rows, parts = columns.shape
+    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns) / rows) + 1e-12
     X = columns / scale
     normal = X.T @ X
-    normal[np.diag_indices_from(normal)] += _RIDGE * len(X)
+    normal.flat[:: parts + 1] += _RIDGE * rows
     weights = np.linalg.solve(normal, X.T @ Q)
     residual = Q - X @ weights
-    return float((residual**2).mean()), weights / scale
+    return float(residual @ residual) / rows, weights / scale
 
 
 def _lagged(columns: Floats, steps: float) -> Floats:

@@ -78,7 +78,7 @@ def _log_probability(units: Mapping[Role, Unit]) -> float:
 def _factors(
     units: Mapping[Role, Unit], shares: Mapping[Quantity, Mapping[str, float]]
 ) -> Iterator[float]:
-    gauges: set[Unit] = set()
+    gauges: list[Unit] = []
     for role, unit in units.items():
         quantity = QUANTITY[role]
         share = shares.get(quantity, {}).get(unit.symbol, _RARE)
@@ -87,4 +87,4 @@ def _factors(
         else:
             yield (1.0 - _ONE_KIND) * share + _ONE_KIND * (unit in gauges)
         if quantity is _P:
-            gauges.add(unit)
+            gauges.append(unit)
