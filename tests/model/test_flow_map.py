@@ -138,6 +138,16 @@ def test_a_sudden_change_is_found_and_the_map_is_right_soon_after():
     assert judged(FlowMap(), state, lambda U, dp: 0.9 * bent(U, dp))[0] < 1.0
 
 
+@pytest.mark.parametrize("at", range(10_000, 12_000, 250))
+def test_the_size_of_a_change_is_that_of_the_places_visited_wherever_it_was_found(at):
+    U, dp = cycle(14, 14_000, 100.0)
+    Q = bent(U, dp)
+    state, _ = learnt(U, dp, np.where(np.arange(len(U)) < at, Q, 0.85 * Q))
+    since = Q[at : at + 1000]
+    usual = 0.15 * np.sqrt(np.mean(since**2))
+    assert FlowMap().last_change(state).size == pytest.approx(-usual, rel=0.6)
+
+
 @pytest.mark.parametrize("width", [0.0, 3.0])
 def test_play_between_u_and_the_spool_is_found_and_the_map_is_the_middle_of_the_loop(width):
     U, dp = cycle(13, 20_000, 100.0)

@@ -89,6 +89,7 @@ FEWEST_STAYS: Final = 100.0  # stays from which on their surprise tells of misfi
 SURPRISED: Final = 1.35  # variances; mean square of stays that nothing listed explains; healthy
 # valves have .1-1.1, valves with a hidden cause 1.6-2.5
 SURPRISE_STEP: Final = 0.05  # variances; scale of its probability about that
+OF_CHANGE: Final = 0.1  # of a change's mean square: what the next stay adds to it
 CERTAIN: Final = 0.95  # probability of a sudden change from which on it is published
 OVER: Final = 0.05  # probability of a sudden change below which the last one is over
 

@@ -187,10 +187,13 @@ def end_stay(memory: Memory, room: Room) -> None:
         young = counters[USED] - max(counters[BEGAN], counters[CALM]) < rules.MATURE
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
         variance, warmed = counters[STAYS] * (noise + share * of_cell), _warmed(side, scalars)
+        off = residual
+        for k in range(drifts.LEVELS):
+            off += by[k] * drift.now[0, k]
         surprise = drifts.step(drift, dt, jumps, warmed, residual, by, variance)
         scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
         scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
-        _note_change(drift, side, now, residual, memory)
+        _note_change(drift, side, now, off, by, memory)
     stay[:KNOWN_COUNT] = 0.0
 
 
@@ -230,8 +233,15 @@ def _warmed(side: int, scalars: Floats) -> float:
 
 
 @inner
-def _note_change(drift: Drift, side: int, now: int, residual: float, memory: Memory) -> None:
-    """Count a sudden change that is certain, and note how much of what it is, if it has a name."""
+def _note_change(
+    drift: Drift, side: int, now: int, off: float, by: Floats, memory: Memory
+) -> None:  # fmt: skip
+    """Count a sudden change that is certain, and note how much of what it is, if it has a name.
+
+    ``off`` is the stay against the map as it was at first. The change's size is the root mean
+    square of what the stays since are off the map as it was before: the first of them may be where
+    little flows.
+    """
     counters, stay = memory.counters, memory.stay
     changed_s = 1e-9 * float(now - counters[CHANGE_TIME])
     if drift.chance[drifts.WANDERING] > rules.CERTAIN and changed_s > rules.AFTER_JUMP:
@@ -242,11 +252,20 @@ def _note_change(drift: Drift, side: int, now: int, residual: float, memory: Mem
         counters[ALARMED] = 1
         counters[CHANGES] += 1
         counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
-        stay[CHANGE_SIZE], stay[CHANGE_OF] = residual, 0.0
-        for k in range(drifts.LEVELS):
-            stay[BEFORE + k] = drift.x[drifts.STILL, k]
+        counters[CHANGE_KIND], changed_s = drifts.OTHER_GAIN + side * drifts.NAMED, 0.0
+        stay[CHANGE_SIZE], stay[CHANGE_OF] = 0.0, 0.0
     elif moved < rules.OVER and changed_s > rules.AFTER_JUMP:
         counters[ALARMED] = 0
+    if moved < rules.OVER and not counters[ALARMED]:
+        for k in range(drifts.LEVELS):
+            stay[BEFORE + k] = drift.now[0, k]
+    if changed_s <= rules.AFTER_JUMP and counters[CHANGE_KIND] // drifts.NAMED == side:
+        for k in range(drifts.LEVELS):
+            off -= by[k] * stay[BEFORE + k]
+        share = 1.0 if changed_s == 0.0 else rules.OF_CHANGE
+        mean = (1.0 - share) * stay[CHANGE_SIZE] + share * off
+        square = (1.0 - share) * stay[CHANGE_SIZE] ** 2 + share * off * off
+        stay[CHANGE_SIZE] = math.copysign(math.sqrt(square), mean)
     if counters[ALARMED] and jumped > rules.CERTAIN:
         of_gain = drift.chance[drifts.OTHER_GAIN] > drift.chance[drifts.OTHER_EDGE]
         kind, k = (drifts.OTHER_GAIN, 0) if of_gain else (drifts.OTHER_EDGE, 1)
