@@ -17,7 +17,7 @@ from valvemap.plant.roles import QUANTITY, Role
 
 ACCEPTED: Final = 0.95  # probability of a reading that is taken without a question
 _NAMED: Final = 0.02  # probability of a reading that a question names
-_LEAST_NAMED, _MOST_NAMED = 2, 6
+_LEAST_NAMED, _MOST_NAMED = 2, 12
 _CLEAR: Final = -2.0  # nats; a contradiction that is named
 _NAMED_INSTEAD: Final = frozenset({Role.SPOOL, Role.POSITION, Role.PILOT})
 
