@@ -31,7 +31,7 @@ test: $(DEV)
 
 # Tests that mostly wait: while they do, there is time for something else.
 waits: $(DEV)
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))" $(call marked,waits)
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or alone or $(PEERS))" $(call marked,waits)
 
 # Two files side by side: foreign programs start and wait for long. What draws is left alone.
 peers: $(DEV)
