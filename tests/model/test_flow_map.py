@@ -138,6 +138,20 @@ def test_a_sudden_change_is_found_and_the_map_is_right_soon_after():
     assert judged(FlowMap(), state, lambda U, dp: 0.9 * bent(U, dp))[0] < 1.0
 
 
+def test_what_one_edge_was_before_its_change_is_not_taken_from_the_other_edge():
+    N, at = 24_000, 18_000
+    U, dp = cycle(18, N, 100.0)
+    U = 2.0 * U - 100.0
+    is_ahead, since = U > 0, np.arange(N) >= at
+    Q = two_edges(U, dp)
+    ahead = np.where(since, 0.85, 1.0)
+    astern = np.where(np.arange(N) >= 9_000, 0.7, 1.0)  # another change, long before
+    state, _ = learnt(
+        U, dp, Q * np.where(is_ahead, ahead, astern), estimator=FlowMap(U_range=(-100.0, 100.0))
+    )
+    assert state.stay[flow_memory.CHANGE_OF] == pytest.approx(-0.15, abs=0.03)
+
+
 def laminar(U, dp):
     return oily(U, dp, 40.0)
 

@@ -43,7 +43,7 @@ class FlowMapState(State):
         Local precisions of the prior along U and s.
     x, P, chance, now : (2, …)
         What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
-    stay : (15,)
+    stay : (STAY,)
         The stay in a cell that lasts, see :mod:`kernels.flow_memory`.
     play : (PLACES,)
         Play between U and the spool, see :mod:`kernels.flow_play`.
@@ -90,8 +90,8 @@ class FlowMapState(State):
                 arrays[name] = np.insert(arrays[name], flow_drift.WANDERING, still, axis=1)
             arrays["chance"] = np.insert(arrays["chance"], flow_drift.WANDERING, 0.0, axis=1)
         sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
-        for name, size in (sizes | {"path": flow_path.PLACES}).items():
-            arrays[name] = np.pad(arrays[name], (0, size - len(arrays[name])))
+        for name, size in (sizes | {"path": flow_path.PLACES, "stay": flow_memory.STAY}).items():
+            arrays[name] = np.pad(arrays[name][:size], (0, max(size - len(arrays[name]), 0)))
         scalars = arrays["scalars"]
         scalars[flow_fit.SLOW] = scalars[flow_fit.COLOUR] > 0.0
         scalars[flow_fit.AFTER] = scalars[flow_fit.COLOUR] * scalars[flow_fit.NEXT]

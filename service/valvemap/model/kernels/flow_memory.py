@@ -21,8 +21,8 @@ DOUBTED = 23  # 1 where a change was called and may be the meter's end
 CALM = 24  # samples when it was last forgotten what moves
 RESTARTED = 25  # samples when the map began again, those that it then learnt once more included
 WANDERED = 26  # ns; of the last stay that something without a name explained
-PAIR_CELL, PAIR_TIME, PAIR_SAMPLE = 27, 28, 29  # of the stay that is to be compared
-COUNTERS = 30
+PAIR_CELL, PAIR_TIME = 27, 28  # of the stay that is to be compared
+COUNTERS = 29
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
@@ -30,8 +30,8 @@ APART = 3  # sum of squared distances from the cell's mean, in cells
 BY = 4  # sums of derivatives, drifts.STATES places
 KNOWN_COUNT = BY + drifts.STATES  # from here on what the cell knew when the stay began
 KNOWN_OFF, CHANGE_SIZE, CHANGE_OF = KNOWN_COUNT + 1, KNOWN_COUNT + 2, KNOWN_COUNT + 3
-BEFORE = KNOWN_COUNT + 4  # gain and edge before the last change; CHANGE_OF: how much it was
-STAY = BEFORE + drifts.LEVELS
+BEFORE = KNOWN_COUNT + 4  # gain and edge of each side before a change; CHANGE_OF: how much it was
+STAY = BEFORE + 2 * drifts.LEVELS
 
 
 class Memory(NamedTuple):

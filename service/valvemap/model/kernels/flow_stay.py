@@ -40,7 +40,6 @@ from valvemap.model.kernels.flow_memory import (
     OF,
     OF_MAP,
     PAIR_CELL,
-    PAIR_SAMPLE,
     PAIR_TIME,
     PLACE_S,
     PLACE_U,
@@ -221,7 +220,6 @@ def _note_pair(variance: float, memory: Memory) -> None:
         scalars[fits.PAIRS] += 1.0
     scalars[fits.PAIR_ERROR] = error
     counters[PAIR_CELL], counters[PAIR_TIME] = counters[STAY_CELL], now
-    counters[PAIR_SAMPLE] = counters[USED]
 
 
 @inner
@@ -243,6 +241,7 @@ def _note_change(
     little flows.
     """
     counters, stay = memory.counters, memory.stay
+    before = stay[BEFORE + side * drifts.LEVELS :]
     changed_s = 1e-9 * float(now - counters[CHANGE_TIME])
     if drift.chance[drifts.WANDERING] > rules.CERTAIN and changed_s > rules.AFTER_JUMP:
         counters[WANDERED] = now
@@ -258,10 +257,10 @@ def _note_change(
         counters[ALARMED] = 0
     if moved < rules.OVER and not counters[ALARMED]:
         for k in range(drifts.LEVELS):
-            stay[BEFORE + k] = drift.now[0, k]
+            before[k] = drift.now[0, k]
     if changed_s <= rules.AFTER_JUMP and counters[CHANGE_KIND] // drifts.NAMED == side:
         for k in range(drifts.LEVELS):
-            off -= by[k] * stay[BEFORE + k]
+            off -= by[k] * before[k]
         share = 1.0 if changed_s == 0.0 else rules.OF_CHANGE
         mean = (1.0 - share) * stay[CHANGE_SIZE] + share * off
         square = (1.0 - share) * stay[CHANGE_SIZE] ** 2 + share * off * off
@@ -270,4 +269,4 @@ def _note_change(
         of_gain = drift.chance[drifts.OTHER_GAIN] > drift.chance[drifts.OTHER_EDGE]
         kind, k = (drifts.OTHER_GAIN, 0) if of_gain else (drifts.OTHER_EDGE, 1)
         counters[CHANGE_KIND] = kind + side * drifts.NAMED
-        stay[CHANGE_OF] = drift.x[kind, k] - stay[BEFORE + k]
+        stay[CHANGE_OF] = drift.x[kind, k] - before[k]
