@@ -191,7 +191,7 @@ def signals(
     dp = p1 - load
     Q = opened * np.sqrt(np.maximum(dp, 0.0))
     lag = float(rng.choice([0.0, 0.05, 0.2]))
-    Q = _lag(Q, lag, step)
+    Q = behind(Q, lag, step)
     Q = Q + rng.normal(0, 0.005 * max(Q.max(), 1.0), len(t))
     noise = 0.002 * supply
     found = {
@@ -217,12 +217,13 @@ def _command(rng: np.random.Generator, excitation: str, t: Floats) -> Floats:
             return np.asarray(10 + 85 * (1 - np.abs((t * rng.uniform(0.15, 0.4)) % 2 - 1)))
         case "work":
             levels = rng.choice([0.0, 0.0, 30.0, 60.0, 95.0], 40)
-            return _lag(levels[(t / 0.8).astype(int)], 0.15, t[1] - t[0])
+            return behind(levels[(t / 0.8).astype(int)], 0.15, t[1] - t[0])
         case _:
             return np.full(len(t), rng.uniform(30, 80))
 
 
-def _lag(values: Floats, tau: float, step: float) -> Floats:
+def behind(values: Floats, tau: float, step: float) -> Floats:
+    """Return what follows values at steps of ``step`` s by a first-order lag of ``tau`` s."""
     if tau <= 0.0:
         return values
     found, state = np.empty_like(values, dtype=float), float(values[0])

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.connect_plants import NAMES, SECONDS, UNITS, Floats, Plant, raw_of
+from benchmarks.connect_plants import NAMES, SECONDS, UNITS, Floats, Plant, behind, raw_of
 from valvemap.pipeline.units import unit_of
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
@@ -75,12 +75,12 @@ def _signals(rng: np.random.Generator, *, reverses: bool = False) -> dict[str, F
     if reverses:
         load = supply * (1.0 + 0.4 * wave) * rng.uniform(0.85, 1.0)
     droop = rng.uniform(0.02, 0.15) * supply
-    spool = _behind(_played(U, rng.uniform(0.0, 4.0)), rng.uniform(0.0, 0.03), step)
+    spool = behind(_played(U, rng.uniform(0.0, 4.0)), rng.uniform(0.0, 0.03), step)
     p1 = supply - droop * np.clip(spool, 0, None) / 100.0 + 0.01 * supply * _wave(rng, t)
     k = float(np.exp(rng.uniform(np.log(0.8), np.log(14.0))))
     opened = k * np.clip((spool - rng.uniform(0, 8)) / 100.0, 0, None) ** rng.uniform(0.9, 1.6)
     dp = p1 - load
-    Q = _behind(opened * np.sign(dp) * np.sqrt(np.abs(dp)), float(rng.choice([0, 0.05, 0.2])), step)
+    Q = behind(opened * np.sign(dp) * np.sqrt(np.abs(dp)), float(rng.choice([0, 0.05, 0.2])), step)
     noise = 0.002 * supply
     rows = len(t)
     return {
@@ -103,7 +103,7 @@ def _command(rng: np.random.Generator, t: Floats) -> Floats:
             return np.asarray(10 + 85 * (1 - np.abs((t * rng.uniform(0.15, 0.4)) % 2 - 1)))
         case _:
             levels = rng.choice([0.0, 30.0, 60.0, 95.0], 40)
-            return _behind(levels[(t / 0.8).astype(int)], 0.15, float(t[1]))
+            return behind(levels[(t / 0.8).astype(int)], 0.15, float(t[1]))
 
 
 def _wave(rng: np.random.Generator, t: Floats) -> Floats:
@@ -118,16 +118,6 @@ def _played(U: Floats, width: float) -> Floats:
     found, at = np.empty_like(U), float(U[0])
     for i, u in enumerate(U):
         at = min(max(at, u - width / 2), u + width / 2)
-        found[i] = at
-    return found
-
-
-def _behind(values: Floats, tau: float, step: float) -> Floats:
-    if tau <= 0.0:
-        return values
-    found, at = np.empty_like(values, dtype=float), float(values[0])
-    for i, value in enumerate(values):
-        at += (1 - np.exp(-step / tau)) * (value - at)
         found[i] = at
     return found
 

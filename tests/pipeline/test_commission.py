@@ -172,25 +172,24 @@ def test_a_write_without_a_response_is_followed_by_the_measured_u():
     assert (course.state.phase, course.state.is_led) == (Phase.PAUSED, False)
 
 
-def test_refused_commands_end_the_run():
+def refused_for(steps):
     course = Course()
     course.steps(2.0)
-    for _ in range(40):
+    for _ in range(steps):
         course.now += STEP_S
         course.state, command = step(SETTINGS, course.state, course.seen, course.now)
         refused = command != Command()
         course.state = written(course.state, Command(), course.now, refused=refused)
+    return course
+
+
+def test_refused_commands_end_the_run():
+    course = refused_for(40)
     assert course.state.reason in {Reason.NOT_TAKEN, Reason.NOT_FOLLOWED}
 
 
 def test_commands_refused_for_a_moment_do_not_end_the_run():
-    course = Course()
-    course.steps(2.0)
-    for _ in range(11):
-        course.now += STEP_S
-        course.state, command = step(SETTINGS, course.state, course.seen, course.now)
-        refused = command != Command()
-        course.state = written(course.state, Command(), course.now, refused=refused)
+    course = refused_for(11)
     assert course.steps(1.0).phase is Phase.SWEEPING
 
 

@@ -111,8 +111,7 @@ async def _feed_forward_demo(
     console.print("compiling: a minute at the very first start ...")
     identification = build_identification(config)
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    writer = {"user": "operator", "password": SecretStr(password)}
-    config = config.model_copy(update={"source": config.source.model_copy(update=writer)})
+    config = _writing(config, password)
     stop = asyncio.Event()
     with stop_on_signal(stop):
         await _compile(config, stop, console)
@@ -139,8 +138,7 @@ async def _axis_demo(folder: Path, duration: float | None, console: Console) -> 
     console.print("compiling: a minute at the very first start ...")
     identification = build_identification(config)
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    writer = {"user": "operator", "password": SecretStr(password)}
-    config = config.model_copy(update={"source": config.source.model_copy(update=writer)})
+    config = _writing(config, password)
     stop = asyncio.Event()
     with stop_on_signal(stop):
         await _compile(config, stop, console)
@@ -169,6 +167,12 @@ async def _axis_demo(folder: Path, duration: float | None, console: Console) -> 
                 _say_where(console, config, rig_url, password, page)
                 await _show(course, console, stop, serving, end)
     console.print(course.table())
+
+
+def _writing(config: Config, password: str) -> Config:
+    """Return the configuration of a service that may write at the rig, as its operator."""
+    writer = {"user": "operator", "password": SecretStr(password)}
+    return config.model_copy(update={"source": config.source.model_copy(update=writer)})
 
 
 async def _compile(config: Config, stop: asyncio.Event, console: Console) -> None:

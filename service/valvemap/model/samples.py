@@ -113,6 +113,12 @@ class Samples:
         columns = {name: [getattr(part, name) for part in parts] for name in field_names(cls)}
         return cls(**{name: np.concatenate(column) for name, column in columns.items()})
 
+    @classmethod
+    def from_values(cls, t: Times, values: Floats, quality: NDArray[np.uint8]) -> Self:
+        """Restore samples from `values`, in the order of the table, (N, COUNT)."""
+        columns = dict(zip(MEASURED, np.ascontiguousarray(values.T), strict=True))
+        return cls(t=t, quality=quality, **columns)
+
     @property
     def values(self) -> Floats:
         """Return all signals in the order of the table, (N, COUNT)."""

@@ -203,8 +203,7 @@ class Splitter:
         kept.check(like)
         waiting = self._edges[number][1]
         waiting.state = kept.state
-        columns = dict(zip(MEASURED, np.ascontiguousarray(kept.values.T), strict=True))
-        waiting.own = Samples(t=kept.t, quality=kept.quality, **columns)
+        waiting.own = Samples.from_values(kept.t, kept.values, kept.quality)
         waiting.line_t, waiting.leakage = kept.line_t, kept.leakage
 
 

@@ -210,8 +210,7 @@ class Meters:
             sums=np.zeros(sums),
         )
         kept.check(like)
-        columns = dict(zip(MEASURED, np.ascontiguousarray(kept.values.T), strict=True))
-        meter.waiting[place] = Samples(t=kept.t, quality=kept.quality, **columns)
+        meter.waiting[place] = Samples.from_values(kept.t, kept.values, kept.quality)
         if not place:
             meter.state = SharedMeterState(kept.weights, kept.P, kept.sums)
 
