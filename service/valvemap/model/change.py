@@ -16,7 +16,8 @@ class Change:
     t : int
         Time of the last sample before it, UTC ns.
     size : float
-        Mean innovation from the change to its detection, l/min.
+        Change of the flow, l/min: of least squares the mean innovation until its detection, of
+        `Auto` the root mean square of what is off the former map within 10 s, with its sign.
     """
 
     count: int

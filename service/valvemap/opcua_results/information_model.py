@@ -203,7 +203,8 @@ def discovery_variables(
         ),
         VariableNode(
             f"{prefix}.ChangeSize",
-            "Mean innovation between the change and its detection; negative: less flow.",
+            "Change of the flow; negative: less. RLS: mean innovation between the change and its "
+            "detection. Auto: root mean square difference from the former map over the next 10 s.",
             unit=Unit.LITRE_PER_MINUTE,
             range=(-Q_max, Q_max),
         ),
