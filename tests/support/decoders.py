@@ -130,8 +130,8 @@ class Decoder:
 
 _TEXT = (UnicodeDecodeError,)  # librdkafka hands over text
 _MOST_ROWS_S = 0.1  # a packed column of equal values may rightly have as many rows as any block
-_FOREIGN_HEADINGS_S = 0.04  # physics judges some fifty readings of headings that no table knows,
-# each with plays, offsets and weights of the pressures
+_FOREIGN_HEADINGS_S = 0.1  # physics judges some seventy readings of headings that no table knows,
+# each with plays, offsets and weights of the pressures, .4-.7 ms a reading
 
 
 def decoders(folder):
