@@ -70,16 +70,15 @@ async def test_a_parameter_vector_moves_while_it_is_watched(service):
 
     subscription = await service.create_subscription(100, Handler())
     await subscription.subscribe_data_change(await node(service, "Valvistor.RLS.ParameterVector"))
-    async with asyncio.timeout(20):
-        while len(seen) < 5:  # noqa: ASYNC110 - a subscription has no event of its own
-            await asyncio.sleep(0.05)
+    async with asyncio.timeout(40):  # cold kernels and a busy machine learn later
+        while len(seen) < 5 or abs(seen[-1][0][3] - 0.25) >= 0.1:  # noqa: ASYNC110
+            await asyncio.sleep(0.05)  # a subscription has no event of its own
     await subscription.delete()
     values = np.array([value for value, _ in seen])
     times = [time for _, time in seen]
     assert values.shape[1] == 5
     assert (np.ptp(values, axis=0) > 0).all()
     assert times == sorted(times)
-    assert abs(values[-1, 3] - 0.25) < 0.1
 
 
 async def test_results_carry_units_names_and_meaning(service):
