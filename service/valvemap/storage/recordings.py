@@ -35,8 +35,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import BinaryIO, Protocol, Self
+from typing import BinaryIO, Protocol
 
 from valvemap.errors import NoRecording, RecordingError, StorageError
 from valvemap.model.samples import Samples
@@ -82,7 +81,7 @@ def read_recording(
     return RecordingReader(recording, chunk_rows, layout or Layout())
 
 
-class RecordingReader(Iterator[tuple[str, Samples]]):
+class RecordingReader(Closing, Iterator[tuple[str, Samples]]):
     """Iterates over a recording; see :func:`read_recording`.
 
     Attributes
@@ -126,17 +125,6 @@ class RecordingReader(Iterator[tuple[str, Samples]]):
             raise
         self._seen = True
         return chunk
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class _Source(Protocol):
