@@ -94,6 +94,14 @@ def test_seconds_are_the_same_times_in_every_form(t, tmp_path):
     assert bits(tmp_path / "r.csv") == bits(tmp_path / "r.parquet") == bits(frame) == bits(table)
 
 
+def test_durations_are_seconds():
+    pd = pytest.importorskip("pandas")
+    table = rows() | {"t": np.arange(N) / 100}
+    spent = pd.to_timedelta(pd.Series(table["t"]), unit="s")
+    for t in (spent, spent.to_numpy()):
+        assert bits(table | {"t": t}) == bits(table)
+
+
 def test_a_fit_is_the_map_of_the_replay_from_every_form(folder):
     report = valvemap.replay(str(folder / "plant.csv"))
     expected = report["Valvistor"]["Auto"].lane
@@ -156,6 +164,38 @@ def test_a_model_predicts_inverts_and_states_intervals(model):
     assert fresh.r2 > 0.99
 
 
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        (lambda model: model.predict("wide", 100), "U is 'wide'; a number, or an array of numbers"),
+        (lambda model: model.predict(None, 100), "U is None; a number"),
+        (
+            lambda model: model.invert(Q=[20, 60], dp=[1, 2, 3]),
+            r"not Q \(2,\), dp \(3,\), T \(1,\)",
+        ),
+        (lambda model: model.interval(50, 100, T="warm"), "T is 'warm'; a number"),
+        (lambda model: model.plot("valve.jpg"), r"valve\.jpg: the name of a picture ends in \.png"),
+        (lambda model: model.compare("nowhere.csv"), r"nowhere\.csv does not exist"),
+    ],
+)
+def test_a_wrong_question_is_named_with_what_is_allowed(model, asked, sentence):
+    with pytest.raises((ConfigurationError, RecordingError), match=sentence):
+        asked(model)
+
+
+def test_answers_have_the_shape_of_the_question(model):
+    U, dp = np.meshgrid([20.0, 50.0, 80.0], [50.0, 100.0])
+    Q = model.predict(U, dp)
+    assert Q.shape == model.interval(U, dp)[0].shape == model.invert(Q, dp).status.shape == (2, 3)
+    assert Q.ravel().tolist() == model.predict(U.ravel(), dp.ravel()).tolist()
+    assert model.predict(50, 100).shape == (1,)
+
+
+def test_a_model_is_compared_with_its_file(model, tmp_path):
+    model.save(tmp_path / "v.json")
+    assert model.compare(tmp_path / "v.json").rmse == 0.0
+
+
 def test_a_model_is_compared_with_another_where_both_have_samples(model):
     worn = valvemap.fit(rows(scale=0.11), estimator="Auto")
     apart = model.compare(worn)
@@ -197,6 +237,7 @@ MISTAKES = {
     "text": (rows() | {"U": ["x"] * N}, RecordingError, r"dict, row 1: U is 'x', allowed is a num"),
     "unequal": (rows() | {"U": [1.0]}, RecordingError, r"columns of equal length are allowed"),
     "shape": (rows() | {"U": np.zeros((N, 2))}, RecordingError, r"column U .* shape \(3000, 2\)"),
+    "few": ({k: x[:5] for k, x in rows().items()}, RecordingError, r"too few for a map by Auto"),
     "bad": (rows() | {"quality": [2] * N}, RecordingError, r"nothing was learnt from 3000 samples"),
 }
 
@@ -212,6 +253,9 @@ def test_a_mistake_is_named_with_what_is_allowed(name):
     ("arguments", "sentence"),
     [
         ({"units": {"p1": "l/min"}}, r"units\['p1'\] is 'l/min'; bar, mbar, Pa, .* are allowed"),
+        ({"units": "bar"}, r"units is 'bar'; texts by signal are allowed: units=\{'p1': '…'\}"),
+        ({"columns": ["t", "U"]}, r"columns is \['t', 'U'\]; texts by signal are allowed"),
+        ({"columns": {"volt": "U"}}, r"not 'volt'; is columns=\{'U': 'volt'\} meant\?"),
         ({"units": {"p3": "bar"}}, r"units\['p3'\]: U, p1, p2, Q, T are allowed"),
         ({"columns": {"u": "x"}}, r"columns\['u'\]: U, p1, .* valve, quality are allowed"),
         ({"columns": {"U": "signal"}}, r"column 'signal' .* is missing; found 't,U,p1"),

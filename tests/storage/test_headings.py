@@ -203,3 +203,25 @@ def test_parquet_with_foreign_headings_is_recognised(plain, tmp_path):
     )
     pq.write_table(table, tmp_path / "r.parquet")
     assert_twin(read(tmp_path / "r.parquet"), plain)
+
+
+@pytest.mark.parametrize(
+    ("before", "below", "factor"),
+    [
+        ("Recorded by rig 4\nDate: 2026-01-02, 08:00\n\n", "", 1.0),
+        ("# ", "", 1.0),  # as numpy.savetxt writes it
+        ("# a logger's note\n", "s,%,bar,bar,l/min\n", 1.0),
+        ("", "[s],[%],[kPa],[kPa],[l/min]\n", 100.0),
+    ],
+)
+def test_notes_above_and_units_below_the_headings(plain, tmp_path, before, below, factor):
+    scale = {"p1": factor, "p2": factor}
+    columns = [x * scale.get(name, 1.0) for name, x in plain.items()]
+    lines = [",".join(map(repr, map(float, row))) for row in zip(*columns, strict=True)]
+    lines[7] = lines[7].rpartition(",")[0] + ",#N/A"
+    file = tmp_path / "r.csv"
+    file.write_text(f"{before}{','.join(plain)}\n{below}" + "\n".join(lines) + "\n")
+    samples = read(file)
+    assert np.isnan(samples.Q[7])
+    Q = np.where(np.arange(N) == 7, np.nan, plain["Q"])
+    assert_twin(samples, plain | {"Q": Q})

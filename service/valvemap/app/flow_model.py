@@ -16,7 +16,7 @@ from valvemap.model.inverse_map import invert
 from valvemap.model.inversion import Inversion
 from valvemap.model.residual_spread import TWO_SIDED_95
 from valvemap.model.samples import Floats, Samples
-from valvemap.storage.models import StoredModel, is_model, write_model
+from valvemap.storage.models import StoredModel, is_model, load_model, write_model
 from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.statuses import Quality
 
@@ -55,8 +55,9 @@ class Comparison:
 class Model(StoredModel):
     """One valve's map, from :func:`valvemap.fit` or :func:`valvemap.open_model`.
 
-    Everything is in %, bar, l/min and °C. Arguments are scalars or arrays that broadcast; ``T`` is
-    the temperature measured last unless it is given.
+    Everything is in %, bar, l/min and °C. Arguments are scalars or arrays that broadcast, and
+    results have their shape, (1,) for scalars; ``T`` is the temperature measured last unless it is
+    given. An argument that is no number is a `ConfigurationError`.
 
     Examples
     --------
@@ -71,29 +72,32 @@ class Model(StoredModel):
 
     def __repr__(self) -> str:
         return (
-            f"<{self.valve} by {self.name}: noise {self.noise_std:.3g} l/min, oil at {self.T:.3g} "
-            "°C; predict, invert, interval, compare, plot, to_frame, save>"
+            f"<{self._title()}, noise {self.noise_std:.3g} l/min; "
+            "predict, invert, interval, compare, plot, to_frame, save>"
         )
 
     def predict(self, U: ArrayLike, dp: ArrayLike, T: ArrayLike | None = None) -> Floats:
-        """Flow at a control voltage and pressure drop, l/min, (N,); NaN where unknown."""
-        return self._predicted(self._points(U, dp, T))[0]
+        """Flow at a control voltage and pressure drop, l/min; NaN where unknown."""
+        given, shape = self._points(T, U=U, dp=dp)
+        return self._predicted(given)[0].reshape(shape)
 
     def interval(
         self, U: ArrayLike, dp: ArrayLike, T: ArrayLike | None = None
     ) -> tuple[Floats, Floats]:
-        """95 % interval of a new measurement of the flow: lower and upper bound, l/min, (N,).
+        """95 % interval of a new measurement of the flow: lower and upper bound, l/min.
 
         It contains the uncertainty of the map, which grows away from the samples, and the noise.
         """
-        Q, std, _ = self._predicted(self._points(U, dp, T))
+        given, shape = self._points(T, U=U, dp=dp)
+        Q, std, _ = self._predicted(given)
         half = TWO_SIDED_95 * np.hypot(std, self.noise_std)
-        return Q - half, Q + half
+        return (Q - half).reshape(shape), (Q + half).reshape(shape)
 
     def invert(self, Q: ArrayLike, dp: ArrayLike, T: ArrayLike | None = None) -> Inversion:
-        """Control voltage that delivers a flow, with its 95 % interval and status, (N,)."""
-        given = self._points(Q, dp, T)
-        return invert(self.estimator, self.state, *given, support=self.support)
+        """Control voltage that delivers a flow, with its 95 % interval and status."""
+        given, shape = self._points(T, Q=Q, dp=dp)
+        found = invert(self.estimator, self.state, *given, support=self.support)
+        return Inversion(*(x.reshape(shape) for x in vars(found).values()))
 
     def compare(
         self,
@@ -107,8 +111,8 @@ class Model(StoredModel):
         Parameters
         ----------
         other
-            A model, or recordings as in :func:`valvemap.fit`; rows of other valves and of bad
-            quality are left out.
+            A model, the path of a saved one, or recordings as in :func:`valvemap.fit`; rows of
+            other valves and of bad quality are left out.
         units, columns
             As in :func:`valvemap.fit`.
 
@@ -117,6 +121,8 @@ class Model(StoredModel):
         ConfigurationError
             if there is nothing to compare.
         """
+        if isinstance(other, str | os.PathLike) and is_model(Path(other)):
+            other = load_model(Path(other))
         if isinstance(other, StoredModel):
             given, Q = self._shared_points(other)
         else:
@@ -143,21 +149,26 @@ class Model(StoredModel):
         Parameters
         ----------
         file
-            A PNG file to write, too.
+            A file to write, too: PNG, PDF or SVG by its name.
+
+        Raises
+        ------
+        ConfigurationError
+            if the name ends in none of these.
         """
         from valvemap.report.model_plot import Curve, draw_model  # noqa: PLC0415 - an extra
-        from valvemap.report.plots import save_figure  # noqa: PLC0415
+        from valvemap.report.plots import save_picture  # noqa: PLC0415
 
         U = np.linspace(*U_range_of(self.estimator), 101)
         _, _, low, high, _ = self.support.ranges
         curves = []
         for dp in np.linspace(np.sqrt(max(low, 0.0)), np.sqrt(high), CURVES + 1)[1:] ** 2:
-            Q, std, guessed = self._predicted(self._points(U, dp, None))
+            Q, std, guessed = self._predicted(self._points(None, U=U, dp=dp)[0])
             half = TWO_SIDED_95 * np.hypot(std, self.noise_std)
             curves.append(Curve(float(dp), U, Q, Q - half, Q + half, guessed))
-        figure = draw_model(f"{self.valve} by {self.name}, oil at {self.T:.3g} °C", curves)
+        figure = draw_model(self._title(), curves)
         if file is not None:
-            save_figure(figure, Path(file))
+            save_picture(figure, Path(file))
         return figure
 
     def to_frame(
@@ -183,7 +194,7 @@ class Model(StoredModel):
             np.linspace(max(low, 0.0), high, LEVELS_DP) if dp is None else np.ravel(dp),
         )
         grid_U, grid_dp = np.meshgrid(*axes, indexing="ij")
-        given = self._points(grid_U, grid_dp, None)
+        given, _ = self._points(None, U=grid_U, dp=grid_dp)
         Q, std, guessed = self._predicted(given)
         half = TWO_SIDED_95 * np.hypot(std, self.noise_std)
         table = dict(zip(("U", "dp", "T"), given, strict=True))
@@ -204,11 +215,21 @@ class Model(StoredModel):
             raise ConfigurationError(f"{file}: the name of a saved model ends in .json")
         write_model(Path(file), self)
 
-    def _points(self, first: ArrayLike, dp: ArrayLike, T: ArrayLike | None) -> Points:
-        given = first, dp, self.T if T is None else T
-        arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in given))
-        first, dp, warm = (np.array(x, np.float64).ravel() for x in arrays)
-        return first, dp, warm
+    def _title(self) -> str:
+        oil = "oil temperature unknown" if np.isnan(self.T) else f"oil at {self.T:.3g} °C"
+        return f"{self.valve} by {self.name}, {oil}"
+
+    def _points(self, T: ArrayLike | None, **given: ArrayLike) -> tuple[Points, tuple[int, ...]]:
+        """Return both arguments and T as (N,), and the shape in which they broadcast."""
+        arrays = [_numbers(name, x) for name, x in given.items()]
+        arrays.append(np.atleast_1d(np.float64(self.T)) if T is None else _numbers("T", T))
+        try:
+            shape = np.broadcast_shapes(*(x.shape for x in arrays))
+        except ValueError:
+            said = ", ".join(f"{n} {x.shape}" for n, x in zip((*given, "T"), arrays, strict=True))
+            raise ConfigurationError(f"shapes that broadcast are allowed, not {said}") from None
+        first, dp, warm = (np.broadcast_to(x, shape).flatten() for x in arrays)
+        return (first, dp, warm), shape
 
     def _predicted(self, points: Points) -> tuple[Floats, Floats, Any]:
         """Return flow, standard deviation of the map, and whether it is extrapolated, (N,)."""
@@ -221,7 +242,7 @@ class Model(StoredModel):
         U = np.linspace(*U_range_of(self.estimator), 4 * LEVELS_U)
         dp = np.linspace(max(lows.max(), 0.0), highs.min(), 4 * LEVELS_DP)
         grid_U, grid_dp = np.meshgrid(U, dp, indexing="ij")
-        given = self._points(grid_U, grid_dp, None)
+        given, _ = self._points(None, U=grid_U, dp=grid_dp)
         theirs = Model(**vars(other))
         Q, _, guessed = theirs._predicted(given)
         return given, np.where(guessed | self._predicted(given)[2], np.nan, Q)
@@ -240,3 +261,17 @@ class Model(StoredModel):
             )
         whole = Samples.concatenate(parts)
         return (whole.U, whole.dp, whole.T), whole.Q
+
+
+def _numbers(name: str, given: ArrayLike) -> Floats:
+    """Return an argument as numbers of at least one dimension."""
+    try:
+        if given is None:
+            raise TypeError  # noqa: TRY301 - numpy would return NaN
+        return np.atleast_1d(np.asarray(given, np.float64))
+    except (TypeError, ValueError):
+        shown = repr(given)
+        shown = shown if len(shown) <= 60 and "\n" not in shown else f"a {type(given).__name__}"
+        raise ConfigurationError(
+            f"{name} is {shown}; a number, or an array of numbers, is allowed"
+        ) from None

@@ -49,9 +49,8 @@ def layout_of(units: Mapping[str, str] | None, columns: Mapping[str, str] | None
         if a signal or unit is unknown, or the unit is not one of the signal; names the allowed
         ones.
     """
-    units, columns = dict(units or {}), dict(columns or {})
-    _check(units, "units", MEASURED)
-    _check(columns, "columns", (*MEASURED, *OTHERS))
+    units = _checked(units, "units", MEASURED, "p1")
+    columns = _checked(columns, "columns", (*MEASURED, *OTHERS), "U")
     signals = {
         name: Measure(
             column=columns.get(name),
@@ -63,11 +62,21 @@ def layout_of(units: Mapping[str, str] | None, columns: Mapping[str, str] | None
     return Layout(signals=signals, time=time, valve=valve, quality=quality)
 
 
-def _check(given: Mapping[str, str], what: str, allowed: tuple[str, ...]) -> None:
-    for name in given:
-        if name not in allowed:
-            known = ", ".join(allowed)
-            raise ConfigurationError(f"{what}[{name!r}]: {known} are allowed, not {name!r}")
+def _checked(given: object, what: str, allowed: tuple[str, ...], example: str) -> dict[str, str]:
+    """Return a copy of texts by signal."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ConfigurationError(
+            f"{what} is {given!r}; texts by signal are allowed: {what}={{{example!r}: '…'}}"
+        )
+    for name, text in given.items():
+        if name in allowed:
+            continue
+        known = ", ".join(allowed)
+        turned = f"; is {what}={{{text!r}: {name!r}}} meant?" if text in allowed else ""
+        raise ConfigurationError(f"{what}[{name!r}]: {known} are allowed, not {name!r}{turned}")
+    return dict(given)
 
 
 def _unit(signal: str, text: str) -> Unit:

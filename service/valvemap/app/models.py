@@ -5,9 +5,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from valvemap.app.flow_model import Model
 from valvemap.app.given import recordings_in
-from valvemap.errors import ConfigurationError, StorageError
+from valvemap.errors import ConfigurationError, RecordingError, StorageError
 from valvemap.storage.models import is_model, load_model, save_model
 
 if TYPE_CHECKING:
@@ -92,7 +94,7 @@ def fit(
     names = _recursive(report[valve])
     name = _chosen(where, "estimator", estimator or _preferred(report, valve) or names[0], names)
     found = report[valve][name]
-    return Model(
+    model = Model(
         valve=valve,
         name=name,
         estimator=found.lane.estimator,
@@ -103,6 +105,8 @@ def fit(
         samples=found.lane.spread.weights,
         support=found.lane.support,
     )
+    _refuse_if_unknown(model, found.lane.count)
+    return model
 
 
 def open_model(
@@ -178,6 +182,17 @@ def _preferred(report: "Report", valve: str) -> str | None:
     estimators = report[valve]
     recommended = next(iter(estimators.values())).recommended.name
     return recommended or (PREFERRED if PREFERRED in estimators else None)
+
+
+def _refuse_if_unknown(model: Model, samples: int) -> None:
+    """Raise RecordingError if a map of so many samples is unknown everywhere."""
+    low_U, high_U, low, high, _ = model.support.ranges
+    U, dp = np.meshgrid(np.linspace(low_U, high_U, 9), np.linspace(max(low, 0.0), high, 9))
+    if np.isnan(model.predict(U, dp)).all():
+        raise RecordingError(
+            f"{model.valve}: {samples} samples are too few for a map by {model.name}, "
+            "or too much alike"
+        )
 
 
 def _recursive(estimators: Iterable[str]) -> list[str]:

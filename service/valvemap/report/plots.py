@@ -19,6 +19,7 @@ except ImportError as _error:
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 GREY: Final = "#555555"
+_PICTURES: Final = ("png", "pdf", "svg")
 _POINTS = 20_000
 _PANELS = 12
 
@@ -197,8 +198,24 @@ def _panels(
     return figure, panels[: max(count, 1)]
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a PNG file.
+def save_picture(figure: Figure, path: Path) -> None:
+    """Write a PNG, PDF or SVG file, by its name.
+
+    Raises
+    ------
+    ConfigurationError
+        if the name ends in none of these.
+    StorageError
+        if it cannot be written.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in _PICTURES:
+        raise ConfigurationError(f"{path}: the name of a picture ends in .png, .pdf or .svg")
+    save_figure(figure, path, kind)
+
+
+def save_figure(figure: Figure, path: Path, kind: str = "png") -> None:
+    """Write a file of this kind.
 
     Raises
     ------
@@ -210,7 +227,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     except OSError as error:
         raise StorageError(f"{path} cannot be written: {error.strerror}") from error
     with written_aside(path) as draft:
-        figure.savefig(draft, dpi=140, format="png")
+        figure.savefig(draft, dpi=140, format=kind)
 
 
 def _colours() -> Sequence[str]:

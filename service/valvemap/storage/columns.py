@@ -26,6 +26,7 @@ ALLOWED_TIME = (
 )
 ALLOWED_DATE = "a date in which day and month can be told apart: write 2026-12-31T08:00:00"
 ALLOWED_NUMBER = "a number, nan or an empty cell"
+_MISSING = frozenset({"", "na", "n/a", "#n/a", "null", "none", "-"})  # as other programs write it
 ALLOWED_QUALITY = "0, 1, 2, Good, Uncertain, Bad or an OPC UA status code"
 ALLOWED_VALVE = "a name"
 
@@ -56,6 +57,11 @@ def numbers(cells: Sequence[str], column: str) -> Floats:
         return np.array([_number(row, column, cell) for row, cell in enumerate(cells)])
     _refuse_underscores(cells, column, ALLOWED_NUMBER)
     return read
+
+
+def is_missing(cell: str) -> bool:
+    """Whether a cell says that there is no number: it is empty, or NA, null, none or a dash."""
+    return cell.strip().casefold() in _MISSING
 
 
 def times(cells: Sequence[str], form: DateForm | None = None) -> Times:
@@ -179,7 +185,7 @@ def time_text(t: int) -> str:
 
 
 def _number(row: int, column: str, cell: str) -> float:
-    if not cell.strip():
+    if is_missing(cell):
         return float("nan")
     try:
         number = float(cell)

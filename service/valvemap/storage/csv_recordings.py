@@ -22,6 +22,7 @@ from valvemap.model.samples import Codes, Samples
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import Cells, TextCells, with_points
+from valvemap.storage.csv_headings import SEPARATORS, cells_of, headings_of, is_number
 from valvemap.storage.dates import DateForm, date_form
 from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
 from valvemap.storage.layout import (
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 
 _HEADER_LIMIT = 65_536
-_SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 _SAID_FIRST = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # Excel's own first line
 _PEEKED = 64  # lines used to detect the date format
 _RECOGNISED = 3_000  # lines used to recognise foreign headings
@@ -115,7 +115,7 @@ class CsvReader:
             if not self._layout.recognises:
                 raise
             refusal = missing
-        if all(_is_number(name) for name in self._header):
+        if all(is_number(name) for name in self._header):
             names = ",".join(columns.COLUMNS[: len(self._header)])
             raise MissingColumnError(
                 f"{refusal}; where it has no headings, --columns={names} or similar names them"
@@ -124,7 +124,7 @@ class CsvReader:
             peeked = [*first, *islice(self._text, _RECOGNISED)]
         rows = self._rows_of(peeked)
         numeric = [
-            all(_is_number(row[place]) or not row[place].strip() for row in rows)
+            all(is_number(row[place]) or columns.is_missing(row[place]) for row in rows)
             for place in range(len(self._header))
         ]
         self._long = long_columns(self._header, rows, numeric)
@@ -160,25 +160,27 @@ class CsvReader:
 
     def _read_header(self, layout: Layout) -> tuple[str, list[str], int, list[str]]:
         """Return separator, headings, the number of header lines, and lines that are data."""
-        said, number = None, 1
+        said, number = None, 0
         with _Faults(self._path, lambda: 0):
             line = self._text.readline(_HEADER_LIMIT)
             match = _SAID_FIRST.fullmatch(line)
             if match is not None:
-                said, number = match[1], 2
+                said, number = match[1] if match[1] in SEPARATORS else None, 1
                 line = self._text.readline(_HEADER_LIMIT)
+            lines = [line, *islice(self._text, _PEEKED if line.endswith(("\r", "\n")) else 0)]
         if not line:
             raise RecordingError(f"{self._path} is empty: a recording begins with t,U,p1,p2,Q")
-        separator = said if said in _SEPARATORS else max(_SEPARATORS, key=line.count)
-        found = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
         if layout.header is None:
-            return separator, [name.strip().strip("\ufeff") for name in found], number, []
-        if len(layout.header) != len(found):
+            found = headings_of(lines, said)
+            return found.separator, found.names, number + found.lines, lines[found.lines :]
+        separator = said or max(SEPARATORS, key=line.count)
+        width = len(cells_of(line, separator))
+        if len(layout.header) != width:
             raise RecordingError(
-                f"{self._path}, line {number}: {len(found)} cells separated by "
-                f"{_SEPARATORS[separator]}, --columns names {len(layout.header)}"
+                f"{self._path}, line {number + 1}: {width} cells separated by "
+                f"{SEPARATORS[separator]}, --columns names {len(layout.header)}"
             )
-        return separator, list(layout.header), number - 1, [line]
+        return separator, list(layout.header), number, lines
 
     def _date_form(self, peeked: Sequence[str], place: int) -> DateForm:
         """Return the date format, detected from the first times."""
@@ -362,7 +364,7 @@ class CsvReader:
             if len(row) != len(self._header):
                 raise RecordingError(
                     f"{self._path}, line {number}: {len(row)} cells separated by "
-                    f"{_SEPARATORS[self._separator]} where the header has {len(self._header)}"
+                    f"{SEPARATORS[self._separator]} where the header has {len(self._header)}"
                 )
         return [number for number, _ in kept], [row for _, row in kept]
 
@@ -392,14 +394,6 @@ class _Faults:
             raise RecordingError(
                 f"{self._path} cannot be read: {error.strerror or error}"
             ) from error
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return "_" not in cell  # which `float` takes, and `columns.numbers` refuses
 
 
 def csv_rows(valve: str, samples: Samples) -> bytes:

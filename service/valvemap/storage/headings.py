@@ -31,7 +31,15 @@ time timestamp datetime date zeit zeitstempel datum uhrzeit temps horodatage tie
 ora 时间 时刻 日期 ts
 """
 _TIME_WORDS: Final = frozenset(_TIMES.split())
-_SECONDS: Final = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "us": 1e-6}
+TIME_UNITS: Final = {
+    "": 1.0,
+    "s": 1.0,
+    "sec": 1.0,
+    "ms": 1e-3,
+    "min": 60.0,
+    "h": 3600.0,
+    "us": 1e-6,
+}
 _PLAIN: Final = {name.casefold(): name for name in ("U", "p1", "p2", "Q", "T", "dp")}
 _COUNTS_FROM: Final = 1_000.0  # whole numbers beyond it may be raw counts
 _INTEGER_TYPES: Final = (2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1)
@@ -66,7 +74,7 @@ def time_column(headings: Sequence[str], numeric: Sequence[bool]) -> int | None:
 def seconds_per_unit(heading: str) -> float:
     """Return the seconds of one unit of a time column: 0.001 for ``Zeit [ms]``."""
     _, _, unit = split_unit(heading)
-    return _SECONDS.get(unit.casefold(), 1.0)
+    return TIME_UNITS.get(unit.casefold(), 1.0)
 
 
 def recognise(begins: Beginning, layout: Layout, refusal: RecordingError) -> Columns:

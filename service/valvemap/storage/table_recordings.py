@@ -227,13 +227,15 @@ def _plain(values: object) -> Column:
         raise TypeError(f"{array.dtype} and shape {array.shape}; (N,) is allowed")
     if array.dtype.kind == "M":
         return _in_ns(array)
+    if array.dtype.kind == "m":  # since the recording's start
+        return _in_ns(array.astype(array.dtype.str.replace("m8", "M8")))
     if array.dtype.kind in "iu":
         return array.astype(np.int64)
     if array.dtype.kind == "f":
         return array.astype(np.float64)
     if array.dtype.kind in "OUT":
         return [_text(x) for x in array.tolist()]
-    raise TypeError(f"{array.dtype}; numbers, datetimes and text are allowed")
+    raise TypeError(f"{array.dtype}; numbers, datetimes, durations and text are allowed")
 
 
 def _of_series(series: Any, nw: ModuleType) -> Column:  # noqa: ANN401 - narwhals' series of any library
@@ -247,6 +249,8 @@ def _of_series(series: Any, nw: ModuleType) -> Column:  # noqa: ANN401 - narwhal
             raise CellError(row, "t", "", columns.ALLOWED_TIME)
         unit = kind.time_unit if kind.time_unit in ("ns", "us", "ms") else "us"
         return _in_ns(np.asarray(series.dt.timestamp(unit).to_numpy()).view(f"M8[{unit}]"))
+    if kind == nw.Duration:
+        return _plain(series.to_numpy())
     if kind.is_integer() and not series.null_count():
         return np.asarray(series.cast(nw.Int64).to_numpy())
     if kind.is_numeric():
@@ -255,7 +259,7 @@ def _of_series(series: Any, nw: ModuleType) -> Column:  # noqa: ANN401 - narwhal
         return [_text(x) for x in series.to_list()]
     if series.null_count() == len(series):
         return np.full(len(series), np.nan)
-    raise TypeError(f"{kind}; numbers, datetimes and text are allowed")
+    raise TypeError(f"{kind}; numbers, datetimes, durations and text are allowed")
 
 
 def _in_ns(times: NDArray[np.datetime64]) -> Column:
