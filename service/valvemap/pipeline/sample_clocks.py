@@ -76,7 +76,8 @@ class SampleClocks:
         stepped = set_back | (corrected < -_FUTURE_S)
         silent = now_s - self._heard_s[valves]
         kept = np.clip(self._late_s[valves], 0.0, _LATE_S)
-        delayed = (late >= -STEP_S) & (late <= kept + silent + STEP_S)  # no step is needed for it
+        latest = np.maximum(self._late_s[valves], 0.0) + silent  # taken after the one before
+        delayed = (late >= -STEP_S) & (late <= latest + STEP_S)  # no step is needed for it
         assumed = kept + np.where(silent > _SILENT_S, silent, 0.0)
         restored = np.where(delayed, 0.0, _small_is_0(assumed - late))
         joined = (late >= -STEP_S) & (late <= kept + STEP_S)  # both clocks have made the step
