@@ -1,22 +1,27 @@
 """`valvemap baseline` at a running service: an operator acts, everybody may compare."""
 
+from contextlib import asynccontextmanager
+
 import pytest
 
 from guarded_opcua import Role, UserStore
 from support.plant import as_changes, plant
 from support.results import results_settings
 from valvemap.app.baseline import Action, act
-from valvemap.app.page_access import Watched
+from valvemap.app.page_access import Watched, settings_of
 from valvemap.cli import run
 from valvemap.errors import CommandRejected
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.opcua_client.connection import Security
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Command
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.vocabulary.statuses import Status
 
 VALVE = "V7"
 
@@ -37,6 +42,14 @@ async def served(tmp_path):
         yield identification, server, who
 
 
+@asynccontextmanager
+async def watching(service):
+    client = ResultsClient(settings_of(service), SERVICE_NAMESPACE)
+    await client.connect()
+    yield client
+    await client.close()
+
+
 async def test_an_operator_approves_compares_and_goes_back(served):
     identification, server, who = served
     operator = who("operator")
@@ -53,6 +66,12 @@ async def test_an_operator_approves_compares_and_goes_back(served):
     assert said == f"V7: builds on {version}, SHA-256 {identification.baseline(0).digest}"
     for results in identification.results.of([0]):
         await server.publish(results)
+    point = [50.0, 100.0, 40.0]
+    async with watching(who()) as client:
+        ((Q, std, status),) = await client.call("V7.Baseline", "Predict", [["RLS", *point]])
+        assert [(Q, std, status)] == await client.call("V7.RLS", "Predict", [point])
+        ((*_, far),) = await client.call("V7.Baseline", "Predict", [["RLS", 50.0, 100.0, 300.0]])
+        assert (status, far) == (Status.OK, Status.EXTRAPOLATING)
     theta = identification.results.one(0).estimators["RLS"].theta
     identification.take_samples(0, plant(50, seed=9, first=600))
     assert (await act(who(), VALVE, Action.COMPARE, "RLS")).startswith("V7.RLS: ")

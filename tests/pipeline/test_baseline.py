@@ -1,13 +1,18 @@
 """The map of the new valve is approved, kept over restarts, compared with, gone back to."""
 
+from dataclasses import make_dataclass, replace
+from typing import Any, ClassVar
+
 import numpy as np
 import pytest
 
 from support.plant import as_changes, plant
 from valvemap.errors import CommandRejected
+from valvemap.model.estimator import State
 from valvemap.model.samples import Samples
-from valvemap.pipeline.baseline import Baseline
+from valvemap.pipeline.baseline import KEY, Baseline, _digest, _Kept
 from valvemap.pipeline.ports import Command
+from valvemap.vocabulary.statuses import Status
 
 VALVE = "Valvistor"
 
@@ -16,6 +21,16 @@ def worn(samples):
     """The same valve that passes a tenth less."""
     s = samples
     return Samples.of(t=s.t, U=s.U, p1=s.p1, p2=s.p2, Q=0.9 * s.Q, T=s.T)
+
+
+def _of_version_2(kept):
+    """The same record as it was stored without statuses."""
+    names = [name for name in vars(kept) if name != "statuses"]
+    version = {"__annotations__": {"state_version": ClassVar[int]}, "state_version": 2}
+    kind = make_dataclass(
+        "_Kept", [(name, Any) for name in names], bases=(State,), namespace=version, frozen=True
+    )
+    return kind(**{name: getattr(kept, name) for name in names})
 
 
 @pytest.fixture
@@ -75,6 +90,39 @@ def test_the_approved_map_answers_as_it_did_when_it_was_approved(learnt):
     assert learnt.predict(VALVE, "RLS", *point)[:2] != then
     learnt.do(Command.of("approve", VALVE))
     assert learnt.predict_approved(VALVE, "RLS", *point)[:2] != then
+
+
+def test_the_approved_map_keeps_its_status_over_what_follows_and_over_a_restart(learnt, fresh):
+    point, nowhere = (50.0, 100.0, 40.0), (50.0, 100.0, 300.0)
+    then = learnt.predict(VALVE, "RLS", *point)[2]
+    assert then is Status.OK
+    learnt.do(Command.of("approve", VALVE))
+    learnt.do(Command.of("reset", VALVE, "RLS"))
+    again = fresh()
+    again.restore([*learnt.states.checkpoints(), *learnt.states.memories()])
+    for one in (learnt, again):
+        assert one.predict(VALVE, "RLS", *point)[2] is Status.WARMING_UP
+        assert one.predict_approved(VALVE, "RLS", *point)[2] is then
+        assert one.predict_approved(VALVE, "RLS", *nowhere)[2] is Status.EXTRAPOLATING
+
+
+def test_a_record_of_before_statuses_were_stored_is_taken_as_approved(learnt):
+    learnt.do(Command.of("approve", VALVE))
+    new = learnt.baseline(0)
+    old = Baseline(new.number, new.t, _digest(new.t, new.states, {}), new.states, new.keys)
+    kept = _Kept.from_bytes(old.to_bytes(), KEY)
+    packed = replace(_of_version_2(kept), digest=np.array(old.digest)).to_bytes(KEY)
+    assert Baseline.from_bytes(packed) == old
+    estimator = learnt.plans[0].estimators["RLS"]
+    assert old.lane("RLS", estimator).status is Status.OK
+
+
+def test_a_status_that_is_none_is_not_believed(learnt):
+    learnt.do(Command.of("approve", VALVE))
+    kept = _Kept.from_bytes(learnt.baseline(0).to_bytes(), KEY)
+    for statuses in (kept.statuses + 100, kept.statuses[:1], 1 - np.minimum(kept.statuses, 1)):
+        with pytest.raises(ValueError, match=r"not a baseline|hash"):
+            Baseline.from_bytes(replace(kept, statuses=statuses).to_bytes(KEY))
 
 
 def test_going_back_is_to_the_last_bit(learnt):

@@ -83,7 +83,7 @@ class ApprovedMaps:
         for name, then in before.items():
             now = self._valves.lane(valve, name)
             known = then if now.lam is None else valve_state.with_forgetting(then, now.lam)
-            self._valves.put(valve, name, replace(known, frozen=now.frozen))
+            self._valves.put(valve, name, replace(known, frozen=now.frozen, status=None))
         fleet, m = self._valves.named(valve)
         fleet.start_again(m)
 

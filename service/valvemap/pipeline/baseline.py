@@ -2,8 +2,8 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class Baseline:
         By estimator: its lane as packed by `lane_to_bytes`.
     keys
         By estimator: the hash of its hyper-parameters.
+    statuses
+        By estimator: its map's status at the approval; empty in records that did not store it.
     """
 
     number: int
@@ -40,6 +42,7 @@ class Baseline:
     digest: str
     states: Mapping[str, bytes]
     keys: Mapping[str, str]
+    statuses: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def version(self) -> str:
@@ -49,7 +52,7 @@ class Baseline:
     @classmethod
     def none(cls, number: int) -> "Baseline":
         """Return the record of a deleted baseline, after ``number`` approvals."""
-        return cls(number, 0, _digest(0, {}), {}, {})
+        return cls(number, 0, _digest(0, {}, {}), {}, {})
 
     @classmethod
     def of(
@@ -57,10 +60,16 @@ class Baseline:
     ) -> "Baseline":
         """Build it from the present lanes of a valve."""
         states = {name: valve_state.lane_to_bytes(lane, keys[name]) for name, lane in lanes.items()}
-        return cls(number, t, _digest(t, states), states, dict(keys))
+        statuses = {
+            name: int(Status.WARMING_UP if lane.status is None else lane.status)
+            for name, lane in lanes.items()
+        }
+        return cls(number, t, _digest(t, states, statuses), states, dict(keys), statuses)
 
     def lane(self, name: str, configured: valve_state.AnyEstimator) -> Lane:
-        """Return one estimator's approved lane.
+        """Return one estimator's approved lane, with the status that it had when approved.
+
+        Where the record has none, the status is OK: the map was approved.
 
         Raises
         ------
@@ -69,9 +78,10 @@ class Baseline:
         """
         if name not in self.states:
             raise StateMismatchError(f"{name} was not there")
-        return valve_state.lane_from_bytes(
+        lane = valve_state.lane_from_bytes(
             self.states[name], configured, None, frozen=False, t=self.t
         )
+        return replace(lane, status=Status(self.statuses.get(name, Status.OK)))
 
     def to_bytes(self) -> bytes:
         """Pack it."""
@@ -84,6 +94,7 @@ class Baseline:
             keys=np.array([self.keys[name] for name in names]),
             sizes=np.array([len(self.states[name]) for name in names]),
             states=np.frombuffer(b"".join(self.states.values()), np.uint8),
+            statuses=np.array([self.statuses[name] for name in names if self.statuses], np.uint8),
         ).to_bytes(KEY)
 
     @classmethod
@@ -104,11 +115,16 @@ class Baseline:
                 for name, size, end in zip(kept.names, kept.sizes, ends, strict=True)
             }
             keys = dict(zip(map(str, kept.names), map(str, kept.keys), strict=True))
-            found = cls(int(kept.number), int(kept.t), str(kept.digest), states, keys)
+            statuses = {}
+            if len(kept.statuses):
+                said = (int(Status(status)) for status in kept.statuses.tolist())
+                statuses = dict(zip(states, said, strict=True))
+            number, t = int(kept.number), int(kept.t)
+            found = cls(number, t, str(kept.digest), states, keys, statuses)
         except (ValueError, TypeError, OverflowError) as error:
             raise StateMismatchError(f"not a baseline: {error}") from error
         fits = sum(map(len, states.values())) == len(whole) and found.number >= 0
-        if not fits or _digest(found.t, states) != found.digest:
+        if not fits or _digest(found.t, states, statuses) != found.digest:
             raise StateMismatchError("the baseline's hash is another")
         return found
 
@@ -149,6 +165,8 @@ def difference(plan: ValvePlan, now: Lane, then: Lane, T: float) -> Difference:
 
 @dataclass(frozen=True)
 class _Kept(State):
+    state_version: ClassVar[int] = 3  # 2 stored no statuses
+
     number: Any
     t: Any
     digest: Any
@@ -156,11 +174,19 @@ class _Kept(State):
     keys: Any
     sizes: Any
     states: Any
+    statuses: Any
+
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Accept a record without statuses."""
+        return {**arrays, "statuses": np.zeros(0, np.uint8)} if version == "2" else {}
 
 
-def _digest(t: int, states: Mapping[str, bytes]) -> str:
+def _digest(t: int, states: Mapping[str, bytes], statuses: Mapping[str, int]) -> str:
     hashed = hashlib.sha256(str(t).encode())
     for name, state in sorted(states.items()):
         hashed.update(name.encode())
         hashed.update(state)
+    for name, status in sorted(statuses.items()):
+        hashed.update(f"{name} {status}".encode())
     return hashed.hexdigest()
