@@ -118,7 +118,8 @@ class Decoder:
     """What turns bytes into something: ``seeds`` are valid, ``announced`` is all it may raise.
 
     ``seal`` makes a mutant's checksum right, so that what lies behind it is reached. ``longest_s``
-    is the processor time that no input may exceed.
+    is the processor time that no input may exceed, ``inputs`` the number of mutants of the short
+    test.
     """
 
     decode: Callable[[bytes], object]
@@ -126,8 +127,10 @@ class Decoder:
     announced: tuple[type[Exception], ...] = ()
     seal: Callable[[bytes], bytes] = bytes
     longest_s: float = 0.01
+    inputs: int = 10_000
 
 
+_DEAR = 2_000  # inputs where the usual one takes .5 to 4 ms
 _TEXT = (UnicodeDecodeError,)  # librdkafka hands over text
 _MOST_ROWS_S = 0.1  # a packed column of equal values may rightly have as many rows as any block
 _FOREIGN_HEADINGS_S = 0.1  # physics judges some seventy readings of headings that no table knows,
@@ -254,7 +257,7 @@ def _of_history():
     return {
         "history: blocks": Decoder(_block_of, lambda: [_block()]),
         "history: sealed blocks": Decoder(
-            _block_of, lambda: [_sealed_block(), _tier()], longest_s=_MOST_ROWS_S
+            _block_of, lambda: [_sealed_block(), _tier()], longest_s=_MOST_ROWS_S, inputs=_DEAR
         ),
         "history: alarms": Decoder(_alarms_of(sqlite3.connect(":memory:")), lambda: [_alarm()]),
     }
@@ -277,12 +280,13 @@ def _of_files(folder):
     csv = of_file("r.csv", _rows, lambda: [_CSV, _DATES], RecordingError)
     packed = of_file("r.csv.gz", _rows, lambda: [gzip.compress(_CSV)], RecordingError)
     parquet = of_file("r.parquet", _rows, lambda: [_parquet(folder)], RecordingError)
+    models = of_file("m.json", load_model, lambda: _models(folder), StorageError)
     return {
-        "file: CSV": replace(csv, longest_s=_FOREIGN_HEADINGS_S),
+        "file: CSV": replace(csv, longest_s=_FOREIGN_HEADINGS_S, inputs=_DEAR),
         "file: CSV.gz": replace(packed, longest_s=_FOREIGN_HEADINGS_S),
-        "file: Parquet": replace(parquet, longest_s=_FOREIGN_HEADINGS_S),
+        "file: Parquet": replace(parquet, longest_s=_FOREIGN_HEADINGS_S, inputs=_DEAR),
         "file: points": of_file("p.csv", read_points, lambda: [_POINTS], StorageError),
-        "file: models": of_file("m.json", load_model, lambda: _models(folder), StorageError),
+        "file: models": replace(models, inputs=_DEAR),
         "file: users": of_file(
             "users.json", UserStore.load, lambda: [_users(folder)], hardened.ConfigurationError
         ),
@@ -347,7 +351,11 @@ def _of_kafka():
             read_memory, lambda: [write_memory(memory)], (FleetError,), _with_seal
         ),
         "Kafka: states": Decoder(
-            _fresh_group().remember, lambda: [_learnt_group().to_bytes()], (FleetError,), _with_seal
+            _fresh_group().remember,
+            lambda: [_learnt_group().to_bytes()],
+            (FleetError,),
+            _with_seal,
+            inputs=_DEAR,
         ),
     }
 
