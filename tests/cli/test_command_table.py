@@ -28,20 +28,23 @@ _SERVERS = {
 _HEAVY = _SERVERS | {"numpy", "numba", "scipy", "rich", "valvemap.config", "valvemap_rig"}
 
 
-def loaded_by(*arguments):
-    """Which modules one command has imported at its end."""
+def loaded_by(*commands):
+    """Which modules have been imported at the end of some commands, all in one process."""
     code = (
         "import json, sys\n"
         "from valvemap.cli import main\n"
-        "try:\n"
-        "    main()\n"
-        "except SystemExit as end:\n"
-        "    print('\\n' + json.dumps([end.code or 0, sorted(sys.modules)]))\n"
+        "for arguments in json.loads(sys.argv[1]):\n"
+        "    sys.argv = ['valvemap', *arguments]\n"
+        "    try:\n"
+        "        main()\n"
+        "    except SystemExit as end:\n"
+        "        print('\\n' + json.dumps([arguments, end.code or 0, sorted(sys.modules)]))\n"
     )
-    asked = [sys.executable, "-c", code, *map(str, arguments)]
-    done = subprocess.run(asked, capture_output=True, text=True, check=True)
-    code, modules = json.loads(done.stdout.splitlines()[-1])
-    return code, set(modules)
+    said = json.dumps([[str(word) for word in arguments] for arguments in commands])
+    done = subprocess.run([sys.executable, "-c", code, said], capture_output=True, check=True)
+    ends = [json.loads(line) for line in done.stdout.splitlines() if line.startswith(b"[[")]
+    assert len(ends) == len(commands)
+    return [code for _, code, _ in ends], set(ends[-1][2])
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +76,7 @@ def test_every_command_is_listed_with_its_line(capsys):
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["nonsense"], []])
 def test_help_imports_no_command_and_nothing_heavy(arguments):
-    _, modules = loaded_by(*arguments)
+    _, modules = loaded_by(arguments)
     assert modules & _HEAVY == set()
     commands = {f"valvemap.cli.{entry.module}" for entry in COMMANDS.values()}
     assert modules & commands == set()
@@ -81,31 +84,38 @@ def test_help_imports_no_command_and_nothing_heavy(arguments):
 
 @pytest.mark.parametrize("name", ["history", "invert", "serve", "trust"])
 def test_a_command_imports_no_other_command(name):
-    _, modules = loaded_by(name, "--help")
+    _, modules = loaded_by([name, "--help"])
     commands = {f"valvemap.cli.{entry.module}" for entry in COMMANDS.values()}
     assert modules & commands == {f"valvemap.cli.{COMMANDS[name].module}"}
 
 
 def test_invert_of_a_saved_map_loads_no_server_and_no_configuration(files):
-    for model in files[1]:
-        code, modules = loaded_by("invert", model, "--Q", "20", "--dp", "70")
-        assert code == 0
-        assert modules & (_SERVERS | {"valvemap.config.models", "valvemap.app.replay"}) == set()
-        assert modules & {"scipy.linalg", "scipy.optimize", "valvemap.runtime.live"} == set()
+    codes, modules = loaded_by(
+        *(["invert", model, "--Q", "20", "--dp", "70"] for model in files[1])
+    )
+    assert set(codes) == {0}
+    assert modules & (_SERVERS | {"valvemap.config.models", "valvemap.app.replay"}) == set()
+    assert modules & {"scipy.linalg", "scipy.optimize", "valvemap.runtime.live"} == set()
 
 
 def test_export_of_a_saved_map_loads_no_server_and_no_configuration(files, tmp_path):
-    for model in files[1]:
-        code, modules = loaded_by("export", model, "--to", tmp_path / f"{model.stem}.csv")
-        assert code == 0
-        assert modules & (_SERVERS | {"valvemap.config.models", "valvemap.app.replay"}) == set()
+    few = ["--points-q", 5, "--points-dp", 4]
+    codes, modules = loaded_by(
+        *(["export", model, "--to", tmp_path / f"{model.stem}.csv", *few] for model in files[1])
+    )
+    assert set(codes) == {0}
+    assert modules & (_SERVERS | {"valvemap.config.models", "valvemap.app.replay"}) == set()
 
 
-@pytest.mark.parametrize("command", ["invert", "export", "replay"])
-def test_a_recording_is_read_without_a_server(files, tmp_path, command):
-    more = {"invert": ["--Q", "20", "--dp", "70"], "export": ["--to", tmp_path / "table.csv"]}
-    code, modules = loaded_by(command, files[0], *more.get(command, []))
-    assert code == 0
+def test_a_recording_is_read_without_a_server(files, tmp_path):
+    few = ["--points-q", 5, "--points-dp", 4]
+    more = {
+        "invert": ["--Q", "20", "--dp", "70"],
+        "export": ["--to", tmp_path / "table.csv", *few],
+        "replay": [],
+    }
+    codes, modules = loaded_by(*([command, files[0], *words] for command, words in more.items()))
+    assert set(codes) == {0}
     assert modules & (_SERVERS - {"structlog"}) == set()
 
 
