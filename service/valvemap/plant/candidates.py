@@ -87,13 +87,16 @@ def _label(candidate: Candidate) -> Label:
     said = concepts(candidate.description) if candidate.description else {}
     symbols = [s for s in (candidate.symbol, symbol_in_name) if is_of_others(s)]
     whole = _WHOLE_NAME if len(tokens(name)) == 1 and 1.0 in found.values() else 1.0
+    described = units
+    if in_text is not None and all(unit.quantity is Quantity.ELECTRICAL for unit in units):
+        described = (*units, in_text)  # what the current stands for
     evidence = {}
     for role in Role:
         named = evidence_of_name(found, role)
         score = whole * named if named > 0.0 else named
         score += _OF_DESCRIPTION * evidence_of_name(said, role)
         if role in LEARNT or score > 0.0 or symbols:
-            score += _of_units(role, units, symbols)
+            score += _of_units(role, tuple(dict.fromkeys(described)), symbols)
         evidence[role] = score + _WRITABLE * candidate.writable
     return Label(name, found, units, evidence)
 

@@ -29,12 +29,14 @@ class Concept(Enum):
     BEHIND = auto()
     SUPPLY = auto()
     TANK = auto()
+    CONSUMER = auto()
     PORT_A = auto()
     PORT_B = auto()
     PILOT = auto()
     DIFFERENCE = auto()
     SETPOINT = auto()
     ACTUAL = auto()
+    ESTIMATED = auto()
     LIMIT = auto()
     MACHINE = auto()
     STATUS = auto()
@@ -203,6 +205,15 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "zh": "回油 油箱",
         "tags": "pr",
     },
+    Concept.CONSUMER: {
+        "en": "load consumer actuator",
+        "de": "last verbraucher aktor",
+        "fr": "charge recepteur utilisation",
+        "es": "carga consumidor actuador",
+        "it": "carico utilizzo utenza attuatore",
+        "zh": "负载 执行器",
+        "tags": "",
+    },
     Concept.PILOT: {
         "en": "pilot",
         "de": "steuerdruck vorsteuer vorsteuerdruck pilotdruck steuerol",
@@ -213,7 +224,7 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "tags": "px",
     },
     Concept.DIFFERENCE: {
-        "en": "differential difference delta drop",
+        "en": "differential difference delta drop diff",
         "de": "differenz differenzdruck druckdifferenz druckabfall wirkdruck",
         "fr": "differentielle differentiel perte chute",
         "es": "diferencial diferencia caida",
@@ -228,7 +239,7 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "es": "consigna referencia",
         "it": "riferimento setpoint impostazione",
         "zh": "设定 设定值 目标",
-        "tags": "w sp spt",
+        "tags": "w sp spt cons",
     },
     Concept.ACTUAL: {
         "en": "actual feedback measured act",
@@ -237,7 +248,16 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "es": "real medido medida realimentacion",
         "it": "effettivo misurato retroazione reale misura",
         "zh": "实际 反馈 实测",
-        "tags": "pv fb",
+        "tags": "pv fb mes mess",
+    },
+    Concept.ESTIMATED: {
+        "en": "calculated computed calc estimated estimate model simulated",
+        "de": "berechnet errechnet geschatzt modell",
+        "fr": "calcule calculee estime estimee modele",
+        "es": "calculado calculada estimado estimada modelo",
+        "it": "calcolato calcolata stimato stimata modello",
+        "zh": "计算 估算 估计",
+        "tags": "",
     },
     Concept.LIMIT: {
         "en": "alarm limit max min hh high low warning threshold gain offset",
@@ -249,8 +269,8 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "tags": "hi lo ll hh",
     },
     Concept.MACHINE: {
-        "en": "motor fan filter cooler heater gearbox bearing battery leak leakage",
-        "de": "lufter kuhler heizung getriebe lager leckage",
+        "en": "motor fan filter cooler heater gearbox bearing battery leak leakage bypass",
+        "de": "lufter kuhler heizung getriebe lager leckage umlauf",
         "fr": "moteur ventilateur filtre fuite",
         "es": "motor ventilador filtro fuga",
         "it": "motore ventola filtro perdita trafilamento",
@@ -259,12 +279,14 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
     },
     Concept.STATUS: {
         "en": "status state quality simulation sim test fault error enable counter count hours "
-        "mode sequence heartbeat timestamp time date spare reserve number index",
-        "de": "zustand fehler freigabe zahler laufzeit betriebsstunden modus zeit datum",
-        "fr": "etat defaut compteur heures",
-        "es": "estado fallo contador horas",
-        "it": "stato guasto contatore ore",
-        "zh": "状态 故障 计数 运行时间 时间",
+        "mode sequence heartbeat timestamp time date spare reserve number index total tot "
+        "totaliser totalizer totalised totalized cumulative accumulated",
+        "de": "zustand fehler freigabe zahler laufzeit betriebsstunden modus zeit datum summe "
+        "gesamtmenge",
+        "fr": "etat defaut compteur heures totalisateur cumul cumule",
+        "es": "estado fallo contador horas totalizador acumulado",
+        "it": "stato guasto contatore ore totalizzatore cumulato",
+        "zh": "状态 故障 计数 运行时间 时间 累计 累积 总量",
         "tags": "",
     },
 }

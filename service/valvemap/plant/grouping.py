@@ -20,6 +20,7 @@ _OWN: Final = frozenset({Role.Q, Role.QB, Role.DP, Role.P1, Role.P2, Role.PA, Ro
 _PRESSURES: Final = (Role.P1, Role.P2, Role.PA, Role.PB)
 _KKS_VALVE = re.compile(r"(\d{0,2}[A-Z]{3}\d{2})(?:AA|C[PTFG])\d{3}")
 _SEPARATORS = re.compile(r'"?\.(?=["A-Za-z_\u4e00-\u9fff])"?|/|\\|:')
+_INDEX = re.compile(r"\[([\d,\s]+)\]")
 _LONGEST_NAME: Final = 56
 _MOST_COMPARED: Final = 4  # valves of which each is compared with the others
 
@@ -77,7 +78,7 @@ def group(candidates: Iterable[Candidate]) -> list[Group]:
     if not relevant:
         return []
     finer = [(_by_folder, key) for key in (_by_code, _by_number, _by_rest)]
-    for keys in ((_by_folder,), *finer, (_by_code,), (_by_number,)):
+    for keys in ((_by_folder,), *finer, (_by_code,), (_by_number,), (_by_index,)):
         found = _parted(relevant, keys)
         if len(found) > 1:
             return _named(found, every, _without_flow(relevant, keys))
@@ -141,6 +142,9 @@ def _places(
 def _nearest(own: Sequence[Candidate], pool: Sequence[Candidate]) -> list[Candidate]:
     """Return the pool's variables of roles that the valve lacks, from the nearest folder."""
     there = {one.label.role for one in own}
+    alone = [one for one in own if one.label.role in {Role.P1, Role.P2}]
+    if len(alone) == 1 and min(alone[0].label.evidence[r] for r in (Role.P1, Role.P2)) > 0.0:
+        there -= {Role.P1, Role.P2}  # its name says not on which side of the valve it is
     n_pressures = sum(one.label.role in _PRESSURES for one in own)
     wanted = [
         one
@@ -191,6 +195,11 @@ def _by_code(one: Candidate) -> Place:
 def _by_number(one: Candidate) -> Place:
     """Group by the number of the loop, as in PT-101."""
     return tuple(word for word in _rest(one) if word.isdigit() and len(word) > 1)
+
+
+def _by_index(one: Candidate) -> Place:
+    """Group by the index of an array's element, as in cmd[3]."""
+    return tuple(index for part in one.path for index in _INDEX.findall(part))
 
 
 def _by_rest(one: Candidate) -> Place:

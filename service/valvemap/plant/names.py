@@ -45,16 +45,28 @@ def concepts(text: str) -> dict[Concept, float]:
     ['BEFORE', 'PRESSURE', 'VALVE']
     >>> sorted(c.name for c in concepts("pA")), sorted(c.name for c in concepts("阀后压力"))
     (['PORT_A', 'PRESSURE'], ['BEHIND', 'PRESSURE', 'VALVE'])
+    >>> [c.name for c in concepts("Caudal_V5")]  # V5 is the valve, and no speed
+    ['FLOW']
     """
     words = tokens(text)
     found: dict[Concept, float] = {}
-    for concept, certainty in _meanings(words):
+    meanings = list(_meanings(words))
+    designations = set(_designations(words))
+    parts = [
+        (place, concept, certainty) for place, concept, certainty in meanings
+        if place not in designations or concept not in QUANTITIES
+    ]  # fmt: skip
+    if not any(concept in QUANTITIES for _, concept, _ in parts):
+        parts = meanings
+    for _, concept, certainty in parts:
         found[concept] = max(certainty, found.get(concept, 0.0))
     code = _KKS.search(text.upper())
     if code is not None:
         found = {_KKS_CONCEPTS[code[1]]: 1.0}
     if Concept.PRESSURE in found and Concept.PILOT in found:
         found.pop(Concept.COMMAND, None)
+    if Concept.PRESSURE not in found:
+        found.pop(Concept.CONSUMER, None)  # a load is a weight, too
     return found
 
 
@@ -63,21 +75,29 @@ def concept_of(word: str) -> Mapping[Concept, float]:
     return _of_word(word)
 
 
-def _meanings(words: Sequence[str]) -> Iterator[tuple[Concept, float]]:
+def _designations(words: Sequence[str]) -> Iterator[int]:
+    """Yield the places of letters that may designate a device, as in V5 or Y1."""
+    for place, (word, following) in enumerate(pairwise(words)):
+        if len(word) == 1 and word.isalpha() and following.isdigit():
+            yield place
+
+
+def _meanings(words: Sequence[str]) -> Iterator[tuple[int, Concept, float]]:
+    """Yield place, concept and certainty of each word."""
     ports = set[int]()
     for place, (word, following) in enumerate(pairwise(words)):
         quantities = {Concept.PRESSURE, Concept.FLOW} & set(_of_word(word))
         if following in PORT_LETTERS and quantities:
-            yield from ((concept, 1.0) for concept in PORT_LETTERS[following])
+            yield from ((place, concept, 1.0) for concept in PORT_LETTERS[following])
             ports.add(place + 1)
     for place, word in enumerate(words):
         if place in ports:
             continue
         if word in {"a", "b"}:
             alone = Concept.PORT_A if word == "a" else Concept.PORT_B
-            yield alone, 0.5
+            yield place, alone, 0.5
             continue
-        yield from _of_word(word).items()
+        yield from ((place, concept, certainty) for concept, certainty in _of_word(word).items())
 
 
 @cache

@@ -39,24 +39,25 @@ WORTH: Final[Mapping[Role, Mapping[Concept, float]]] = {
     Role.U: {
         C.COMMAND: 5.0, C.OPENING: 4.0, C.SETPOINT: 3.5, C.VALVE: 0.5, C.ACTUAL: -2.0,
         C.SPOOL: -2.5, C.POSITION: -0.5, C.PILOT: -5.0, C.MACHINE: -5.0, C.SUPPLY: -5.0,
-        C.TANK: -4.0, C.DIFFERENCE: -5.0,
+        C.TANK: -4.0, C.DIFFERENCE: -5.0, C.ESTIMATED: -4.5,
     },
     Role.P1: {
         C.PRESSURE: 4.0, C.BEFORE: 4.0, C.SUPPLY: 3.5, C.BEHIND: -4.5, C.TANK: -4.5,
+        C.CONSUMER: -3.0,
         C.PORT_A: -0.5, C.PORT_B: -2.0, C.PILOT: -8.0, C.SETPOINT: -6.0, C.DIFFERENCE: -7.0,
-        C.MACHINE: -3.0,
+        C.MACHINE: -3.0, C.ESTIMATED: -4.5,
     },
     Role.P2: {
-        C.PRESSURE: 4.0, C.BEHIND: 4.0, C.TANK: 3.5, C.BEFORE: -4.5, C.SUPPLY: -4.5,
-        C.PORT_B: -1.0, C.PORT_A: -1.0, C.PILOT: -8.0, C.SETPOINT: -6.0, C.DIFFERENCE: -7.0,
-        C.MACHINE: -3.0,
+        C.PRESSURE: 4.0, C.BEHIND: 4.0, C.TANK: 3.5, C.CONSUMER: 3.0, C.BEFORE: -4.5,
+        C.SUPPLY: -4.5, C.PORT_B: -1.0, C.PORT_A: -1.0, C.PILOT: -8.0, C.SETPOINT: -6.0,
+        C.DIFFERENCE: -7.0, C.MACHINE: -3.0, C.ESTIMATED: -4.5,
     },
     Role.PA: {C.PRESSURE: 3.0, C.PORT_A: 5.0, C.PILOT: -8.0, C.SETPOINT: -6.0, C.DIFFERENCE: -7.0},
     Role.PB: {C.PRESSURE: 3.0, C.PORT_B: 5.0, C.PILOT: -8.0, C.SETPOINT: -6.0, C.DIFFERENCE: -7.0},
     Role.DP: {C.PRESSURE: 2.0, C.DIFFERENCE: 5.0, C.PILOT: -6.0, C.SETPOINT: -6.0,
-              C.MACHINE: -5.0, C.LEVEL: -3.0},
+              C.MACHINE: -5.0, C.LEVEL: -3.0, C.ESTIMATED: -4.5},
     Role.Q: {C.FLOW: 6.0, C.VALVE: 0.5, C.SETPOINT: -6.0, C.PORT_B: -3.0, C.MACHINE: -3.0,
-             C.SUPPLY: -2.0},
+             C.SUPPLY: -2.0, C.ESTIMATED: -4.5},
     Role.QB: {C.FLOW: 4.0, C.PORT_B: 5.0, C.SETPOINT: -6.0},
     Role.T: {C.TEMPERATURE: 6.0, C.SETPOINT: -6.0, C.MACHINE: -4.0},
     Role.SPOOL: {C.SPOOL: 6.0, C.POSITION: 1.0, C.ACTUAL: 1.5, C.VALVE: 0.5, C.OPENING: 1.0,
@@ -66,7 +67,8 @@ WORTH: Final[Mapping[Role, Mapping[Concept, float]]] = {
     Role.SPEED: {C.SPEED: 5.0, C.ROTATION: 5.0},
     Role.SETPOINT: {C.SETPOINT: 2.5, C.PRESSURE: 2.0, C.FLOW: 2.0, C.POSITION: 2.0, C.SPEED: 2.0,
                     C.TEMPERATURE: 2.0, C.ROTATION: 2.0},
-    Role.OTHER: {C.LEVEL: 4.0, C.LOAD: 4.0, C.STATUS: 4.0, C.LIMIT: 4.0, C.MACHINE: 3.0},
+    Role.OTHER: {C.LEVEL: 4.0, C.LOAD: 4.0, C.STATUS: 4.0, C.LIMIT: 4.0, C.MACHINE: 3.0,
+                 C.ESTIMATED: 2.0},
 }  # fmt: skip
 """Nats by role and concept."""
 

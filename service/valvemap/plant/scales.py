@@ -4,7 +4,7 @@ A stated unit settles it. Otherwise the data type, the range and the values leav
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import Final
 
@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from valvemap.pipeline.units import Measure, Quantity, Unit, inside, scaling_of, unit_of
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.roles import QUANTITY, Role
+from valvemap.plant.span_texts import raw_and_scaled
 from valvemap.plant.unit_systems import USUAL
+from valvemap.plant.unit_texts import known_unit
 
 COUNTS: Final = ((0.0, 27_648.0), (0.0, 32_767.0), (0.0, 16_383.0), (0.0, 4_095.0), (0.0, 65_535.0))
 """Raw spans of analogue inputs: S7, 16 bit, 14 bit, 12 bit, unsigned 16 bit."""
@@ -75,6 +77,9 @@ def scales(
     [('MPa', True)]
     """
     quantity = QUANTITY[role]
+    described = list(_as_described(candidate, role, values))
+    if described:
+        return described
     units = [unit for unit in candidate.label.units if unit.quantity is quantity]
     electrical = [u for u in candidate.label.units if u.quantity is Quantity.ELECTRICAL]
     if _are_counts(candidate, values, units):
@@ -90,6 +95,40 @@ def scales(
         if role is Role.U
         else _of_unstated(quantity, assume=assume)
     )
+
+
+def _as_described(candidate: Candidate, role: Role, values: Floats) -> Iterator[Scale]:
+    """Yield the readings of a variable whose description states raw numbers and their values.
+
+    The numbers may be the raw ones or, where no property says so, be scaled already.
+    """
+    found = raw_and_scaled(candidate.description, QUANTITY[role])
+    if found is None:
+        return
+    raw, scaled = found
+    of_raw = Measure(None, scaled.unit, raw.ends, scaled.ends)
+    of_scaled = Measure(unit=scaled.unit)
+    stated = candidate.unit or known_unit(candidate.symbol)
+    if stated is not None:
+        if stated.quantity is Quantity.ELECTRICAL:
+            yield Scale(of_raw, 0.0, "span as described")
+        return
+    fitting = [
+        Scale(measure, 0.0, reason)
+        for measure, span, reason in (
+            (of_raw, raw, "span as described"),
+            (of_scaled, scaled, "unit as described"),
+        )
+        if _lies_in(values, span.ends)
+    ]
+    for one in fitting:
+        yield replace(one, prior=-log(len(fitting)), stated=len(fitting) == 1)
+
+
+def _lies_in(values: Floats, span: tuple[float, float]) -> bool:
+    good = values[np.isfinite(values)]
+    slack = 2 * _CLOSE * (span[1] - span[0])
+    return bool(((good >= span[0] - slack) & (good <= span[1] + slack)).all())
 
 
 def _of_stated(units: Sequence[Unit]) -> Iterator[Scale]:

@@ -13,6 +13,7 @@ _BOUNDARY = re.compile(
     r"\s+/\s*|\s+in\s+|\s*,\s*|[_\s.]+|(?<=[\u4e00-\u9fff])(?=[a-zA-Z%°])"
     r"|(?<=[a-z)\d])(?=MPa|kPa|Bar|PSI|Psi|GPM|Gpm|LPM|Lpm|Deg[CF])"
 )
+_INDEX = re.compile(r"(?P<name>.*\w)\[\d+(?:\s*,\s*\d+)*\]")
 _NUMBER_BEHIND = re.compile(r"(?P<name>.+?)(?P<number>[_\s#.-]+\d+号?)")
 _ALSO: Final = {
     "lmin": "l/min",
@@ -53,8 +54,12 @@ def split_unit(text: str) -> tuple[str, Unit | None, str]:
     (('Hub', None, 'mm'), ('PT-7 supply', None, ''))
     >>> split_unit("p_in_bar_2")[0], split_unit("p_in_bar_2")[1].symbol
     ('p_in_2', 'bar')
+    >>> split_unit("cmd[1]"), split_unit("Opening [1]")[1].symbol  # an element, and a unit
+    (('cmd', None, ''), '1')
     """
     plain = unicodedata.normalize("NFKC", text).strip()
+    if (element := _INDEX.fullmatch(plain)) is not None:
+        plain = element["name"]
     whole = _split(plain)
     number = _NUMBER_BEHIND.fullmatch(plain)
     if whole[2] or number is None:
