@@ -1,9 +1,11 @@
 """Causes of changes of an axis: edges, leakage, air, on the rig.
 
-``python -m benchmarks.axis_condition [--seeds 3] [--first 700] [--hours 1]``: one row a seed. Each
+``python -m benchmarks.axis_condition [--seeds 3] [--first 700] [--hours 1] [--speed]``: one row a
+seed. Each
 seed is another valve, cylinder and sensor (`benchmarks.axis`). After 300 s of identification, and
 130 s with nothing, each fault begins at a random moment; what is likeliest 60 s later counts. Then
-comes healthy work for ``--hours``, in which each listed finding is false.
+comes healthy work for ``--hours``, in which each listed finding is false. ``--speed``: the speed is
+measured in place of the position, as in ``benchmarks.axis``.
 """
 
 import argparse
@@ -11,10 +13,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.axis import GEOMETRY, NOISES_MM, machine, samples
+from benchmarks.axis import GEOMETRY, NOISES_MM, machine, samples, with_speed
 from valvemap.model.axis import AxisSamples
 from valvemap.model.axis_condition import CAUSES
 from valvemap.model.axis_search import identify
+from valvemap.model.axis_travel import Travel
 from valvemap.pipeline.axis_watch import AxisWatch
 from valvemap.vocabulary.findings import FindingCode
 from valvemap_rig.faults import Fault
@@ -46,7 +49,8 @@ FAULTS = {
 class Run:
     """A seed's rig and its watch."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, *, speed: bool = False) -> None:
+        self.travel = Travel.initial() if speed else None
         self.noise_mm = NOISES_MM[seed % 3]
         axis = machine(seed, self.noise_mm)
         self.scenario = Scenario(seed=seed, valves=(), machines=(axis,), sample_rate_hz=100.0)
@@ -60,7 +64,12 @@ class Run:
         """Return rig and samples of so many seconds more."""
         given = Commands(faults=tuple(("Axis", fault) for fault in faults))
         rig, block = advance(self.scenario, rig, round(100 * seconds), given)
-        return rig, samples(block.machines["Axis"])
+        found = block.machines["Axis"]
+        if self.travel is None:
+            return rig, samples(found)
+        work = samples(with_speed(found, self.scenario.seed))
+        self.travel, placed = self.travel.update(work, GEOMETRY.stroke_mm)
+        return rig, placed
 
 
 def watched(watch: AxisWatch, work: AxisSamples) -> Iterator[AxisWatch]:
@@ -92,17 +101,20 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=700)
     parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--speed", action="store_true")
     options = parser.parse_args()
     exact: dict[str, list[bool]] = {name: [] for name in FAULTS}
     within: dict[str, list[bool]] = {name: [] for name in FAULTS}
     false, windows = 0, 0
     for seed in range(options.first, options.first + options.seeds):
-        run = Run(seed)
+        run = Run(seed, speed=options.speed)
         moment_s = 130.0 + np.random.default_rng(seed).uniform(0.0, 10.0)
         rig, work = run.played(run.rig, moment_s)
         watch = last(run.watch, work)
         answers = []
+        there = run.travel
         for name, (fault, right) in FAULTS.items():
+            run.travel = there
             _, work = run.played(rig, 60.0, fault)
             after = last(watch, work)
             order = ranked(after)
@@ -110,7 +122,7 @@ def main() -> None:
             within[name].append(right in order[:2])
             size = [f"{one.probability:.2f} {one.sentence}" for one in after.condition.findings()]
             answers.append(f"    {name}: {'; '.join(size) or 'nothing'}")
-        worst = 1.0
+        worst, run.travel = 1.0, there
         for _ in range(round(36 * options.hours)):
             rig, work = run.played(rig, 100.0)
             for after in watched(watch, work):

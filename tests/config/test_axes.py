@@ -5,6 +5,7 @@ import pytest
 from support.processes import run
 from valvemap.app.axes import plan_of
 from valvemap.app.build import feed_forward_of
+from valvemap.app.connections import _of_axes
 from valvemap.app.replay import replay
 from valvemap.config.loading import load_config
 from valvemap.errors import ConfigurationError
@@ -44,6 +45,20 @@ def test_position_is_in_mm_unless_a_unit_is_given(tmp_path):
     assert axis.signals.measure("position").scaling("Q").gain == 1000.0
 
 
+OF_SPEED = {name: node for name, node in NODES.items() if name != "position"} | {
+    "speed": "ns=2;s=v"
+}
+
+
+def test_a_speed_stands_in_place_of_the_position(tmp_path):
+    more = '[axes.signals.speed]\nunit = "m/s"'
+    config = load(tmp_path, toml(nodes=OF_SPEED, more=more))
+    assert plan_of(config.axes[0]).has_speed
+    line_A, line_B = (nodes for _, nodes in _of_axes(config))
+    assert (line_A.Q, line_B.Q) == ("ns=2;s=v", "ns=2;s=v")
+    assert line_A.measures["Q"].scaling("Q").gain == 1000.0
+
+
 WRITTEN = NODES | {"required_U": "ns=2;s=UCommand"}
 
 
@@ -66,6 +81,11 @@ def test_a_command_of_an_axis_has_both_signs(tmp_path):
         (
             toml(nodes={k: NODES[k] for k in ("U", "position")}),
             "pA, pB, pS and pT are missing: position and command do not tell the flows",
+        ),
+        (toml(nodes=NODES | {"speed": "ns=2;s=v"}), "position, speed: both are given; one of them"),
+        (
+            toml(nodes={k: v for k, v in NODES.items() if k != "position"}),
+            "position, speed: both are missing; one of them is needed",
         ),
         (toml(nodes=NODES | {"pB": NODES["pA"]}), "pA and pB are the same node"),
         (toml(own="rod_mm = 70").replace("rod_mm = 45\n", ""), "rod_mm = 70: must be less than 63"),

@@ -129,6 +129,16 @@ def test_lines_meet_however_they_are_cut_and_bad_samples_are_left_out(samples):
         assert shown.tolist() == getattr(part, name)[good].tolist(), name
 
 
+def test_the_fifth_signal_of_an_axis_of_speed_is_its_speed(samples):
+    one = Axis(dataclasses.replace(PLAN, has_speed=True))
+    v = np.gradient(samples.x, 0.01)
+    for line, part in enumerate(lines_of(dataclasses.replace(samples, x=v)[:600])):
+        one.take_line(line, part)
+    whole = one._window.whole()
+    assert whole.v.tolist() == v[:600].tolist()
+    assert (whole.x[0], whole.x.min() >= 0.0, whole.x.max() <= 800.0) == (400.0, True, True)
+
+
 def test_samples_of_one_line_alone_do_not_pile_up(samples):
     one = Axis(PLAN)
     line_A, _ = lines_of(samples)

@@ -26,6 +26,14 @@ def test_columns_go_by_their_names_and_others_are_ignored(tmp_path):
     assert np.isnan(samples.T).all()
 
 
+def test_a_speed_counts_where_there_is_no_position(tmp_path):
+    (samples,) = read_axes(written(tmp_path, "t,U,Speed,pA,pB,pS,pT,T\n" + ROWS)).values()
+    assert samples.v.tolist() == [400, 401]
+    assert np.isnan(samples.x).all()
+    (samples,) = read_axes(written(tmp_path, "t,v,x,pA,pB,pS,pT,T\n" + ROWS)).values()
+    assert np.isnan(samples.v).all()
+
+
 def test_a_semicolon_and_decimal_commas_are_the_same_recording(tmp_path):
     plain = written(tmp_path, "t,U,x,pA,pB,pS,pT,T\n" + ROWS)
     german = written(

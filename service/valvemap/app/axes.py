@@ -114,6 +114,7 @@ def plan_of(axis: AxisConfig) -> AxisPlan:
         json.dumps(meaning, sort_keys=True),
         feed_forward_of(axis),
         axis.frozen,
+        axis.nodes.speed is not None,
     )
 
 

@@ -97,7 +97,8 @@ _LINES: Final = (("pS", "pA"), ("pB", "pT"))  # before and behind the edge that 
 
 
 def _of_line(axis: AxisConfig, p1: str, p2: str) -> ValveNodes:
-    words = {"U": "U", "p1": p1, "p2": p2, "Q": "position", "T": "T"}
+    piston = "position" if axis.nodes.speed is None else "speed"
+    words = {"U": "U", "p1": p1, "p2": p2, "Q": piston, "T": "T"}
     measures = {signal: axis.signals.measure(word) for signal, word in words.items()}
     measures["required_U"] = axis.signals.measure("required_U")
     is_led = p1 == _LINES[0][0]  # the first row of an axis

@@ -22,7 +22,8 @@ _RATED_BAR: Final = 70.0
 
 def axis(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Recording: t, U, x, pA, pB, pS, pT; T, valve.")
+        Path,
+        typer.Argument(metavar="FILE", help="Recording: t, U, x (or v), pA, pB, pS, pT; T, valve."),
     ],
     piston: Annotated[float, typer.Option(min=1.0, metavar="MM", help="Diameter of the piston.")],
     rod: Annotated[float, typer.Option(min=0.0, metavar="MM", help="Diameter of the rod.")],

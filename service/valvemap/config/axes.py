@@ -18,6 +18,7 @@ from valvemap.pipeline.units import Measure, Quantity, inside
 _QUANTITIES: Final = {
     "U": Quantity.OPENING,
     "position": Quantity.LENGTH,
+    "speed": Quantity.SPEED,
     **dict.fromkeys(("pA", "pB", "pS", "pT"), Quantity.PRESSURE),
     "T": Quantity.TEMPERATURE,
     "required_U": Quantity.OPENING,
@@ -26,6 +27,7 @@ _QUANTITIES: Final = {
 _SENTENCES: Final = {
     "U": "control voltage; above 0 extends",
     "position": "position of the piston, 0 where it is retracted",
+    "speed": "speed of the piston, above 0 extends; in place of position",
     "pA": "pressure in the line of the piston's side",
     "pB": "pressure in the line of the rod's side",
     "pS": "supply pressure at the valve",
@@ -50,7 +52,8 @@ class AxisNodesConfig(Section):
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
     U: str = Field(description=_SENTENCES["U"])
-    position: str = Field(description=_SENTENCES["position"])
+    position: str | None = Field(None, description=_SENTENCES["position"])
+    speed: str | None = Field(None, description=_SENTENCES["speed"])
     pA: str | None = Field(None, description=_SENTENCES["pA"])
     pB: str | None = Field(None, description=_SENTENCES["pB"])
     pS: str | None = Field(None, description=_SENTENCES["pS"])
@@ -83,6 +86,13 @@ class AxisNodesConfig(Section):
         return self
 
     @model_validator(mode="after")
+    def _has_position_or_speed(self) -> Self:
+        if (self.position is None) == (self.speed is None):
+            given = "both are given" if self.position is not None else "both are missing"
+            raise ValueError(f"position, speed: {given}; one of them is needed")
+        return self
+
+    @model_validator(mode="after")
     def _heartbeat_is_of_a_command(self) -> Self:
         if self.heartbeat is not None and self.required_U is None:
             raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
@@ -97,7 +107,7 @@ class AxisNodesConfig(Section):
 class AxisSignalsConfig(
     create_model("AxisSignals", __base__=Section, __doc__="", **_OF_SIGNALS)  # type: ignore[misc]
 ):
-    """The signals of an axis: their units; position is in mm, unless a unit is given."""
+    """The signals of an axis: their units; without one, mm, mm/s, bar, % and °C."""
 
     @model_validator(mode="after")
     def _quantities_fit(self) -> Self:
@@ -115,7 +125,7 @@ class AxisSignalsConfig(
 
 
 class AxisConfig(Section):
-    """A cylinder on a 4/3 valve: its position and four pressures take the place of a flow meter."""
+    """A cylinder on a 4/3 valve: position or speed and four pressures replace a flow meter."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")] = Field(
         description="its name in each node id"

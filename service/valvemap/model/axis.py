@@ -31,6 +31,7 @@ from valvemap.vocabulary.edges import EDGES
 
 SPOOL_DAMPING: Final = 0.8  # of the assumed spool; its frequency is found
 _SIGNALS: Final = ("U", "x", "pA", "pB", "pS", "pT")
+_OTHERS: Final = ("T", "v")
 _SETTLING_S: Final = 0.1  # s; after a gap, until the spool's course is known again
 _BLOCK_S: Final = 1.0  # s; of the block sums that tell how far residuals hang together
 _FADED: Final = 6.0  # times the filter's; an impulse then has 4 % of its largest effect
@@ -68,9 +69,10 @@ class AxisGeometry:
 
 @dataclass(frozen=True)
 class AxisSamples:
-    """N samples of an axis: t (UTC ns), U (%), x (mm), pA, pB, pS, pT (bar), T (°C); all (N,).
+    """N samples of an axis: t (UTC ns), U (%), x (mm), pA, pB, pS, pT (bar), T (°C), v (mm/s).
 
-    x = 0 where line A is shortest; U > 0 moves towards larger x. NaN is a missing value.
+    All are (N,). x = 0 where line A is shortest; U > 0 moves towards larger x. NaN is a missing
+    value. Where v is measured, x serves the volumes alone (:mod:`~valvemap.model.axis_travel`).
     """
 
     t: Times
@@ -81,6 +83,7 @@ class AxisSamples:
     pS: Floats
     pT: Floats
     T: Floats
+    v: Floats
 
     @classmethod
     def of(cls, t: ArrayLike, **signals: ArrayLike | None) -> "AxisSamples":
@@ -90,7 +93,7 @@ class AxisSamples:
             name: np.full(time.shape, np.nan)
             if (values := signals.get(name)) is None
             else np.ascontiguousarray(values, dtype=np.float64)
-            for name in (*_SIGNALS, "T")
+            for name in (*_SIGNALS, *_OTHERS)
         }
         return cls(time, **given)
 
@@ -98,7 +101,8 @@ class AxisSamples:
         return len(self.t)
 
     def __getitem__(self, rows: slice | Flags) -> "AxisSamples":
-        return AxisSamples(self.t[rows], *(getattr(self, s)[rows] for s in (*_SIGNALS, "T")))
+        names = (*_SIGNALS, *_OTHERS)
+        return AxisSamples(self.t[rows], *(getattr(self, name)[rows] for name in names))
 
 
 @dataclass(frozen=True)
@@ -184,6 +188,8 @@ class AxisRegression:
         Below this pressure, and this near to an end stop, intervals are left out.
     changes_per_s
         Sudden changes expected of an edge, 1/s of use; 0: gain and edge stay (``axis_drift``).
+    has_place
+        Whether the position is measured; else it is a range, and the volumes are less certain.
     """
 
     geometry: AxisGeometry
@@ -195,6 +201,7 @@ class AxisRegression:
     lowest_bar: float = 3.0
     margin_mm: float = 2.0
     changes_per_s: float = 0.0
+    has_place: bool = True
 
     def initial_state(self) -> AxisState:
         """Return the state before the first sample."""
@@ -234,7 +241,9 @@ class AxisRegression:
         status, residual = np.empty(n, np.uint8), np.empty((n, 2))
         kernel.axis_rows(
             samples.t,
-            np.ascontiguousarray(np.stack([getattr(samples, s) for s in (*_SIGNALS, "T")], axis=1)),
+            np.ascontiguousarray(
+                np.stack([getattr(samples, s) for s in (*_SIGNALS, *_OTHERS)], axis=1)
+            ),
             after.last,
             after.memory,
             after.filtered,

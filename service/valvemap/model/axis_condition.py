@@ -57,6 +57,8 @@ _AIR: Final = 5.0  # %
 _ANY: Final = 0.05  # of each coefficient, each for itself
 _DRIFT_GAIN, _DRIFT_LEAKAGE, _DRIFT_COMPLIANCE, _DRIFT_AIR = 0.005, 0.1, 0.02, 0.05
 """What a healthy axis may differ from its reference: 5 K of oil change the leakage by 15 %."""
+_PLACE_COMPLIANCE, _PLACE_AIR = 0.1, 4.0
+"""The same where the position is a range (``axis_travel``): its middle moves with the work."""
 _CORNER: Final = 0.125  # of slope times distance: error of a parabola at a corner in its interval
 _NOISE_KNOWN: Final = 10.0  # ν: degrees of freedom with which σ² is known; it varies with the work
 _NOISE_OTHER: Final = 1.0  # ν under *another*
@@ -90,7 +92,12 @@ class Reference:
     @classmethod
     def of(cls, found: AxisFit) -> Self:
         """Return the reference of a fit."""
-        common = _common(found.theta, _DRIFT_LEAKAGE, 0.0, _DRIFT_COMPLIANCE, _DRIFT_AIR)
+        volumes = (
+            (_DRIFT_COMPLIANCE, _DRIFT_AIR)
+            if found.regression.has_place
+            else (_PLACE_COMPLIANCE, _PLACE_AIR)
+        )
+        common = _common(found.theta, _DRIFT_LEAKAGE, 0.0, *volumes)
         drift = np.column_stack([_DRIFT_GAIN * _gains(found.theta), common])
         bends = [part for edge in EDGES for part in (found.bends(edge), [0.0])]
         corners = _CORNER * np.concatenate([*bends, np.zeros(COMMON)])

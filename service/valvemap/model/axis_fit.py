@@ -16,6 +16,7 @@ from valvemap.vocabulary.edges import EDGES
 
 _CORNER: Final = 0.015  # share of the third difference; tuned on simulated axes
 _ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 0.7 to 0.9 tried
+_PLACE: Final = 0.05  # share of 1/β, where the place is a range; 0.02 to 0.05 seen with long moves
 _SHIFT: Final = 0.05  # %; step of derivatives by an edge's shift
 _LEAST_VARIANCE: Final = 1e-10  # (l/min)²
 _COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE = 10.0, 20.0, 1.0  # prior, in the coefficients' units
@@ -68,7 +69,8 @@ class AxisFit:
     def bulk_modulus(self) -> tuple[float, float]:
         """β and its standard deviation, GPa."""
         inverse, std = self._common(0)
-        return 1.0 / inverse, math.hypot(std / inverse**2, _ASSUMED / inverse)
+        assumed = _ASSUMED if self.regression.has_place else _PLACE
+        return 1.0 / inverse, math.hypot(std / inverse**2, assumed / inverse)
 
     @property
     def leakage(self) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
 from valvemap.model.axis_fit import AxisFit, compared, fit, with_theta
 from valvemap.model.axis_rest import Rest
+from valvemap.model.axis_travel import placed
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
 
@@ -69,10 +70,11 @@ def identify(
     >>> identify(still, AxisGeometry(63, 45, 800, 1.2, 1.2)).status
     <AxisStatus.NO_PRESSURES: 1>
     """
+    samples = placed(samples, geometry.stroke_mm)
     period_s, refused = _period(samples)
     if refused is not None:
         return refused
-    regression = AxisRegression(geometry, period_s)
+    regression = AxisRegression(geometry, period_s, has_place=not np.isfinite(samples.v).any())
     _, moves = Rest.initial().update(samples)
     resting, samples = int(np.sum(~moves)), samples[moves]
     left_out, refused = _too_little(regression, samples, resting)

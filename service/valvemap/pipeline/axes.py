@@ -20,6 +20,7 @@ from valvemap.model.axis_fit import AxisFit, fit, moved, with_map
 from valvemap.model.axis_inverse import AxisTable, axis_table, invert
 from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_search import AxisResult, identify
+from valvemap.model.axis_travel import Travel
 from valvemap.model.estimator import key_of
 from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
 from valvemap.model.samples import Floats, Samples, Times
@@ -51,6 +52,7 @@ class AxisPlan:
     """Configuration of one axis; ``meaning`` are its nodes, units and scalings.
 
     ``is_frozen``: the stored map stays as it is; nothing is learnt, nothing is found.
+    ``has_speed``: the piston's speed is measured, and not its position.
     """
 
     name: str
@@ -59,6 +61,7 @@ class AxisPlan:
     meaning: str = ""
     feed_forward: FeedForward | None = None
     is_frozen: bool = False
+    has_speed: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ class Axis:
     ) -> None:
         self.plan, self._on_samples = plan, on_samples
         self._unmet: list[tuple[Times, Floats]] = [(_NO_TIME, np.empty((5, 0)))] * 2
-        self._rest = Rest.initial()
+        self._rest, self._travel = Rest.initial(), Travel.initial()
         self._window = AxisWindow(WINDOW_S, MOST_SAMPLES)
         self._since: list[AxisSamples] | None = None  # while a search runs
         self._works = False
@@ -110,7 +113,7 @@ class Axis:
         self._to_search_s, self._to_refit_s = SEARCHES_S[0], REFIT_S
         self._refused: AxisResult | None = None
         self._state: AxisState | None = None
-        self._regression = AxisRegression(plan.geometry)
+        self._regression = AxisRegression(plan.geometry, has_place=not plan.has_speed)
         self._of_shape: Floats = np.zeros((SIZE, SIZE))
         self._known: _Known | None = None
         self._watch: AxisWatch | None = None
@@ -134,12 +137,18 @@ class Axis:
         rows, of, past_A, past_B = paired(t_A, t_B, MOST_WAITING)
         self._unmet = [(t_A[past_A:], of_A[:, past_A:]), (t_B[past_B:], of_B[:, past_B:])]
         if len(rows):
-            U, pS, pA, x, T = of_A[:, rows]
+            U, pS, pA, moved, T = of_A[:, rows]
             _, pB, pT, *_ = of_B[:, of]
-            self.take(AxisSamples.of(t_A[rows], U=U, x=x, pA=pA, pB=pB, pS=pS, pT=pT, T=T))
+            piston = {"v" if self.plan.has_speed else "x": moved}
+            self.take(AxisSamples.of(t_A[rows], U=U, pA=pA, pB=pB, pS=pS, pT=pT, T=T, **piston))
 
     def take(self, samples: AxisSamples) -> None:
-        """Take whole samples; where the axis rests, they count for the present pressures alone."""
+        """Take whole samples; where the axis rests, they count for the present pressures alone.
+
+        Where the speed is measured, the position comes from it.
+        """
+        if self.plan.has_speed:
+            self._travel, samples = self._travel.update(samples, self.plan.geometry.stroke_mm)
         steps_s = 1e-9 * np.diff(samples.t, prepend=self.t or samples.t[0])
         self.t = int(samples.t[-1])
         self.newest_U = float(samples.U[-1])
@@ -352,7 +361,10 @@ class Axis:
             if it is damaged, or of another geometry, memory, node or unit.
         """
         regression = AxisRegression(
-            self.plan.geometry, memory_s=self.plan.memory_s, changes_per_s=CHANGES_PER_S
+            self.plan.geometry,
+            memory_s=self.plan.memory_s,
+            changes_per_s=CHANGES_PER_S,
+            has_place=not self.plan.has_speed,
         )
         if name == WATCH:
             self._watch = unpack_watch(packed, self.key, regression)

@@ -26,6 +26,7 @@ class Quantity(Enum):
     FLOW = "l/min"
     TEMPERATURE = "°C"
     LENGTH = "mm"
+    SPEED = "mm/s"
     ELECTRICAL = "electrical"
 
     @property
@@ -122,6 +123,11 @@ UNITS: Final = (
     Unit("mm", "MMT", Quantity.LENGTH, names=("millimeter", "millimetre")),
     Unit("cm", "CMT", Quantity.LENGTH, Fraction(10), names=("centimeter", "centimetre")),
     Unit("m", "MTR", Quantity.LENGTH, Fraction(1000), names=("meter", "metre")),
+    Unit("mm/s", "C16", Quantity.SPEED, names=("mm/sec", "millimetre per second")),
+    Unit("cm/s", "2M", Quantity.SPEED, Fraction(10), names=("cm/sec",)),
+    Unit("m/s", "MTS", Quantity.SPEED, Fraction(1000), names=("m/sec", "mps")),
+    Unit("m/min", "2X", Quantity.SPEED, Fraction(1000, 60)),
+    Unit("in/s", "IU", Quantity.SPEED, Fraction("25.4"), names=("inch/s", "ips")),
     Unit("mA", "4K", Quantity.ELECTRICAL, names=("milliampere",)),
     Unit("V", "VLT", Quantity.ELECTRICAL, names=("volt", "vdc", "v dc")),
     Unit("mV", "2Z", Quantity.ELECTRICAL, names=("millivolt",)),

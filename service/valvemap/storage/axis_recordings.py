@@ -1,8 +1,8 @@
 """Recordings of axes: CSV with the columns t, U, x, pA, pB, pS, pT, and optionally T and valve.
 
-``x`` is in mm, U in %, pressures in bar; ``position`` stands for x, ``pP`` for pS. Case matters for
-t and T alone; other columns are ignored. Separators, decimal commas and times are those of
-:mod:`~valvemap.storage.recordings`.
+``x`` is in mm, U in %, pressures in bar; ``position`` stands for x, ``pP`` for pS. Without x, ``v``
+or ``speed`` is the speed in mm/s. Case matters for t and T alone; other columns are ignored.
+Separators, decimal commas and times are those of :mod:`~valvemap.storage.recordings`.
 """
 
 import csv
@@ -17,9 +17,9 @@ from valvemap.storage.csv_cells import TextCells
 from valvemap.storage.csv_recordings import PACKINGS, text_of
 from valvemap.storage.dates import date_form
 
-SIGNALS: Final = ("U", "x", "pA", "pB", "pS", "pT", "T")
+SIGNALS: Final = ("U", "x", "v", "pA", "pB", "pS", "pT", "T")
 DEFAULT_AXIS: Final = "Axis"
-_ALSO: Final = {"position": "x", "pp": "pS"}
+_ALSO: Final = {"position": "x", "speed": "v", "pp": "pS"}
 
 
 def read_axes(path: Path) -> Mapping[str, AxisSamples]:
@@ -82,6 +82,8 @@ def _places(path: Path, header: list[str]) -> dict[str, int]:
         if name in places:
             raise RecordingError(f"{path}, line 1: two columns are {name}: {heading} is the second")
         places[name] = place
+    if "x" in places:
+        places.pop("v", None)  # the position is enough, and tells more
     if "t" not in places:
         raise RecordingError(
             f"{path}, line 1: no column t; an axis needs t,U,x,pA,pB,pS,pT and has "

@@ -211,7 +211,11 @@ class AxisStatus(Described):
         "pressure missing",
         "Each edge needs the pressures on both its sides. Add the missing one.",
     )
-    MISSING_SIGNAL = 3, "signal missing", "Position and U are both needed. Add the missing one."
+    MISSING_SIGNAL = (
+        3,
+        "signal missing",
+        "Position (or speed) and U are both needed. Add the missing one.",
+    )
     TOO_SLOW = (
         4,
         "too slow",

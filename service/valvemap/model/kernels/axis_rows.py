@@ -36,7 +36,7 @@ USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
 MEMORY: Final = (
     *("held", "spool", "speed"),  # "held" is the lower end of where the play may be, see "upper"
     *("U", "x", "pA", "pB", "pS", "pT"),
-    *("known", "settling", "withheld", "thinness", "upper"),
+    *("known", "settling", "withheld", "thinness", "upper", "v"),
 )
 PLAY_KNOWN: Final = 0.1  # %; up to this the place in the play is known
 KELVIN: Final = 273.15
@@ -162,8 +162,9 @@ def axis_rows(
     Parameters
     ----------
     t, signals
-        UTC ns (N,), and U, x, pA, pB, pS, pT, T (N, 7) in %, mm, bar and °C. Without T, that of
-        the last sample with one holds; without any, 40 °C.
+        UTC ns (N,), and U, x, pA, pB, pS, pT, T, v (N, 8) in %, mm, bar, °C and mm/s. Without T,
+        that of the last sample with one holds; without any, 40 °C. Without v, the speed is that of
+        the position.
     last, memory, filtered
         Time of the last sample (1,); ``MEMORY``; the filter's two stages per line (2, 2, n + 3).
     M, b, squares, counts
@@ -265,8 +266,11 @@ def axis_rows(
         if reason == USED:
             x = 0.5 * (memory[4] + now[1])
             drop = 0.5 * (pA + now[2] - pB - now[3]) * (memory[12] if memory[12] > 0.0 else 1.0)
-            rows[0, n] = 6e-3 * A_A * (now[1] - memory[4]) / dt
-            rows[1, n] = -6e-3 * A_B * (now[1] - memory[4]) / dt
+            v = 0.5 * (memory[14] + signals[i, 7])
+            if not math.isfinite(v):
+                v = (now[1] - memory[4]) / dt
+            rows[0, n] = 6e-3 * A_A * v
+            rows[1, n] = -6e-3 * A_B * v
             for line in range(2):
                 if line == 0:
                     V, before, after = geometry[3] + 1e-4 * A_A * x, pA, now[2]
@@ -333,5 +337,6 @@ def axis_rows(
         counts[1 + reason] += 1
         last[0] = t[i]
         memory[9] = 1.0
+        memory[14] = signals[i, 7]
         for k in range(6):
             memory[3 + k] = now[k]
