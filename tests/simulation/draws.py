@@ -4,7 +4,10 @@ import random
 from dataclasses import dataclass, replace
 from typing import Final
 
+from valvemap.vocabulary.signals import Signal
+
 SIMULATED_S: Final = 60.0
+REAL_FILES: Final = 0.1  # share of the seeds
 CALM_S: Final = 15.0  # at the end: no faults, so that all that waits arrives
 
 
@@ -15,7 +18,9 @@ class SourceCase:
     ``history`` is how many samples of each valve the server remembers; ``cuts`` are (start,
     duration, noticed after), ``steps`` of its clock (time, by how much), ``restarts`` (time, time
     without a server, by how much its clock is set): sessions, queues, messages and history are
-    gone, and the running number begins at 0.
+    gone, and the running number begins at 0. ``skipped`` are the times whose next sample the
+    source numbers and does not take, ``gone`` (start, stop, valve, signal) the nodes that were
+    deleted and created again.
     """
 
     valves: tuple[int, ...]
@@ -34,6 +39,8 @@ class SourceCase:
     cuts: tuple[tuple[float, float, float], ...]
     steps: tuple[tuple[float, float], ...]
     restarts: tuple[tuple[float, float, float], ...]
+    skipped: tuple[float, ...] = ()
+    gone: tuple[tuple[float, float, int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -43,8 +50,9 @@ class Case:
     ``ends`` are (time, kind, pause before the next start), ``disks`` are (start, stop, kind) of
     the state file's and the history's trouble, ``stalls`` of the process (time, duration).
     ``edits`` of the configuration are (kind, valve) behind each of the ends, ``rivals`` the times
-    at which a second service is started on the same state file, ``calls`` of clients are (time,
-    kind, valve).
+    at which a second service is started on the same state file, ``calls`` of clients and
+    ``commands`` of operators on estimators are (time, kind, valve). With ``reads`` the
+    history is the real file, and clients read it: (time, part, valve, rows a page, backwards).
     """
 
     seed: int
@@ -62,6 +70,8 @@ class Case:
     edits: tuple[tuple[tuple[str, int], ...], ...] = ()
     rivals: tuple[float, ...] = ()
     calls: tuple[tuple[float, str, int], ...] = ()
+    commands: tuple[tuple[float, str, int], ...] = ()
+    reads: tuple[tuple[float, str, int, int, bool], ...] = ()
 
     @property
     def valves(self):
@@ -70,6 +80,36 @@ class Case:
 
 def draw(seed):
     """Draw a case. Each kind of trouble is absent from many cases, so that it is seen alone."""
+    case, rng = draw_people(seed), random.Random(f"{seed} operators")
+    quiet_from = SIMULATED_S - CALM_S
+    return replace(
+        case,
+        sources=tuple(_coinciding(rng, source, quiet_from) for source in case.sources),
+        commands=_spread(
+            rng, SIMULATED_S, (0, 0, 3), lambda: (rng.choice(COMMANDS), rng.randrange(case.valves))
+        ),
+        reads=_reads(rng, case),
+    )
+
+
+def _reads(rng, case):
+    """One seed of ten has the real file: it takes as long as all else."""
+    counts = (3, 6) if rng.random() < REAL_FILES else (0,)
+    return _spread(
+        rng,
+        SIMULATED_S,
+        counts,
+        lambda: (
+            rng.choice(("Signals", "Inverse", "estimator")),
+            rng.randrange(case.valves),
+            rng.choice((1, 3, 20, 1000)),
+            rng.random() < 0.5,
+        ),
+    )
+
+
+def draw_people(seed):
+    """The plant with its faults and people, but for commands and nodes that change."""
     case, rng = draw_plain(seed), random.Random(f"{seed} people")
     valve = lambda: rng.randrange(case.valves)  # noqa: E731
     quiet_from = SIMULATED_S - CALM_S
@@ -116,6 +156,8 @@ EDITS: Final = (
     *("estimator", "also", "accuracy"),
 )
 CALLS: Final = ("demand", "predict", "invert", "freeze and resume", "unknown", "not finite")
+COMMANDS: Final = ("reset", "forget more", "forget nothing", "freeze", "resume")
+_DELETED: Final = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.SEQUENCE)
 _ENDS: Final = ("kill", "kill", "power", "stop")
 
 
@@ -147,6 +189,30 @@ def _source(rng, valves, quiet_from):
         restarts=_spread(
             rng, quiet_from - 5.0, (0, 0, 0, 1), lambda: (rng.uniform(0.5, 9.0), _step_or_none(rng))
         ),
+    )
+
+
+def _coinciding(rng, source, quiet_from):
+    """Draw skipped samples and deleted nodes; steps of a clock often coincide with other events."""
+    gone = _spread(
+        rng,
+        quiet_from - 5.0,
+        (0, 0, 0, 1),
+        lambda: (rng.uniform(0.5, 12.0), rng.choice(source.valves), rng.choice(_DELETED)),
+    )
+    skipped = tuple(at for (at,) in _spread(rng, quiet_from, (0, 0, 2), tuple))
+    moments = [at for at, *_ in (*source.cuts, *source.restarts, *gone)]
+    moments += [at + duration for at, duration, *_ in source.cuts] + list(skipped)
+    steps = source.steps
+    if moments and rng.random() < 0.5:  # 2 s apart at most: the samples around the event
+        steps = tuple((rng.choice(moments) + rng.uniform(-2.0, 2.0), by) for _, by in steps)
+    if steps and rng.random() < 0.5:
+        skipped = (*skipped, rng.choice(steps)[0] + rng.uniform(-2.0, 1.0) * source.period_s)
+    return replace(
+        source,
+        steps=tuple(sorted(steps)),
+        skipped=skipped,
+        gone=tuple((at, at + away, valve, signal) for at, away, valve, signal in gone),
     )
 
 

@@ -2,11 +2,16 @@
 
 import asyncio
 from contextlib import suppress
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest import mock
 
+from guarded_opcua.history.historian import Span
 from simulation.stores import StateFile
 from valvemap.errors import StorageError
+from valvemap.pipeline.alignment import COUNTER_NAMES
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_states import MEMORY
 from valvemap.runtime import sources as sources_module
 from valvemap.runtime.live import LiveService
@@ -137,6 +142,51 @@ def rows_lost_between_buffer_and_disk():
     return mock.patch.object(PastKeeper, "_keep", dropping)
 
 
+def a_continuation_that_skips_a_row():
+    """A client that reads the history in pages misses a row between two of them."""
+    behind = Span.behind
+
+    def skipping(self, skip, read):
+        rest, again = behind(self, skip, read)
+        return rest, again + 1
+
+    return mock.patch.object(Span, "behind", skipping)
+
+
+def settings_that_are_not_restored():
+    """An operator's forgetting factor and Freeze are forgotten in a restart."""
+    load = StateFile.load
+    plain = {"lam": None, "frozen": False}
+    return mock.patch.object(
+        StateFile, "load", lambda self: [replace(one, **plain) for one in load(self)]
+    )
+
+
+def a_reset_that_keeps_the_map():
+    """Reset forgets the residuals alone."""
+    reset = EstimatorCommands.reset
+
+    def half(self, valve, estimator):
+        before = self._valves.lane(valve, estimator)
+        reset(self, valve, estimator)
+        after = self._valves.lane(valve, estimator)
+        self._valves.put(valve, estimator, replace(after, state=before.state))
+
+    return mock.patch.object(EstimatorCommands, "reset", half)
+
+
+def a_deleted_node_that_nothing_counts():
+    """Samples without one of their signals are not counted."""
+    counts = Arrivals.counts
+
+    def without(self, valves):
+        found = counts(self, valves)
+        found[:, COUNTER_NAMES.index("missing")] = 0
+        return found
+
+    return mock.patch.object(Arrivals, "counts", without)
+
+
 FAULTS = (
     an_early_acknowledgement,
     a_lost_sync,
@@ -150,4 +200,8 @@ FAULTS = (
     old_results_that_stay_good,
     a_batch_dropped_at_the_end_of_a_connection,
     rows_lost_between_buffer_and_disk,
+    a_continuation_that_skips_a_row,
+    settings_that_are_not_restored,
+    a_reset_that_keeps_the_map,
+    a_deleted_node_that_nothing_counts,
 )

@@ -1,5 +1,6 @@
 """What must be true of a simulated world: each function reports the promises that are broken."""
 
+from simulation import people
 from simulation.installation import ALSO, MOST_PENDING, OWN, RLS, fresh, reorder
 from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.kernels import waiting as slots
@@ -53,6 +54,7 @@ def of_start(world, identification, clients, before, said):
         server = world.server_of[valve]
         if _of_edit(world, identification, valve, before, said):
             server.excuse((valve, k) for k in range(server.taken))
+        _of_commands(world, identification, valve)
         excused = server.excused[valve]
         known = {*learnt, *waiting(world, identification, valve), *excused}
         passed = server.acknowledged[valve] | {k for v, k in behind if v == valve}
@@ -73,6 +75,7 @@ def _of_edit(world, identification, valve, before, said):
     then = None if newest is None else world.meanings[newest.meaning]
     if then is None or not now.keeps_map_of(then):
         world.began[valve], world.converted[valve] = len(learnt), False
+        world.commands[valve] = []
         if lane.count:
             world.violated(f"V{valve} learns on under another meaning")
         if newest is not None and newest.t and not _is_kept(world, newest):
@@ -88,6 +91,24 @@ def _of_edit(world, identification, valve, before, said):
         if newest.t and now.name not in said:
             world.violated(f"V{valve}: no word of its conversion")
     return False
+
+
+def _of_commands(world, identification, valve):
+    """Drop the commands that were given behind the restored state; the others are in it."""
+    now, n = world.plant[valve], len(world.learnt[valve])
+    given = [one for one in world.commands[valve] if one[0] <= n]
+    lane = identification._valves.lane(now.name, now.estimator)
+    for stop in range(len(given), -1, -1):
+        kinds = [kind for _, kind in given[:stop]]
+        lam = next((people.FORGETTING[k] for k in kinds[::-1] if k in people.FORGETTING), None)
+        frozen = next((k == "freeze" for k in kinds[::-1] if k in ("freeze", "resume")), False)
+        is_reset = (n, "reset") in given[:stop]
+        if (lane.lam, lane.frozen) == (lam, frozen) and (not is_reset or lane.count == 0):
+            world.commands[valve] = given[:stop]
+            return
+        if stop and given[stop - 1][0] < n:
+            break
+    world.violated(f"V{valve}: lost a command of {given}: {lane.lam}, frozen {lane.frozen}")
 
 
 def _is_kept(world, row):
@@ -151,10 +172,9 @@ def of_states(world):
     restored.restore(restored.states.review(world.states.load()).checkpoints)
     for valve, one in enumerate(world.plant):
         n = restored.results.counters(valve)["aligned"]
-        learnt = world.learnt[valve][world.began[valve] : n]
-        if learnt:
-            server = world.server_of[valve]
-            again.learn(server.as_samples(valve, learnt, one.gains))
+        del world.learnt[valve][n:]
+        _of_commands(world, restored, valve)
+        _relive(world, again, valve, one)
     names = {one.name: one for one in world.plant}
     stored = {(one.valve, one.estimator): one for one in world.states.load()}
     for own in again.states.checkpoints():
@@ -168,6 +188,22 @@ def of_states(world):
         elif saved.state != own.state:
             world.violated(f"{own.valve}: the state is not that of an undisturbed life")
         world.note(own.state)
+
+
+def _relive(world, identification, valve, one):
+    """Learn all samples of the present map without a disturbance, with the commands between.
+
+    An estimator that was reset has learnt nothing before it; what else was set remains.
+    """
+    learnt, commands = world.learnt[valve], world.commands[valve]
+    begin = max([world.began[valve], *(n for n, kind in commands if kind == "reset")])
+    for end, kind in (*commands, (len(learnt), None)):
+        if learnt[begin:end]:
+            samples = world.server_of[valve].as_samples(valve, learnt[begin:end], one.gains)
+            identification.learn(samples)
+        begin = max(begin, end)
+        if kind not in (None, "reset"):
+            people.command(identification, kind, one)
 
 
 def _are_close(one, other):

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from typing import Final
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from valvemap.runtime.live import LiveService
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.storage.state_lock import FileLock
 from valvemap.vocabulary.statuses import InverseStatus, Status
+
+FORGETTING: Final = {"forget more": 0.97, "forget nothing": 1.0}  # lam
 
 
 def call(world, identification, kind, valve):
@@ -30,8 +33,8 @@ def call(world, identification, kind, valve):
             if status in (Status.OK, Status.UNEXCITED) and not np.isfinite([Q, std]).all():
                 world.violated(f"{one.name} predicts {Q} ± {std}, {status.name}")
         case "freeze and resume":
-            for action in ("freeze", "resume"):
-                identification.do(Command.of(action, one.name, one.estimator))
+            operate(world, identification, "freeze", valve)
+            operate(world, identification, "resume", valve)
         case "unknown":
             _judge_rejected(
                 world,
@@ -43,6 +46,21 @@ def call(world, identification, kind, valve):
             if not np.isnan(answer.U).all():
                 world.violated(f"{one.name}: no demand needs {answer.U} %")
     world.counts["calls"] += 1
+
+
+def operate(world, identification, kind, valve):
+    """An operator's command on an estimator: it is kept with the samples learnt before it."""
+    world.commands[valve].append((len(world.learnt[valve]), kind))
+    command(identification, kind, world.plant[valve])
+
+
+def command(identification, kind, one):
+    """An operator's command on the estimator of an installed valve."""
+    if kind in FORGETTING:
+        given = Command.of("set_forgetting_factor", one.name, one.estimator, FORGETTING[kind])
+    else:
+        given = Command.of(kind, one.name, one.estimator)
+    identification.do(given)
 
 
 def _judge_U(world, one, U, status):

@@ -61,8 +61,14 @@ class Server:
             self.off |= (self.at > when) & (self.at <= when + away)
             later = self.at > when + away
             numbers[later] = np.arange(later.sum())
+        later = np.searchsorted(self.at, case.skipped)
+        self.off[later[later < n]] = True
         self.t = start_ns + np.rint((self.at + ahead) * 1e9).astype(np.int64)
         self.values, self.bad = {}, {}
+        self.gone = {valve: np.zeros((n, PER_VALVE), np.bool_) for valve in case.valves}
+        for first, stop, valve, signal in case.gone:
+            if case.numbered or signal != Signal.SEQUENCE:
+                self.gone[valve][(self.at > first) & (self.at <= stop), signal] = True
         noise = np.random.default_rng(rng.getrandbits(64))
         for valve in case.valves:
             U, dp = noise.uniform(0, 100, n), noise.uniform(0, 200, n)
@@ -114,7 +120,10 @@ class Server:
         first, self._sampled = self._sampled, int(np.searchsorted(self.at, now, side="right"))
         taken = [k for k in range(first, self._sampled) if not self.off[k]]
         self.excuse(
-            (v, k) for k in range(first, self._sampled) if self.off[k] for v in self.case.valves
+            (v, k)
+            for k in range(first, self._sampled)
+            for v in self.case.valves
+            if self.off[k] or self.gone[v][k].any()
         )
         for known in self._subscriptions.values():
             known.queue += taken
@@ -232,6 +241,8 @@ class Server:
             here = numbered_here[valve] * PER_VALVE
             last = stop if self.case.numbered else min(stop, PER_VALVE - 1)
             for signal in range(first, last):
+                if self.gone[valve][k, signal]:
+                    continue
                 item.append(here + signal)
                 value.append(self.values[valve][k, signal] * gains[valve][signal])
                 status.append(BAD if signal == Signal.Q and self.bad[valve][k] else 0)

@@ -1,9 +1,20 @@
-"""Files in memory, with the promises that SQLite makes: whole commits, safe once synced."""
+"""Files in memory, with the promises that SQLite makes: whole commits, safe once synced.
 
+In some seeds the history is the real file, on a disk that fills up.
+"""
+
+import shutil
+import tempfile
 from collections import Counter
 from dataclasses import replace
+from typing import ClassVar, Final
 
+from guarded_opcua.history.historian import EVER
 from valvemap.errors import StorageError
+from valvemap.runtime.past import REQUIRED_U
+from valvemap.storage.history import HistoryFile
+
+_EVERY_PAGE: Final = 2**32 - 2  # SQLite's default for the largest number of pages
 
 
 class StateFile:
@@ -74,3 +85,61 @@ class PastFile:
 
     def take_notes(self):
         return ()
+
+    def start(self):
+        """A process opens the file."""
+        self.refuses = False
+
+    def die(self):
+        """The process ends: it writes nothing more."""
+        self.refuses = True
+
+    def remove(self):
+        pass
+
+
+def column_of(series):
+    """A column that all rows of a series have."""
+    return {"Signals": "Q", "Inverse": REQUIRED_U}.get(series.rpartition(".")[2], "Residual")
+
+
+class RealPastFile:
+    """The history in its file; each process opens it. While it refuses, its disk is full."""
+
+    def __init__(self, folder, time):
+        self._folder = tempfile.mkdtemp(dir=folder)
+        self._time = time
+        self._file = None
+
+    def start(self):
+        self._file = HistoryFile(f"{self._folder}/history", clock=self._time.monotonic)
+
+    def die(self):
+        self._file.close()
+        self._file = None
+
+    rows: ClassVar = Counter()
+
+    def remove(self):
+        """The world has ended."""
+        shutil.rmtree(self._folder)
+
+    @property
+    def refuses(self):
+        return self._file is None
+
+    @refuses.setter
+    def refuses(self, full):
+        if self._file is not None:
+            most = 1 if full else _EVERY_PAGE  # 1: no page more than there are
+            self._file._writer.execute(f"PRAGMA max_page_count = {most}").fetchall()
+
+    def times(self, series):
+        """The times of all rows of a series."""
+        past = self._file.read(series, column_of(series), *EVER, most=1_000_000)
+        return set(past.t.tolist())
+
+    def __getattr__(self, name):
+        if self._file is None:
+            raise StorageError("history: its process has ended")
+        return getattr(self._file, name)

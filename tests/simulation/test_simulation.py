@@ -1,25 +1,31 @@
 """The real service in a simulated world: no seed breaks a promise, and each planted fault does."""
 
+from functools import lru_cache
+
 import pytest
 
-from simulation.draws import EDITS, draw_plain
+from simulation.draws import COMMANDS, EDITS, draw_people, draw_plain
 from simulation.faults import FAULTS
 from simulation.world import simulate
 
 SEEDS = 100
 MOST_SEEDS = 1_000  # in which a planted fault is found
-FIRST = dict(zip(FAULTS, (0, 0, 694, 0, 73, 110, 18, 11, 0, 12, 4, 1), strict=True))
-HAPPENING = ("kill", "power", "stop", "lost", "calls", "rivals refused", *EDITS)
+WHERE = (0, 0, 919, 0, 73, 110, 18, 11, 0, 12, 4, 1, 11, 0, 0, 8)
+FIRST = dict(zip(FAULTS, WHERE, strict=True))
+HAPPENING = ("kill", "power", "stop", "lost", "calls", "rivals refused", "rows read")
+
+simulated = lru_cache(simulate)
 
 
 @pytest.mark.parametrize(
     "seeds", [range(SEEDS), pytest.param(range(SEEDS, 5 * SEEDS), marks=pytest.mark.soak)]
 )
 def test_no_seed_breaks_a_promise(seeds):
-    outcomes = [simulate(seed) for seed in seeds]
+    outcomes = [simulated(seed) for seed in seeds]
     assert {o.seed: o.violations for o in outcomes if o.violations} == {}
     happened = sum((outcome.counts for outcome in outcomes), start=outcomes[0].counts)
-    assert [kind for kind in HAPPENING if not happened[kind]] == []
+    kinds = (*HAPPENING, *EDITS, *COMMANDS)
+    assert [kind for kind in kinds if not happened[kind]] == []
 
 
 # 272: a message from before a step back of the clock came again after it, and was learnt again.
@@ -35,11 +41,18 @@ def test_no_seed_that_found_a_defect_does_so_again(seed):
 # number came in the next message was dropped.
 @pytest.mark.parametrize("seed", [318_869])
 def test_no_seed_with_people_that_found_a_defect_does_so_again(seed):
+    assert simulate(seed, draw_people).violations == []
+
+
+# 357: samples late behind missing ones, from before and after a step back, stayed Good.
+@pytest.mark.parametrize("seed", [357])
+def test_no_seed_with_operators_that_found_a_defect_does_so_again(seed):
     assert simulate(seed).violations == []
 
 
-def test_a_seed_replays_bit_for_bit():
-    assert [simulate(seed).trace for seed in range(5)] == [simulate(s).trace for s in range(5)]
+@pytest.mark.parametrize("seed", [3, 7, 11, 12])
+def test_a_seed_replays_bit_for_bit_alone_and_behind_others(seed):
+    assert simulate(seed).trace == simulated(seed).trace
 
 
 @pytest.mark.soak
@@ -52,6 +65,6 @@ def test_a_planted_fault_is_found_within_a_thousand_seeds(fault):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_first_seed_that_finds_a_planted_fault_is_green_without_it(fault):
     seed = FIRST[fault]
-    assert simulate(seed).violations == []
+    assert simulated(seed).violations == []
     with fault():
         assert simulate(seed).violations

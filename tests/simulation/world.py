@@ -12,10 +12,11 @@ from unittest import mock
 import structlog
 
 from simulation import judge, people
-from simulation.draws import SIMULATED_S, draw
+from simulation.draws import COMMANDS, SIMULATED_S, draw
+from simulation.history import Rows
 from simulation.installation import edited, fresh, installed, reorder
 from simulation.source import Client, Server
-from simulation.stores import PastFile, StateFile
+from simulation.stores import PastFile, RealPastFile, StateFile
 from simulation.virtual_loop import DeadlockError, VirtualTime, process
 from support.plant import START
 from valvemap.errors import SourceLost
@@ -26,6 +27,7 @@ from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.past import PastKeeper, results_of, signals_of
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
+from valvemap.storage import history_series
 from valvemap.storage.state_lock import FileLock
 from valvemap.vocabulary.signals import PER_VALVE
 from valvemap.vocabulary.statuses import Quality
@@ -33,6 +35,7 @@ from valvemap.vocabulary.statuses import Quality
 _FOLDER = tempfile.TemporaryDirectory(prefix="simulation")  # of the lock file
 _SHARPEST_S = 6.0  # how long a kill waits for the moment at which it hurts most
 _SHARP_S = 0.1
+_SEALED_ROWS = 24  # of a block of the history: several in a simulated minute
 
 
 @dataclass
@@ -54,6 +57,7 @@ def simulate(seed, drawn=draw):
             live_module, FEWEST_AT_ONCE=world.case.at_once, FIRST_AT_ONCE=world.case.at_once
         ),
         mock.patch.object(past_module, "MOST_ROWS", world.case.history_rows),
+        mock.patch.object(history_series, "BLOCK", _SEALED_ROWS),
     ):
         try:
             world.run()
@@ -61,6 +65,8 @@ def simulate(seed, drawn=draw):
             world.violated("all tasks wait for ever")
         except Exception as error:  # noqa: BLE001 - whatever ends the service is a finding
             world.violated(f"the service ended with {error!r}")
+        finally:
+            world.past.remove()
     for line in world.logs:
         world.note(sorted(line.items()))
     return Outcome(seed, world.violations, world.trace.hexdigest(), world.counts)
@@ -86,6 +92,8 @@ class Shown:
             world.published[results_of(name, past_module._INVERSE)] += int(results.inverse.t[m] > 0)
             lost = results.signals.quality[m] == Quality.BAD and results.signals.t[m] > 0
             world.published[signals_of(name)] += int(lost)
+            if world.rows is not None:
+                world.rows.publish(name, results, m)
         if world.case.sink_s:
             await asyncio.sleep(world.case.sink_s)
 
@@ -108,13 +116,16 @@ class World:
         self.servers = [Server(part, self.time, self.rng, START) for part in case.sources]
         self.server_of = {v: server for server in self.servers for v in server.case.valves}
         self.number_of = {v: self._numbers(v) for v in self.server_of}  # sample by source time
-        self.states, self.past = StateFile(), PastFile()
+        self.states, self.past, self.rows = StateFile(), PastFile(), None
+        if case.reads:
+            self.past, self.rows = RealPastFile(_FOLDER.name, self.time), Rows(self)
         self.plant = installed(case)
         self.meanings = {}  # each configuration of a valve, by the text stored with its states
         self.lock_path = Path(_FOLDER.name) / "state"
         self.clients = []  # of this life
         self.logs = []
         self.learnt = [[] for _ in range(case.valves)]  # samples (k), in their order
+        self.commands = [[] for _ in range(case.valves)]  # (how many were learnt before, kind)
         self.began = [0] * case.valves  # how many of them were learnt before the present map
         self.converted = [False] * case.valves  # whether the map was, to another unit
         self.published = Counter()  # rows for the history, of this life
@@ -170,7 +181,10 @@ class World:
             Part(str(n) if len(clients) > 1 else None, client, client.server.case.valves)
             for n, client in enumerate(clients)
         ]
+        self.past.start()
         self.published, self.stored = Counter(), self.past.rows.copy()
+        if self.rows is not None:
+            self.rows.begin()
         lock = FileLock(self.lock_path)
         with process(self.time, self._thread_takes) as loop:
             loop.set_exception_handler(self._forgotten)
@@ -178,8 +192,9 @@ class World:
             for client in self.clients:
                 client.alive = False  # a killed process says no good-bye
             lock.close()  # as the kernel does
-            self.states.refuses = self.past.refuses = True  # a dead process writes nothing
-        self.states.refuses = self.past.refuses = False
+            self.states.refuses = True  # a dead process writes nothing
+            self.past.die()
+        self.states.refuses = False
         self.note(kind)
         if kind == "power":
             self.states.lose_power()
@@ -233,26 +248,43 @@ class World:
         if not await live.keep(within_s=live.time_left_s):
             self.counts["not all saved"] += 1
             return
-        judge.of_history(self, keeper)
+        if self.rows is None:
+            judge.of_history(self, keeper)
+        else:
+            self.rows.judge(keeper)
         judge.of_counts(self, identification)
 
     def _learn(self, name, samples: Samples):
         valve = self.numbers[name]
         self.learnt[valve] += [self.number_of[valve][t] for t in samples.t.tolist()]
         self.published[signals_of(name)] += len(samples)
+        if self.rows is not None:
+            self.rows.add(signals_of(name), samples.t)
         self.note((name, samples.t.tolist()))
 
     async def _others(self, live, settings, supervision):
         """Clients call the service, and somebody starts a second one."""
         rivals = [(at, "rival", 0) for at in self.case.rivals]
-        for at, kind, valve in sorted([*self.case.calls, *rivals]):
+        reading = [self._read_later(*read) for read in self.case.reads]
+        reads = [asyncio.create_task(one) for one in reading]
+        for at, kind, valve in sorted([*self.case.calls, *self.case.commands, *rivals]):
             if at < self.time.elapsed:
                 continue
             await asyncio.sleep(at - self.time.elapsed)
             if kind == "rival":
                 await people.rival(self, settings, supervision)
+            elif kind in COMMANDS:
+                people.operate(self, live.identification, kind, valve)
+                self.counts[kind] += 1
             else:
                 people.call(self, live.identification, kind, valve)
+
+        await asyncio.gather(*reads)
+
+    async def _read_later(self, at, *read):
+        if at >= self.time.elapsed:
+            await asyncio.sleep(at - self.time.elapsed)
+            await self.rows.read(*read)
 
     async def _sharpen(self, taking):
         """Wait for the worst moment of a kill: states were just saved, and a batch is half done."""

@@ -7,7 +7,7 @@ present configuration.
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final
 
@@ -61,7 +61,8 @@ class Meaning:
 
     def to_text(self) -> str:
         """Return it as JSON with sorted keys; equal meanings have equal texts."""
-        return json.dumps(asdict(self), sort_keys=True)
+        signals = {name: vars(one) for name, one in self.signals.items()}
+        return json.dumps({**vars(self), "signals": signals}, sort_keys=True)
 
     @classmethod
     def from_text(cls, text: str) -> "Meaning | None":
