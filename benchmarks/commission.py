@@ -63,15 +63,21 @@ def driven(valve: Valve, seed: int, seconds: float, sweep: float) -> float:
     return error(valve, estimator, loop.catch_up().state)
 
 
-def undriven(valve: Valve, seed: int, seconds: float, *, steps: bool) -> float:
-    """Machine work, or steps of U from below at a swept load, as in the paper."""
+def unled(valve: Valve, seed: int, seconds: float, *, steps: bool) -> tuple[Any, Any]:
+    """U and Δp of machine work, or of steps of U from below at a swept load, as in the paper."""
     N = round(seconds * c.FS)
     low, high = valve.U_range
-    U, dp = c.cycle(seed, N, valve.U_range)
-    if steps:
-        levels = low + (high - low) * np.arange(11) / 10.0
-        U = levels[np.minimum(np.arange(N) * 11 // N, 10)]
-        dp = 99.0 + 96.0 * np.sin(2.0 * np.pi * np.arange(N) / c.FS / 2.6)
+    if not steps:
+        return c.cycle(seed, N, valve.U_range)
+    levels = low + (high - low) * np.arange(11) / 10.0
+    U = levels[np.minimum(np.arange(N) * 11 // N, 10)]
+    return U, 99.0 + 96.0 * np.sin(2.0 * np.pi * np.arange(N) / c.FS / 2.6)
+
+
+def undriven(valve: Valve, seed: int, seconds: float, *, steps: bool) -> float:
+    """Machine work, or steps."""
+    U, dp = unled(valve, seed, seconds, steps=steps)
+    N = len(U)
     Q = valve.flow(behind(U, valve.play), dp) + c.white(seed, N)
     rows = np.column_stack([np.arange(N) / c.FS, U, dp, np.zeros(N), Q])
     estimator = estimator_of(valve)

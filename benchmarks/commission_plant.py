@@ -20,6 +20,9 @@ from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_plan import Plan
 from valvemap.pipeline.commission_state import Command, CommissionState, Seen, Settings
 from valvemap.vocabulary.commission import Phase
+from valvemap_rig.scenario import BUILTIN
+from valvemap_rig.simulation import Commands as RigCommands
+from valvemap_rig.simulation import advance, initial
 
 SAMPLE_S: Final = 0.01
 PUBLISHED_S: Final = 0.04
@@ -97,6 +100,10 @@ class Plant:
                 self.load_set = load
         if self.heartbeat and self.commanded and now - self.beaten > WATCHDOG_S:
             self.commanded, self.U = False, self.own_U
+        return self.measured(now)
+
+    def measured(self, _now: float) -> tuple[float, float, float, float]:
+        """Return U, p1, p2, Q for the commands in force."""
         half = self.valve.play / 2.0
         if not self.stuck:
             self.spool = min(max(self.spool, self.U - half), self.U + half)
@@ -110,6 +117,23 @@ class Plant:
             p1, Q = self.load + dp * share, float(np.sign(Q)) * pump
         noise = self.rng.normal(0.0, [0.05, 0.05, c.SIGMA])
         return self.U, p1 + noise[0], self.load + noise[1], Q + noise[2]
+
+
+class RigPlant(Plant):
+    """The virtual rig's own valve, which a client commands."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(Valve(c.ordinary), seed)
+        self._scenario = BUILTIN["external"].model_copy(update={"seed": seed})
+        self._state = initial(self._scenario, 0)
+
+    def measured(self, _now: float) -> tuple[float, float, float, float]:
+        """Return what the rig's sensors show."""
+        (name,) = self._state.valves
+        commands = RigCommands(U={name: self.U}, load={name: self.load_set})
+        self._state, block = advance(self._scenario, self._state, 1, commands)
+        U, p1, p2, Q = (float(block.valves[name].column(x)[0]) for x in ("U", "p1", "p2", "Q"))
+        return U, p1, p2, Q
 
 
 def settings_for(valve: Valve, *, with_load: bool = True, **plan: float) -> Settings:
@@ -150,7 +174,8 @@ class Log:
 class Loop:
     """The state machine against a plant, from ``begin_s`` on; ``log`` may be that of a run before.
 
-    ``learnt`` is advanced every `LEARN_S` if there is an ``estimator``.
+    ``learnt`` is advanced every `LEARN_S` if there is an ``estimator``. The source's responses to
+    commands arrive after ``response_s``.
     """
 
     def __init__(
@@ -161,9 +186,10 @@ class Loop:
         estimator: Any = None,
         before: "Loop | None" = None,
         begin_s: float = 0.0,
+        response_s: float = 0.0,
     ) -> None:
         self.plant, self.settings, self.happening = plant, settings, happening
-        self.estimator, self.begin_s = estimator, begin_s
+        self.estimator, self.begin_s, self.response_s = estimator, begin_s, response_s
         self.log = Log() if before is None else before.log
         state = CommissionState() if before is None else before.state
         self.state = start(state, begin_s)
@@ -239,7 +265,7 @@ class Loop:
             if command.load is not None:
                 self.log.loads.append((now, command.load))
         taken = Command() if refused else command
-        self.state = written(self.state, taken, now, refused=taken != command)
+        self.state = written(self.state, taken, now + self.response_s, refused=taken != command)
 
 
 def samples_of(rows: list[tuple[float, ...]]) -> Samples:

@@ -109,9 +109,7 @@ async def test_a_driven_load_crosses_the_range_of_pressure_drops(tmp_path):
         U, dp = (x.ravel() for x in np.meshgrid(np.linspace(5, 75, 15), np.linspace(20, 150, 8)))
         Q, _ = run._estimator.predict(run.learnt.state, U, dp, np.full(U.shape, 40.0))
         error = np.sqrt(np.mean((Q - true_flow(Bench(), U, dp)) ** 2))
-        assert error < 1.0
-        if error >= 0.5:  # the bar, met before the noise of `Auto` had a slow part
-            pytest.xfail(f"missed: {error:.2f} l/min in 14 s")
+        assert error < 1.0  # .5 in simulated time: tests/pipeline/test_commissioned_map.py
 
 
 async def test_an_abort_reaches_the_safe_u_and_a_resumed_run_keeps_what_was_learnt(tmp_path):

@@ -27,8 +27,8 @@ LOADED = replace(
 class Course:
     """Steps in simulated time; the valve follows its command at once."""
 
-    def __init__(self, settings=SETTINGS, seen=GOOD):
-        self.settings, self.seen, self.now = settings, seen, 0.0
+    def __init__(self, settings=SETTINGS, seen=GOOD, response_s=0.0):
+        self.settings, self.seen, self.now, self.response_s = settings, seen, 0.0, response_s
         self.state, self.writes, self.loads = start(CommissionState(), 0.0), [], []
 
     def steps(self, seconds, **seen):
@@ -42,7 +42,7 @@ class Course:
                 self.writes.append((self.now, command.U))
             if command.load is not None:
                 self.loads.append((self.now, command.load))
-            self.state = written(self.state, command, self.now)
+            self.state = written(self.state, command, self.now + self.response_s)
         return self.state
 
 
@@ -64,6 +64,17 @@ def test_it_begins_where_the_valve_is_and_sweeps_both_ways_to_both_ends():
     assert U[0] == 20.0
     assert (U.min(), U.max()) == (10.0, pytest.approx(90.0, abs=2.0))
     assert (np.diff(U) > 0).any() and (np.diff(U) < 0).any()  # noqa: PT018 - both ways
+
+
+@pytest.mark.parametrize(("response_s", "slew"), [(0.03, 200.0), (0.0, 25.0), (0.03, 100.0)])
+def test_both_ends_are_reached_however_late_the_responses_and_small_the_slew(response_s, slew):
+    limits = replace(LIMITS, slew_percent_per_s=slew)
+    settings = replace(SETTINGS, limits=limits, plan=Plan(4.0, 14.0, 20.0))
+    course = Course(settings, response_s=response_s)
+    course.steps(14.0)
+    t, U = np.array(course.writes).T
+    assert (U.min(), U.max()) == pytest.approx((10.0, 90.0), abs=2.0)
+    assert (np.abs(np.diff(U)) <= slew * (np.diff(t) - response_s) + 1e-9).all()
 
 
 def test_it_ends_in_time_at_the_safe_u_and_hands_the_valve_back():
@@ -203,7 +214,7 @@ def test_refinement_goes_where_the_variance_is_and_comes_back_from_the_other_sid
     U, dp = (x.ravel() for x in np.meshgrid(np.linspace(0, 100, 21), np.linspace(5, 190, 9)))
     variance = np.where(U > 80.0, 1.0, 1e-4)
     limits = Limits()
-    at = Uncertainty(U, dp, variance, U)
+    at = Uncertainty(U, dp, variance)
     moves = route(limits, Plan().pace(limits), Point(10.0), Point(10.0, 100.0), at)
     assert max(move.U for move in moves) > 80.0
     assert moves == moves[::-1]

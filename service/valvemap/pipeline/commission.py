@@ -47,7 +47,12 @@ HELD_OFF_S: Final = 0.1  # s without a violation until the schedule is followed 
 def start(state: CommissionState, now: float) -> CommissionState:
     """Start a run, or continue an interrupted one at its ``elapsed`` time."""
     return CommissionState(
-        Phase.CHECKING, since=now, stepped=now, elapsed=state.elapsed, heartbeat=state.heartbeat
+        Phase.CHECKING,
+        since=now,
+        stepped=now,
+        elapsed=state.elapsed,
+        swept=state.elapsed,
+        heartbeat=state.heartbeat,
     )
 
 
@@ -191,7 +196,7 @@ def _driven(
     lacks_load = settings.limits.load_range is not None and math.isnan(state.at.load)
     if not state.is_led or lacks_load:  # the first command was refused, or a part of it
         return state, _begun(settings, state, seen, now)[1]
-    return _swept(settings, replace(state, elapsed=state.elapsed + passed), seen, now)
+    return _swept(settings, replace(state, elapsed=state.elapsed + passed), seen, now, passed)
 
 
 def _paused(
@@ -206,23 +211,30 @@ def _paused(
 
 
 def _swept(
-    settings: Settings, state: CommissionState, seen: Seen, now: float
+    settings: Settings, state: CommissionState, seen: Seen, now: float, passed: float
 ) -> tuple[CommissionState, Command]:
-    """Follow the schedule at its pace; retreat from limits; end when accurate, or in time."""
+    """Follow the schedule at its pace; retreat from limits; end when accurate, or in time.
+
+    The pace counts from the last step. Slew counts from the last command that was accepted, as it
+    may have come into force as late as that; where it is the narrower, the triangles wait for U.
+    """
     accurate = state.phase is Phase.REFINING and seen.error <= settings.accuracy
     if accurate or state.elapsed >= settings.plan.most_s:
         reason = Reason.ACCURATE if accurate else Reason.TIME_UP
         return _returned(settings, _enter(state, Phase.RETURNING, reason, now), seen, now)
     if state.phase is Phase.SWEEPING and state.elapsed >= settings.plan.sweep_s:
         state = _enter(state, Phase.REFINING, Reason.NONE, now)
+    limits, plan = settings.limits, settings.plan
+    may_move = min(passed, plan.ahead(limits) * (now - state.accepted))
+    state = replace(state, swept=state.swept + may_move)
     state, target = _target(settings, past_half_turn(settings, state), seen)
     retreats = now - state.beyond < HELD_OFF_S
     state = replace(state, reason=Reason.LIMIT if retreats else Reason.NONE)
     if retreats:
-        target = _safe(settings.limits, state.at)
-    pace = settings.plan.pace(settings.limits)
-    slow = replace(settings.limits, slew_percent_per_s=pace.U, load_slew_bar_per_s=pace.load)
-    target = bounded(slow, state.at, target, now - state.accepted)
+        target = _safe(limits, state.at)
+    pace = plan.pace(limits)
+    slow = replace(limits, slew_percent_per_s=pace.U, load_slew_bar_per_s=pace.load)
+    target = bounded(slow, state.at, target, passed)
     return state, _towards(settings, state, target, now)
 
 
@@ -230,7 +242,7 @@ def _target(
     settings: Settings, state: CommissionState, seen: Seen
 ) -> tuple[CommissionState, Point]:
     """Return the point to go to: of the triangles, or of the newest route."""
-    triangles = sweep(settings.plan, settings.limits, state.elapsed)
+    triangles = sweep(settings.plan, settings.limits, state.swept)
     if state.phase is Phase.SWEEPING:
         return state, triangles
     left = state.route

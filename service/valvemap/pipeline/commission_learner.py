@@ -1,12 +1,12 @@
 """What a commissioning run has learnt: map, standard deviation over the range, route. Pure."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 
 from valvemap.model.estimator import Estimator
-from valvemap.model.samples import Samples
+from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.commission_limits import Point, Range
 from valvemap.pipeline.commission_plan import Uncertainty, route
 from valvemap.pipeline.commission_state import Settings
@@ -14,19 +14,46 @@ from valvemap.vocabulary.statuses import Quality
 
 POINTS_U, POINTS_S = 33, 13  # of the grid on which the map is judged
 LEAST_DROP: Final = 2.0  # bar; smaller ones are not judged
+OVER: Final = 4  # samples; over which flows and p1 are averaged
+NEAR_MOST: Final = 0.97  # of the largest flow; above it p1 tells whether the supply is at its limit
+DROPPED: Final = 0.93  # of the highest p1 at such flows: the supply gives no more
+
+
+@dataclass(frozen=True)
+class Supply:
+    """The largest flow that was seen, l/min, and the range of p1 near it, bar."""
+
+    most: float = 0.0
+    p1: Range = (np.inf, -np.inf)
+
+    @property
+    def limit(self) -> float:
+        """Largest flow that the supply gives, l/min; infinite while it was not at its limit."""
+        return self.most if self.p1[0] < DROPPED * self.p1[1] else np.inf
+
+    def after(self, samples: Samples) -> "Supply":
+        """Return it after N samples; noise of the flow is averaged out over `OVER` of them."""
+        Q = np.abs(_averaged(samples.Q))
+        p1, most = _averaged(samples.p1), max(self.most, float(Q.max(initial=0.0)))
+        before = self if self.most > NEAR_MOST * most else Supply()
+        near = p1[NEAR_MOST * most < Q]
+        low, high = float(near.min(initial=np.inf)), float(near.max(initial=-np.inf))
+        return Supply(most, (min(before.p1[0], low), max(before.p1[1], high)))
 
 
 @dataclass(frozen=True)
 class Learnt:
     """Result after N samples: the estimator's state, and the judged map.
 
-    ``drops`` is the range of Δp that was seen, bar; ``T`` the newest temperature, °C.
+    ``drops`` is the range of Δp that was seen, bar; ``supply`` what the pump gave; ``T`` the newest
+    temperature, °C.
     """
 
     state: Any
     samples: int = 0
     drops: Range = (np.inf, -np.inf)
     T: float = np.nan
+    supply: Supply = field(default_factory=Supply)
     error: float = np.nan
     route: tuple[Point, ...] = ()
     number: int = 0
@@ -43,7 +70,11 @@ def learn(
     dp, T = good.dp, good.T[np.isfinite(good.T)]
     drops = min(before.drops[0], float(dp.min())), max(before.drops[1], float(dp.max()))
     learnt = Learnt(
-        state, before.samples + len(samples), drops, float(T[-1]) if len(T) else before.T
+        state,
+        before.samples + len(samples),
+        drops,
+        float(T[-1]) if len(T) else before.T,
+        before.supply.after(good),
     )
     judged = uncertainty(estimator, settings.limits.U_range, learnt)
     pace = settings.plan.pace(settings.limits)
@@ -53,12 +84,22 @@ def learn(
 
 
 def uncertainty(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Uncertainty:
-    """Return the map's variance over the range of U and the seen range of Δp."""
+    """Return the map's variance over the range of U and the seen range of Δp.
+
+    What the supply cannot give is left out: no move would reach it.
+    """
     low, high = learnt.drops
     if high <= LEAST_DROP or learnt.state is None:
-        return Uncertainty(*(np.empty(0),) * 4)
+        return Uncertainty(*(np.empty(0),) * 3)
     s = np.linspace(np.sqrt(max(low, LEAST_DROP)), np.sqrt(high), POINTS_S)
     U, drop = (x.ravel() for x in np.meshgrid(np.linspace(*U_range, POINTS_U), s**2))
     T = np.full(U.shape, learnt.T)
     Q, std = estimator.predict(learnt.state, U, drop, T)
-    return Uncertainty(U, drop, std**2, Q)
+    in_reach = ~(np.abs(Q) * NEAR_MOST > learnt.supply.limit)
+    return Uncertainty(U[in_reach], drop[in_reach], std[in_reach] ** 2)
+
+
+def _averaged(x: Floats) -> Floats:
+    """Means over `OVER` successive values, (N // OVER,)."""
+    whole = len(x) - len(x) % OVER
+    return np.asarray(x[:whole].reshape(-1, OVER).mean(axis=1))

@@ -41,6 +41,14 @@ class Plan:
         low, high = limits.load_range
         return Point(U, min(3.0 * (high - low) / self.period_of_load(), limits.load_slew_bar_per_s))
 
+    def ahead(self, limits: Limits) -> float:
+        """How much faster than the triangles U and load may move within their slew."""
+        of_U = limits.slew_percent_per_s * self.period_s / (2.0 * limits.U_span)
+        if limits.load_range is None:
+            return of_U
+        low, high = limits.load_range
+        return min(of_U, limits.load_slew_bar_per_s * self.period_of_load() / (2.0 * (high - low)))
+
 
 def triangle(t: float, period_s: float, bounds: Range) -> float:
     """Triangle from the low end at t = 0.
@@ -63,12 +71,11 @@ def sweep(plan: Plan, limits: Limits, t: float) -> Point:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Variance of the map, (l/min)², at points of (U, dp), all (N,); ``flow`` there, l/min."""
+    """Variance of the map, (l/min)², at points of (U, dp), all (N,)."""
 
     U: Floats
     dp: Floats
     variance: Floats
-    flow: Floats
 
     @property
     def rms(self) -> float:

@@ -112,8 +112,9 @@ class CommissionState:
     """State of a run.
 
     ``at`` is the last command that the source accepted, unknown while the valve is not led;
-    ``elapsed`` the time of sweep and refinement (s), which pauses do not count into; ``since`` the
-    start of the phase, ``stepped`` the time of the last step.
+    ``elapsed`` the time of sweep and refinement (s), which pauses do not count into; ``swept`` that
+    of the triangles (s), which wait for U; ``since`` the start of the phase, ``stepped`` the time
+    of the last step.
     """
 
     phase: Phase = Phase.IDLE
@@ -123,6 +124,7 @@ class CommissionState:
     stepped: float = -math.inf
     since: float = -math.inf
     elapsed: float = 0.0
+    swept: float = 0.0
     ends_in: Phase = Phase.DONE
     heartbeat: int = 0
     beaten: float = -math.inf
