@@ -175,6 +175,48 @@ def growing(fs, seed, first=5.0, per_hour=4.0):
     return Row(timed(U, dp, Q, fs), ends, truths, causes=causes)
 
 
+def wearing(name, worn, fs, seed):
+    """An edge of which a part wears for an hour: ``worn(U, dp)`` more flow by then."""
+    N = 3600 * fs
+    U, dp = _slow_cycle(seed, N, fs)
+    ends = tuple(60 * minutes * fs for minutes in MINUTES)
+    valve = c.VALVES[name]
+    Q = valve(U, dp) + np.arange(N) / N * worn(U, dp) + c.white(seed, N)
+    truths = tuple(partial(_sum, valve, worn, end / N) for end in ends)
+    return Row(timed(U, dp, Q, fs), ends, truths, causes=frozenset({FindingCode.WEAR}))
+
+
+def _sum(valve, worn, share, U, dp):
+    return valve(U, dp) + share * worn(U, dp)
+
+
+def held(x, every):
+    """A signal that is sampled anew with every so many-th of the others."""
+    return x[np.arange(len(x)) // every * every]
+
+
+def held_back(name, which, every, seed, N=20_000):
+    """U or the pressures sampled more slowly than Q."""
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    Q = valve(U, dp) + c.white(seed, N)
+    U = held(U, every) if "U" in which else U
+    dp = held(dp, every) if "p" in which else dp
+    return Row(c.samples_of(U, dp, Q), (N,), (valve,))
+
+
+def poppet(U, dp):
+    """A poppet whose dead band falls with the pressure drop: 14 % at none, 6 % at 200 bar."""
+    lap = 6.0 + 8.0 * np.exp(-dp / 60.0)
+    return 13.0 * np.clip((U - lap) / (100.0 - lap), 0.0, 1.0) ** 1.1 * np.sqrt(dp)
+
+
+def of_poppet(kind, N, seed):
+    """That poppet."""
+    U, dp = _points(seed, kind, N)
+    return Row(c.samples_of(U, dp, poppet(U, dp) + c.white(seed, N)), (N,), (poppet,))
+
+
 def damaged(name, seed, at=10_000, size=-0.1):
     """-10 % of the flow, asked 250 and 8,000 samples later."""
     N = at + 8_000
@@ -369,6 +411,30 @@ SHOWN: Final = {
 }
 
 
+def worn_near_closed(U, dp):
+    """5 l/min more at 100 bar where the valve is closed, none from 15 % on."""
+    return c.worn_edge(U, dp)
+
+
+def worn_twice(U, dp):
+    """Two spots: a groove at 30 %, a rounded edge at 70 %."""
+    return (0.4 * np.exp(-(((U - 30) / 8) ** 2)) + 0.5 * np.exp(-(((U - 70) / 6) ** 2))) * np.sqrt(
+        dp
+    )
+
+
+def worn_half_open(U, dp):
+    """A notch that grows beyond 50 %."""
+    return 0.01 * np.clip(U - 50.0, 0.0, 20.0) * np.sqrt(dp)
+
+
+WORN: Final = {
+    "near closed": worn_near_closed,
+    "at two spots": worn_twice,
+    "beyond 50 %": worn_half_open,
+}
+
+
 HIDDEN: Final = {
     "gain that swings": lambda valve, U, dp, _: (
         valve(U, dp) * (1.0 + 0.05 * np.sin(np.arange(len(U)) / c.FS / 12.0))
@@ -403,6 +469,21 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
     },
     **{f"-15 %/h, ordinary, {fs} Hz": partial(fading, "ordinary", fs) for fs in RATES},
     **{f"overlap + 4 %/h, {fs} Hz": partial(growing, fs) for fs in RATES},
+    **{
+        f"worn {where}, ordinary, {fs} Hz": partial(wearing, "ordinary", worn, fs)
+        for where, worn in WORN.items()
+        for fs in (10, 100)
+    },
+    **{
+        f"{which} held {every} samples, {name}": partial(held_back, name, which, every)
+        for which in ("U", "p", "U and p")
+        for every in (5, 10)
+        for name in ("ordinary", "S-shape")
+    },
+    **{
+        f"poppet, {kind}, 20000": partial(of_poppet, kind, 20_000)
+        for kind in ("scattered", "cycle")
+    },
     "-10 %, ordinary, cycle": partial(damaged, "ordinary"),
     **{f"oil 20-60-20 °C, asked at {T}": partial(warmed, float(T)) for T in (22, 30, 40, 50, 60)},
     **{

@@ -102,6 +102,26 @@ def test_a_drift_has_a_rate_per_hour():
     assert "per hour" in found[0].sentence
 
 
+def test_a_part_of_an_edge_that_wears_is_followed_and_named():
+    def worn(U, dp, hours):
+        return valve(U, dp) + 5.0 * hours * np.exp(-(((U - 30) / 8) ** 2)) * np.sqrt(dp / 100)
+
+    many = 24_000
+    state = learnt(lambda U, dp, t, e: worn(U, dp, t / 3600) + e, fs=10.0, many=many)
+    (one,) = FlowMap().findings(state)
+    assert one.code is Code.WEAR
+    assert "near 30 %" in one.sentence
+    assert FlowMap().adaptation(state) is Adaptation.DRIFT
+    U, dp = (x.ravel() for x in np.meshgrid(np.linspace(6, 95, 40), np.linspace(10, 190, 20)))
+    flow, std = FlowMap().predict(state, U, dp, np.full(len(U), 40.0))
+    error = flow - worn(U, dp, many / 10.0 / 3600)
+    assert np.sqrt(np.mean(error**2)) < 0.6 * SIGMA
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.9
+    kept, spread = FlowMap().predict(FlowMap().to_map(state).state(), U, dp, np.full(len(U), 40.0))
+    np.testing.assert_array_equal(kept, flow)
+    np.testing.assert_allclose(spread, std, rtol=0.2)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_healthy_valve_has_no_findings(seed):
     assert FlowMap().findings(learnt(lambda U, dp, t, e: valve(U, dp) + e, seed)) == ()
@@ -139,12 +159,15 @@ def test_a_map_that_something_moves_is_no_surer_than_that():
     assert (np.abs(flow - valve(U, dp)) < 3.0 + 2.0 * std).all()
 
 
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", [3, 4, 5])
 def test_a_state_of_before_keeps_all_that_was_learnt(version):
     state = learnt(lambda U, dp, t, e: valve(U, dp) + e)
     arrays = {field.name: getattr(state, field.name) for field in fields(state)}
-    arrays["scalars"] = arrays["scalars"][: flow_fit.SLOW]
-    arrays["path"] = arrays["path"][: flow_path.PHASE]
+    del arrays["wear"]
+    arrays["recent"] = np.pad(arrays["recent"], ((0, 0), (0, 1)))
+    if version < 5:
+        arrays["scalars"] = arrays["scalars"][: flow_fit.SLOW]
+        arrays["path"] = arrays["path"][: flow_path.PHASE]
     if version == 3:
         for name in ("x", "P", "chance"):
             arrays[name] = arrays[name][:, : flow_drift.WANDERING]
@@ -158,7 +181,7 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
     at = np.full(3, 60.0), np.array([20.0, 80.0, 150.0]), np.full(3, 40.0)
     np.testing.assert_array_equal(FlowMap().predict(read, *at), FlowMap().predict(state, *at))
     older.state_version = 2
-    with pytest.raises(StateMismatchError, match="version 2, version 5 is needed"):
+    with pytest.raises(StateMismatchError, match="version 2, version 6 is needed"):
         FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
 
 

@@ -22,6 +22,7 @@ from valvemap.model.kernels import flow_memory as memory
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.findings import Finding, FindingCode
 
@@ -59,6 +60,7 @@ def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
     nameless = float(hidden(state))
     explained = 1.0 - nameless  # what drift or a change explains leaves nothing nameless
     found = [*_operators(state), *_pump(state), *_play(state), *_moving(state, explained)]
+    found += [*_wearing(state, both, explained)]
     found += [*_changes(state, explained), *_compensator(state, both), *_misfit(state, nameless)]
     likely = (one for one in found if one.probability > rules.WORTH_SAYING)
     return tuple(sorted(likely, key=lambda one: (-one.probability, one.code)))
@@ -148,6 +150,20 @@ def _moving(state: FlowMapState, explained: float) -> Iterator[Finding]:
             share = float(_probability(0.5 * float(rates[k] / max(stds[k], 1e-12)) ** 2))
             size = f"{scale * rates[k]:+.3g} ± {scale * stds[k]:.2g} {unit} per hour"
             yield Finding(code, moving * share, f"The {what} at {name} drifts by {size}.")
+
+
+def _wearing(state: FlowMapState, both: Both, explained: float) -> Iterator[Finding]:
+    """Whether a part of an edge wears, and where it surely did of late."""
+    for side, name in _sides(state):
+        nodes, head = state.wear[side, : wears.NODES], state.wear[side, wears.NODES]
+        moved = nodes[:, wears.LEVEL] - nodes[:, wears.FORMER]
+        k = int(np.argmax(moved**2 / np.maximum(nodes[:, wears.P_LEVEL], 1e-300)))
+        share = explained * float(head[wears.CHANCE])
+        U = abs(both[0].breaks[-1 if side == 0 else 0]) * k / (wears.NODES - 1)
+        size = f"{moved[k]:+.2g} l/min at the largest Δp"
+        when = f"within some {rules.WEAR_RECALLED / 60.0:.0f} minutes"
+        text = f"The flow near {U:.3g} % at {name} drifted by {size} {when}."
+        yield Finding(FindingCode.WEAR, share, text)
 
 
 def _changes(state: FlowMapState, explained: float) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ from valvemap.model.kernels import (
     flow_memory,
     flow_path,
     flow_play,
+    flow_wear,
 )
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.map_forms import MapForm
@@ -150,7 +151,9 @@ class FlowMap:
 
     def adaptation_many(self, states: FlowMapState) -> Codes:
         """`adaptation` of M models (M,): each where it is likelier than not, reaction first."""
-        moving = (states.chance[..., flow_drift.MOVING] > 0.5).any(axis=-1)
+        moving = (states.chance[..., flow_drift.MOVING] > rules.WORTH_SAYING).any(axis=-1)
+        worn = states.wear[..., flow_wear.NODES, flow_wear.CHANCE]
+        moving |= (worn > rules.WORTH_SAYING).any(axis=-1)
         young = states.counters[..., flow_memory.USED] < rules.SETTLED_MAP
         steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
         found = np.where(moving & ~young, Adaptation.DRIFT, steady)

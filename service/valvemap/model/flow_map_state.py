@@ -17,6 +17,7 @@ from valvemap.model.kernels import (
     flow_memory,
     flow_path,
     flow_play,
+    flow_wear,
 )
 from valvemap.model.kernels import flow_prior as prior
 from valvemap.model.kernels import flow_rules as rules
@@ -45,6 +46,8 @@ class FlowMapState(State):
         What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
     stay : (STAY,)
         The stay in a cell that lasts, see :mod:`kernels.flow_memory`.
+    wear : (2, NODES + 1, COLUMNS)
+        Wear of a part of an edge, on either side, see :mod:`kernels.flow_wear`.
     play : (PLACES,)
         Play between U and the spool, see :mod:`kernels.flow_play`.
     doubt : (n_U·n_s,) float32
@@ -59,7 +62,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 5  # 4: noise of one colour; 3: nothing nameless
+    state_version: ClassVar[int] = 6  # 5: no wear; 4: noise of one colour; 3: nothing nameless
 
     cells: NDArray[np.float32]
     theta: Floats
@@ -73,6 +76,7 @@ class FlowMapState(State):
     chance: Floats
     now: Floats
     stay: Floats
+    wear: Floats
     play: Floats
     path: Floats
     recent: NDArray[np.float32]
@@ -81,9 +85,18 @@ class FlowMapState(State):
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Version 4: noise was AR(1), without a white part; 3: nothing nameless was looked for."""
-        if version not in ("3", "4"):
+        """Add what earlier versions did not know.
+
+        Version 5: edges wore as a whole; 4: noise was AR(1), without a white part; 3: nothing
+        nameless was looked for.
+        """
+        if version not in ("3", "4", "5"):
             return {}
+        arrays["wear"] = np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS))
+        flow_wear.begin(arrays["wear"])
+        arrays["recent"] = np.ascontiguousarray(arrays["recent"][:, : flow_path.COLUMNS])
+        if version == "5":
+            return arrays
         if version == "3":
             for name in ("x", "P"):
                 still = arrays[name][:, flow_drift.STILL]
@@ -106,6 +119,9 @@ class FlowMapState(State):
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
         of_oil = [flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.STAY_T, flow_fit.STAY_T + 1]
         scalars.within(-1e9, 1e9, of_oil).or_nan(of_oil)
+        likely = every, flow_wear.NODES, flow_wear.CHANCE
+        columns = [flow_wear.P_LEVEL, flow_wear.P_RATE, flow_wear.GROWN, flow_wear.OWN]
+        wearing = every, slice(flow_wear.NODES), columns
         counters = Contents(self.counters)
         times = [
             flow_memory.CLOCK,
@@ -132,6 +148,7 @@ class FlowMapState(State):
             "precision": Contents(self.precision),
             "w": Contents(self.w).within(0.0),
             "v": Contents(self.v).within(0.0),
+            "wear": Contents(self.wear).within(0.0, where=wearing).within(0.0, 1.0, likely),
             "chance": Contents(self.chance).within(0.0, 1.0),
             "path": Contents(self.path).within(0.0, where=slice(flow_path.GAINS)),
             "recent": Contents(self.recent).within(0.0, where=(every, flow_path.STEP)),
@@ -175,6 +192,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         chance=np.zeros((2, flow_drift.MODELS)),
         now=np.zeros((2, 1 + flow_drift.STATES, flow_drift.STATES)),
         stay=np.zeros(flow_memory.STAY),
+        wear=np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS)),
         play=np.zeros(flow_play.PLACES),
         path=np.zeros(flow_path.PLACES),
         recent=np.zeros((rules.ROWS, flow_path.COLUMNS), np.float32),
@@ -182,4 +200,5 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         counters=counters,
     )
     flow_drift.begin(state.x, state.P, state.chance, state.now)
+    flow_wear.begin(state.wear)
     return state

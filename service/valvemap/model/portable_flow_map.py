@@ -11,6 +11,8 @@ from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_memory as memory
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.samples import Floats
 
 SCALARS: Final = fits.VARIANCE, fits.MISFIT, fits.SCALE, fits.PLAIN, fits.LEAST
@@ -62,7 +64,11 @@ class GaussianMap:
             U_range=U_range,
             dp_range=dp_range,
             theta=state.theta.copy(),
-            std=np.sqrt(state.std.astype(np.float64) ** 2 + state.doubt.astype(np.float64) ** 2),
+            std=np.sqrt(
+                state.std.astype(np.float64) ** 2
+                + state.doubt.astype(np.float64) ** 2
+                + _worn(state, U_range, dp_range)
+            ),
             moving=state.now.copy(),
             scalars=state.scalars[list(SCALARS)],
             temperatures=state.scalars[list(TEMPERATURES)],
@@ -90,3 +96,18 @@ class GaussianMap:
         blank.play[[plays.HALF, plays.SLOPES]] = self.play
         blank.counters[memory.FITTED] = 1
         return blank
+
+
+def _worn(state: FlowMapState, U_range: Range, dp_range: Range) -> Floats:
+    """Variance at the sites by `kernels.flow_wear`, where it matters (n,)."""
+    axis_U, axis_s = axes(U_range, dp_range)
+    of_U = np.zeros(len(axis_U.sites))
+    for side, end in enumerate((axis_U.breaks[-1], axis_U.breaks[0])):
+        nodes, head = state.wear[side, : wears.NODES], state.wear[side, wears.NODES]
+        if head[wears.CHANCE] > rules.ODDS:
+            variance = nodes[:, wears.P_LEVEL] + nodes[:, wears.LEVEL] ** 2
+            at = np.linspace(0.0, abs(end), wears.NODES)
+            here = axis_U.sites >= 0.0 if side == 0 else axis_U.sites < 0.0
+            known = np.interp(np.abs(axis_U.sites), at, head[wears.CHANCE] * variance)
+            of_U[here] = known[here]
+    return np.outer(of_U, (axis_s.sites / axis_s.breaks[-1]) ** 2).ravel()

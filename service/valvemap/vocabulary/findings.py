@@ -47,6 +47,8 @@ class FindingCode(Described):
     LEAKAGE_CHANGE = 22, "leakage changed", "More or less oil leaks between the lines than did."
     AIR = 23, "air", "Oil and hoses are softer or stiffer than they were: the oil's air changed."
 
+    WEAR = 24, "part of edge wears", "The flow at some openings rises or falls steadily."
+
 
 @dataclass(frozen=True)
 class Finding:

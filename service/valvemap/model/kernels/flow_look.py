@@ -6,6 +6,7 @@ from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_U, surface
 from valvemap.model.kernels.flow_memory import (
@@ -136,8 +137,9 @@ def evaluate(
         look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room)
         width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
         law = _law(axis_s, memory, side, T[i], at)
+        worn = wears.variance_at(memory.wear, axis_U, axis_s, side, at[PLACE_U], at[PLACE_S])
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
-        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + both * both)
+        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + worn + both * both)
 
 
 @lean_kernel

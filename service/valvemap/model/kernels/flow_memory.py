@@ -48,6 +48,7 @@ class Memory(NamedTuple):
     chance: Floats
     now: Floats
     stay: Floats
+    wear: Floats
     play: Floats
     path: Floats
     recent: Singles

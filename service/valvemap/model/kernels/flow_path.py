@@ -38,8 +38,8 @@ PLACES = PHASE + 1
 
 # Columns of the last samples.
 STEP, LEFT_U, LEFT_DP, LEFT_P1, LEFT_Q = 0, 1, 2, 3, 4  # s since the row before, as measured
-SPOOL, ROOT = 5, 6  # %, √bar; behind the operators
-COLUMNS = 7
+SPOOL = 5  # %; behind the operators
+COLUMNS = 6
 
 
 @inner
@@ -142,18 +142,20 @@ def metered(
     for _ in range(known):
         step = float(recent[row, STEP])
         weight = _share(age + step, path) - _share(age, path)
+        root = effective(float(recent[row, LEFT_DP]), float(recent[row, LEFT_P1]), path)
+        root = min(max(root, axis_s.breaks[0]), axis_s.breaks[-1])
         total += weight
         out[0] += weight * recent[row, SPOOL]
-        out[1] += weight * recent[row, ROOT]
+        out[1] += weight * root
         out[4] += weight * recent[row, SPOOL] ** 2
-        out[5] += weight * recent[row, ROOT] ** 2
+        out[5] += weight * root * root
         every += step
         if weight > 0.0 and (every >= horizon / rules.POINTS_SHOWN or some == 0.0):
-            flow = surface(axis_U, axis_s, theta, recent[row, SPOOL], recent[row, ROOT], work)
+            flow = surface(axis_U, axis_s, theta, recent[row, SPOOL], root, work)
             some += weight
             every = 0.0
             u += weight * recent[row, SPOOL]
-            r += weight * recent[row, ROOT]
+            r += weight * root
             out[2] += weight * flow
             out[3] += weight * flow * flow
         age += step

@@ -77,6 +77,10 @@ JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
 AFTER_JUMP: Final = 10.0  # s; how long a sudden change is a hypothesis of its own, about
 WANDERS_WITHIN: Final = 20.0  # s; in which what is not named moves gain and edge as far as a
 # sudden change does, about
+WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estimated anew: it is slow
+WEAR_STAYS: Final = 256.0  # stays; after which it is at the latest
+WEAR_RECALLED: Final = 900.0  # s; how long ago a part of an edge was as it is, if it does not wear
+MOST_SAID: Final = 50.0  # log likelihood that one of these estimates tells at most
 MATURE: Final = 3000  # samples; before them no sudden change is looked for: the map is not sure
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
 VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves

@@ -85,7 +85,7 @@ def run(
             counters[DOUBTED] = 1
             counters[NEXT_FIT] = counters[USED]
         if counters[USED] >= counters[NEXT_FIT]:
-            end_stay(memory, room)
+            end_stay(axis_U, axis_s, memory, room)
             if plays.decide(memory.play):
                 begin_again(memory)
             return i + 1
@@ -113,7 +113,7 @@ def _learn(
     at[WARM], beyond = 0.0, 0.0  # flow that the meter shows beyond that of the place
     bent, own = 0.0, 1.0  # variance of that; of what the sample says, the share on its own cell
     if not is_beyond and paths.filters(path):
-        if not _metered(axis_U, axis_s, u, r, memory, room):
+        if not _metered(axis_U, axis_s, u, memory, room):
             return _WARMING_UP
         u, r, beyond = room.means[0], room.means[1], room.means[2]
         own = _own(axis_U, axis_s, room.means)
@@ -148,7 +148,7 @@ def _learn(
         is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
         is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
         if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
-            end_stay(memory, room)
+            end_stay(axis_U, axis_s, memory, room)
         if memory.stay[SAMPLES] == 0.0:
             begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
         known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
@@ -164,7 +164,7 @@ def _learn(
         if bent <= rules.STEADY_FILTER * scalars[fits.VARIANCE]:
             note_stay(number, side, batch.t[i], residual, weight, distance, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
-            end_stay(memory, room)
+            end_stay(axis_U, axis_s, memory, room)
     share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
     scalars[fits.SCALE_WEIGHT] += 1.0
     scalars[fits.SCALE] += share * (Q * Q - scalars[fits.SCALE])
@@ -203,11 +203,11 @@ def _follow(i: int, batch: Batch, memory: Memory) -> float:
 
 
 @inner
-def _metered(axis_U: Axis, axis_s: Axis, u: float, r: float, memory: Memory, room: Room) -> bool:
+def _metered(axis_U: Axis, axis_s: Axis, u: float, memory: Memory, room: Room) -> bool:
     """Fill `room.means`; False: the last samples do not tell what the meter shows."""
     counters, recent = memory.counters, memory.recent
     newest = (counters[ROWS_SEEN] - 1) % len(recent)
-    recent[newest, paths.SPOOL], recent[newest, paths.ROOT] = u, r
+    recent[newest, paths.SPOOL] = u
     known = min(counters[ROWS_SEEN], len(recent))
     return paths.metered(
         axis_U, axis_s, memory.theta, recent, newest, known, memory.path, room.work, room.means

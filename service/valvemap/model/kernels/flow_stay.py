@@ -8,6 +8,7 @@ from valvemap.model.kernels import flow_noise as noises
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, surface
 from valvemap.model.kernels.flow_cells import (
@@ -70,6 +71,7 @@ def begin_again(memory: Memory) -> None:
     memory.counters[PAIR_TIME] = 0
     memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
     memory.scalars[fits.SLOW :] = 0.0
+    wears.forget(memory.wear)
     for side in range(2):
         drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
 
@@ -80,6 +82,7 @@ def forget_motion(memory: Memory) -> None:
     memory.counters[ALARMED] = memory.counters[SKIPPED] = memory.counters[STAYS] = 0
     memory.counters[CALM] = memory.counters[USED]
     memory.stay[:KNOWN_COUNT] = 0.0
+    wears.forget(memory.wear)
     for side in range(2):
         drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
 
@@ -149,7 +152,7 @@ def note_stay(
 
 
 @inner
-def end_stay(memory: Memory, room: Room) -> None:
+def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
     """Let the drift learn from the stay that ends."""
     counters, scalars, stay = memory.counters, memory.scalars, memory.stay
     many = stay[SAMPLES]
@@ -193,7 +196,32 @@ def end_stay(memory: Memory, room: Room) -> None:
         scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
         scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
         _note_change(drift, side, now, off, by, memory)
+        _note_wear(axis_U, axis_s, drift, side, dt, off, by, variance, memory, room)
     stay[:KNOWN_COUNT] = 0.0
+
+
+@inner
+def _note_wear(
+    axis_U: Axis, axis_s: Axis, drift: Drift, side: int, dt: float, off: float, by: Floats,
+    variance: float, memory: Memory, room: Room,
+) -> None:  # fmt: skip
+    """Add the stay, ``off`` the map as it was at first, to what tells of wear."""
+    cell, scalars = memory.cells[memory.counters[STAY_CELL]], memory.scalars
+    head = memory.wear[side, wears.NODES]
+    u, s = float(cell[MEAN_U]), float(cell[MEAN_S])
+    wears.note(memory.wear, axis_U, axis_s, side, u, s, off, by, drift.now, variance)
+    if drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE] > rules.WORTH_SAYING:
+        wears.drop(memory.wear, side)
+    head[wears.SINCE] += dt
+    head[wears.STAYS] += 1.0
+    if wears.is_due(head):
+        wears.settle(memory.wear, side, drift.now, math.sqrt(scalars[fits.SCALE]))
+        if head[wears.CHANCE] > rules.WORTH_SAYING:
+            gain = 1.0 + drift.now[0, drifts.GAIN]
+            wears.move(
+                memory.wear, axis_U, axis_s, side, gain, memory.theta, memory.cells, scalars,
+                room.work,
+            )  # fmt: skip
 
 
 @inner
