@@ -88,3 +88,26 @@ def test_messages_that_catch_up_after_an_outage_are_no_step():
     for first in (300, 350):
         stream.send(range(first, first + 50), 1030.1)
     assert stream.losses == {"lost_by_time": 50}
+
+
+@pytest.mark.parametrize(
+    ("step_s", "lost", "late"),
+    [(-3.0, (6,), 6), (60.0, (6, 7, 8, 10), 10), (-60.0, (4, 6), 6), (3600.0, (6, 7), 7)],
+)
+def test_a_sample_lost_where_the_clock_steps_may_come_late(step_s, lost, late):
+    """One sample each 2 s, the clock steps before number 7 or 9; the late one is no restart."""
+    settings = AlignmentSettings(max_wait_ns=20 * 10**9, reorder_ns=5 * 10**9)
+    align = Alignment(settings, (("T",),), (True,))
+    state, before = align.initial_state(), 9 if len(lost) > 3 else 7
+    numbers = [k for k in range(15) if k not in lost] + [late, *range(15, 20)]
+    learnt = 0
+    for k in numbers:
+        t = START + round((2 * k + (step_s if k >= before else 0.0)) * 1e9)
+        values = np.array([50.0, 200.0, 100.0, 10.0, 40.0, k])
+        items = np.arange(PER_VALVE, dtype=np.int32)
+        ok, times = np.zeros(PER_VALVE, np.uint32), np.full(PER_VALVE, t)
+        state, samples = align.update(state, DataChanges(items, values, ok, times))
+        learnt += len(samples.samples)
+    counted = align.counters(state, 0)
+    assert (learnt, counted["restarts"], counted["gaps"]) == (20 - len(lost), 0, len(lost))
+    assert counted["late"] + counted["duplicates"] == PER_VALVE - 1

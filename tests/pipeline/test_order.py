@@ -256,6 +256,24 @@ def test_without_its_numbers_a_valve_is_gone_on_with_by_time():
     assert losses == {}
 
 
+def test_a_number_that_is_on_its_way_when_the_buffer_is_flushed_is_not_guessed():
+    """Sample 8, and the number of sample 9, come in the next message: neither is a restart."""
+    numbers = np.array([0, 1, 2, 3, 4, 6, 7, 9])
+    changes = stream(numbers, START + numbers * (SECOND // 2))
+    state, samples = ORDERED.update(ORDERED.initial_state(), changes[:-1])
+    state, held = ORDERED.flush(state, np.array([0]))
+    late = stream(np.array([8]), np.array([START + 4 * SECOND]))
+    state, rest = ORDERED.update(state, joined(late, changes[-1:]))
+    learnt = [len(part.samples) for part in (samples, held, rest)]
+    counted = ORDERED.counters(state, 0)
+    assert (sum(learnt), counted["restarts"], counted["gaps"]) == (9, 0, 1)
+    state, silent = ORDERED.update(
+        state, stream(np.array([10]), np.array([START + 5 * SECOND]))[:-1]
+    )
+    assert len(silent.samples) == 0
+    assert len(ORDERED.flush(state, np.array([0]))[1].samples) == 1  # no number comes any more
+
+
 def test_when_many_samples_lack_a_signal_the_oldest_make_room():
     align = Alignment(AlignmentSettings(max_pending=64), (("T",),), (True,))
     changes = stream(np.arange(2000))

@@ -217,9 +217,10 @@ class Arrivals:
         return self._isolated(valves, lambda own: self.alignment.begin_anew(self._waiting, own))
 
     def finish(self) -> list[ByValve]:
-        """Flush all buffers; return their samples."""
+        """Flush all buffers; return their samples, those without a running number last."""
         every = np.flatnonzero(~self.failed)
-        return [self._align(self.timing.flush(every, self._fail)), self._flush(every)]
+        unfinished = self._align(self.timing.flush(every, self._fail))
+        return [unfinished, self._flush(every), self._flush(every)]
 
     def counts(self, valves: Times) -> Times:
         """Return the counters of the given valves, a column for each of ``COUNTER_NAMES``."""

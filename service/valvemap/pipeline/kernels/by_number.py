@@ -59,6 +59,7 @@ from valvemap.pipeline.kernels.waiting import (
 _NUMBERED = 1 << SEQUENCE
 _GONE = 1 << 8  # a slot that was emitted or dropped; swept at once
 _NOT_YET = np.int64(2**62)  # later than any time
+_UNKNOWN, _PRESENT, _EARLIER = 0, 1, 2  # courses of the source's clock, between its steps
 _SLOW = 4  # usual steps; a longer step is a jump of the source's clock
 _SLACK_NS = 1e9  # tolerance of a duplicate's time from the line of number over time …
 _SLACK = 0.5  # … and as a share of its distance from the newest
@@ -107,17 +108,22 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
         order[FLOOR] = NEVER  # the source's clock was set back in this run
         of_before = False
     came_before = of_before and (last == NO_NUMBER or number != last + 1)
+    at_step = False
     taken = not came_before and _is_taken(w, v, k, number)
     if taken or (last != NO_NUMBER and number <= last and not came_before):
-        if taken or time > order[HIGH] or not _is_known(order, number, time):
+        course = _course(order, number, time)
+        at_step = course == _EARLIER and number >= order[FIRST]  # lost there, and late
+        if taken or course == _UNKNOWN or (time > order[HIGH] and not at_step):
             if _is_old(slot):
                 w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
             slot[OPENED] = _NOT_YET  # keep it, whatever is emitted before it
             return BEGIN_ANEW
         came_before = True
     if came_before:
-        if not _is_old(slot):
-            late = of_before and (last == NO_NUMBER or number > last)
+        if at_step and _is_old(slot):
+            w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
+        if at_step or not _is_old(slot):
+            late = at_step or (of_before and (last == NO_NUMBER or number > last))
             w.counters[v, LATE if late else DUPLICATES] += _signals(rules.required[v])
         slot[FILLED] = _GONE
         return SETTLE
@@ -140,8 +146,9 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
 def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int) -> int:
     """Emit all samples that are due; return the number of samples in ``out``.
 
-    SETTLE: samples in order, and those that have waited for ``reorder``. FLUSH: all complete
-    samples, also without a number. BEGIN_ANEW, MAKE_ROOM: all complete samples with a number.
+    SETTLE: samples in order, and those that have waited for ``reorder``. BEGIN_ANEW, MAKE_ROOM: all
+    complete samples with a number. FLUSH: these or, if there is none, those without a number: as
+    long as numbers come, that of a sample may be on its way.
     """
     order, size = w.order[v], w.order[v, SIZE]
     gone = 0
@@ -150,6 +157,8 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
         if k < 0:
             break
         gone += 1
+        if command == FLUSH and w.slots[v, k, SINCE] != NEVER:
+            command = MAKE_ROOM
         slot, last = w.slots[v, k], order[LAST]
         number, time = slot[NUMBER], slot[TIME]
         slot[FILLED] = _GONE
@@ -163,9 +172,11 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
             order[FIRST], order[FIRST_TIME], order[BEFORE_FIRST] = number, time, NEVER
         else:
             step = (time - order[LAST_TIME]) // (number - last)
+            usual = (number - last - 1) * order[PERIOD]  # of the samples between, which are lost
+            excess = time - order[LAST_TIME] - usual
             w.counters[v, CLOCK_STEPS] += step <= 0
-            if step <= 0 or _is_jump(order, step, rules.max_wait, rules.reorder[v]):
-                order[FIRST], order[FIRST_TIME] = number, time
+            if step <= 0 or _is_jump(order, excess, rules.max_wait, rules.reorder[v]):
+                order[FIRST], order[FIRST_TIME] = last + 1, time - usual
                 order[BEFORE_FIRST] = order[LAST_TIME]
         keep_pace(order, w.counters[v], time, 0 if last == NO_NUMBER else number - last)
         order[LAST], order[LAST_TIME] = number, time
@@ -231,20 +242,24 @@ def _unwrapped(order: NDArray[np.int64], raw: int) -> int:
 
 
 @inner
-def _is_known(order: NDArray[np.int64], number: int, time: int) -> bool:
-    """Whether number and time lie on the line of the clock's present course or its previous one."""
+def _course(order: NDArray[np.int64], number: int, time: int) -> int:
+    """Return the course of the clock, present or earlier, on whose line number and time lie.
+
+    A sample lost at a step may belong to either: the line of the earlier course is continued.
+    """
     step = np.float64(order[PERIOD])
     if order[LAST] > order[FIRST] and order[LAST_TIME] > order[FIRST_TIME]:
         step = (order[LAST_TIME] - order[FIRST_TIME]) / (order[LAST] - order[FIRST])
     last, last_time = order[LAST], order[LAST_TIME]
-    for _ in range(2):
+    for course in (_PRESENT, _EARLIER):
         behind = np.float64(last - number) * step
-        if abs(np.float64(last_time) - behind - np.float64(time)) <= _SLACK_NS + _SLACK * behind:
-            return True
-        if number >= order[FIRST] or order[BEFORE_FIRST] == NEVER:
-            return False
+        slack = _SLACK_NS + _SLACK * max(behind, 0.0)
+        if abs(np.float64(last_time) - behind - np.float64(time)) <= slack:
+            return course
+        if order[BEFORE_FIRST] == NEVER:
+            return _UNKNOWN
         last, last_time = order[FIRST] - 1, order[BEFORE_FIRST]
-    return False
+    return _UNKNOWN
 
 
 @inner
