@@ -1,12 +1,16 @@
 """From a foreign server's address to a configuration that loads, without an editor."""
 
 import shlex
+from datetime import UTC, datetime
 
 import pytest
+from asyncua import ua
 
 from support.foreign import PLANT, Foreign
 from valvemap.cli import run
 from valvemap.config.loading import load_config
+
+SIGNALS = ("U", "p1", "p2", "Q")
 
 pytestmark = pytest.mark.waits
 
@@ -88,6 +92,64 @@ def test_a_question_names_commands_and_each_obeyed_writes_what_it_says(foreign, 
     assert "Signature" in page
     skipped = next(line for line in said.splitlines() if "to leave it out: " in line)
     assert run(shlex.split(skipped.split("valvemap ", 1)[1])) == 2
+
+
+class WithArrays(Foreign):
+    """Two valves as elements of arrays, one supply, and a card whose inputs have no names."""
+
+    ARRAYS = ("ValveCommand", "LoadPressure", "Flow", "AI")
+
+    def __init__(self):
+        super().__init__({}, ("HPU",))
+
+    async def add(self, server, index, folder):
+        parent = await server.nodes.objects.add_object(index, folder)
+        variables = [(name, [0.0] * (4 if name == "AI" else 2)) for name in self.ARRAYS]
+        return [
+            await parent.add_variable(ua.NodeId(name, index), name, value)
+            for name, value in (*variables, ("SupplyPressure", 0.0))
+        ]
+
+    async def step(self, server, valves, k):
+        now, supply = datetime.now(UTC), 160.0
+        both = [self.move(2 * k + n, n, 0.0) for n in range(2)]
+        U, loads = [b[0] for b in both], [supply - (b[1] - b[2]) for b in both]
+        Q = [b[3] for b in both]
+        columns = U, loads, Q, [U[0], supply, loads[0], Q[0]], supply
+        for node, column in zip(valves[0], columns, strict=True):
+            value = ua.DataValue(ua.Variant(column, ua.VariantType.Double), SourceTimestamp=now)
+            await server.write_attribute_value(node.nodeid, value)
+
+
+@pytest.fixture
+def with_arrays():
+    server = WithArrays()
+    server.start()
+    assert server.ready.wait(60)
+    yield server.url
+    server.over.set()
+    server.join(30)
+
+
+def test_elements_of_arrays_become_valves_and_one_without_names_by_answers(
+    with_arrays, tmp_path, capsys
+):
+    out = tmp_path / "plant.toml"
+    asked = ["connect", with_arrays, "--out", str(out), "--data", str(tmp_path), "--watch", "2"]
+    assert run([*asked, "--yes"]) == 0, capsys.readouterr()
+    nodes = [valve.nodes for valve in load_config(out).valves]
+    assert [(n.U, n.p2, n.Q) for n in nodes] == [
+        tuple(f"index={n};nsu=urn:plc;s={name}" for name in WithArrays.ARRAYS[:3]) for n in (0, 1)
+    ]
+    assert {n.p1 for n in nodes} == {"nsu=urn:plc;s=SupplyPressure"}
+    names = [valve.name for valve in load_config(out).valves]
+    answers = [f"--signal=AI.{s}=index={n};nsu=urn:plc;s=AI" for n, s in enumerate(SIGNALS)]
+    skipped = [f"--skip={name}" for name in names]
+    assert run([*asked, "--yes", *answers, *skipped]) == 0, capsys.readouterr()
+    (valve,) = load_config(out).valves
+    assert (valve.name, valve.nodes.Q) == ("AI", "index=3;nsu=urn:plc;s=AI")
+    assert run([*asked, "--force", "--signal=AI.U=index=0;nsu=urn:plc;s=AI"]) == 2
+    assert "--signal names U, p1, p2 and Q" in capsys.readouterr().err
 
 
 def test_an_existing_configuration_is_checked_against_its_server(foreign, tmp_path, capsys):

@@ -1,6 +1,6 @@
 """Finds the valves of a foreign server: browse, watch, judge names, units, ranges and physics."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -17,12 +17,14 @@ from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group, group
-from valvemap.plant.reading import Given, Record
+from valvemap.plant.reading import WITH_DIFFERENCE, WITH_PRESSURES, Given, Record
+from valvemap.plant.roles import Role
 from valvemap.plant.verdict import Verdict, judge
 from valvemap.vocabulary.signals import PER_VALVE
 
 _PER_LOT: Final = 5  # nodes watched under one name
 _MOST_OF_A_VALVE: Final = 30  # variables of one valve that are watched
+_CLEAR: Final = 3.0  # nats by which a variable is a command rather than anything else
 _MOST_TIMES: Final = 1_500  # of a record
 
 
@@ -38,6 +40,26 @@ class Wanted:
     skip: frozenset[str] = frozenset()
     ports: frozenset[str] = frozenset()
     assume: bool = False
+
+    @property
+    def nodes(self) -> frozenset[str]:
+        """All nodes that answers name."""
+        return frozenset(node for one in self.given.values() for node in one.nodes.values())
+
+    def new_valves(self, found: Collection[str]) -> list[str]:
+        """Return the names of valves of which answers name all signals, and which were not found.
+
+        >>> from valvemap.plant.answers import parse_answers
+        >>> all_of_V2 = [f"V2.{signal}=s={signal}" for signal in ("U", "dp", "Q")]
+        >>> Wanted(parse_answers([*all_of_V2, "V3.U=s=U"], ())).new_valves(["V1"])
+        ['V2']
+        """
+        whole = [set(WITH_PRESSURES), set(WITH_DIFFERENCE)]
+        return [
+            name
+            for name, given in self.given.items()
+            if name and name not in found and any(own <= set(given.nodes) for own in whole)
+        ]
 
 
 @dataclass(frozen=True)
@@ -73,11 +95,14 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
     """
     connection = await open_connection(settings)
     try:
-        numbers, skipped = await find_numbers(connection)
+        numbers, skipped = await find_numbers(connection, wanted.nodes)
     finally:
         await connection.close()
-    groups = [with_answers(one, numbers, wanted) for one in group(numbers)]
+    groups = group(numbers)
     check_answers(wanted, [one.name for one in groups])
+    groups += [Group(name, ()) for name in wanted.new_valves([one.name for one in groups])]
+    groups = [with_answers(one, numbers, wanted) for one in groups]
+    skipped += _left_over(numbers, groups)
     groups = [one for one in groups if one.name not in wanted.skip]
     values, refused = await _watch(settings, groups, watch_s)
     verdicts, watched = [], {}
@@ -122,10 +147,26 @@ def check_answers(wanted: Wanted, names: Sequence[str]) -> None:
     ConfigurationError
         naming the valves that are.
     """
-    unknown = ({*wanted.given} - {""} | wanted.skip | wanted.ports) - {*names}
+    known = {*names, *wanted.new_valves(names)}
+    unknown = ({*wanted.given} - {""} | wanted.skip | wanted.ports) - known
     if unknown:
         there = ", ".join(printable(name) for name in names[:20]) or "none"
-        raise ConfigurationError(f"{min(unknown)}: no such valve was found; there are: {there}")
+        raise ConfigurationError(
+            f"{min(unknown)}: no such valve was found; there are: {there}; of a valve that is none "
+            "of them, --signal names U, p1, p2 and Q, or U, dp and Q"
+        )
+
+
+def _left_over(numbers: Sequence[Candidate], groups: Sequence[Group]) -> Iterator[str]:
+    """Yield a line for each command that belongs to no valve that was found."""
+    taken = {one.node for own in groups for one in own.watched}
+    for one in numbers:
+        if one.label.role is Role.U and one.node not in taken and one.label.gain(Role.U) > _CLEAR:
+            yield (
+                f"{printable('/'.join(one.path))}: a command, but its pressures or its flow were "
+                f"not found; if it is a valve's, name all: --signal=NAME.U={printable(one.node)} "
+                "--signal=NAME.p1=… --signal=NAME.p2=… --signal=NAME.Q=…"
+            )
 
 
 def record_of(values: Mapping[str, DataChanges], one: Group) -> Record:

@@ -30,11 +30,9 @@ _WATCH_S = 30.0
 _MOST_SKIPPED = 20  # lines; further ones are counted only
 
 
-def _also_force(context: typer.Context, value: bool) -> bool:  # noqa: FBT001 - typer's callback
-    """Let ``--yes`` replace files, too."""
-    if value:
-        context.params["force"] = True
-    return value
+def _or_yes(context: typer.Context, value: bool) -> bool:  # noqa: FBT001 - typer's callback
+    """Let ``--yes`` replace files, too; options that are given come before those that are not."""
+    return value or bool(context.params.get("yes"))
 
 
 def connect(
@@ -67,7 +65,8 @@ def connect(
     signal: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="VALVE.SIGNAL=NODE", help="Answer: the node of U, p1, p2, Q, T or dp."
+            metavar="VALVE.SIGNAL=NODE",
+            help="Answer: the node of U, p1, p2, Q, T or dp; of all, for one more valve.",
         ),
     ] = None,
     scale: Annotated[
@@ -101,14 +100,14 @@ def connect(
     ] = None,
     *,
     force: Annotated[
-        bool, typer.Option("--force", is_eager=True, help="Replace files that exist.")
+        bool,
+        typer.Option("--force", is_eager=True, callback=_or_yes, help="Replace files that exist."),
     ] = False,
     yes: Annotated[
         bool,
         typer.Option(
             "--yes",
             is_eager=True,
-            callback=_also_force,
             help="As --force; take units that nothing states as %, bar, l/min, °C, where that is "
             "plausible; write the valves that are decided.",
         ),
@@ -151,8 +150,8 @@ def connect(
         console.print(f"skipped: {line}", soft_wrap=True)
     if not found.verdicts:
         raise ConfigurationError(
-            f"{url}: no valve was found: U, two pressures and a flow are needed; write "
-            "[valves.nodes] by hand: `valvemap init` makes a configuration to begin with"
+            f"{url}: no valve was found: U, two pressures and a flow are needed; name their nodes: "
+            "--signal=V1.U=NODE --signal=V1.p1=NODE --signal=V1.p2=NODE --signal=V1.Q=NODE"
         )
     console.print(_table(found))
     if found.accepted:

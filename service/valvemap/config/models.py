@@ -289,7 +289,10 @@ def _node_field(signal: Signal) -> tuple[Any, Any]:
 
 
 class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: ignore[misc]
-    """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
+    """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``.
+
+    An element of an array is ``index=3;nsu=URI;s=NAME``, counted from 0.
+    """
 
     dp: str | None = Field(
         None, description="p1 - p2 of one transmitter, in place of p1 and p2: p2 is 0 then"

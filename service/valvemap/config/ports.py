@@ -209,4 +209,7 @@ def node_id(text: str) -> str:
     """
     if any(kind in f";{text}" for kind in (";s=", ";i=", ";g=", ";b=")):
         return text
-    raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
+    raise ValueError(
+        "a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85; an element of an array "
+        "like index=3;ns=2;s=NAME"
+    )

@@ -1,6 +1,7 @@
 """Finds the numeric variables of a foreign server by browsing, with names, unit and range."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 from asyncua import ua
@@ -14,6 +15,7 @@ from valvemap.opcua_source.source_units import read_units
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.plant.candidates import Candidate
 
+MOST_ELEMENTS: Final = 64  # of an array; more are a curve or a buffer
 MOST_NODES: Final = 50_000  # browsed; further nodes are ignored
 DEEPEST: Final = 12  # levels of folders
 _ATTRIBUTES: Final = (
@@ -44,11 +46,14 @@ _CLASSES: Final = ua.NodeClass.Object | ua.NodeClass.Variable
 _Place = tuple[ua.NodeId, tuple[str, ...]]
 
 
-async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[str]]:
-    """Return all readable scalar numbers below the Objects folder, except the Server object's.
+async def find_numbers(
+    connection: Connection, named: Collection[str] = ()
+) -> tuple[list[Candidate], list[str]]:
+    """Return all readable numbers below the Objects folder, except the Server object's.
 
-    The second list has a line for each array, and for each variable whose NodeId cannot be written
-    in a configuration.
+    Each element of an array is one; of a longer array those that are ``named``. The second list
+    has a line for each array that is too long or of several dimensions, and for each variable whose
+    NodeId cannot be written in a configuration.
 
     Raises
     ------
@@ -62,7 +67,8 @@ async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[st
     ]
     said = await read_units(connection, [node for (node, _), _ in numbers])
     namespaces = await namespaces_of(connection)
-    found, skipped = [], [*_arrays(places, answers)]
+    found: list[Candidate] = []
+    skipped = [*_unusable(places, answers)]
     for ((node, path), answer), of_node in zip(numbers, said, strict=True):
         text = _text(node, namespaces)
         if text is None:
@@ -78,7 +84,7 @@ async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[st
             symbol=of_node.symbol,
             largest=_largest(answer[0]),
         )
-        found.append(candidate)
+        found += _elements(candidate, answer[0], named) if _is_array(answer) else [candidate]
     return found, skipped
 
 
@@ -110,7 +116,8 @@ def _is_number(answer: Sequence[ua.DataValue]) -> bool:
     value, rank = answer[0].Value, answer[1].Value
     kind = None if value is None else value.VariantType.value
     is_scalar = rank is None or rank.Value in _SCALARS
-    return is_scalar and kind in NUMERIC_FORMATS and kind not in _NO_SIGNALS
+    is_usable = (is_scalar and not _has_array(answer)) or _is_array(answer)
+    return is_usable and kind in NUMERIC_FORMATS and kind not in _NO_SIGNALS
 
 
 def _largest(value: ua.DataValue) -> float | None:
@@ -119,14 +126,42 @@ def _largest(value: ua.DataValue) -> float | None:
     return None if kind in _FLOATING else _LARGEST.get(kind)
 
 
-def _arrays(places: Sequence[_Place], answers: Sequence[Sequence[ua.DataValue]]) -> Iterator[str]:
-    """Yield a line for each array of numbers: no element of it can be subscribed to."""
+def _has_array(answer: Sequence[ua.DataValue]) -> bool:
+    return answer[0].Value is not None and bool(answer[0].Value.is_array)
+
+
+def _is_array(answer: Sequence[ua.DataValue]) -> bool:
+    """Whether it is an array of one dimension whose elements may be signals."""
+    value = answer[0].Value
+    if value is None or not value.is_array or len(value.Dimensions or ()) > 1:
+        return False
+    return len(value.Value) > 0 and not isinstance(value.Value[0], list)
+
+
+def _elements(array: Candidate, value: ua.DataValue, named: Collection[str]) -> Iterator[Candidate]:
+    """Yield the elements of an array as variables: ``cmd[0]``, ``cmd[1]`` and so on."""
+    *folders, name = array.path
+    is_short = len(value.Value.Value) <= MOST_ELEMENTS
+    for number in range(len(value.Value.Value)):
+        node = f"index={number};{array.node}"
+        if not is_short and node not in named:
+            continue
+        yield replace(array, node=node, path=(*folders, f"{name}[{number}]"), writable=False)
+
+
+def _unusable(places: Sequence[_Place], answers: Sequence[Sequence[ua.DataValue]]) -> Iterator[str]:
+    """Yield a line for each array of numbers whose elements are not browsed."""
     for (_, path), answer in zip(places, answers, strict=True):
         value = answer[0].Value
-        if value is not None and value.is_array and value.VariantType.value in NUMERIC_FORMATS:
+        is_number = value is not None and value.VariantType.value in NUMERIC_FORMATS
+        if not is_number or not value.is_array:
+            continue
+        if not _is_array(answer):
+            yield f"{printable('/'.join(path))}: an array that is empty or of several dimensions"
+        elif len(value.Value) > MOST_ELEMENTS:
             yield (
-                f"{printable('/'.join(path))}: it is an array; give each element that is a signal "
-                "its own node at the server"
+                f"{printable('/'.join(path))}: an array of more than {MOST_ELEMENTS} elements; "
+                "name those that are signals, such as --signal=VALVE.U=index=70;NODE"
             )
 
 

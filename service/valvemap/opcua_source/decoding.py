@@ -4,8 +4,9 @@ A DataChangeNotification is a list of records: ClientHandle (u4), DataValue mask
 encoding (u1), value, then status (u4), source time (i8, then picoseconds u2) and server time
 (i8, then u2), each only if the mask has its bit. Records differ in size, so one compiled loop
 walks them, checks every mask and type byte, and decodes all numeric scalars; strings and arrays
-become NaN. Other types (e.g. structures) are skipped by :mod:`valvemap.opcua_source.wire` and
-become NaN, too; the loop then continues with the next record.
+become NaN, but the places of arrays are kept (:mod:`valvemap.opcua_source.elements`). Other types
+(e.g. structures) are skipped by :mod:`valvemap.opcua_source.wire` and become NaN, too; the loop
+then continues with the next record.
 
 Nothing here does I/O.
 """
@@ -19,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from valvemap.model.kernels.compiled import kept
+from valvemap.opcua_source.elements import ARRAY, NO_NUMBER, Arrays, with_elements
 from valvemap.opcua_source.wire import FIXED_SIZES, NUMERIC_FORMATS, DecodeError, Reader
 from valvemap.pipeline.data_changes import DataChanges
 
@@ -59,7 +61,9 @@ _ELEMENTS_PER_RECORD = 4  # cost of skipping a record, in walked elements
 _RESERVED = 0xC0  # bits of a DataValue mask
 _SMALLEST_RESULT = 11  # bytes of a HistoryReadResult: status, no continuation point, nothing
 _NO_TIME = -(2**63)
-_NO_NUMBER = 255
+_NO_NUMBER, _ARRAY = NO_NUMBER, ARRAY  # as the compiled loop knows them
+_HAS_DIMENSIONS, _IS_ARRAY = 0x40, 0x80  # bits of a Variant's encoding byte
+_OF_KIND = 0x3F
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,10 @@ class Message:
     not_numeric : int
         Changes whose value is not a numeric scalar.
     kind : uint8
-        Built-in type of each change's value, (N,); 0: no value; 255: not a numeric scalar.
+        Built-in type of each change's value, (N,); 0: no value; 254: an array; 255: neither a
+        number nor an array.
+    arrays : Arrays or None
+        The values that are arrays, if any.
     """
 
     sequence_number: int
@@ -95,6 +102,7 @@ class Message:
     overflows: int
     not_numeric: int
     kind: NDArray[np.uint8]
+    arrays: Arrays | None = None
 
 
 @dataclass(frozen=True)
@@ -188,11 +196,13 @@ class HistoryPiece:
     changes: DataChanges
 
 
-def decode_history_response(data: bytes, items: Sequence[int]) -> list[HistoryPiece]:
+def decode_history_response(
+    data: bytes, items: Sequence[int], elements: Sequence[int | None] = ()
+) -> list[HistoryPiece]:
     """Decode the body of a HistoryReadResponse, from its TypeId on.
 
-    ``items`` are the requested items. A value without a timestamp gets the earliest
-    representable time.
+    ``items`` are the requested items, ``elements`` those of their arrays. A value without a
+    timestamp gets the earliest representable time.
 
     Raises
     ------
@@ -207,14 +217,18 @@ def decode_history_response(data: bytes, items: Sequence[int]) -> list[HistoryPi
     if len(results) != len(items):
         raise DecodeError(f"{len(results)} histories for {len(items)} variables")
     pieces = []
-    for item in items:
+    for item, element in zip(items, elements or [None] * len(items), strict=True):
         status, size = reader.u4(), max(reader.i4(), 0)
         start = reader.skip(size)
         point = reader.data[start : start + size]
         kind, body = reader.extension_object()
         changes = DataChanges.empty()
         if kind == _HISTORY_DATA:
-            changes = _data_changes(body, _NO_TIME, handle=0).changes
+            batch = _data_changes(body, _NO_TIME, handle=0)
+            changes = batch.changes
+            if element is not None and len(batch.places):
+                arrays = Arrays(data, np.flatnonzero(batch.kind == _ARRAY), batch.places)
+                changes, _ = with_elements(changes, batch.kind, arrays, {0: element})
         pieces.append(HistoryPiece(status, point, replace(changes, item=_all(item, changes))))
     return pieces
 
@@ -262,7 +276,23 @@ def _message(reader: Reader) -> Message:
         overflows=sum(batch.overflows for batch in batches),
         not_numeric=sum(batch.not_numeric for batch in batches),
         kind=np.concatenate([batch.kind for batch in batches] or [_NO_KINDS]),
+        arrays=_joined(reader.data, batches),
     )
+
+
+def _joined(data: bytes, batches: Sequence["_Batch"]) -> Arrays | None:
+    """Return the arrays of all batches, by row of the message; None if there are none."""
+    if not any(len(batch.places) for batch in batches):
+        return None
+    rows = np.concatenate(
+        [
+            np.flatnonzero(batch.kind == _ARRAY) + begins
+            for batch, begins in zip(
+                batches, np.cumsum([0, *(len(batch.kind) for batch in batches)]), strict=False
+            )
+        ]
+    )
+    return Arrays(data, rows, np.concatenate([batch.places for batch in batches]))
 
 
 @dataclass(frozen=True)
@@ -271,6 +301,7 @@ class _Batch:
     overflows: int
     not_numeric: int
     kind: NDArray[np.uint8]
+    places: NDArray[np.int64]  # of its arrays, in order
 
 
 _NO_KINDS = np.empty(0, np.uint8)
@@ -297,11 +328,13 @@ def _data_changes(reader: Reader, publish_time: int, handle: int = _HANDLE) -> _
         reader.spend(_ELEMENTS_PER_RECORD)
         _pass_over(reader, row, publish_time, handle, *columns)
         row += 1
+    places = bits[kind == _ARRAY].astype(np.int64)
     return _Batch(
         DataChanges(item=item, value=_values(bits, kind), status=status, source_time=time),
         overflows=int(np.count_nonzero(overflown(status))),
-        not_numeric=int(np.count_nonzero(kind == _NO_NUMBER)),
+        not_numeric=int(np.count_nonzero(kind >= _ARRAY)),
         kind=kind,
+        places=places,
     )
 
 
@@ -324,9 +357,12 @@ def _pass_over(
         raise DecodeError(f"DataValue mask {mask:#x} has reserved bits")
     bits[row], kind[row] = 0, 0
     if mask & 0x01:
+        place = reader.position
         encoding = reader.u1()
         reader.skip_variant_body(encoding)
         kind[row] = 0 if encoding == 0 else _NO_NUMBER
+        if encoding & _IS_ARRAY and encoding & _OF_KIND in NUMERIC_FORMATS:
+            bits[row], kind[row] = place, _ARRAY
     status[row] = reader.u4() if mask & 0x02 else 0
     source = reader.i8() if mask & 0x04 else 0
     source_picoseconds = reader.u2() if mask & 0x10 else 0
@@ -436,7 +472,7 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
             elif size == 0 and number != 0:
                 break
             if not _NUMERIC[number]:
-                number = np.uint8(_NO_NUMBER)
+                number = np.uint8(_ARRAY if number & _IS_ARRAY else _NO_NUMBER)
         tail = size
         if mask & 0x02:
             tail += 4
@@ -452,6 +488,8 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
             break
         if number == _NO_NUMBER:
             bits[row] = np.uint64(0)
+        elif number == _ARRAY:
+            bits[row] = np.uint64(at - 1)
         elif size == 8:
             bits[row] = np.uint64(_i8(raw, at))
         elif size == 4:

@@ -132,7 +132,7 @@ class SourceHistory:
     def __init__(self) -> None:
         self.is_there = False
         self._connection: Connection
-        self._node_of: dict[int, ua.NodeId] = {}
+        self._node_of: dict[int, MonitoredNode] = {}
         self._nodes_at_once = _NODES_AT_ONCE
         self._failures = 0
 
@@ -140,7 +140,7 @@ class SourceHistory:
         """Use another connection from now on."""
         self.is_there = True
         self._connection = connection
-        self._node_of = {node.item: node.node for node in nodes}
+        self._node_of = {node.item: node for node in nodes}
         self._nodes_at_once = _NODES_AT_ONCE
 
     async def read(self, holes: Holes) -> tuple[DataChanges, Holes, int]:
@@ -183,8 +183,9 @@ class SourceHistory:
 
     async def _ask(self, holes: Holes, most: int, last: int) -> list[HistoryPiece] | str:
         """Return the response for each hole, or the reason if there is none."""
+        nodes = [self._node_of[item] for item in holes.items.tolist()]
         wanted = [
-            ua.HistoryReadValueId(NodeId=self._node_of[item]) for item in holes.items.tolist()
+            ua.HistoryReadValueId(NodeId=node.node, IndexRange=node.index_range) for node in nodes
         ]
         details = ua.ReadRawModifiedDetails(
             IsReadModified=False,
@@ -206,7 +207,9 @@ class SourceHistory:
             self.is_there = False
             return status_name(error.code)
         try:
-            pieces = decode_history_response(data, holes.items.tolist())
+            pieces = decode_history_response(
+                data, holes.items.tolist(), [node.element for node in nodes]
+            )
         except DecodeError as error:
             raise Senseless(f"a history that is not understood: {error}") from error
         await self._release(wanted, pieces, details)
@@ -224,7 +227,9 @@ class SourceHistory:
     ) -> None:
         """Release the continuation points; the next read continues by time instead."""
         points = [
-            ua.HistoryReadValueId(NodeId=value.NodeId, ContinuationPoint=piece.point)
+            ua.HistoryReadValueId(
+                NodeId=value.NodeId, IndexRange=value.IndexRange, ContinuationPoint=piece.point
+            )
             for value, piece in zip(wanted, pieces, strict=True)
             if piece.point
         ]

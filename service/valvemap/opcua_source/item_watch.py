@@ -172,7 +172,7 @@ class ItemWatch:
         again, self._missed = missed and item in self._missed, self._missed - {item}
         moved = item in items and items[item].node.node != found.node
         if item not in items or moved or (returned and quiet) or again:
-            node = MonitoredNode(item, found.node, wanted.label, found.type)
+            node = MonitoredNode(item, found.node, wanted.label, found.type, wanted.element)
             try:
                 await subscription.monitor_again(node)
             except SourceRejected as error:

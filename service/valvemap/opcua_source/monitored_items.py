@@ -55,7 +55,9 @@ async def create_items(
                 ItemsToCreate=[
                     ua.MonitoredItemCreateRequest(
                         ItemToMonitor=ua.ReadValueId(
-                            NodeId=node.node, AttributeId=ua.AttributeIds.Value
+                            NodeId=node.node,
+                            AttributeId=ua.AttributeIds.Value,
+                            IndexRange=node.index_range,
                         ),
                         MonitoringMode=ua.MonitoringMode.Reporting,
                         RequestedParameters=_parameters(handle, connection, settings.queue_size),

@@ -12,6 +12,7 @@ from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import Connection, in_one_line, status_name
 from valvemap.opcua_client.requests import namespaces_of, read_attributes
+from valvemap.opcua_source.elements import parted
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.pipeline.units import Measure
 from valvemap.vocabulary.item_states import ItemState
@@ -22,7 +23,10 @@ REQUIRED_U, LOAD, HEARTBEAT = "required_U", "load", "heartbeat"  # nodes that ar
 _NODE_ID = re.compile(
     r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)", re.DOTALL
 )
-_ALLOWED = "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>"
+_ALLOWED = (
+    "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>; before it "
+    "index=<number>; for an element of an array"
+)
 
 _ATTRIBUTES = (
     ua.AttributeIds.NodeClass,
@@ -75,6 +79,8 @@ class ValveNodes:
         """
         for wanted in _of_valve(0, self):
             parse_node_id(wanted.text, ())
+            if wanted.item is None and wanted.element is not None:
+                raise ConfigurationError(f"{wanted.label}: an element of an array is not written")
 
     def measure(self, name: str) -> Measure:
         """Return the configured unit and scaling of a signal or of the command."""
@@ -107,6 +113,11 @@ class Wanted:
     role: str
     label: str
 
+    @property
+    def element(self) -> int | None:
+        """The place in an array; None if the value is none."""
+        return parted(self.text)[0]
+
 
 @dataclass(frozen=True)
 class Looked:
@@ -134,12 +145,21 @@ class Looked:
 
 @dataclass(frozen=True)
 class MonitoredNode:
-    """A node to subscribe to, the item number of its changes, and their type (None: unknown)."""
+    """A node to subscribe to, the item number of its changes, and their type (None: unknown).
+
+    ``element`` is the signal's place in an array, None if the value is none.
+    """
 
     item: int
     node: ua.NodeId
     label: str
     type: int | None = None
+    element: int | None = None
+
+    @property
+    def index_range(self) -> str | None:
+        """The element in requests (Part 4, 7.27)."""
+        return None if self.element is None else str(self.element)
 
 
 @dataclass(frozen=True)
@@ -186,7 +206,7 @@ def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.Node
     >>> parse_node_id("nsu=urn:plant;s=Valve;7.U", ["urn:ua", "urn:other", "urn:plant"])
     NodeId(Identifier='Valve;7.U', NamespaceIndex=2, NodeIdType=<NodeIdType.String: 3>)
     """
-    match = _NODE_ID.fullmatch(text)
+    match = _NODE_ID.fullmatch(parted(text)[1])
     if match is None:
         raise ConfigurationError(f"node '{printable(text)}' is no NodeId; {_ALLOWED}")
     index = int(match["index"] or 0)
@@ -241,7 +261,8 @@ async def check_nodes(
             kind = _variant_type(found.type)
             writable[node.valve, node.role] = WritableNode(found.node, kind, node.label)
         elif node.item not in copies:
-            monitored.append(MonitoredNode(node.item, found.node, node.label, found.type))
+            own = MonitoredNode(node.item, found.node, node.label, found.type, node.element)
+            monitored.append(own)
     if faults and not (lenient and monitored):
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
         raise SourceRejected(next(iter(faults.values())) + more)
@@ -303,7 +324,7 @@ async def look(
 
 def _looked(url: str, node: Wanted, node_id: ua.NodeId, answer: Sequence[ua.DataValue]) -> Looked:
     _, data_type, _, _, value = answer
-    fault, state = _fault(answer, write=node.item is None)
+    fault, state = _fault(answer, node.element, write=node.item is None)
     if fault is None and node.role == HEARTBEAT and _type_of(answer) != ua.VariantType.UInt32:
         fault = f"is of type {_type_of(answer).name} at {{url}}; a UInt32 is needed"
     if fault is not None:
@@ -315,7 +336,7 @@ def _looked(url: str, node: Wanted, node_id: ua.NodeId, answer: Sequence[ua.Data
 
 def _resolved(text: str, namespaces: Sequence[str], before: Sequence[str]) -> ua.NodeId:
     """Parse a NodeId; an index denotes the namespace that it had in ``before``."""
-    match = _NODE_ID.fullmatch(text)
+    match = _NODE_ID.fullmatch(parted(text)[1])
     if match is not None and match["uri"] is not None and match["uri"] not in namespaces:
         raise SourceRejected(
             f"cannot be found: the server has no namespace {printable(match['uri'])}; it has "
@@ -353,13 +374,15 @@ def _uint32(text: str) -> int:
     return number
 
 
-def _fault(answer: Sequence[ua.DataValue], *, write: bool) -> tuple[str | None, ItemState]:
+def _fault(
+    answer: Sequence[ua.DataValue], element: int | None, *, write: bool
+) -> tuple[str | None, ItemState]:
     """Return the fault of a node as the end of a sentence with ``{url}``, None if it has none."""
     node_class, data_type, rank, access, value = answer
     faults = (
         (_fault_of_class(node_class), ItemState.GONE),
         (_fault_of_access(access, value, write=write), ItemState.REFUSED),
-        (_fault_of_type(data_type, rank, value), ItemState.WRONG_TYPE),
+        (_fault_of_type(data_type, rank, value, element), ItemState.WRONG_TYPE),
     )
     return next((one for one in faults if one[0] is not None), (None, ItemState.GOOD))
 
@@ -387,13 +410,33 @@ def _fault_of_access(access: ua.DataValue, value: ua.DataValue, *, write: bool) 
     return None
 
 
-def _fault_of_type(data_type: ua.DataValue, rank: ua.DataValue, value: ua.DataValue) -> str | None:
+def _fault_of_type(
+    data_type: ua.DataValue, rank: ua.DataValue, value: ua.DataValue, element: int | None
+) -> str | None:
     kind = _kind(data_type, value)
     if kind is not None and kind not in NUMERIC_FORMATS and kind not in _ABSTRACT_NUMBERS:
         name = ua.VariantType(kind).name
         return f"is of type {name} at {{url}}; a Boolean, an integer, Float or Double is needed"
-    if rank.Value.Value not in _SCALARS or (value.Value is not None and value.Value.is_array):
-        return "is an array at {url}; a scalar is needed"
+    is_array = value.Value is not None and value.Value.is_array
+    if element is not None:
+        return _fault_of_element(rank, value, element)
+    if rank.Value.Value not in _SCALARS or is_array:
+        some = f"index=0 to index={len(value.Value.Value) - 1}" if is_array else "index=0"
+        return f"is an array at {{url}}; write {some}; before the NodeId for one of its elements"
+    return None
+
+
+def _fault_of_element(rank: ua.DataValue, value: ua.DataValue, element: int) -> str | None:
+    if value.Value is None or value.Value.VariantType is ua.VariantType.Null:
+        return None  # no value yet
+    if not value.Value.is_array:
+        return f"is no array at {{url}}; leave out index={element};"
+    if (rank.Value.Value or 0) > 1 or len(value.Value.Dimensions or ()) > 1:
+        return "is an array of several dimensions at {url}; one of a single dimension is needed"
+    n = len(value.Value.Value)
+    if element >= n:
+        there = f"index=0 to index={n - 1} are there" if n else "it is empty"
+        return f"has {n} elements at {{url}}, none with index={element}; {there}"
     return None
 
 

@@ -8,7 +8,7 @@ message is acknowledged with the next request.
 import asyncio
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, repeat
@@ -29,6 +29,7 @@ from valvemap.opcua_source.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
+from valvemap.opcua_source.elements import ARRAY, with_elements
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import Item, create_items, delete_items, enlarge_queues
 from valvemap.opcua_source.source_nodes import MonitoredNode
@@ -126,6 +127,7 @@ class Subscription:
         self._created = created
         self._items: tuple[Item, ...] = ()
         self._item_of_handle: NDArray[np.int32] | None = None  # None: they are equal
+        self._elements: dict[int, int] = {}  # by item whose value is an array
         self._asked = 0
         self._tidies = False
         self._kept_back: deque[int] | None = None  # messages not committed yet
@@ -203,6 +205,12 @@ class Subscription:
         """Set the monitored items; their queues are adapted to their rates from now on."""
         self._items = tuple(items)
         self._item_of_handle = _items_by_handle(self._items)
+        self._elements.clear()
+        self.expect([item.node for item in items])
+
+    def expect(self, nodes: Iterable[MonitoredNode]) -> None:
+        """Note which elements of arrays the changes of these nodes hold, before they come."""
+        self._elements |= {node.item: node.element for node in nodes if node.element is not None}
 
     async def change_items(self, nodes: Sequence[MonitoredNode], surplus: Sequence[int]) -> None:
         """Monitor exactly these nodes: create missing items and delete the surplus ones.
@@ -218,6 +226,7 @@ class Subscription:
             if surplus:
                 await delete_items(self._connection, self._id, surplus)
             if missing:
+                self.expect(missing)
                 by_handle = dict(enumerate(missing, handle))
                 added = await create_items(self._connection, self._id, by_handle)
                 self.watch((*self._items, *added))
@@ -238,6 +247,7 @@ class Subscription:
         with self._connection.errors("monitoring a node again"):
             await delete_items(self._connection, self._id, [item.number for item in own])
             self.watch(others)
+            self.expect([node])
             self.watch((*others, *await create_items(self._connection, self._id, {handle: node})))
 
     @property
@@ -448,7 +458,6 @@ class Subscription:
             )
         self._tally.notifications += len(changes)
         self._tally.overflows += message.overflows
-        self._tally.undecodable += message.not_numeric
         if self._counted is not None:
             self._counted += np.bincount(
                 np.clip(changes.item, 0, len(self._counted) - 1), minlength=len(self._counted)
@@ -469,7 +478,11 @@ class Subscription:
             known = (changes.item >= 0) & (changes.item < len(table))
             item = np.where(known, table[np.where(known, changes.item, 0)], np.int32(-1))
             changes = replace(changes, item=item)
-        return self._table.note(changes, message.kind, self._clock.monotonic())
+        kind = message.kind
+        if message.arrays is not None and self._elements:
+            changes, kind = with_elements(changes, kind, message.arrays, self._elements)
+        self._tally.undecodable += int(np.count_nonzero(kind >= ARRAY))
+        return self._table.note(changes, kind, self._clock.monotonic())
 
     async def _adapt_queues(self) -> None:
         """Measure the rate of changes and enlarge queues to hold one minute of them."""
@@ -535,6 +548,7 @@ async def subscribe(
     subscription = Subscription(connection, result, tally, clock, table)
     if hold_back:
         subscription.hold_back()
+    subscription.expect(nodes)
     subscription.start()
     try:
         with connection.errors("subscribing"):

@@ -1,0 +1,93 @@
+"""Elements of arrays are signals: of servers that know index ranges, and of those that do not."""
+
+import asyncio
+from contextlib import asynccontextmanager
+from dataclasses import replace
+
+import pytest
+from asyncua import Server, ua
+
+from guarded_opcua import HardenedServer, ServerSettings, add_object, add_variable
+from valvemap.errors import ConfigurationError, SourceRejected
+from valvemap.opcua_client.connection import open_connection
+from valvemap.opcua_source.browsing import find_numbers
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+
+pytestmark = pytest.mark.waits
+
+ARRAY, FLOW = "nsu=urn:plant;s=Inputs", "nsu=urn:plant;s=Flow"
+NODES = ValveNodes("V1", f"index=3;{ARRAY}", f"index=0;{ARRAY}", f"index=1;{ARRAY}", FLOW)
+VALUES = {"Inputs": [170.5, 40.25, -1.0, 62.5], "Flow": 30.0, "Curve": [0.0] * 100}
+
+
+@asynccontextmanager
+async def whole_arrays():
+    """A server of asyncua: it sends the whole array, whatever the index range."""
+    server = Server()
+    await server.init()
+    server.set_endpoint("opc.tcp://127.0.0.1:0/plant/")
+    server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    index = await server.register_namespace("urn:plant")
+    for name, value in VALUES.items():
+        await server.nodes.objects.add_variable(ua.NodeId(name, index), name, value)
+    async with server:
+        port = server.bserver._server.sockets[0].getsockname()[1]
+        yield f"opc.tcp://127.0.0.1:{port}/plant/"
+
+
+@asynccontextmanager
+async def single_elements():
+    """Our own server: it knows index ranges."""
+    server = await HardenedServer.create(
+        ServerSettings(
+            url="opc.tcp://127.0.0.1:0/plant/",
+            application_uri="urn:test:plant",
+            application_name="plant",
+            namespace_uri="urn:plant",
+            none_on_loopback=True,
+        )
+    )
+    folder = await add_object(server, None, "Plant")
+    for name, value in VALUES.items():
+        dimensions = (0,) if isinstance(value, list) else None
+        await add_variable(server, folder, name, value, dimensions=dimensions)
+    async with server:
+        yield server.url
+
+
+@pytest.mark.parametrize("served", [whole_arrays, single_elements])
+async def test_elements_are_read_browsed_and_named_if_they_are_not_there(served):
+    async with served() as url:
+        settings = SourceSettings(url, publishing_interval_ms=50.0)
+        source = OpcUaSource(settings, [NODES])
+        await source.connect()
+        async with asyncio.timeout(20):
+            changes = await source.receive()
+        found = dict(zip(changes.item.tolist(), changes.value.tolist(), strict=True))
+        assert [found[item] for item in range(4)] == [62.5, 170.5, 40.25, 30.0]
+        assert source.counters.undecodable == 0
+        await source.close()
+
+        for wrong, words in (
+            ({"U": f"index=4;{ARRAY}"}, "has 4 elements .* none with index=4; index=0 to index=3"),
+            ({"U": ARRAY}, "is an array .* write index=0 to index=3; before the NodeId"),
+            ({"Q": f"index=2;{FLOW}"}, "Q of valve V1.* is no array .* leave out index=2;"),
+        ):
+            with pytest.raises(SourceRejected, match=words):
+                await OpcUaSource(settings, [replace(NODES, **wrong)]).connect()
+
+        connection = await open_connection(settings)
+        numbers, skipped = await find_numbers(connection, {"index=70;nsu=urn:plant;s=Curve"})
+        await connection.close()
+        own = {one.path[-1]: one.node for one in numbers if one.path[0] != "Server"}
+        elements = {f"Inputs[{n}]": f"index={n};{ARRAY}" for n in range(4)}
+        curve = {"Curve[70]": "index=70;nsu=urn:plant;s=Curve"}
+        assert own == {"Flow": FLOW} | elements | curve
+        assert any("Curve: an array of more than 64 elements" in line for line in skipped)
+
+
+def test_an_element_is_no_command_and_its_index_is_a_number():
+    with pytest.raises(ConfigurationError, match="an element of an array is not written"):
+        replace(NODES, required_U=f"index=0;{ARRAY}")
+    with pytest.raises(ConfigurationError, match=r"index=<number>; for an element of an array"):
+        replace(NODES, Q=f"index=x;{ARRAY}")
