@@ -7,17 +7,21 @@ right, asked, wrong in silence; and for questions, whether obeying an option giv
 import argparse
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from benchmarks.connect_fifth import FIFTH
+from benchmarks.connect_fourth import FOURTH
 from benchmarks.connect_plants import Plant, contradicted, plant
 from benchmarks.connect_second import SECOND
+from benchmarks.connect_sixth import SIXTH
 from benchmarks.connect_third import KINDS, drawn, faulty
 from benchmarks.connect_unseen import UNSEEN
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.grouping import Group, group
+from valvemap.plant.ports import NAMES
 from valvemap.plant.reading import Reading
 from valvemap.plant.verdict import Verdict, judge
 
@@ -42,7 +46,8 @@ def outcome(subject: Plant) -> Outcome:
     verdicts = [judge(one, subject.record, None, subject.rating) for one in groups]
     if not groups or any(v.question for v in verdicts):
         story = "; ".join(f"{v.valve}: {v.question.about}" for v in verdicts if v.question)
-        obeyed = None if subject.asks else _obeyed(subject, groups, verdicts)
+        is_known = not subject.asks or all(_is_of_ports(true) for true in subject.truth.values())
+        obeyed = _obeyed(subject, groups, verdicts) if is_known and subject.truth else None
         return Outcome(subject.kind, "asked", obeyed, story or "no valve")
     wrong = [] if subject.asks else list(_errors(subject, verdicts))
     if subject.asks:
@@ -69,19 +74,26 @@ def _errors(subject: Plant, verdicts: Iterable[Verdict]) -> Iterator[str]:
 
 
 def _differences(reading: Reading, true: Mapping[str, tuple[str, np.ndarray]]) -> Iterator[str]:
+    names = NAMES if _is_of_ports(true) else {}
     for role, node in reading.nodes.items():
-        if role not in true:
+        name = names.get(role, role)
+        if name not in true:
             if role != "T":
                 yield f"{role} is {node.path[-1]}"
             continue
-        wanted, values = true[role]
+        wanted, values = true[name]
         own = reading.values[role]
         same = node.node == wanted
         if not same or not np.allclose(own, values, rtol=_EQUAL, atol=1e-6):
             yield f"{role} is {node.path[-1]} in {reading.scales[role].text}"
+    there = {names.get(role, role) for role in reading.nodes}
     for role in true:
-        if role not in reading.nodes and role != "T":
+        if role not in there and role != "T":
             yield f"{role} is missing"
+
+
+def _is_of_ports(true: Mapping[str, object]) -> bool:
+    return "pA" in true
 
 
 def _obeyed(subject: Plant, groups: list[Group], verdicts: list[Verdict]) -> bool:
@@ -95,6 +107,7 @@ def _obeyed(subject: Plant, groups: list[Group], verdicts: list[Verdict]) -> boo
             signals = [a.removeprefix("--signal=") for a in option.answers if "--signal" in a]
             scales = [a.removeprefix("--scale=") for a in option.answers if "--scale" in a]
             given = of_valve(parse_answers(signals, scales), own.name)
+            given = replace(given, ports=f"--ports={own.name}" in option.answers)
             again = judge(own, subject.record, given, subject.rating)
             if again.question is None and not list(_of_one(subject, again)):
                 settled.append(again)
@@ -147,6 +160,12 @@ def main() -> None:
         own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]
         found = [outcome(one) for one in own if one.asks is not findable]
         print(table(title, found, show=asked.show))
+    for name, made in (("fourth", FOURTH), ("fifth", FIFTH), ("sixth", SIXTH)):
+        own = [make(s) for make in made.values() for s in few]
+        known = [outcome(one) for one in own if not one.asks]
+        print(table(f"{name} dozen, can be known", known, show=asked.show))
+        unknown = [outcome(one) for one in own if one.asks]
+        print(table(f"{name} dozen, is to be asked", unknown, show=asked.show))
     third = seeds[: max(len(seeds) // 2, 1)]
     print(table("drawn, labels right", [outcome(drawn(s)) for s in third], show=asked.show))
     for kind in KINDS:

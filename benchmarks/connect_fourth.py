@@ -252,8 +252,9 @@ def german_four_ports(seed: int) -> Plant:
     """Formula letters with the port at the end; one line metered; U as a current of ± 40 mA."""
     site = Machine(seed)
     true, root = four_ports(site), "Walze|AGC|Servoventil|"
-    site.add(f"{root}i_Soll", 0.4 * true["U"], "", bounds=(-40.0, 40.0), role="U")
+    site.add(f"{root}i_Soll", 0.4 * true["U"], "", bounds=(-40.0, 40.0))
     site.restate(f"{root}i_Soll", 1.0, "mA")
+    site.means(f"{root}i_Soll", "U", true["U"])
     for name, role, unit in (
         ("p_P", "pP", "bar"), ("p_T", "pT", "bar"), ("p_A", "pA", "bar"), ("p_B", "pB", "bar"),
         ("Q_A", "QA", "l/min"),

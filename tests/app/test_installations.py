@@ -137,6 +137,7 @@ def test_a_valve_of_four_ports_is_asked_for_its_edges(installed, tmp_path, capsy
     assert run(every) == 0, capsys.readouterr().err
     edges = {valve.name: valve for valve in load_config(out).valves}
     assert {"Servo.PA", "Servo.AT"} <= set(edges)
+    assert "# AT: the orifice law explains 100 % of QA while AT is open" in out.read_text("utf-8")
     assert edges["Servo.AT"].nodes.p2 == "nsu=urn:plc;s=Servo/pT"
     assert edges["Servo.AT"].signals.U.range == (-100.0, 100.0)
     assert run(["check-config", str(out), "--online", "--watch", "2"]) == 0

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from valvemap.app.sheet import rows
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.reading import Given
 from valvemap.plant.roles import Role
@@ -65,6 +66,9 @@ def test_a_servo_valve_of_four_ports_is_asked_for_its_edges_and_an_answer_is_obe
     (whole,) = plant.verdicts({"Plant": Given(ports=True)})
     assert whole.question is None
     assert whole.has_ports
+    edges = {row.signal: row.reason for row in rows([whole]) if row.signal.startswith("edge")}
+    assert list(edges) == ["edge PA", "edge AT", "edge PB", "edge BT"]
+    assert edges["edge BT"] == "the orifice law explains 100 % of QB while BT is open"
     assert nodes(whole) == {
         "U": "Command", "p1": "pP", "p2": "pT", "pA": "pA", "pB": "pB", "Q": "QA", "QB": "QB",
     }  # fmt: skip
@@ -76,6 +80,23 @@ def test_a_servo_valve_of_four_ports_is_asked_for_its_edges_and_an_answer_is_obe
     other = obey(plant, verdict, second)
     assert nodes(other) == {"U": "Command", "p1": "pP", "p2": "pB", "Q": "QB"}
     assert np.nanmax(other.reading.values[Role.U]) == pytest.approx(-U.min())
+
+
+def test_a_sheet_without_a_name_plate_says_what_to_compare_with_it(plant, moving):
+    signals = moving()
+    for name, values, unit in (
+        ("Command", signals["U"], "%"), ("p in", signals["p1"], "bar"),
+        ("p out", signals["p2"], "bar"), ("Flow", signals["Q"], "l/min"),
+    ):  # fmt: skip
+        plant.add(name, values, unit=unit)
+    (bare,) = plant.verdicts()
+    (said,) = (row.reason for row in rows([bare]) if row.signal == "Q")
+    assert "its factor is not checked: compare " in said
+    assert "at 35 bar and U = " in said
+    one = {"p1": "Command", "p2": "p out", "U": "Command", "Q": "Flow"}
+    twice = Given({Role(signal): f"s=Plant/{name}" for signal, name in one.items()})
+    (refused,) = plant.verdicts({"Plant": twice})
+    assert refused.question.about == "no reading of its signals fits"
 
 
 def test_meters_of_exchanged_lines_are_not_learnt_as_edges(plant, moving):

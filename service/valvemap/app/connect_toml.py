@@ -8,7 +8,7 @@ from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_source.client import SourceSettings
 from valvemap.opcua_source.source_units import SaidOfNode, contradiction
 from valvemap.pipeline.units import Measure, inside
-from valvemap.plant.ports import NAMES
+from valvemap.plant.ports import NAMES, physics_of
 from valvemap.plant.reading import Reading
 from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.verdict import Verdict
@@ -70,6 +70,7 @@ def _of_valve(verdict: Verdict) -> str:
             node = reading.nodes[role]
             shown = printable("/".join(node.path))
             lines.append(f"{name} = {toml_string(node.node)} # {shown}")
+    lines += [f"# {edge}: {physics_of(edge, law)}" for edge, law in verdict.edges.items()]
     units = [line for role in reading.nodes for line in _of_unit(role, names[role], reading)]
     if units:
         lines += ["", "[valves.ports.signals]" if verdict.has_ports else "[valves.signals]", *units]

@@ -7,7 +7,8 @@ from html import escape
 import numpy as np
 
 from valvemap.foreign_text import printable
-from valvemap.plant.ports import NAMES
+from valvemap.plant.evidence import coefficient
+from valvemap.plant.ports import NAMES, physics_of
 from valvemap.plant.reading import Reading
 from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.verdict import Verdict
@@ -41,6 +42,8 @@ def rows(verdicts: Iterable[Verdict]) -> Iterator[Row]:
             continue
         for role in reading.nodes:
             yield _row(verdict, reading, role)
+        for edge, law in verdict.edges.items():
+            yield Row(verdict.valve, f"edge {edge}", "", "", "", "", physics_of(edge, law))
         for node, role in verdict.others.items():
             yield Row(verdict.valve, "-", printable(node), "", "", "", f"not used: {role}")
 
@@ -56,11 +59,23 @@ def _row(verdict: Verdict, reading: Reading, role: Role) -> Row:
         reasons.append(f"orifice law explains {100 * reading.fit.explained:.0f} % of Q")
     elif role is Role.Q and not verdict.has_ports:
         reasons.append("not checked by the orifice law: Q did not move")
+    if role is Role.Q and not verdict.has_ports and not verdict.rating.flow_l_min:
+        reasons += _unrated(reading, verdict.rating.drop_bar)
     bounds = "" if node.bounds is None else f"{node.bounds[0]:g} … {node.bounds[1]:g}"
     return Row(
         verdict.valve, name, printable(node.node), scale.text or own, bounds, seen,
         "; ".join(reasons),
     )  # fmt: skip
+
+
+def _unrated(reading: Reading, drop_bar: float) -> Iterator[str]:
+    """Yield what to compare with the name plate: a factor of Q contradicts nothing else."""
+    k, U = coefficient(reading.values), np.abs(reading.values[Role.U])
+    if k > 0.0 and np.isfinite(U).any():
+        yield (
+            f"its factor is not checked: compare {k * drop_bar**0.5:.3g} l/min at {drop_bar:g} bar "
+            f"and U = {np.nanmax(U):.0f} % with the name plate, or give --rated-flow"
+        )
 
 
 def sheet_page(url: str, verdicts: Iterable[Verdict]) -> str:

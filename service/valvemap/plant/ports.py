@@ -111,18 +111,26 @@ def _faults(
             yield f"Q{edge.line} does not follow U and the pressures while {edge} is open"
 
 
+def physics_of(edge: Edge, law: Fit) -> str:
+    """Return what the law says of an edge's flow, as seen."""
+    line = f"Q{edge.line}"
+    if not law.moves:
+        return f"not checked: {line} did not move while {edge} was open"
+    return f"the orifice law explains {100 * law.explained:.0f} % of {line} while {edge} is open"
+
+
 def question_of_ports(group: Group, record: Record, found: Edges, base: Reading) -> Question:
     """Ask whether all edges are to be learnt, or one of them."""
     options = []
     port = {one.label.role: one for one in group.all}
     if not found.faults:
-        lines = "the leakage of both lines" if Role.QB in found.reading.nodes else "of line A"
+        lines = "both lines" if Role.QB in found.reading.nodes else "line A"
         said = [
             f"the orifice law explains {100 * own.explained:.0f} % of the flow of {edge}"
             for edge, own in found.fits.items()
             if own.moves
         ]
-        text = f"all edges: {', '.join(found.fits)}, with {lines}"
+        text = f"all edges: {', '.join(found.fits)}, with the leakage of {lines}"
         consequence = "; ".join([*said, "a map of each edge ([valves.ports])"])
         options.append(Option(text, consequence, (f"--ports={group.name}",), 0.5))
     for role, meter, sign in ((Role.PA, Role.Q, 1), (Role.PB, Role.QB, -1)):

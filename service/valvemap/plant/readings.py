@@ -91,6 +91,8 @@ def _label_score(reading: Reading) -> float:
 
 def _by_labels(group: Group, record: Record, given: Given, judge: Scores) -> Iterator[Reading]:
     found = assignments(group, given)
+    if not found:
+        return  # two answers name one node
     is_lacking = lacks(found[0][0])  # whatever the values are
     for nodes, prior in found:
         if lacks(nodes) is not is_lacking:

@@ -1,7 +1,7 @@
 """Decides on a valve: accepts the likeliest reading, or asks with the readings that remain."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -10,10 +10,12 @@ from valvemap.foreign_text import printable
 from valvemap.plant import evidence, ports
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
+from valvemap.plant.law import Fit
 from valvemap.plant.questions import Option, Question
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.readings import readings
 from valvemap.plant.roles import QUANTITY, Role
+from valvemap.vocabulary.edges import Edge
 
 ACCEPTED: Final = 0.95  # probability of a reading that is taken without a question
 _NAMED: Final = 0.02  # probability of a reading that a question names
@@ -27,7 +29,8 @@ class Verdict:
     """The result for one valve. ``reading`` is to be configured only if ``question`` is None.
 
     ``others`` are signals recognised as none of the map's, by node; ``least_U`` is set where only
-    one direction is learnt; ``has_ports`` where the reading is one of all edges.
+    one direction is learnt; ``edges`` are the law's fits where the reading is one of all edges.
+    ``rating`` is what was given of the name plate.
     """
 
     valve: str
@@ -35,7 +38,13 @@ class Verdict:
     question: Question | None
     others: Mapping[str, Role]
     least_U: float | None = None
-    has_ports: bool = False
+    edges: Mapping[Edge, Fit] = field(default_factory=dict)
+    rating: Rating = field(default_factory=Rating)
+
+    @property
+    def has_ports(self) -> bool:
+        """Whether all edges of a valve with ports are learnt."""
+        return bool(self.edges)
 
     @property
     def probability(self) -> float:
@@ -51,6 +60,10 @@ def judge(
 ) -> Verdict:
     """Judge one valve's variables by labels and values."""
     given, rating = given or Given(), rating or Rating()
+    return replace(_judged(group, record, given, rating), rating=rating)
+
+
+def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdict:
     others = {one.node: one.label.role for one in group.all if not one.label.is_relevant}
     if ports.is_directional(group) and not {Role.P1, Role.P2} <= set(given.nodes):
         of_ports = _of_ports(group, record, given, rating)
@@ -213,10 +226,11 @@ def _of_ports(group: Group, record: Record, given: Given, rating: Rating) -> Ver
         return None
     if given.ports:
         fault = Question("; ".join(found.faults)) if found.faults else None
-        return Verdict(group.name, found.reading, fault, {}, has_ports=True)
+        return Verdict(group.name, found.reading, fault, {}, edges=found.fits)
     two = tuple(one for one in group.all if one.label.role not in {Role.PA, Role.PB})
     whole = readings(Group(group.name, two), record, given, rating)
     if not whole or Role.U not in whole[0].nodes:
         return None
-    question = ports.question_of_ports(group, record, found, whole[0])
-    return Verdict(group.name, whole[0], question, {}, 0.0)
+    base = next((r for r in whole if not (r.mistake or r.missing or r.beside)), whole[0])
+    question = ports.question_of_ports(group, record, found, base)
+    return Verdict(group.name, base, question, {}, 0.0)
