@@ -6,6 +6,7 @@ from documentation.tables import table
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS, possible_causes
 from valvemap.pipeline.alarms import FLEET_RULES, RULES, SERVICE_RULES
+from valvemap.pipeline.axis_alarms import AXIS_RULES
 from valvemap.vocabulary.alarm_guide import GUIDES
 
 BEGIN = "<!-- Made by `make reference`: tables of alarms -->"
@@ -13,7 +14,8 @@ END = "<!-- End of the tables of alarms -->"
 
 _HEAD = """\
 Every valve has {of_valve} alarms, the service {of_service}, and `valvemap fleet serve` {of_fleet}
-more. An alarm is raised when its quantity is above the limit for the delay; `Certificate` below it.
+more. An axis has {of_axis} of its own.
+An alarm is raised when its quantity is above the limit for the delay; `Certificate` below it.
 A quantity that is a number of things, or 0 or 1, has the limit 0.5, so the alarm is raised from 1.
 The limit is configured in the unit of the table: `limit = 3600` of `Unexcited` is an hour."""
 
@@ -36,6 +38,7 @@ def alarm_tables() -> str:
         of_valve=len(RULES),
         of_service=len(SERVICE_RULES),
         of_fleet=len(FLEET_RULES) - len(SERVICE_RULES),
+        of_axis=len(AXIS_RULES),
     )
     headings = ["alarm", "meaning", "measured quantity", "default limit", "delay", "severity"]
     return "\n\n".join(
@@ -65,3 +68,5 @@ def _every_alarm() -> Iterator[tuple[str, str, AlarmRule]]:
         yield alarm.title, f"`{alarm.title}`", rule
     for of_service, rule in FLEET_RULES.items():
         yield of_service.label, f"`Service.Alarms.{of_service.label}`", rule
+    for of_axis, rule in AXIS_RULES.items():
+        yield of_axis.label, f"`{of_axis.label}`", rule

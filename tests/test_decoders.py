@@ -48,6 +48,7 @@ NAMES = (
         "state: arrays",
         "state: axes",
         "state: watches of axes",
+        "state: alarms of axes",
         "file: models",
         "history: blocks",
         "history: sealed blocks",

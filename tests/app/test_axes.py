@@ -110,8 +110,8 @@ async def test_an_axis_is_served_and_its_map_survives_a_restart(
                 alarm = ua.NodeId("Service.Alarms.Checkpoint.Active", seen.index)
                 assert not await seen.client.get_node(alarm).read_value()
         with CheckpointFile(axes_file(config)) as store:
-            (kept,) = store.load()
-        assert (kept.valve, kept.estimator) == ("Press", LEARNT)
+            kept = {(one.valve, one.estimator) for one in store.load()}
+        assert ("Press", LEARNT) in kept
         async with serving(serve, config, settings, "Press", "Status") as seen:
             async with asyncio.timeout(30):
                 await seen.until("Status", lambda status: status == AxisStatus.OK)

@@ -9,6 +9,7 @@ from documentation.pages import ALARMS, alarms_page
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
 from valvemap.pipeline.alarms import FLEET_RULES, RULES, SERVICE_RULES
+from valvemap.pipeline.axis_alarms import AXIS_RULES
 from valvemap.vocabulary.alarm_guide import GUIDES
 
 
@@ -26,6 +27,7 @@ def test_every_alarm_has_guidance_and_no_guidance_lacks_its_alarm():
 def test_the_tables_have_each_alarm_twice_with_the_limit_of_its_rule():
     names = {alarm.title: rule for alarm, rule in RULES.items()}
     names |= {f"Service.Alarms.{alarm.label}": rule for alarm, rule in FLEET_RULES.items()}
+    names |= {alarm.label: rule for alarm, rule in AXIS_RULES.items()}
     rows = re.findall(r"^\| `([\w.]+)` \|(.+)\|$", alarm_tables(), re.MULTILINE)
     assert sorted(name for name, _ in rows) == sorted([*names, *names])
     limits = dict(rows[: len(names)])

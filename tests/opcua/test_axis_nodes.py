@@ -1,6 +1,8 @@
 """The nodes of an axis: findings as those of valves, and a new reference."""
 
+import asyncio
 import dataclasses
+from datetime import UTC, datetime
 
 import numpy as np
 from asyncua import Client, ua
@@ -11,7 +13,11 @@ from support.results import results_settings
 from support.served import PASSWORD
 from valvemap.errors import CommandRejected
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.axis_ports import AxisResults, RequiredU
+from valvemap.pipeline.axis_alarms import AxisAlarms
+from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.runtime.past import PastKeeper, pieces_of
+from valvemap.storage.history import HistoryFile
+from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus
 
@@ -23,9 +29,19 @@ EDGE = Finding(FindingCode.PA_CHANGE, 0.07, "The edge PA passes 3 % less than be
 class Operator:
     def __init__(self):
         self.calls = []
+        self.of_axis = AxisAlarms()
 
     def alarms(self, valve):
         return ()
+
+    def alarmed(self):
+        return ()
+
+    def alarms_of(self, axis):
+        return self.of_axis.reports()
+
+    def act_on_alarm(self, command):
+        self.of_axis.act(command)
 
     def set_reference(self, axis):
         if self.calls:
@@ -95,3 +111,92 @@ async def test_findings_are_shown_as_those_of_valves_and_a_reference_is_set():
     axis, *asked = operator.calls[3]
     assert axis == "Press"
     assert np.array_equal(asked, [100.0, 50.0, np.nan, np.nan, np.nan, 60.0], equal_nan=True)
+
+
+def operators():
+    users = UserStore()
+    users.add("operator", Role.OPERATOR, PASSWORD)
+    return dataclasses.replace(results_settings(none_on_loopback=True), users=users)
+
+
+async def test_alarms_are_tags_and_conditions_that_an_operator_acknowledges(tmp_path):
+    operator, changes = Operator(), []
+    async with ResultsServer(
+        operators(), [], operator, TurnedClock(T), on_alarm=changes.append
+    ) as server:
+        await server.follow_axes(["Press"], operator)
+        client = Client(server.url)
+        client.set_user("operator")
+        client.set_password(PASSWORD)
+        async with client:
+            index = await client.get_namespace_index(NAMESPACE)
+
+            def node(name):
+                return client.get_node(ua.NodeId(f"Press.Alarms.LeakageChanged.{name}", index))
+
+            def show(*findings):
+                found = results(findings)
+                operator.of_axis.judge(found, T, 0.0)
+                server.show_axis("Press", dataclasses.replace(found, alarms=operator.alarms_of("")))
+
+            show()
+            assert await node("Active").read_value() is False
+            show(LEAK)
+            assert await node("Active").read_value() is True
+            assert (await node("Text").read_value()).startswith(LEAK.sentence)
+            (child,) = [
+                one
+                for one in await client.get_node(
+                    ua.NodeId("Press.Alarms.LeakageChanged", index)
+                ).get_children()
+                if one.nodeid.Identifier.endswith("Acknowledge")
+            ]
+            alarm = client.get_node(ua.NodeId("Press.Alarms.LeakageChanged", index))
+            await alarm.call_method(child.nodeid, "seal renewed")
+            assert await node("Acked").read_value() is True
+            show()
+            assert await node("Active").read_value() is False
+        await server.follow_axes([], None)
+        await server.follow_axes(["Press"], operator)
+    kept = [(one.owner, one.report.name, one.report.active, one.report.acked) for one in changes]
+    assert kept == [
+        ("Press", "LeakageChanged", True, False),
+        ("Press", "LeakageChanged", True, True),
+        ("Press", "LeakageChanged", False, True),
+    ]
+
+
+MAP = AxisMap(
+    *((0.9, 0.01), (0.002, 0.0001), (0.1, 0.02)), 2.0, 40.0, *(np.zeros((4, 1)) for _ in range(3)),
+    known=np.zeros(4),
+)  # fmt: skip
+
+
+async def test_the_past_of_an_axis_is_read_from_the_history(tmp_path):
+    operator = Operator()
+    with HistoryFile(tmp_path / "history.sqlite") as store:
+        keeper = PastKeeper(store, [])
+        for k in range(3):
+            required = RequiredU(20.0 + k)
+            moved = dataclasses.replace(MAP, leakage=(0.002 + 0.001 * k, 0.0001))
+            found = dataclasses.replace(results(()), t=T + k, map=moved, required=required)
+            keeper.note_axis(pieces_of("Press", found, with_map=k != 1))
+        stale = dataclasses.replace(found, is_stale=True, required=RequiredU(), t=T + 3)
+        keeper.note_axis(pieces_of("Press", stale, with_map=True))
+        assert await keeper.settle()
+        async with ResultsServer(operators(), [], operator, TurnedClock(T), past=store) as server:
+            await server.follow_axes(["Press"], operator)
+            async with Client(server.url) as client:
+                index = await client.get_namespace_index(NAMESPACE)
+
+                async def past(name):
+                    node = client.get_node(ua.NodeId(f"Press.{name}", index))
+                    moment = datetime.fromtimestamp(T / 1e9, UTC).replace(tzinfo=None)
+                    return await node.read_raw_history(moment, None, 10)
+
+                leakage, answers = await asyncio.gather(past("Leakage"), past("Inverse.RequiredU"))
+                assert [one.Value.Value for one in leakage] == [0.002, 0.004, 0.004]
+                assert leakage[-1].StatusCode.name.startswith("Uncertain")
+                assert [one.Value.Value for one in answers] == [20.0, 21.0, 22.0]
+                for quantity in AXIS_QUANTITIES:
+                    assert len(await past(quantity.name)) == 3, quantity.name

@@ -40,8 +40,8 @@ MOST_LINES = 20
 
 
 async def page_text():
-    """All metrics of a page of a service with one valve and one alarm."""
-    shown = ShownService()
+    """All metrics of a page of a service with one valve, one axis and one alarm."""
+    shown = ShownService(axes=("Press",))
     shown.alarms.append(Alarm())
     page = Page(shown, lambda *_: (shown, None), PageSettings(), SystemClock())
     await page.observer.client.connect()

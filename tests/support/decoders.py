@@ -63,7 +63,8 @@ from valvemap.page.viewers import _request
 from valvemap.pipeline import kept_axes, ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import WATCH, Axis, AxisPlan
+from valvemap.pipeline.axes import ALARMS, WATCH, Axis, AxisPlan
+from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_watch import AxisWatch
 from valvemap.pipeline.dynamics_reference import DynamicsReference
 from valvemap.pipeline.edges import gathered
@@ -99,6 +100,7 @@ from valvemap.storage.history_cells import WIDTHS, cells_of
 from valvemap.storage.models import load_model, save_model
 from valvemap.storage.points import read_points
 from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.vocabulary.axis_alarms import AxisAlarm
 from valvemap.vocabulary.commands import NAMED
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 
@@ -219,6 +221,11 @@ def _of_states():
     )
     found["state: watches of axes"] = Decoder(
         partial(Axis(_AXIS).resume, WATCH), lambda: [_packed_watch()], (StateMismatchError,)
+    )
+    key, alarms = Axis(_AXIS).key, AxisAlarms()
+    alarms.note(1, {AxisAlarm.AXIS_SILENT: 9.0})
+    found["state: alarms of axes"] = Decoder(
+        partial(Axis(_AXIS).resume, ALARMS), lambda: [alarms.to_bytes(key)], (StateMismatchError,)
     )
     meters = Meters(["m", "m"], [(0.0, 100.0)] * 2)
     meters.share(gathered({0: plant(20)}), lambda valve, error: None)

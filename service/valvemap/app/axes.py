@@ -15,7 +15,7 @@ from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
-from valvemap.pipeline.ports import AllSources, KeptElsewhere
+from valvemap.pipeline.ports import AllSources, KeptElsewhere, Piece
 from valvemap.runtime.axes import AxisTap, LiveAxes
 from valvemap.runtime.led_axes import LINES
 from valvemap.runtime.sources import supervise_all
@@ -42,11 +42,12 @@ async def run_axes(
     supervision: SupervisorSettings,
     note_states: Callable[[KeptElsewhere], None],
     tap: AxisTap | None = None,
+    keep: Callable[[Sequence[Piece]], None] | None = None,
 ) -> None:
     """Identify the axes of a configuration until ``stop`` is set; without axes, show none.
 
     ``ready`` is awaited before the first samples; ``note_states`` gets the keeper of the states,
-    ``tap`` the samples.
+    ``tap`` the samples, ``keep`` rows for the history.
 
     Raises
     ------
@@ -58,7 +59,7 @@ async def run_axes(
         return
     with CheckpointFile(axes_file(config)) as store:
         sources = build_axis_sources(config, ready)
-        live = build_live_axes(config, server, sources, store, clock, tap)
+        live = build_live_axes(config, server, sources, store, clock, tap, keep)
         await server.follow_axes(live.names, live)
         live.start()
         note_states(live.keeper)
@@ -75,6 +76,7 @@ def build_live_axes(
     store: CheckpointFile,
     clock: Clock,
     tap: AxisTap | None = None,
+    keep: Callable[[Sequence[Piece]], None] | None = None,
 ) -> LiveAxes:
     """Return the axes of a configuration, before the first sample."""
     names = [axis.name for axis in config.axes for _ in range(LINES)]
@@ -100,6 +102,7 @@ def build_live_axes(
         stale_after_s=config.alignment.stale_after_s,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
         tap=tap,
+        keep=keep,
     )
 
 

@@ -199,6 +199,7 @@ async def _live(
                 supervision,
                 live.note_states_elsewhere,
                 on_axis_samples,
+                None if keeper is None else keeper.note_axis,
             ),
         )
     finally:

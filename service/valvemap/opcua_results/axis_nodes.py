@@ -16,6 +16,7 @@ from valvemap.clock import Clock
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.axis_methods import SPEEDS, add_arming, add_invert, add_set_reference
 from valvemap.opcua_results.information_model import (
+    ALARMS,
     ARMED,
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
@@ -27,10 +28,13 @@ from valvemap.opcua_results.information_model import (
     VariableNode,
     sentences_of,
 )
-from valvemap.opcua_results.result_variables import add_described
+from valvemap.opcua_results.past import ResultsPast, has_past
+from valvemap.opcua_results.result_alarms import ResultAlarms
+from valvemap.opcua_results.result_variables import ResultVariables, add_described
 from valvemap.opcua_results.valve_variables import arming_variables, finding_variables
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.ports import Answer
+from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 
@@ -48,11 +52,26 @@ class AxisNodes:
         The server that shows them.
     clock
         Time of values without a sample.
+    variables, alarms
+        Add and write the nodes of alarms, and report their changes.
+    past
+        The history of variables; None: no history.
+    keep_events
+        Gives an object a history of its events.
     """
 
-    def __init__(self, server: HardenedServer, clock: Clock) -> None:
-        self._server = server
-        self._clock = clock
+    def __init__(
+        self,
+        server: HardenedServer,
+        clock: Clock,
+        variables: ResultVariables,
+        alarms: ResultAlarms,
+        past: ResultsPast | None,
+        keep_events: Callable[[ua.NodeId], None],
+    ) -> None:
+        self._server, self._clock = server, clock
+        self._of_alarms, self._alarms = variables, alarms
+        self._past, self._keep_events = past, keep_events
         self._variables: dict[str, Variable] = {}
         self._names: tuple[str, ...] = ()
 
@@ -63,6 +82,7 @@ class AxisNodes:
         gone = [ua.NodeId(name, server.namespace_index) for name in self._names]
         if gone:
             server.remove(gone, (root,))
+            self._of_alarms.forget(self._names)
         self._variables.clear()
         self._names = tuple(axes)
         if operator is not None:
@@ -73,6 +93,9 @@ class AxisNodes:
         server = self._server
         words = f"The axis {name}: the edges of its valve, from position and pressures."
         folder = await add_object(server, root, name, description=words)
+        server.let_emit(folder)
+        self._keep_events(folder)
+        server.refer_to_conditions(folder, self._alarms.keys(name))
         for node in axis_variables(name):
             await self._add_variable(folder, node)
         for edge in EDGES:
@@ -95,6 +118,10 @@ class AxisNodes:
             await self._add_variable(parent, node, demand if node.writable else None)
         await add_invert(server, parent, name, operator)
         await add_arming(server, parent, name, operator)
+        parent = await add_object(
+            server, folder, f"{name}.{ALARMS}", description="The alarms of the axis."
+        )
+        await self._alarms.add(parent, name, self._of_alarms.add_standing)
 
     async def _add_variable(
         self,
@@ -104,6 +131,8 @@ class AxisNodes:
     ) -> None:
         variable = await add_described(self._server, parent, node, None, on_write)
         self._variables[node.id] = variable
+        if self._past is not None and has_past(node.id):
+            self._server.add_history([variable], self._past)
 
     def show(self, axis: str, results: AxisResults) -> None:
         """Write the newest results of one axis."""
@@ -113,6 +142,7 @@ class AxisNodes:
             for name, value, code in values_of(results)
             if f"{axis}.{name}" in self._variables
         )
+        self._alarms.take(axis, results.alarms, self._clock.now())
 
 
 def axis_variables(axis: str) -> tuple[VariableNode, ...]:
@@ -127,18 +157,7 @@ def axis_variables(axis: str) -> tuple[VariableNode, ...]:
             "Status", f"How the axis stands. {sentences}", ua.VariantType.Int32, statuses=AxisStatus
         ),
         of("Reason", "Status in words, with the figures behind it.", _TEXT),
-        of("BulkModulus", "Bulk modulus of oil and hoses, GPa."),
-        of("BulkModulusStd", "Standard deviation of BulkModulus, GPa."),
-        of(
-            "Leakage",
-            "Leakage between the lines A and B, in (l/min)/bar; at 40 °C, if there is T.",
-        ),
-        of("LeakageStd", "Standard deviation of Leakage, in (l/min)/bar."),
-        of("Air", "Free air in the lines at atmospheric pressure, % of their volume."),
-        of("AirStd", "Standard deviation of Air, %."),
-        of("Play", "Width of the loop of U: hysteresis of the spool, %."),
-        of("SpoolFrequency", "Natural frequency of the spool, Hz."),
-        of("Used", "Movement that the present map was learnt from, s."),
+        *(of(one.name, one.sentence) for one in AXIS_QUANTITIES),
         of("LeftOut", "Intervals that were left out, by reason, in words.", _TEXT, dimensions=(0,)),
         of("U", "Positions of the spool at which Flow of each edge is given, %.", dimensions=(0,)),
     )
@@ -197,14 +216,9 @@ def values_of(results: AxisResults) -> Iterator[tuple[str, Any, int]]:
     yield "Reason", results.sentence, int(_CODES.Good)
     left_out = [f"{reason}: {n}" for reason, n in results.left_out.items() if n]
     yield "LeftOut", left_out, int(_CODES.Good)
-    yield "Used", results.used_s, int(_CODES.Good)
+    for name, value in results.numbers.items():
+        yield name, value, int(_CODES.Good) if name == "Used" else code
     if known is not None:
-        pairs = {"BulkModulus": known.bulk_modulus, "Leakage": known.leakage, "Air": known.air}
-        for name, (value, std) in pairs.items():
-            yield name, value, code
-            yield f"{name}Std", std, code
-        yield "Play", known.play_percent, code
-        yield "SpoolFrequency", known.spool_hz, code
         yield "U", known.U.tolist(), code
         for edge, flow, std, to in zip(EDGES, known.flow, known.flow_std, known.known, strict=True):
             yield f"{edge}.Flow", flow.tolist(), code

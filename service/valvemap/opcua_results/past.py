@@ -12,6 +12,7 @@ from guarded_opcua import Cells, Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import ROOT
 from valvemap.pipeline.ports import AlarmReport, PastStore
 from valvemap.runtime.past import REQUIRED_U
+from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.edges import split_id
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
@@ -19,6 +20,7 @@ from valvemap.vocabulary.signals import PUBLISHED
 _NO_DATA: Final = np.uint32(ua.StatusCodes.BadNoData)
 _BAD: Final = 0x8000_0000
 _ESTIMATED: Final = frozenset(quantity.name for quantity in HISTORY_QUANTITIES)
+_OF_AXES: Final = frozenset(quantity.name for quantity in AXIS_QUANTITIES)
 _PARTS: Final = {
     "Signals": frozenset(PUBLISHED),
     "Inverse": frozenset({REQUIRED_U}),
@@ -30,9 +32,13 @@ def has_past(id_: str) -> bool:
 
     >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Residual", "V1.RLS.Status")]
     [True, True, False]
+    >>> [has_past(id_) for id_ in ("Press.Leakage", "Press.Reason")]
+    [True, False]
     """
     _, rest = split_id(id_)
-    part, _, name = rest.partition(".")
+    part, dot, name = rest.partition(".")
+    if not dot:
+        return part in _OF_AXES
     return name in _PARTS.get(part, _ESTIMATED)
 
 

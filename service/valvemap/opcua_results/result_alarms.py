@@ -26,6 +26,7 @@ from guarded_opcua import (
     caller,
 )
 from guarded_opcua import CommandRejected as Refused
+from valvemap.opcua_results.alarm_owners import AlarmOwners
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import ALARMS, ROOT, SERVICE, VariableNode
 from valvemap.opcua_results.result_types import ALARM, Place, type_of
@@ -37,7 +38,6 @@ from valvemap.pipeline.ports import (
     AlarmReport,
     Answer,
     Command,
-    Operator,
     Remark,
     Results,
     ValveDescription,
@@ -53,6 +53,7 @@ _KIND = {
     "Changed": ConditionKind.OFF_NORMAL,
     "Extrapolated": ConditionKind.OFF_NORMAL,
     "LaneFailed": ConditionKind.OFF_NORMAL,
+    "AxisFailed": ConditionKind.OFF_NORMAL,
     "MessagesRejected": ConditionKind.OFF_NORMAL,
     "Certificate": ConditionKind.BELOW_LIMIT,
 }
@@ -61,7 +62,10 @@ _CATEGORY = {
         ("Changed", "Residual", "SensorLost", "SensorFrozen", "LagFound"),
         ConditionClass.MAINTENANCE,
     ),
-    **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated"), ConditionClass.PROCESS),
+    **dict.fromkeys(
+        ("EdgeChanged", "LeakageChanged", "AirChanged", "AxisSilent"), ConditionClass.MAINTENANCE
+    ),
+    **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated", "AxisMisfit"), ConditionClass.PROCESS),
 }
 _COMMENT = Argument("Comment", "Action taken", type=ua.VariantType.String)
 
@@ -79,9 +83,9 @@ class ResultAlarms:
     server
         The server that shows the alarms.
     valves
-        The valves with alarms; the service has alarms, too.
-    operator
-        Holds the state of the alarms and carries out acknowledgements, confirmations and comments.
+        The valves with alarms; the service and axes have alarms, too.
+    owners
+        Hold the state of the alarms and carry out acknowledgements, confirmations and comments.
     clock
         Source time of values without a sample.
     show
@@ -98,7 +102,7 @@ class ResultAlarms:
         self,
         server: HardenedServer,
         valves: Sequence[ValveDescription],
-        operator: Operator,
+        owners: AlarmOwners,
         clock: Clock,
         show: Show,
         note: Callable[[str, str], None],
@@ -108,7 +112,7 @@ class ResultAlarms:
         self._server = server
         self._names = [valve.name for valve in valves]
         self._valves = frozenset(self._names)
-        self._operator = operator
+        self._owners = owners
         self._clock = clock
         self._show = show
         self._note = note
@@ -129,7 +133,7 @@ class ResultAlarms:
         self._valves = frozenset(shown)
         self._keep = keep
         self._versions = np.zeros(len(names), np.int64)
-        owners = {*shown, SERVICE}
+        owners = {*shown, *self._owners.axes, SERVICE}
         self._reported = {key: at for key, at in self._reported.items() if key[0] in owners}
 
     def publish(self, results: Results, now: int) -> None:
@@ -167,7 +171,7 @@ class ResultAlarms:
     async def add(self, parent: ua.NodeId, valve: str | None, add_variable: AddVariable) -> None:
         """Add the nodes of a valve's alarms, or of the service's."""
         owner = SERVICE if valve is None else valve
-        reports = self._operator.alarms(valve)
+        reports = self._owners.alarms(valve)
         now = {new.name: new for new in alarm_values(reports, self._clock.now())}
         for alarm in reports:
             prefix = f"{owner}.{ALARMS}.{alarm.name}"
@@ -212,7 +216,7 @@ class ResultAlarms:
     def keys(self, valve: str | None) -> list[ConditionKey]:
         """The conditions of a valve, or of the service."""
         owner = SERVICE if valve is None else valve
-        return [self._key(owner, report.name) for report in self._operator.alarms(valve)]
+        return [self._key(owner, report.name) for report in self._owners.alarms(valve)]
 
     def find(self, condition: ua.NodeId) -> Condition | None:
         """Return the state of a condition; None if it does not exist."""
@@ -221,11 +225,11 @@ class ResultAlarms:
 
     def retained(self) -> Iterator[Sequence[Condition]]:
         """The retained conditions, one sequence per owner."""
-        for valve in (None, *self._operator.alarmed()):
+        for valve in (None, *self._owners.alarmed()):
             owner = SERVICE if valve is None else valve
             every = (
                 _condition(self._key(owner, report.name), report)
-                for report in self._operator.alarms(valve)
+                for report in self._owners.alarms(valve)
             )
             yield [condition for condition in every if condition.retain]
 
@@ -250,12 +254,14 @@ class ResultAlarms:
     def _act(self, action: Action, valve: str | None, alarm: str, comment: str) -> Answer[None]:
         now = self._clock.now()
         remark = Remark(comment, caller(), now)
-        asked = partial(self._operator.do, Command(action.name, valve, alarm, remark=remark))
+        asked = partial(self._owners.do, Command(action.name, valve, alarm, remark=remark))
         return answered(asked, lambda _: self._acted(action.method, valve, alarm, comment, now))
 
     def _acted(self, name: str, valve: str | None, alarm: str, comment: str, now: int) -> None:
-        owner, every = SERVICE if valve is None else valve, self._operator.alarms(valve)
+        owner, every = SERVICE if valve is None else valve, self._owners.alarms(valve)
         self.take(owner, [report for report in every if report.name == alarm], now)
+        if valve in self._owners.axes:
+            return
         self._stands(owner, every)
         if valve is not None:
             self._note(valve, f"{ALARMS}.{alarm} {name} {comment[:MOST_OF_A_COMMENT]!r}")
@@ -268,15 +274,15 @@ class ResultAlarms:
             condition.NamespaceIndex != self._server.namespace_index
             or len(names) != 4
             or (names[1], names[3]) != (ALARMS, CONDITION)
-            or (names[0] != SERVICE and names[0] not in self._valves)
+            or (names[0] not in {SERVICE, *self._valves, *self._owners.axes})
         ):
             return None
         valve = None if names[0] == SERVICE else names[0]
-        known = any(report.name == names[2] for report in self._operator.alarms(valve))
+        known = any(report.name == names[2] for report in self._owners.alarms(valve))
         return (valve, names[2]) if known else None
 
     def _standing(self, valve: str | None, alarm: str) -> Condition:
-        (report,) = (r for r in self._operator.alarms(valve) if r.name == alarm)
+        (report,) = (r for r in self._owners.alarms(valve) if r.name == alarm)
         return _condition(self._key(SERVICE if valve is None else valve, alarm), report)
 
     def _key(self, owner: str, alarm: str) -> ConditionKey:

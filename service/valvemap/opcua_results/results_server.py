@@ -17,6 +17,7 @@ from guarded_opcua import (
     many_nodes,
 )
 from valvemap.model.samples import Times
+from valvemap.opcua_results.alarm_owners import AlarmOwners
 from valvemap.opcua_results.axis_nodes import AxisNodes
 from valvemap.opcua_results.commission_nodes import CommissionNodes
 from valvemap.opcua_results.companions import add_companions
@@ -116,6 +117,7 @@ class ResultsServer(Startable):
         self._server: HardenedServer | None = None
         self._variables: ResultVariables  # this and the following are set by start()
         self._alarms: ResultAlarms
+        self._alarm_owners: AlarmOwners
         self._alarms_past: AlarmsPast | None
         self._demands: ResultDemands
         self._publishing: ResultPublishing
@@ -217,6 +219,7 @@ class ResultsServer(Startable):
         before = tuple(axes) if self._axis_names is None else self._axis_names
         self._axis_names = tuple(axes)
         with many_nodes():
+            self._alarm_owners.follow_axes(axes, operator)
             await self._axes.follow(axes, operator)
         server = self._server
         if server is not None:
@@ -272,10 +275,11 @@ class ResultsServer(Startable):
         self._blocks.add(server, slots.shown, clock.now())
         variables = ResultVariables(server, slots, self._blocks, past)
         notes, health = ResultNotes(variables, clock), ResultHealth(server, clock)
+        self._alarm_owners = AlarmOwners(operator)
         alarms = ResultAlarms(
             server,
             slots.shown,
-            operator,
+            self._alarm_owners,
             clock,
             variables.show,
             notes.acted,
@@ -315,7 +319,9 @@ class ResultsServer(Startable):
             server, companions, variables, alarms, health, self._on_reload
         )
         self._variables, self._alarms, self._demands = variables, alarms, demands
-        self._axes = AxisNodes(server, clock)
+        self._axes = AxisNodes(
+            server, clock, variables, alarms, past, partial(self._keep_events, server)
+        )
         self.commissions = CommissionNodes(server, clock)
         return parts
 

@@ -11,6 +11,7 @@ from valvemap.page.layout import Valve
 from valvemap.page.ports import Client
 from valvemap.page.reading import read_all
 from valvemap.readings import Reading
+from valvemap.vocabulary.series import AXES
 
 Key = TypeVar("Key")
 
@@ -50,6 +51,8 @@ class Figures:
     ----------
     valves
         By valve name and name of a variable of its Diagnostics.
+    axes
+        By name of an axis and of a quantity.
     service
         By name of a variable of Service.
     server
@@ -59,6 +62,7 @@ class Figures:
     client: Client
     clock: Clock
     valves: dict[tuple[str, str], float] = field(default_factory=dict)
+    axes: dict[tuple[str, str], float] = field(default_factory=dict)
     service: dict[str, float] = field(default_factory=dict)
     server: dict[str, float] = field(default_factory=dict)
     _names: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -66,10 +70,10 @@ class Figures:
 
     def forget(self) -> None:
         """Drop all values and cached names, after a reconnect."""
-        self.valves, self.service, self.server, self._names = {}, {}, {}, {}
+        self.valves, self.axes, self.service, self.server, self._names = {}, {}, {}, {}, {}
         self._due = 0.0
 
-    async def look(self, valves: Sequence[Valve]) -> None:
+    async def look(self, valves: Sequence[Valve], axes: Sequence[str] = ()) -> None:
         """Read all figures if they are due; keep the old ones if the service does not answer."""
         now = self.clock.monotonic()
         if now < self._due:
@@ -81,11 +85,15 @@ class Figures:
             ]
             ids = [f"{valve}.{_DIAGNOSTICS}.{name}" for valve, name in of_valves]
             readings = await read_all(self.client, ids)
+            of_axes = [(axis, name) for axis in axes for name in AXES]
+            ids = [f"{axis}.{name}" for axis, name in of_axes]
+            of_parts = await read_all(self.client, ids)
             of_service = await read_all(self.client, [f"Service.{name}" for name in SERVICE])
             of_server = await read_all(self.client, list(SUMMARY.values()))
         except ValvemapError:
             return  # the observer reports the reason
         self.valves = _numbers(of_valves, readings)
+        self.axes = _numbers(of_axes, of_parts)
         self.service = _numbers(SERVICE, of_service)
         self.server = _numbers(list(SUMMARY), of_server)
 

@@ -44,6 +44,7 @@ class Metrics:
         yield build_point()
         if up:
             yield from self._of_valves()
+            yield from self._of_axes()
             yield from self._of_alarms()
             yield from self._of_service()
         yield Point(series.PAGE_VIEWERS, float(len(self._viewers)))
@@ -82,6 +83,10 @@ class Metrics:
                 yield Point(series.LAG, value, (name_, what.removeprefix("Lag")))
             else:
                 yield Point(series.DIAGNOSTICS, value, (name_, what))
+
+    def _of_axes(self) -> Iterator[Point]:
+        for (axis, name), value in self._observer.figures.axes.items():
+            yield Point(series.AXES[name], value, (axis,))
 
     def _of_alarms(self) -> Iterator[Point]:
         """Yield the alarms that are active or wait for an operator; the others have no series."""

@@ -11,7 +11,16 @@ from valvemap.page.close_up import TICK_S, CloseUp
 from valvemap.page.drawn_maps import DrawnMaps
 from valvemap.page.figures import Figures
 from valvemap.page.judgement import Severity
-from valvemap.page.layout import NO_ESTIMATORS, ROOT, VERSION, Part, Valve, axis_of, part_of
+from valvemap.page.layout import (
+    NO_ESTIMATORS,
+    ROOT,
+    VERSION,
+    Part,
+    PartKind,
+    Valve,
+    axis_of,
+    part_of,
+)
 from valvemap.page.machine_parts import MachineParts
 from valvemap.page.ports import Client, Wanted
 from valvemap.page.reading import read_all
@@ -113,7 +122,8 @@ class Observer:
     async def look_at_figures(self) -> None:
         """Read the figures of `/metrics`, if connected."""
         if self.link is Link.UP:
-            await self.figures.look(self.valves)
+            axes = [part.name for part in self.parts if part.kind is PartKind.AXIS]
+            await self.figures.look(self.valves, axes)
 
     async def _listen(self) -> None:
         """Subscribe to alarms; without them the page shows everything else."""

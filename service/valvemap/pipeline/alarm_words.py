@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
 
+from valvemap.vocabulary.axis_alarms import AxisAlarm
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.signals import MEASURED
 
@@ -175,6 +176,19 @@ def _rejected(m: Measured) -> str:
     return f"{count} rejected ({m.reason or 'the reason is unknown'})"
 
 
+def _found(m: Measured) -> str:
+    """The reason is the finding's sentence."""
+    return f"{m.reason or 'The axis has changed.'} Found with a probability of up to {m.value:.2f}"
+
+
+def _silent(m: Measured) -> str:
+    return f"No sample of the axis for {_duration(m.value)} (limit {m.limit:g} s)"
+
+
+def _axis_failed(m: Measured) -> str:
+    return f"The axis stopped at an unexpected error ({m.reason or 'unknown'})"
+
+
 ALARM_DESCRIPTIONS = {
     "Changed": "The flow at the same U and pressure drop changed abruptly; the alarm stays active "
     "until it is acknowledged.",
@@ -189,6 +203,7 @@ ALARM_DESCRIPTIONS = {
     "LagFound": "A signal lags behind the others.",
     "LaneFailed": "An estimator stopped at an unexpected error.",
     **{alarm.label: alarm.sentence for alarm in ServiceAlarm},
+    **{alarm.label: alarm.sentence for alarm in AxisAlarm},
 }
 _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
     "Changed": (_changed, (Cause.EDGE.words, Cause.METER.words, Cause.SIGNAL.words)),
@@ -237,4 +252,16 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
             "damage to the state topic",
         ),
     ),
+    "EdgeChanged": (
+        _found,
+        ("a damaged or worn edge", "dirt in the valve", "pressure sensors at its ports"),
+    ),
+    "LeakageChanged": (_found, ("the piston's seal", "a valve between the lines", "warmer oil")),
+    "AirChanged": (_found, ("air drawn in by the pump", "a line that was opened", "other hoses")),
+    "AxisMisfit": (
+        _found,
+        ("the sensors of position and pressures", "play or friction of the spool"),
+    ),
+    "AxisSilent": (_silent, ("a sensor or its cable", "the source or the network")),
+    "AxisFailed": (_axis_failed, ()),
 }

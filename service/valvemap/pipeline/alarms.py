@@ -30,13 +30,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
 from valvemap.pipeline.kernels.alarms import Senses, Watched
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, CopyBuffer, Restore, saved
 from valvemap.pipeline.ports import AlarmReport, Remark
+from valvemap.pipeline.quantity_alarms import KeptAlarms, QuantityAlarms, check_layout, limits_of
 from valvemap.vocabulary.service_alarms import OF_FLEET, OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.signals import COUNT
 from valvemap.vocabulary.statuses import Adaptation
@@ -96,25 +96,7 @@ FLEET_RULES = {alarm: _RULES_OF_SERVICE[alarm] for alarm in OF_FLEET}
 
 
 @dataclass(frozen=True)
-class _KeptOfService(State):
-    """The service's alarms as stored in a checkpoint."""
-
-    over: Any
-    since: Any
-    at: Any
-    active: Any
-    acked: Any
-    value: Any
-    detail: Any
-    causes: Any
-    came: Any
-    version: Any
-    confirmed: Any
-    remarks: Any
-
-
-@dataclass(frozen=True)
-class _Kept(_KeptOfService):
+class _Kept(KeptAlarms):
     """One valve's alarms as stored in a checkpoint, with the statistics that judge them."""
 
     last: Any
@@ -158,7 +140,7 @@ class Alarms:
 
     def __init__(self, M: int, rules: Mapping[Alarm, AlarmRule], Q_span: float) -> None:
         by_number = [rules[alarm] for alarm in Alarm]
-        self._limits = _limits(by_number)
+        self._limits = limits_of(by_number)
         self._Q_span = Q_span
         self.states = AlarmStates(M, ALARM_NAMES, by_number)
         self._conditions = self.states.conditions
@@ -363,7 +345,7 @@ class Alarms:
         """
         kept = _Kept.from_bytes(data, _KEY)
         arrays = self._arrays()
-        _check_layout(kept, arrays)
+        check_layout(kept, arrays)
         self.states.remarks_from_bytes(m, kept.remarks)
         for name, array in arrays.items():
             array[m] = getattr(kept, name)
@@ -387,8 +369,8 @@ class Alarms:
         return came
 
 
-class ServiceAlarms:
-    """The alarms of the service itself.
+class ServiceAlarms(QuantityAlarms[ServiceAlarm]):
+    """The alarms of the service itself; the quantity of Certificate is the days left, negated.
 
     Parameters
     ----------
@@ -404,86 +386,11 @@ class ServiceAlarms:
     """
 
     def __init__(self, rules: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES) -> None:
-        self._numbers = {alarm: number for number, alarm in enumerate(rules)}
-        self._names = [alarm.label for alarm in rules]
-        self._limits = _limits([*rules.values()])
-        falls = self._limits[self._numbers[ServiceAlarm.CERTIFICATE]]
-        hysteresis = falls[0] - falls[1]
-        falls[0], falls[1] = -falls[0], -falls[0] - hysteresis  # active below the limit
-        self._states = AlarmStates(1, self._names, [*rules.values()])
-        self._conditions = self._states.conditions
-        self._reasons = [""] * len(rules)
-        self._key = f"alarms 2: {' '.join(self._names)}"
-
-    @property
-    def version(self) -> int:
-        """Number of changes."""
-        return int(self._conditions.version[0])
-
-    def note(self, now: int, values: Mapping[ServiceAlarm, float]) -> None:
-        """Update with the quantity of each alarm; NaN is unknown and changes nothing.
-
-        The quantity of Certificate is the number of days left, negated.
-        """
-        for alarm, x in values.items():
-            t, one, value = np.array([now]), np.zeros(1, np.int64), np.array([x], np.float64)
-            limits, conditions, came = self._limits, self._conditions, np.empty(1, np.bool_)
-            kernel.move_on(one, t, t, value, self._numbers[alarm], limits, conditions, came)
-
-    def give_reason(self, alarm: ServiceAlarm, reason: str) -> None:
-        """Set the reason that the text of an alarm names."""
-        self._reasons[self._numbers[alarm]] = reason
-
-    def acknowledge(self, name: str, remark: Remark) -> bool:
-        """Acknowledge an alarm, by its name; False if there was nothing to acknowledge."""
-        return self._states.acknowledge(0, self._names.index(name), remark)
-
-    def confirm(self, name: str, remark: Remark) -> bool:
-        """Confirm an alarm; False if there was nothing to confirm."""
-        return self._states.confirm(0, self._names.index(name), remark)
-
-    def remark(self, name: str, remark: Remark) -> None:
-        """Store an operator's comment on an alarm."""
-        self._states.remark(0, self._names.index(name), remark)
-
-    def reports(self) -> tuple[AlarmReport, ...]:
-        """Return the state of every alarm, in words."""
-        return self._states.reports(0, self._reasons)
-
-    def to_bytes(self) -> bytes:
-        """Pack the service's alarms."""
-        kept = {name: array[0] for name, array in self._states.arrays().items()}
-        remarks = self._states.remarks_to_bytes(0)
-        return _KeptOfService(**kept, remarks=remarks).to_bytes(self._key)
-
-    def from_bytes(self, data: bytes) -> None:
-        """Unpack the service's alarms.
-
-        Raises
-        ------
-        StateMismatchError
-        """
-        kept = _KeptOfService.from_bytes(data, self._key)
-        _check_layout(kept, self._states.arrays())
-        self._states.remarks_from_bytes(0, kept.remarks)
-        for name, array in self._states.arrays().items():
-            array[0] = getattr(kept, name)
+        super().__init__(rules, falls=(ServiceAlarm.CERTIFICATE,))
 
 
 _LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
 _KEY = f"alarms 2: {' '.join(ALARM_NAMES)}"
-
-
-def _check_layout(kept: State, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Raise if a stored array has another shape or type than a row of the present one."""
-    for name, array in arrays.items():
-        new = getattr(kept, name)
-        if new.shape != array[0].shape or new.dtype != array.dtype:
-            raise StateMismatchError(f"alarms are kept in another way today: {name}")
-
-
-def _limits(rules: list[AlarmRule]) -> Floats:
-    return np.array([(r.limit, r.limit - r.hysteresis, 1e9 * r.delay_s) for r in rules])
 
 
 def _nothing_seen(M: int) -> Senses:

@@ -24,6 +24,7 @@ from valvemap.model.axis_travel import Travel
 from valvemap.model.estimator import key_of
 from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
 from valvemap.model.samples import Floats, Samples, Times
+from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
 from valvemap.pipeline.axis_watch import AxisWatch
 from valvemap.pipeline.axis_window import AxisWindow
@@ -33,7 +34,7 @@ from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.pipeline.kept_watches import pack_watch, unpack_watch
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality, Status
 
-LEARNT, WATCH = "Axis", "AxisWatch"  # names of what is stored
+LEARNT, WATCH, ALARMS = "Axis", "AxisWatch", "AxisAlarms"  # names of what is stored
 WINDOW_S: Final = 200.0  # s of movement; length of a search: more does not move play and spool
 MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
 SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of movement until the first searches
@@ -117,6 +118,7 @@ class Axis:
         self._of_shape: Floats = np.zeros((SIZE, SIZE))
         self._known: _Known | None = None
         self._watch: AxisWatch | None = None
+        self.alarms = AxisAlarms()
         self.newest_U = np.nan  # of the newest sample, %
         self._newest: tuple[float, ...] = (np.nan,) * 6  # x, T, pA, pB, pS, pT
         self.t = 0  # of the newest sample, UTC ns
@@ -332,8 +334,8 @@ class Axis:
         return key_of(replace(self.plan, feed_forward=None, is_frozen=False))
 
     def to_bytes(self) -> dict[str, bytes]:
-        """Return the learnt state, and the reference of findings, each once there is one."""
-        found = {}
+        """Return alarms, the learnt state, and the reference of findings, once there is one."""
+        found = {ALARMS: self.alarms.to_bytes(self.key)} if self.alarms.version else {}
         if (learnt := self.learnt) is not None:
             found[LEARNT] = pack(learnt, self.key)
         if self._watch is not None:
@@ -366,6 +368,9 @@ class Axis:
             changes_per_s=CHANGES_PER_S,
             has_place=not self.plan.has_speed,
         )
+        if name == ALARMS:
+            self.alarms.from_bytes(packed, self.key)
+            return
         if name == WATCH:
             self._watch = unpack_watch(packed, self.key, regression)
             return

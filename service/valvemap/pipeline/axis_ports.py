@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from valvemap.model.samples import Floats
+from valvemap.pipeline.ports import AlarmReport, Command
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
 
@@ -56,7 +57,7 @@ class AxisResults:
 
     ``left_out`` has the number of intervals by reason; ``used_s`` is the movement learnt from, s.
     ``findings`` are the changes since the reference, None: there is no reference yet. ``is_stale``:
-    no sample has come for long.
+    no sample has come for long. ``alarms`` are all alarms of the axis.
     """
 
     status: AxisStatus
@@ -70,6 +71,22 @@ class AxisResults:
     is_armed: bool = False
     feed_forward: FeedForwardStatus = FeedForwardStatus.NOT_CONFIGURED
     is_stale: bool = False
+    alarms: tuple[AlarmReport, ...] = ()
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The values of `AXIS_QUANTITIES`; without a map, of Used alone."""
+        numbers = {"Used": self.used_s}
+        if self.map is None:
+            return numbers
+        pairs = {
+            "BulkModulus": self.map.bulk_modulus,
+            "Leakage": self.map.leakage,
+            "Air": self.map.air,
+        }
+        for name, (value, std) in pairs.items():
+            numbers |= {name: value, f"{name}Std": std}
+        return numbers | {"Play": self.map.play_percent, "SpoolFrequency": self.map.spool_hz}
 
 
 class AxisOperator(Protocol):
@@ -90,6 +107,18 @@ class AxisOperator(Protocol):
         """Return the signal for a speed at these pressures (bar) and T (°C).
 
         NaN takes that of the newest sample.
+        """
+
+    def alarms_of(self, axis: str) -> tuple[AlarmReport, ...]:
+        """Return the state of all alarms of an axis."""
+
+    def act_on_alarm(self, command: Command) -> None:
+        """Acknowledge, confirm or comment an alarm of the axis that the command names as valve.
+
+        Raises
+        ------
+        CommandRejected
+            if there is nothing to acknowledge or confirm.
         """
 
 

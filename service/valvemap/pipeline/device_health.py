@@ -3,10 +3,12 @@
 The values are those of Devices' DeviceHealthEnumeration (OPC 10000-100, 4.5.4).
 
 ==========================  ====================================================================
-FAILURE                     unusable output: SensorLost, SensorFrozen, LaneFailed
+FAILURE                     unusable output: SensorLost, SensorFrozen, LaneFailed; of an axis:
+                            AxisSilent, AxisFailed
 OFF_SPEC                    deviation from the map, or extrapolation: Residual, Misfit,
-                            Extrapolated; of the service: Load
-MAINTENANCE_REQUIRED        works, but needs inspection: Changed, LagFound, SamplesLost;
+                            Extrapolated; of an axis: AxisMisfit; of the service: Load
+MAINTENANCE_REQUIRED        works, but needs inspection: Changed, LagFound, SamplesLost; of an
+                            axis: EdgeChanged, LeakageChanged, AirChanged;
                             of the service: Checkpoint, Certificate, History, MessagesRejected
 NORMAL                      none of these; Unexcited only means that a machine is at rest
 CHECK_FUNCTION              never: the service is not informed of work on a device
@@ -34,6 +36,12 @@ HEALTH_OF = {
     "Certificate": DeviceHealth.MAINTENANCE_REQUIRED,
     "Load": DeviceHealth.OFF_SPEC,
     "History": DeviceHealth.MAINTENANCE_REQUIRED,
+    "EdgeChanged": DeviceHealth.MAINTENANCE_REQUIRED,
+    "LeakageChanged": DeviceHealth.MAINTENANCE_REQUIRED,
+    "AirChanged": DeviceHealth.MAINTENANCE_REQUIRED,
+    "AxisMisfit": DeviceHealth.OFF_SPEC,
+    "AxisSilent": DeviceHealth.FAILURE,
+    "AxisFailed": DeviceHealth.FAILURE,
     "MessagesRejected": DeviceHealth.MAINTENANCE_REQUIRED,
 }
 _WORST_FIRST = (

@@ -15,15 +15,16 @@ from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import LEARNT, WATCH, Axis, AxisPlan, Job
+from valvemap.pipeline.axes import ALARMS, LEARNT, WATCH, Axis, AxisPlan, Job
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import AllSources, CheckpointStore
+from valvemap.pipeline.ports import AlarmReport, AllSources, CheckpointStore, Command, Piece
 from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.led_axes import LINES, LedAxes
+from valvemap.runtime.past import pieces_of
 from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.vocabulary.statuses import AxisStatus
 
@@ -54,6 +55,8 @@ class LiveAxes:
         Keeps the states.
     tap
         Called with each axis' samples when they are complete, before its answers are written.
+    keep
+        Called with rows for the history; None: there is none.
     reorder_s, stale_after_s, checkpoint_interval_s
         Longest wait in the reorder buffer; without a sample for this long, results are stale;
         interval at which the states are saved.
@@ -72,6 +75,7 @@ class LiveAxes:
         stale_after_s: float,
         checkpoint_interval_s: float,
         tap: AxisTap | None = None,
+        keep: Callable[[Sequence[Piece]], None] | None = None,
     ) -> None:
         now = clock.monotonic()
         self.axes = [
@@ -84,8 +88,10 @@ class LiveAxes:
         self._held = ReorderWait(LINES * len(plans), reorder_s, now)
         self._connected = np.zeros(LINES * len(plans), np.bool_)
         self._heard_at = np.full(len(plans), -np.inf)
+        self._began_at = np.nan  # when the first connection was made, or failed
         self._shown_at = np.full(len(plans), -np.inf)
         self._failed: dict[int, str] = {}
+        self._keep, self._kept = keep, [(0, False)] * len(plans)
         self._source = source
         self.led = LedAxes(self.axes, self._age_s, self._show, self._fail)
         self._writer = FeedForwardWriter(self.led, LINES * len(plans), source, clock)
@@ -101,7 +107,7 @@ class LiveAxes:
     def start(self) -> None:
         """Resume from the stored states, and show every axis."""
         for name, state, packed in self.keeper.stored():
-            if name in self._numbers and state in (LEARNT, WATCH):
+            if name in self._numbers and state in (LEARNT, WATCH, ALARMS):
                 try:
                     self.axes[self._numbers[name]].resume(state, packed)
                 except StateMismatchError as error:
@@ -112,6 +118,7 @@ class LiveAxes:
     async def connected(self, source_started: int, valves: Times | None = None) -> None:
         """Note the connection; if the source was restarted, count its samples anew."""
         rows = self._rows(valves)
+        self._begin()
         before = self._started[rows]
         self._started[rows] = source_started
         if source_started and ((before != 0) & (before != source_started)).any():
@@ -145,6 +152,7 @@ class LiveAxes:
     ) -> None:
         """Mark the rows' source as disconnected."""
         rows = self._rows(valves)
+        self._begin()
         self._connected[rows] = False
         await self._writer.write(rows)
 
@@ -181,10 +189,24 @@ class LiveAxes:
         """Return the signal for a speed at these pressures and T; NaN: those of the newest."""
         return self.axes[self._number(axis)].invert(v, pA, pB, pS, pT, T)
 
+    def alarms_of(self, axis: str) -> tuple[AlarmReport, ...]:
+        """Return the state of all alarms of an axis."""
+        return self.axes[self._number(axis)].alarms.reports()
+
+    def act_on_alarm(self, command: Command) -> None:
+        """Acknowledge, confirm or comment an alarm of the axis that the command names as valve."""
+        number = self._number(command.valve or "")
+        self.axes[number].alarms.act(command)
+        self._show(number)
+
     def _number(self, axis: str) -> int:
         if axis not in self._numbers:
             raise CommandRejected(f"{axis}: there is no such axis any more")
         return self._numbers[axis]
+
+    def _begin(self) -> None:
+        if np.isnan(self._began_at):
+            self._began_at = self._clock.monotonic()
 
     def _rows(self, valves: Times | None) -> Times:
         return np.arange(len(self._connected)) if valves is None else valves
@@ -247,7 +269,13 @@ class LiveAxes:
     def _show(self, number: int) -> None:
         now, axis = self._clock.monotonic(), self.axes[number]
         self._shown_at[number] = now
-        self._sink.show_axis(axis.plan.name, self._results(number, now))
+        results = self._results(number, now)
+        self._sink.show_axis(axis.plan.name, results)
+        if self._keep is not None and results.t:
+            stands = id(results.map), results.is_stale
+            is_news, self._kept[number] = stands != self._kept[number], stands
+            with_map = is_news and results.map is not None
+            self._keep(pieces_of(axis.plan.name, results, with_map=with_map))
 
     def _results(self, number: int, now: float) -> AxisResults:
         is_armed, status = self.led.shown(number)
@@ -257,4 +285,8 @@ class LiveAxes:
             found = replace(found, status=AxisStatus.FAILED, sentence=sentence, is_stale=True)
         elif now - self._heard_at[number] > self._stale_after_s:
             found = replace(found, is_stale=True)
+        alarms = self.axes[number].alarms
+        silent_s = now - max(self._began_at, float(self._heard_at[number]))
+        alarms.judge(found, self._clock.now(), silent_s)
+        found = replace(found, alarms=alarms.reports())
         return found if not found.is_stale else replace(found, required=RequiredU())

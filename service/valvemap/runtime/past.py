@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from valvemap.errors import StorageError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.axis_ports import AxisResults
 from valvemap.pipeline.ports import AlarmChange, PastCounters, PastStore, Piece, Results
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
@@ -77,6 +78,7 @@ class PastKeeper:
         self._samples: list[ByValve] = []
         self._results: list[_Noted] = []
         self._changes: list[AlarmChange] = []
+        self._of_axes: list[Piece] = []
         self._rows = 0
         self._due = self._forget_due = 0.0
         self._keeping: asyncio.Task[None] | None = None
@@ -89,7 +91,8 @@ class PastKeeper:
     def take_failed(self) -> list[tuple[int, Exception]]:
         """Return the valves whose rows raised an error in saving since the last call."""
         failed, self._failed = self._failed, {}
-        return [(self._valves.index(name), error) for name, error in failed.items()]
+        known = [(name, error) for name, error in failed.items() if name in self._valves]
+        return [(self._valves.index(name), error) for name, error in known]
 
     def take(self, samples: ByValve) -> None:
         """Buffer samples."""
@@ -101,6 +104,11 @@ class PastKeeper:
         noted = list(_noted(results))
         if self._has_room(sum(len(one.valves) for one in noted)):
             self._results += noted
+
+    def note_axis(self, pieces: Sequence[Piece]) -> None:
+        """Buffer rows of an axis."""
+        if self._has_room(sum(len(piece.t) for piece in pieces)):
+            self._of_axes += pieces
 
     def note_alarm(self, change: AlarmChange) -> None:
         """Buffer a change of an alarm."""
@@ -139,6 +147,7 @@ class PastKeeper:
             log.error("history rows lost at the end", rows=self._rows)
             self.lost += self._rows
             self._samples, self._results, self._changes, self._rows = [], [], [], 0
+            self._of_axes = []
 
     @property
     def counters(self) -> PastCounters:
@@ -154,17 +163,19 @@ class PastKeeper:
 
     async def _keep(self, *, forget: bool = False) -> None:
         samples, results, rows = self._samples, self._results, self._rows
-        changes = self._changes
-        self._samples, self._results, self._changes = [], [], []
+        changes, of_axes = self._changes, self._of_axes
+        self._samples, self._results, self._changes, self._of_axes = [], [], [], []
 
         failed: dict[str, Exception] = {}
 
         def pieces() -> Iterator[Piece]:
             of_samples = _of_samples(self._valves, samples, failed)
-            return chain(of_samples, _of_results(self._valves, results, failed))
+            return chain(of_samples, _of_results(self._valves, results, failed), joined(of_axes))
 
         def keep() -> None:
-            if samples or results:  # piece by piece: all at once would be tens of megabytes
+            if (
+                samples or results or of_axes
+            ):  # piece by piece: all at once would be tens of megabytes
                 self._save(pieces, failed)
             if changes:
                 self._store.note(changes)
@@ -180,7 +191,7 @@ class PastKeeper:
             if math.isnan(self._failing_since):
                 self._failing_since = self._now
             self._samples, self._results = samples + self._samples, results + self._results
-            self._changes = changes + self._changes
+            self._changes, self._of_axes = changes + self._changes, of_axes + self._of_axes
             log.warning(
                 "history not kept, its rows wait", reason=str(error), rows=self._rows, of=MOST_ROWS
             )
@@ -203,6 +214,32 @@ class PastKeeper:
                 except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
                     failed[piece.series.rpartition(".")[0]] = error
                     self.lost += len(piece.t)
+
+
+def pieces_of(axis: str, results: AxisResults, *, with_map: bool) -> list[Piece]:
+    """Return the rows of an axis: its answer to a demand, and ``with_map`` its quantities."""
+    quality = Quality.UNCERTAIN if results.is_stale else Quality.GOOD
+    t, pieces = np.array([results.t]), list[Piece]()
+    if with_map:
+        columns = {name: np.array([value]) for name, value in results.numbers.items()}
+        pieces.append(Piece(axis, t, _CODES[[quality]], columns))
+    if np.isfinite(results.required.U):
+        answer = {REQUIRED_U: np.array([results.required.U])}
+        pieces.append(Piece(results_of(axis, _INVERSE), t, _CODES[[Quality.GOOD]], answer))
+    return pieces
+
+
+def joined(pieces: Sequence[Piece]) -> Iterator[Piece]:
+    """Yield one piece for each series, of pieces with the same columns."""
+    by_series: dict[str, list[Piece]] = {}
+    for piece in pieces:
+        by_series.setdefault(piece.series, []).append(piece)
+    for series, own in by_series.items():
+        columns = {
+            name: np.concatenate([one.columns[name] for one in own]) for name in own[0].columns
+        }
+        codes = np.concatenate([one.codes for one in own])
+        yield Piece(series, np.concatenate([one.t for one in own]), codes, columns)
 
 
 def _of_samples(

@@ -114,6 +114,41 @@ GUIDES: Final[Mapping[str, Guide]] = {
         "Free space on the disk, or restore the rights to the history's file. Rows are lost when "
         "the buffer is full (Service.History.Lost). Estimation is not affected.",
     ),
+    "EdgeChanged": Guide(
+        "probability that an edge has changed, of the likeliest one",
+        "",
+        "See Diagnostics.Findings for the edge and the size. Check the pressure sensors at its "
+        "ports, then the valve. After a repair, call Diagnostics.SetReference.",
+    ),
+    "LeakageChanged": Guide(
+        "probability that the leakage between the lines has changed",
+        "",
+        "Check the piston's seal and what connects both lines. After a repair, call "
+        "Diagnostics.SetReference.",
+    ),
+    "AirChanged": Guide(
+        "probability that air or stiffness of the oil have changed",
+        "",
+        "Vent the lines; check the oil's level and the suction line. Then call "
+        "Diagnostics.SetReference.",
+    ),
+    "AxisMisfit": Guide(
+        "probability that something else has changed",
+        "",
+        "Check the sensors of position and pressures, their time stamps, play and friction of the "
+        "spool. Then call Diagnostics.SetReference.",
+    ),
+    "AxisSilent": Guide(
+        "time without a sample of the axis",
+        "s",
+        "See Service.Source.States for the connection; restore the sensor, its cable or the "
+        "source. It ends with the next sample.",
+    ),
+    "AxisFailed": Guide(
+        "1 once the axis has stopped, else 0",
+        "",
+        "Report the error in Text and the log's traceback, then restart the service.",
+    ),
     "MessagesRejected": Guide(
         "messages and states of a fleet that were rejected since the last serve.rejected_quiet_s "
         "without any",

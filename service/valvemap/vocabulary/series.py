@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.quantities import FRAME_QUANTITIES, Kind
 
 
@@ -111,6 +112,13 @@ QUANTITIES: Final[Mapping[str, Series]] = {
     if quantity.series is not None
 }
 """By name of the quantity."""
+
+AXES: Final[Mapping[str, Series]] = {
+    quantity.name: Series(quantity.series, quantity.sentence, ("axis",))
+    for quantity in AXIS_QUANTITIES
+    if quantity.series is not None
+}
+"""By name of the quantity of an axis."""
 
 SOURCE: Final = _count(
     "valvemap_source", "Notifications and losses of the source since the start.", "what"
@@ -246,6 +254,7 @@ OF_PAGE: Final[Sequence[Series]] = (
     BUILD,
     SERVICE_UP,
     *OF_VALVES,
+    *AXES.values(),
     VALVE_SEVERITY,
     FIRST_RMSE,
     SAMPLES,
