@@ -3,13 +3,15 @@
 While ``Heartbeat`` is 0, ``UCommand`` and ``LoadCommand`` are applied as written (manual
 operation). After the first heartbeat, the client must keep changing it. If it does not change for
 `STANDSTILL_S`, or returns to 0, the commands are dropped and the rig's own apply. After a time-out,
-the client resumes by changing the heartbeat or writing 0.
+the client resumes by changing the heartbeat or writing 0. A machine's command is added to that of
+its controller: once dropped, it returns to 0 within a slew.
 """
 
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
 STANDSTILL_S: Final = 0.45  # s; with the time until it is noticed, U is safe within .5 s
+RETURN_PERCENT_PER_S: Final = 2_000.0  # %/s; from 100 % to 0 within the remaining .05 s
 
 
 @dataclass(frozen=True)
@@ -66,3 +68,19 @@ class Command:
         if not still or self.dropped:
             return self
         return replace(self, U=None, load=None, dropped=True)
+
+
+def lead_of(command: Command, before: float, passed_s: float) -> float:
+    """Return what is added to the command of a machine's controller, %.
+
+    ``before`` is the lead of so many seconds ago.
+
+    Examples
+    --------
+    >>> lead_of(Command(U=40.0), 10.0, 0.01), lead_of(Command(dropped=True), 50.0, 0.01)
+    (40.0, 30.0)
+    """
+    if (U := command.in_force) is not None:
+        return U
+    step = RETURN_PERCENT_PER_S * passed_s
+    return before - min(max(before, -step), step)

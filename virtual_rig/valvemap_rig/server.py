@@ -15,7 +15,7 @@ from guarded_opcua import (
     Startable,
     SystemClock,
 )
-from valvemap_rig.command import Command
+from valvemap_rig.command import Command, lead_of
 from valvemap_rig.condition import Condition, condition
 from valvemap_rig.excitation import External
 from valvemap_rig.fault_words import fault_effect
@@ -86,6 +86,8 @@ class RigServer(Startable):
         self._late_ticks = 0
         self._report_due = 0.0
         self._commands = {unit.name: Command() for unit in scenario.units}
+        self._leads: dict[str, float] = {}  # of machines, %
+        self._led_at = 0.0
         self._units = {unit.name: unit for unit in scenario.units}
         self._faults: list[tuple[str, Fault]] = []
         self._changed = asyncio.Event()
@@ -315,8 +317,14 @@ class RigServer(Startable):
                 _log.warning("%s: heartbeat stands still, U is the rig's own again", valve)
             self._commands[valve] = command
         given = {valve: command.in_force for valve, command in self._commands.items()}
-        idle = {**dict.fromkeys(given, own), **{m.name: 0.0 for m in scenario.machines}}
-        return {name: idle[name] if U is None else U for name, U in given.items()}
+        passed_s, self._led_at = now - self._led_at, now
+        self._leads = {
+            machine.name: lead_of(
+                self._commands[machine.name], self._leads.get(machine.name, 0.0), passed_s
+            )
+            for machine in scenario.machines
+        }
+        return {name: own if U is None else U for name, U in given.items()} | self._leads
 
     def _loads_in_force(self) -> dict[str, float]:
         given = {valve: self._commands[valve].load_in_force for valve in self._state.valves}
