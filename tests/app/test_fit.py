@@ -183,6 +183,18 @@ def test_a_wrong_question_is_named_with_what_is_allowed(model, asked, sentence):
         asked(model)
 
 
+def test_a_valve_that_works_both_ways_needs_its_range():
+    table = rows()
+    both = table | {
+        "U": 2 * table["U"] - 100,
+        "Q": 2 * table["Q"] - 10 * np.sqrt(200 - table["p2"]),
+    }
+    with pytest.raises(RecordingError, match=r"U is beyond the range of .*U_range=\(-100, 100\)"):
+        valvemap.fit(both, estimator="Auto")
+    model = valvemap.fit(both, U_range=(-100, 100))
+    assert model.predict([-50, 50], 100) == pytest.approx([-50, 50], abs=2.0)
+
+
 def test_answers_have_the_shape_of_the_question(model):
     U, dp = np.meshgrid([20.0, 50.0, 80.0], [50.0, 100.0])
     Q = model.predict(U, dp)
@@ -261,6 +273,8 @@ def test_a_mistake_is_named_with_what_is_allowed(name):
         ({"columns": {"U": "signal"}}, r"column 'signal' .* is missing; found 't,U,p1"),
         ({"valve": "V7"}, r"valve V7 is not there; allowed is Valvistor"),
         ({"estimator": "auto"}, r"estimator 'auto' is not there; allowed is RLS, RML, RBF, Auto"),
+        ({"U_range": (100, 0)}, r"U_range is \(100, 0\); a low and a high end in % are allowed"),
+        ({"config": Config(), "U_range": (-100, 100)}, r"U_range is its valves.U_range_percent"),
         ({"config": Config(), "units": {"p1": "psi"}}, r"with a config, units and columns"),
     ],
 )

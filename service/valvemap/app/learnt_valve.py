@@ -91,7 +91,6 @@ class LearntValve:
         found = recommendation(ranking, names, self._fleet.inverse(0))
         return dict(zip(names, errors.tolist(), strict=True)), found
 
-    @property
-    def beyond_range(self) -> int:
-        """Number of samples with U outside the range of an estimator's structure."""
-        return int(self._fleet.rejections()[0, COUNTER_NAMES.index("beyond_range")])
+    def beyond_range(self) -> Mapping[str, int]:
+        """Return the number of samples with U outside each estimator's range."""
+        return self._fleet.beyond(0)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from valvemap.config.models import Config
 
 PREFERRED: Final = "Auto"
+BEYOND: Final = 0.01  # share of the samples that a fit may leave out: U beyond its range
 
 
 def fit(
@@ -25,6 +26,7 @@ def fit(
     *,
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
+    U_range: tuple[float, float] | None = None,
     valve: str | None = None,
     estimator: str | None = None,
     config: "Config | None" = None,
@@ -43,6 +45,8 @@ def fit(
         Units that differ from %, bar, l/min, °C, by signal: ``{"p1": "psi", "Q": "gpm"}``.
     columns
         Columns with other names, by signal: ``{"t": "Time", "U": "Control signal"}``.
+    U_range
+        Range of U in %, if it is not (0, 100): (-100, 100) of a valve that works both ways.
     valve, estimator
         Valve and estimator; by default a recording's only valve, and the recommended estimator
         (else Auto or the first). With an estimator, the others do not run.
@@ -87,6 +91,7 @@ def fit(
         insist=insist,
         units=units,
         columns=columns,
+        U_range=U_range,
     )
     where = given[0] if isinstance(given[0], Path) else type(given[0]).__name__
     valve = _chosen(where, "valve", valve, list(report))
@@ -94,6 +99,12 @@ def fit(
     names = _recursive(report[valve])
     name = _chosen(where, "estimator", estimator or _preferred(report, valve) or names[0], names)
     found = report[valve][name]
+    if found.beyond_range > BEYOND * found.samples and not insist:
+        raise RecordingError(
+            f"{valve}: U is beyond the range of {name} in {found.beyond_range:,} of "
+            f"{found.samples:,} samples: U_range=(-100, 100), or the valve's own, covers them; "
+            "--insist (insist=True in Python) leaves them out"
+        )
     model = Model(
         valve=valve,
         name=name,

@@ -44,7 +44,7 @@ class EstimatorReport:
     - ``noise_std``: standard deviation of recent measurements about the map, l/min.
     - ``covered``: the share of tested samples within their 95 % interval.
     - ``survey``: the coverage of the map.
-    - ``beyond_range``: the number of samples with a U outside an estimator's range.
+    - ``beyond_range``: the number of samples with a U outside the estimator's range.
     - ``T``: the last measured oil temperature, °C.
     - ``change``: the last detected change of the valve.
     - ``structure``: the structure chosen by `Auto`.
@@ -93,6 +93,7 @@ def replay(
     estimators: Collection[str] | None = None,
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
+    U_range: tuple[float, float] | None = None,
     read_ahead: bool = True,
     header: tuple[str, ...] | None = None,
     given: Mapping[str, Given] | None = None,
@@ -120,6 +121,9 @@ def replay(
     units, columns
         Unit and column of each signal that differ from the standard, such as ``{"p1": "psi"}`` and
         ``{"U": "Control signal"}``; with ``config``, they are part of it.
+    U_range
+        Range of U in %, (-100, 100) of a valve that works both ways, if it is not (0, 100); the
+        estimators that describe any range run then. With ``config``, it is part of it.
     read_ahead
         Read the next batch in a thread while one is processed; useless if all processors are
         busy.
@@ -136,6 +140,8 @@ def replay(
     ------
     RecordingError, ConfigurationError
     """
+    if config is not None and U_range is not None:
+        raise ConfigurationError("with a config, U_range is its valves.U_range_percent")
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
     layout = replace(_layout(config, units, columns), header=header, given=given or {})
     turn = one_ahead if read_ahead else iter
@@ -147,7 +153,7 @@ def replay(
             found[name] = None
             if plans and name not in plans:
                 continue
-            plan = _default_plan(name) if plans is None else plans[name]
+            plan = _default_plan(name, U_range) if plans is None else plans[name]
             if not _is_chosen(plan, only):
                 continue
             if name not in valves:
@@ -235,7 +241,7 @@ def _report(
 ) -> Mapping[str, EstimatorReport]:
     report = {}
     again, recommended = valve.rank()
-    state, results = valve.state(), valve.results()
+    state, results, beyond = valve.state(), valve.results(), valve.beyond_range()
     for name, lane in state.lanes.items():
         result, names = results[name], lane.estimator.parameter_names
         check = checks.get(name)
@@ -250,7 +256,7 @@ def _report(
             noise_std=float(result.noise_std[0]),
             covered=check.covered / check.tried if check and check.tried else np.nan,
             survey=valve_state.survey_of(valve.plan, state, name),
-            beyond_range=valve.beyond_range,
+            beyond_range=beyond[name],
             T=state.T,
             change=result.change[0],
             structure=result.structure[0],
@@ -301,10 +307,18 @@ def _layout(
     return build_layout(config)
 
 
-def _default_plan(name: str) -> ValvePlan:
+def _default_plan(name: str, U_range: tuple[float, float] | None) -> ValvePlan:
+    given: dict[str, Any] = {}
+    if U_range is not None:
+        whole = [one for one in ValveConfig(name="V").estimators if one.any_U_range]
+        given = {"U_range_percent": U_range, "estimators": whole}
     try:
-        valve = ValveConfig(name=name)
-    except ValidationError:
+        valve = ValveConfig(name=name, **given)
+    except ValidationError as error:
+        if any("U_range_percent" in one["loc"] for one in error.errors()):
+            raise ConfigurationError(
+                f"U_range is {U_range!r}; a low and a high end in % are allowed, as (-100, 100)"
+            ) from None
         raise ConfigurationError(
             f"valve {name!r}: a name is a letter, then letters, digits, _ or -, 64 at most"
         ) from None

@@ -214,7 +214,8 @@ def _not_learnt_from(report: "Report") -> Iterator[str]:
         if beyond:
             yield (
                 f"{valve}: not learnt from, because U lay beyond what an estimator can describe "
-                f"(0 … 100 %): {beyond} samples"
+                f"(0 … 100 %): {beyond} samples; U_range_percent = [-100, 100] in a --config "
+                "FILE covers them"
             )
 
 
