@@ -13,6 +13,7 @@ from valvemap.app.build import build_identification
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
 from valvemap.config.models import Config, ValveConfig
 from valvemap.config.nameplate import IdentificationConfig
+from valvemap.opcua_results.information_model import PROCESS_VALUES
 from valvemap.opcua_results.map_variables import line_variables
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.ports import ValveDescription
@@ -25,7 +26,8 @@ name in the configuration, `<Estimator>` one of {estimators} unless others are c
 names those that have a node where not all do. Ids and paths never change. Below each
 `s=<Valve>.Alarms.<Alarm>.Condition` lies what Part 9 has of its type, see [alarms](../alarms.md).
 `Identification` and `DeviceHealth` have BrowseNames of Devices and Machinery, and the valves are
-below `Objects/DeviceSet` as well, see [devices](../devices.md).
+below `Objects/DeviceSet` as well, and `ProcessValues` shows signals and demands once more, see
+[devices](../devices.md).
 
 A result's SourceTimestamp is that of the sample behind it. A result is Uncertain if the samples do
 not determine it well (excitation), Bad if a sensor is lost; a stale value is never Good. Without a
@@ -139,6 +141,8 @@ async def _below(node: Node, index: int) -> AsyncIterator[Found]:
             continue
         if reference.BrowseName.NamespaceIndex == 0:
             continue  # standard nodes, such as a condition's, which Part 9 defines
+        if reference.BrowseName.Name == PROCESS_VALUES:
+            continue  # other nodes of the same variables
         child = Node(node.session, ua.NodeId(reference.NodeId.Identifier, index))
         match reference.NodeClass:
             case ua.NodeClass.Variable:

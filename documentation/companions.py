@@ -1,4 +1,6 @@
-"""Extracts of the OPC Foundation's DI and Machinery NodeSets, as used by the results server.
+"""Extracts of the OPC Foundation's NodeSets that the results server uses.
+
+DI and Machinery for name plates and health; PA-DIM and Machinery Process Values for signals.
 
 ``python -m documentation.companions FOLDER`` regenerates them from the NodeSets in a folder. They
 come from the npm package node-opcua-nodesets, pinned by
@@ -23,11 +25,15 @@ Key = tuple[str, str]  # namespace URI, identifier
 
 @dataclass(frozen=True)
 class Part:
-    """An extract of a NodeSet: nodes by their numeric ids, with all nodes they depend on."""
+    """An extract of a NodeSet: nodes by their numeric ids, with all nodes they depend on.
+
+    ``left_out`` are optional parts of types, of which no instance here has one.
+    """
 
     original: str
     kept: str
     wanted: tuple[int, ...]
+    left_out: tuple[int, ...] = ()
 
 
 PARTS = (
@@ -49,6 +55,32 @@ PARTS = (
             1005,  # MachineryComponentIdentificationType
             1011,  # IMachineTagNameplateType
             5001,  # NamespaceMetadata
+        ),
+    ),
+    Part(
+        "Opc.Ua.PADIM.NodeSet2.xml",
+        "padim.NodeSet2.xml",
+        (
+            *range(1000, 1008),  # NamespaceMetadata, and its properties that refer to it
+            1022,  # AnalogSignalType
+        ),
+        left_out=(
+            1109,  # ZeroPointAdjustment
+            1288,  # <SignalCalibrationIdentifier>
+            1290,  # SignalConditionSet
+        ),
+    ),
+    Part(
+        "Opc.Ua.Machinery.ProcessValues.NodeSet2.xml",
+        "process_values.NodeSet2.xml",
+        (
+            1003,  # ProcessValueType
+            5001,  # NamespaceMetadata
+        ),
+        left_out=(
+            5002,  # DeviationAlarm
+            5004,  # LimitAlarm
+            7001,  # ZeroPointAdjustment
         ),
     ),
 )
@@ -73,6 +105,11 @@ class NodeSet:
     def models(self) -> list[ET.Element]:
         """Model elements of the node set."""
         return list(self.root.iterfind(f"{_tag('Models')}/*"))
+
+    @property
+    def own(self) -> str:
+        """Namespace URI of its nodes."""
+        return self.models()[0].get("ModelUri", "")
 
     def key(self, id_: str) -> Key:
         """Return the key of a NodeId, or of an alias, of this file."""
@@ -120,15 +157,13 @@ def cut(folder: Path) -> Mapping[str, str]:
 def closure(originals: Sequence[NodeSet]) -> set[Key]:
     """Return all extracted nodes: the wanted ones and their dependencies."""
     every = {key: (whole, node) for whole in originals for key, node in whole.nodes.items()}
-    open_ = [
-        (whole.uris[1], f"i={number}")
-        for part, whole in zip(PARTS, originals, strict=True)
-        for number in part.wanted
-    ]
+    pairs = list(zip(PARTS, originals, strict=True))
+    open_ = [(whole.own, f"i={number}") for part, whole in pairs for number in part.wanted]
+    left_out = {(whole.own, f"i={number}") for part, whole in pairs for number in part.left_out}
     kept: set[Key] = set()
     while open_:
         key = open_.pop()
-        if key in kept or key not in every:  # standard nodes always exist
+        if key in kept or key in left_out or key not in every:  # standard nodes always exist
             continue
         kept.add(key)
         whole, node = every[key]
@@ -146,16 +181,12 @@ def _written(original: NodeSet, kept: Collection[Key]) -> str:
     for node in root:
         _drop_references(original, node, kept)
     _drop(root, "Extensions")
-    uris = root.find(_tag("NamespaceUris"))
-    assert uris is not None  # noqa: S101 - every NodeSet has some
-    for one in [one for one in uris if one.text not in used]:
-        assert one.text == original.uris[-1]  # noqa: S101 - else indices would shift
-        uris.remove(one)
+    _renumber(original, [uri for uri in original.uris if uri in used])
     for model in root.iterfind(f"{_tag('Models')}/*"):
         for one in [one for one in model if one.get("ModelUri") not in used]:
             model.remove(one)
     aliases = root.find(_tag("Aliases"))
-    assert aliases is not None  # noqa: S101 - both files have them
+    assert aliases is not None  # noqa: S101 - all files have them
     for one in [one for one in aliases if original.key(one.text or "")[0] not in used]:
         aliases.remove(one)
     _say_that_it_is_a_part(root)
@@ -174,10 +205,40 @@ def _drop_references(original: NodeSet, node: ET.Element, kept: Collection[Key])
             stated.remove(one)  # type: ignore[union-attr]
 
 
+def _renumber(original: NodeSet, uris: Sequence[str]) -> None:
+    """Keep these namespaces of a file alone, and change the indices of the others' in it."""
+    root = original.root
+    table = root.find(_tag("NamespaceUris"))
+    assert table is not None  # noqa: S101 - every NodeSet has some
+    for one in [one for one in table if one.text not in uris]:
+        table.remove(one)
+    number = {
+        str(old): str(uris.index(uri)) for old, uri in enumerate(original.uris) if uri in uris
+    }
+    if all(old == new for old, new in number.items()):
+        return
+    for node in root.iter():
+        if node.tag.startswith(f"{{{_VALUES}}}"):
+            assert not node.tag.endswith(("NamespaceIndex", "NodeId"))  # noqa: S101 - none so far
+            continue
+        for name, text in node.attrib.items():
+            node.set(name, _renumbered(text, number, is_name=name == "BrowseName"))
+        if node.text:
+            node.text = _renumbered(node.text, number, is_name=False)
+
+
+def _renumbered(text: str, number: Mapping[str, str], *, is_name: bool) -> str:
+    form = r"(\d+):" if is_name else r"ns=(\d+);"
+    found = re.match(form, text)
+    if found is None:
+        return text
+    return f"{text[: found.start(1)]}{number[found[1]]}{text[found.end(1) :]}"
+
+
 def _say_that_it_is_a_part(root: ET.Element) -> None:
     for node in root.iterfind(f"{_tag('UAVariable')}[@BrowseName='IsNamespaceSubset']"):
         said = node.find(f"{_tag('Value')}/{{{_VALUES}}}Boolean")
-        assert said is not None  # noqa: S101 - the metadata of both have it
+        assert said is not None  # noqa: S101 - all metadata have it
         said.text = "true"
 
 
@@ -191,7 +252,7 @@ def _tag(name: str) -> str:
 
 
 def main(folder: Path) -> None:
-    """Write both files."""
+    """Write the files."""
     KEPT.mkdir(exist_ok=True)
     for name, text in cut(folder).items():
         (KEPT / name).write_text(text, encoding="utf-8")

@@ -354,6 +354,15 @@ class HardenedServer(Startable):
         block.show(column, variable, self._value(variable))
         self._subscriptions.blocks[variable.id] = block, column
 
+    def show_also(self, variable: Variable, of: Variable) -> None:
+        """Give a variable the value of another one of its type, present and future."""
+        aspace = self._inside.aspace
+        value = ua.AttributeIds.Value
+        aspace[variable.id].attributes[value] = aspace[of.id].attributes[value]
+        place = self._subscriptions.blocks.get(of.id)
+        if place is not None:
+            self._subscriptions.blocks[variable.id] = place
+
     def write_block(
         self,
         block: Block,
@@ -393,13 +402,13 @@ class HardenedServer(Startable):
             All nodes that refer to them.
         """
         names = {(folder.NamespaceIndex, str(folder.Identifier)) for folder in folders}
-        places, gone = self._subscriptions.blocks, dict[Block, list[int]]()
+        places, gone = self._subscriptions.blocks, dict[Block, set[int]]()
         for id_ in list(places):
             if is_below(id_.NamespaceIndex, str(id_.Identifier), names):
                 block, column = places.pop(id_)
-                gone.setdefault(block, []).append(column)
+                gone.setdefault(block, set()).add(column)
         for block, columns in gone.items():
-            block.take(block.unknown(columns, self._clock.now()))
+            block.take(block.unknown(sorted(columns), self._clock.now()))
         removed = remove(self._inside.aspace, folders, referrers, self._clock.now())
         for id_ in removed:
             self._variables.pop(id_, None)

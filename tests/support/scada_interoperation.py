@@ -8,9 +8,9 @@ import asyncio
 import numpy as np
 from asyncua import ua
 
-from support.interoperation import PERIOD_S, SAMPLES, VALVE, Codes, taken
+from support.interoperation import PERIOD_S, SAMPLES, VALVE, Codes, every_sample, taken
 from support.plant import START
-from valvemap.opcua_results.companions import DI
+from valvemap.opcua_results.companions import DI, PADIM
 from valvemap.opcua_results.results_server import NAMESPACE
 from valvemap.pipeline.device_health import DeviceHealth
 
@@ -138,6 +138,20 @@ class ScadaInteroperation:
         assert of["names"] == ["MachineryComponentIdentificationType"]
         interfaces = await observer.ask("browse", node=VALVE, reference=HAS_INTERFACE)
         assert interfaces["names"] == ["IDeviceHealthType"]
+
+    async def test_it_finds_process_values_and_monitors_them(self, observer):
+        of = await observer.ask("browse", node=f"{VALVE}.ProcessValues.Q", reference=HAS_TYPE)
+        assert of["names"] == ["ProcessValueType"]
+        device = [[DI, "DeviceSet"], [NAMESPACE, "Valvistor"]]
+        path = [*device, [NAMESPACE, "ProcessValues"], [NAMESPACE, "Q"], [PADIM, "AnalogSignal"]]
+        found = await observer.ask("follow", node="i=85", path=path)
+        shown = "ProcessValues.Q.AnalogSignal"
+        assert found["targets"] == [f"Valvistor.{shown}"]
+        await observer.subscribe(every_sample(shown), every_sample("Signals.Q"))
+        heard, plain = await observer.watch_until(5)
+        both = min(len(heard), len(plain))  # a stack may subscribe one after the other
+        assert both >= 3
+        assert heard[-both:] == plain[-both:]
 
     async def test_it_reads_a_valves_health(self, observer, stage):
         path = [[DI, "DeviceSet"], [NAMESPACE, "Valvistor"], [DI, "DeviceHealth"]]

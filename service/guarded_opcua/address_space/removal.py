@@ -41,12 +41,14 @@ def remove(
         instant(now),
         instant(now),
     )
-    for node in made:
-        for held in node.attributes.values():
-            if held.datachange_callbacks:
-                notify(held, unknown)
-                for handle in list(held.datachange_callbacks):
-                    aspace._handle_to_attribute_map.pop(handle, None)  # noqa: SLF001 - its way
+    every = {
+        id(held): held for node in made for held in node.attributes.values()
+    }  # some are shared
+    for held in every.values():
+        if held.datachange_callbacks:
+            notify(held, unknown)
+            for handle in list(held.datachange_callbacks):
+                aspace._handle_to_attribute_map.pop(handle, None)  # noqa: SLF001 - its way
     gone = set(folders)
     for referrer in referrers:
         node = nodes[referrer]

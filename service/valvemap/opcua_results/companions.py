@@ -1,4 +1,4 @@
-"""Valves in the terms of Devices (DI, OPC 10000-100) and Machinery (OPC 40001-1).
+"""Valves in the terms of Devices (DI, OPC 10000-100) and Machinery (OPC 40001-1, -2).
 
 ``node_sets`` holds the part of each namespace that the server uses, with the original NodeIds.
 Valves are organized by DI's DeviceSet as well as by our own root. Further references add the
@@ -23,8 +23,11 @@ from valvemap.pipeline.nameplate import Nameplate
 
 DI = "http://opcfoundation.org/UA/DI/"
 MACHINERY = "http://opcfoundation.org/UA/Machinery/"
+PADIM = "http://opcfoundation.org/UA/PADIM/"
+PROCESS = "http://opcfoundation.org/UA/Machinery/ProcessValues/"
 NODE_SETS = Path(__file__).parent / "node_sets"
-_FILES = "di.NodeSet2.xml", "machinery.NodeSet2.xml"  # the second one needs the first
+_NAMES = "di", "machinery", "padim", "process_values"
+_FILES = tuple(f"{name}.NodeSet2.xml" for name in _NAMES)  # each needs those before
 _DEVICE_SET, _I_DEVICE_HEALTH, _HEALTH_ENUMERATION = 5001, 15051, 6244  # of DI
 _COMPONENT_IDENTIFICATION, _I_MACHINE_TAG_NAMEPLATE = 1005, 1011  # of Machinery
 _NEEDED = {"Manufacturer", "SerialNumber"}  # mandatory in the type
@@ -35,11 +38,13 @@ _UNKNOWN = ua.StatusCodes.UncertainInitialValue
 
 @dataclass(frozen=True)
 class Companions:
-    """The namespace indices of DI and Machinery at one server."""
+    """The namespace indices of DI, Machinery, PA-DIM and Process Values at one server."""
 
     server: HardenedServer
     di: int
     machinery: int
+    padim: int
+    process_values: int
 
     def list_device(self, owner: ua.NodeId) -> None:
         """Add an Organizes reference from the DeviceSet to a valve.
@@ -116,10 +121,11 @@ class Companions:
 
 
 async def add_companions(server: HardenedServer) -> Companions:
-    """Add the nodes of DI and Machinery; call this before other nodes refer to them."""
+    """Add the nodes of the companions; call this before other nodes refer to them."""
     for text in _texts():
         await server.add_node_set(text)
-    return Companions(server, await server.namespace(DI), await server.namespace(MACHINERY))
+    uris = DI, MACHINERY, PADIM, PROCESS
+    return Companions(server, *[await server.namespace(uri) for uri in uris])
 
 
 @cache

@@ -15,6 +15,7 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/Alarms/<Alarm>/…  s=<Valve>.Alarms.<Alarm>.<Variable>
     Objects/Identification/<Valve>/…                 s=<Valve>.Identification.<Property>,
                                                      s=<Valve>.DeviceHealth: names of Devices (DI)
+    Objects/Identification/<Valve>/ProcessValues/…   s=<Valve>.ProcessValues.<Name>.AnalogSignal
     Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 
     Objects/Identification/<Axis>/…                  s=<Axis>.<Variable>, s=<Axis>.<Edge>.Flow,
@@ -62,6 +63,7 @@ FINDINGS, FINDING_CODES = f"{DIAGNOSTICS}.Findings", f"{DIAGNOSTICS}.FindingCode
 FINDING_PROBABILITIES = f"{DIAGNOSTICS}.FindingProbabilities"
 IDENTIFICATION, DEVICE_HEALTH = "Identification", "DeviceHealth"  # browse names of DI
 NODE_VERSION = "NodeVersion"
+PROCESS_VALUES = "ProcessValues"
 
 U_RANGE = (0.0, 100.0)
 T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
@@ -69,7 +71,7 @@ YEAR_S = 3.15e7
 
 _TAKEN = {
     *(DYNAMICS, COMMISSION, INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
-    *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION, RECOMMENDED, RECOMMENDED_REASON),
+    *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION, RECOMMENDED, RECOMMENDED_REASON, PROCESS_VALUES),
     *PARTS,
 }
 _NAME = re.compile(r"[A-Za-z0-9_-]+")

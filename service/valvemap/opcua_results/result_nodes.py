@@ -9,6 +9,7 @@ from guarded_opcua import HardenedServer, add_object, add_property
 from valvemap.opcua_results.companions import Companions
 from valvemap.opcua_results.information_model import ALARMS, NODE_VERSION, ROOT
 from valvemap.opcua_results.model_changes import version_of_valve
+from valvemap.opcua_results.process_values import ProcessValues
 from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_health import ResultHealth
 from valvemap.opcua_results.result_parts import ResultParts
@@ -25,6 +26,8 @@ class ResultNodes:
         The server and its companion namespaces.
     parts
         Adds the variables and methods of each part of a valve.
+    process_values
+        Adds signals and demands once more, as Machinery has them.
     alarms, health
         Publish the alarms and the DeviceHealth of valves.
     operator
@@ -40,6 +43,7 @@ class ResultNodes:
         server: HardenedServer,
         companions: Companions,
         parts: ResultParts,
+        process_values: ProcessValues,
         alarms: ResultAlarms,
         health: ResultHealth,
         operator: Operator,
@@ -49,6 +53,7 @@ class ResultNodes:
         self._server = server
         self._companions = companions
         self._parts = parts
+        self._process_values = process_values
         self._alarms = alarms
         self._health = health
         self._operator = operator
@@ -91,6 +96,7 @@ class ResultNodes:
             await self._companions.add_health(folder),
             self._operator.alarms(valve.name) if is_heard_of else None,
         )
+        await self._process_values.add(folder, valve)
         await parts.add_frame(server, folder, valve)
         add_part = partial(self._add_part, folder, valve)
         for estimator in valve.estimators:

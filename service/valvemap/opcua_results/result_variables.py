@@ -82,6 +82,12 @@ class ResultVariables:
             self._blocks.show(slot, name, variable)
         return variable
 
+    def made(self, id_: str) -> Variable:
+        """Return a variable, and make its node if it was not accessed yet."""
+        at = ua.NodeId(id_, self._server.namespace_index)
+        assert at in self._server.address_space, id_  # noqa: S101 - this makes it
+        return self._added[id_]
+
     async def add_standing(self, parent: ua.NodeId, node: VariableNode, now: Shown) -> None:
         """Add a variable with the value ``now``, unless a newer value is cached."""
         self._waiting.setdefault(node.id, now)

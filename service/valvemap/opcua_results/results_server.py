@@ -31,6 +31,7 @@ from valvemap.opcua_results.information_model import (
 )
 from valvemap.opcua_results.model_changes import axes_change, model_change, version_of_root
 from valvemap.opcua_results.past import AlarmsPast, ResultsPast
+from valvemap.opcua_results.process_values import ProcessValues
 from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_blocks import Generations
 from valvemap.opcua_results.result_commands import ResultCommands
@@ -309,6 +310,7 @@ class ResultsServer(Startable):
             server,
             companions,
             parts,
+            ProcessValues(server, companions, variables),
             alarms,
             health,
             operator,

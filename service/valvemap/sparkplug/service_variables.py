@@ -14,7 +14,7 @@ from valvemap.vocabulary.edges import split_id
 
 _ROOT: Final = "Identification"
 _OF_SERVICE: Final = "Service"
-_NOT_FOLLOWED: Final = "Condition"  # alarm nodes: copies of other variables, created when browsed
+_COPIES: Final = ("Condition", "ProcessValues")  # other nodes of variables, created when browsed
 _VERSIONS: Final = ".NodeVersion"  # versions of the address space, not results
 NODE_VERSION: Final = f"{_ROOT}{_VERSIONS}"
 """Changes when valves are added or removed."""
@@ -124,7 +124,7 @@ async def _browse(
                     variables.append(one)
             elif child.is_method:
                 methods.append(one)
-            elif child.id.rpartition(".")[2] != _NOT_FOLLOWED:
+            elif child.id.rpartition(".")[2] not in _COPIES:
                 level.append(child.id)
                 if _parent(child.id) == _ALARMS:
                     alarms.append(one)
