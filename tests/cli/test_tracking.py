@@ -17,7 +17,7 @@ pytestmark = pytest.mark.timeout(900)
 
 SCENARIO = BUILTIN["tracking"]
 START_NS, STEP = 10**18, 4
-COMMISSIONING_S, END_S = 240.0, 150.0  # less than the demo takes
+COMMISSIONING_S, END_S = 120.0, 140.0  # less than the demo takes
 SIGNALS = ("U", "x", "pA", "pB", "pS", "pT", "T")
 
 
