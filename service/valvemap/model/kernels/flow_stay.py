@@ -196,21 +196,22 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
         scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
         _note_change(drift, side, now, off, by, memory)
-        _note_wear(axis_U, axis_s, drift, side, dt, off, by, variance, memory, room)
+        _note_wear(axis_U, axis_s, drift, side, dt, off, by, variance, young, memory, room)
     stay[:KNOWN_COUNT] = 0.0
 
 
 @inner
 def _note_wear(
     axis_U: Axis, axis_s: Axis, drift: Drift, side: int, dt: float, off: float, by: Floats,
-    variance: float, memory: Memory, room: Room,
+    variance: float, is_young: bool, memory: Memory, room: Room,  # noqa: FBT001
 ) -> None:  # fmt: skip
     """Add the stay, ``off`` the map as it was at first, to what tells of wear."""
     cell, scalars = memory.cells[memory.counters[STAY_CELL]], memory.scalars
     head = memory.wear[side, wears.NODES]
     u, s = float(cell[MEAN_U]), float(cell[MEAN_S])
     wears.note(memory.wear, axis_U, axis_s, side, u, s, off, by, drift.now, variance)
-    if drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE] > rules.WORTH_SAYING:
+    moved = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
+    if is_young or moved > rules.WORTH_SAYING:
         wears.drop(memory.wear, side)
     head[wears.SINCE] += dt
     head[wears.STAYS] += 1.0
