@@ -173,9 +173,9 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
         else:
             step = (time - order[LAST_TIME]) // (number - last)
             usual = (number - last - 1) * order[PERIOD]  # of the samples between, which are lost
-            excess = time - order[LAST_TIME] - usual
+            jump = max(step, time - order[LAST_TIME] - usual)
             w.counters[v, CLOCK_STEPS] += step <= 0
-            if step <= 0 or _is_jump(order, excess, rules.max_wait, rules.reorder[v]):
+            if step <= 0 or _is_jump(order, jump, rules.max_wait, rules.reorder[v]):
                 order[FIRST], order[FIRST_TIME] = last + 1, time - usual
                 order[BEFORE_FIRST] = order[LAST_TIME]
         keep_pace(order, w.counters[v], time, 0 if last == NO_NUMBER else number - last)
