@@ -92,7 +92,12 @@ def test_messages_that_catch_up_after_an_outage_are_no_step():
 
 @pytest.mark.parametrize(
     ("step_s", "lost", "late"),
-    [(-3.0, (6,), 6), (60.0, (6, 7, 8, 10), 10), (-60.0, (4, 6), 6), (3600.0, (6, 7), 7)],
+    [
+        (-3.0, (6,), 6),
+        (60.0, (6, 7, 8, 10), 10),
+        (-60.0, (4, 6), 6),
+        (3600.0, (6, 7), 7),
+    ],
 )
 def test_a_sample_lost_where_the_clock_steps_may_come_late(step_s, lost, late):
     """One sample each 2 s, the clock steps before number 7 or 9; the late one is no restart."""

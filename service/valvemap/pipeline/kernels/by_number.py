@@ -16,6 +16,7 @@ from valvemap.pipeline.kernels.waiting import (
     CLOCK_STEPS,
     DUPLICATES,
     ELAPSED,
+    ENOUGH,
     FILLED,
     FIRST,
     FIRST_TIME,
@@ -36,6 +37,7 @@ from valvemap.pipeline.kernels.waiting import (
     NUMBER,
     OPENED,
     PERIOD,
+    REGULAR,
     RESTARTS,
     SEEN,
     SEQUENCE,
@@ -173,9 +175,11 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
         else:
             step = (time - order[LAST_TIME]) // (number - last)
             usual = (number - last - 1) * order[PERIOD]  # of the samples between, which are lost
-            jump = max(step, time - order[LAST_TIME] - usual)
-            w.counters[v, CLOCK_STEPS] += step <= 0
-            if step <= 0 or _is_jump(order, jump, rules.max_wait, rules.reorder[v]):
+            excess = time - order[LAST_TIME] - usual
+            is_back = step <= 0 or (order[REGULAR] == ENOUGH and excess <= 0)
+            w.counters[v, CLOCK_STEPS] += is_back
+            jump = max(step, excess)
+            if is_back or _is_jump(order, jump, rules.max_wait, rules.reorder[v]):
                 order[FIRST], order[FIRST_TIME] = last + 1, time - usual
                 order[BEFORE_FIRST] = order[LAST_TIME]
         keep_pace(order, w.counters[v], time, 0 if last == NO_NUMBER else number - last)
