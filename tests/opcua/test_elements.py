@@ -17,7 +17,12 @@ pytestmark = pytest.mark.waits
 
 ARRAY, FLOW = "nsu=urn:plant;s=Inputs", "nsu=urn:plant;s=Flow"
 NODES = ValveNodes("V1", f"index=3;{ARRAY}", f"index=0;{ARRAY}", f"index=1;{ARRAY}", FLOW)
-VALUES = {"Inputs": [170.5, 40.25, -1.0, 62.5], "Flow": 30.0, "Curve": [0.0] * 100}
+VALUES = {
+    "Inputs": [170.5, 40.25, -1.0, 62.5],
+    "Flow": 30.0,
+    "Curve": [0.0] * 100,
+    "Limits": ua.Range(0.0, 1.0),
+}
 
 
 @asynccontextmanager
@@ -50,7 +55,8 @@ async def single_elements():
     folder = await add_object(server, None, "Plant")
     for name, value in VALUES.items():
         dimensions = (0,) if isinstance(value, list) else None
-        await add_variable(server, folder, name, value, dimensions=dimensions)
+        if name != "Limits":
+            await add_variable(server, folder, name, value, dimensions=dimensions)
     async with server:
         yield server.url
 
@@ -83,6 +89,8 @@ async def test_elements_are_read_browsed_and_named_if_they_are_not_there(served)
         elements = {f"Inputs[{n}]": f"index={n};{ARRAY}" for n in range(4)}
         curve = {"Curve[70]": "index=70;nsu=urn:plant;s=Curve"}
         assert own == {"Flow": FLOW} | elements | curve
+        structures = [line for line in skipped if "a structure whose members are no nodes" in line]
+        assert ["Limits" in line for line in structures] == [True] * (served is whole_arrays)
         assert any("Curve: an array of more than 64 elements" in line for line in skipped)
 
 

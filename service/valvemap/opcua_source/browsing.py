@@ -29,6 +29,7 @@ _LONGEST_NAME: Final = 300  # characters of a name that are used
 _FARTHEST: Final = 1e9  # of a range, in any unit
 _HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
+_STRUCTURE: Final = ua.VariantType.ExtensionObject
 _SCALARS: Final = {-3, -2, -1}
 _FLOATING: Final = {ua.VariantType.Float.value, ua.VariantType.Double.value}
 _LARGEST: Final = {
@@ -150,9 +151,15 @@ def _elements(array: Candidate, value: ua.DataValue, named: Collection[str]) -> 
 
 
 def _unusable(places: Sequence[_Place], answers: Sequence[Sequence[ua.DataValue]]) -> Iterator[str]:
-    """Yield a line for each array of numbers whose elements are not browsed."""
+    """Yield a line for each array of numbers, and each structure, whose parts are not browsed."""
+    parents = {path[:-1] for _, path in places}
     for (_, path), answer in zip(places, answers, strict=True):
         value = answer[0].Value
+        if value is not None and value.VariantType == _STRUCTURE and path not in parents:
+            yield (
+                f"{printable('/'.join(path))}: a structure whose members are no nodes; let the "
+                "server show each member that is a signal as a variable"
+            )
         is_number = value is not None and value.VariantType.value in NUMERIC_FORMATS
         if not is_number or not value.is_array:
             continue
