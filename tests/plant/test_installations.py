@@ -99,6 +99,22 @@ def test_a_sheet_without_a_name_plate_says_what_to_compare_with_it(plant, moving
     assert refused.question.about == "no reading of its signals fits"
 
 
+def test_what_could_take_the_place_of_a_missing_signal_is_an_option(plant, moving):
+    signals = moving()
+    plant.add("Spool position", signals["U"], unit="%")
+    plant.add("Cylinder position", 10 * signals["t"], symbol="mm")
+    for name, values, unit in (
+        ("p in", signals["p1"], "bar"), ("p out", signals["p2"], "bar"),
+        ("Flow", signals["Q"], "l/min"),
+    ):  # fmt: skip
+        plant.add(name, values, unit=unit)
+    (verdict,) = plant.verdicts()
+    assert "U: no node was found" in verdict.question.about
+    (option,) = verdict.question.options
+    assert "100 % of Q" in option.consequence
+    assert nodes(obey(plant, verdict, option))["U"] == "Spool position"
+
+
 def test_meters_of_exchanged_lines_are_not_learnt_as_edges(plant, moving):
     servo_valve(plant, moving(), exchanged=True)
     (verdict,) = plant.verdicts()

@@ -1,6 +1,6 @@
 """Decides on a valve: accepts the likeliest reading, or asks with the readings that remain."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -78,7 +78,7 @@ def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdi
         named = next((r for r in found if not (r.mistake or r.missing or r.beside)), best)
         return Verdict(group.name, named, _one_meter(group, named), others, least_U)
     if best.missing:
-        return Verdict(group.name, best, _missing(group, best), others)
+        return Verdict(group.name, best, _missing(group, best, record, rating), others)
     if best.probability >= ACCEPTED and not best.mistake and not best.beside:
         return Verdict(group.name, best, None, others, least_U)
     whole = [r for r in found if not r.missing]
@@ -191,8 +191,8 @@ def consequence_of(reading: Reading) -> str:
     return ", ".join(said) or "no values were seen"
 
 
-def _missing(group: Group, best: Reading) -> Question:
-    """Name the missing signals, and what there is instead."""
+def _missing(group: Group, best: Reading, record: Record, rating: Rating) -> Question:
+    """Name the missing signals, and what there is instead; of a single one with its readings."""
     parts = []
     for role in best.missing:
         instead = [
@@ -203,7 +203,27 @@ def _missing(group: Group, best: Reading) -> Question:
         ]
         there = f" ({'; '.join(instead[:3])})" if instead else ""
         parts.append(f"{role}: no node was found{there}")
-    return Question("; ".join(parts))
+    options = _instead(group, best, record, rating) if len(best.missing) == 1 else ()
+    return Question("; ".join(parts), tuple(options))
+
+
+def _instead(group: Group, best: Reading, record: Record, rating: Rating) -> Iterator[Option]:
+    """Yield the readings in which another variable takes the place of the missing signal."""
+    (role,) = best.missing
+    taken = {node.node for node in best.nodes.values()}
+    for one in [one for one in group.all if one.node not in taken][:_MOST_NAMED]:
+        quantities = {unit.quantity for unit in one.label.units}
+        if not quantities and not one.symbol and one.label.role in QUANTITY:
+            quantities = {QUANTITY[one.label.role]}
+        if QUANTITY[role] not in quantities:
+            continue
+        kept = {own: node.node for own, node in best.nodes.items()}
+        found = readings(group, record, Given({**kept, role: one.node}), rating)
+        if found and not found[0].missing:
+            yield replace(
+                _option(group.name, found[0], [role]),
+                text=f"{role} = {printable(one.node)}, its {one.label.role}",
+            )
 
 
 def _one_meter(group: Group, best: Reading) -> Question:
