@@ -135,7 +135,7 @@ def test_elements_of_arrays_become_valves_and_one_without_names_by_answers(
     with_arrays, tmp_path, capsys
 ):
     out = tmp_path / "plant.toml"
-    asked = ["connect", with_arrays, "--out", str(out), "--data", str(tmp_path), "--watch", "2"]
+    asked = ["connect", with_arrays, "--out", str(out), "--data", str(tmp_path), "--watch", "1"]
     assert run([*asked, "--yes"]) == 0, capsys.readouterr()
     nodes = [valve.nodes for valve in load_config(out).valves]
     assert [(n.U, n.p2, n.Q) for n in nodes] == [
@@ -148,8 +148,6 @@ def test_elements_of_arrays_become_valves_and_one_without_names_by_answers(
     assert run([*asked, "--yes", *answers, *skipped]) == 0, capsys.readouterr()
     (valve,) = load_config(out).valves
     assert (valve.name, valve.nodes.Q) == ("AI", "index=3;nsu=urn:plc;s=AI")
-    assert run([*asked, "--force", "--signal=AI.U=index=0;nsu=urn:plc;s=AI"]) == 2
-    assert "--signal names U, p1, p2 and Q" in capsys.readouterr().err
 
 
 def test_an_existing_configuration_is_checked_against_its_server(foreign, tmp_path, capsys):

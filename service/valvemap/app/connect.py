@@ -146,6 +146,16 @@ def check_answers(wanted: Wanted, names: Sequence[str]) -> None:
     ------
     ConfigurationError
         naming the valves that are.
+
+    Examples
+    --------
+    >>> from valvemap.plant.answers import parse_answers
+    >>> check_answers(  # doctest: +ELLIPSIS
+    ...     Wanted(parse_answers(["V2.U=s=U"], ())), ["V1"]
+    ... )
+    Traceback (most recent call last):
+        ...
+    valvemap.errors.ConfigurationError: V2: no such valve was found; there are: V1; ...
     """
     known = {*names, *wanted.new_valves(names)}
     unknown = ({*wanted.given} - {""} | wanted.skip | wanted.ports) - known
