@@ -204,6 +204,19 @@ def test_commands_refused_for_a_moment_do_not_end_the_run():
     assert course.steps(1.0).phase is Phase.SWEEPING
 
 
+def test_a_response_later_than_the_sources_watchdog_pauses_the_run():
+    course = Course()
+    course.steps(3.0)
+    course.now += STEP_S
+    course.state, command = step(SETTINGS, course.state, course.seen, course.now)
+    beat = Command(command.U, heartbeat=course.state.heartbeat + 1)
+    course.now += 0.5
+    course.state = written(course.state, beat, course.now)
+    assert (course.state.phase, course.state.reason) == (Phase.PAUSED, Reason.STALLED)
+    assert not course.state.is_led
+    assert course.steps(1.0).phase is Phase.SWEEPING
+
+
 def test_the_triangles_of_u_and_load_have_periods_without_a_common_multiple():
     plan, limits = Plan(4.0), Limits(load_range=(10.0, 190.0))
     points = np.array([vars(sweep(plan, limits, t))["load"] for t in np.arange(0.0, 40.0, 4.0)])

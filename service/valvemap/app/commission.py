@@ -190,6 +190,8 @@ class CommissionRun:
         Who started it, for the audit record; None: the process's user.
     """
 
+    write_s = WRITE_S  # more where ``clock`` is slower than the machine's
+
     def __init__(
         self,
         config: Config,
@@ -312,7 +314,7 @@ class CommissionRun:
         given = {role: getattr(command, name) for name, role in _ROLES.items()}
         commands = {role: value for role, value in given.items() if value is not None}
         try:
-            async with asyncio.timeout(WRITE_S):
+            async with asyncio.timeout(self.write_s):
                 refused = await self._source.write_commands(0, commands)
         except (SourceLost, TimeoutError) as error:  # it may have been taken, or not
             self._note(event="write lost", reason=str(error) or "no response")

@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import Final
 
 from valvemap.pipeline.commission_guard import (
+    STALLED_S,
     ending,
     fault,
     has_stalled,
@@ -93,10 +94,14 @@ def written(
 ) -> CommissionState:
     """Return the state after the source took ``command`` at ``now`` (s).
 
-    ``command`` is the part that was taken; ``refused`` says that there was another.
+    ``command`` is the part that was taken; ``refused`` says that there was another. The run pauses
+    after a response so late that the source may have taken the valve back.
     """
+    paused = now - state.beaten > STALLED_S and math.isfinite(state.beaten)
     if command.heartbeat:
         state = replace(state, heartbeat=command.heartbeat, beaten=now)
+    if command.heartbeat and paused:
+        return lost(state, now, Reason.STALLED)
     if refused:
         state = replace(state, refused_since=min(state.refused_since, now))
     elif command.U is not None:
