@@ -84,6 +84,10 @@ def test_a_command_of_an_axis_has_both_signs(tmp_path):
         ),
         (toml(nodes=NODES | {"speed": "ns=2;s=v"}), "position, speed: both are given; one of them"),
         (
+            toml(nodes=OF_SPEED | {"set_position": "ns=2;s=xSet"}),
+            "set_position: position is needed, too",
+        ),
+        (
             toml(nodes={k: v for k, v in NODES.items() if k != "position"}),
             "position, speed: both are missing; one of them is needed",
         ),

@@ -15,6 +15,7 @@ from valvemap.errors import CommandRejected
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.pipeline.axis_tracking import AxisTracking
 from valvemap.runtime.past import PastKeeper, pieces_of
 from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
@@ -91,6 +92,11 @@ async def test_findings_are_shown_as_those_of_valves_and_a_reference_is_set():
             assert found.Value.Value == [LEAK.sentence, EDGE.sentence]
             assert (await read("FindingCodes")).Value.Value == [22, 18]
             assert (await read("FindingProbabilities")).Value.Value == [0.93, 0.07]
+            course = AxisTracking(T + np.arange(3), np.array([1.0, 2, 3]), np.zeros(3), 2.2)
+            server.show_axis("Press", dataclasses.replace(results(()), tracking=course))
+            assert await node("Tracking.Rms").read_value() == 2.2
+            assert await node("Tracking.Position").read_value() == [1.0, 2.0, 3.0]
+            assert await node("Tracking.Time").read_value() == [T / 1e9] * 3
             server.show_axis("Press", results(()))
             assert (await read("FindingCodes")).Value.Value == []
             method = ua.NodeId("Press.Diagnostics.SetReference", index)

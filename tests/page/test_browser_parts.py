@@ -82,6 +82,20 @@ async def test_a_flow_of_a_line_is_written_by_an_operator():
         ]
 
 
+async def test_the_axes_with_a_set_position_are_drawn_side_by_side():
+    shown = ShownService(names=(), axes=("Fixed", "Living", "Bare"))
+    for axis, error in (("Fixed", 3.0), ("Living", 1.0)):
+        columns = {"Time": [1.0, 2.0, 3.0], "Position": [error] * 3, "SetPosition": [0.0] * 3}
+        for name, value in {"Rms": error, **columns}.items():
+            shown.values[f"{axis}.Tracking.{name}"] = Read(value, 0, shown.t)
+    async with visit(shown, "axis/Fixed") as (visitor, _):
+        card = visitor.page.locator("section", has_text="How the axes follow")
+        await card.locator(".legend", has_text="Living 1.00 mm").wait_for()
+        assert "Fixed 3.00 mm" in await card.inner_text()
+        assert "Bare" not in await card.inner_text()
+        assert await card.locator("canvas").count() == 2
+
+
 @pytest.mark.parametrize("how", ["source lost", "still"])
 async def test_an_axis_without_samples_says_so_and_takes_no_demand(how):
     shown = plant()

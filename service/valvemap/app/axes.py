@@ -81,7 +81,9 @@ def build_live_axes(
     """Return the axes of a configuration, before the first sample."""
     names = [axis.name for axis in config.axes for _ in range(LINES)]
     optional = tuple(
-        ("T",) if axis.nodes.T is not None else () for axis in config.axes for _ in range(LINES)
+        () if node is None else ("T",)
+        for axis in config.axes
+        for node in (axis.nodes.T, axis.nodes.set_position)
     )
     has_sequence = tuple(
         axis.nodes.sequence is not None for axis in config.axes for _ in range(LINES)
@@ -109,7 +111,11 @@ def build_live_axes(
 def plan_of(axis: AxisConfig) -> AxisPlan:
     """Return the plan of one axis."""
     dead_B_l = axis.dead_A_l if axis.dead_B_l is None else axis.dead_B_l
-    meaning = axis.model_dump(mode="json", include={"source", "nodes", "signals"})
+    meaning = axis.model_dump(
+        mode="json",
+        include={"source", "nodes", "signals"},
+        exclude={"nodes": {"set_position"}, "signals": {"set_position"}},
+    )
     return AxisPlan(
         axis.name,
         AxisGeometry(axis.piston_mm, axis.rod_mm, axis.stroke_mm, axis.dead_A_l, dead_B_l),
@@ -118,6 +124,7 @@ def plan_of(axis: AxisConfig) -> AxisPlan:
         feed_forward_of(axis),
         axis.frozen,
         axis.nodes.speed is not None,
+        axis.nodes.set_position is not None,
     )
 
 

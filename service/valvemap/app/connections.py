@@ -98,10 +98,11 @@ _LINES: Final = (("pS", "pA"), ("pB", "pT"))  # before and behind the edge that 
 
 def _of_line(axis: AxisConfig, p1: str, p2: str) -> ValveNodes:
     piston = "position" if axis.nodes.speed is None else "speed"
-    words = {"U": "U", "p1": p1, "p2": p2, "Q": piston, "T": "T"}
+    is_led = p1 == _LINES[0][0]  # the first row of an axis
+    other = "T" if is_led else "set_position"
+    words = {"U": "U", "p1": p1, "p2": p2, "Q": piston, "T": other}
     measures = {signal: axis.signals.measure(word) for signal, word in words.items()}
     measures["required_U"] = axis.signals.measure("required_U")
-    is_led = p1 == _LINES[0][0]  # the first row of an axis
     return ValveNodes(
         valve=axis.name,
         **{signal: getattr(axis.nodes, word) for signal, word in words.items()},

@@ -39,7 +39,13 @@ EFFECT_S: Final = 0.03  # from an answer to its effect: the write, the rig's nex
 SLEW_PERCENT_PER_S: Final = 2_000.0  # a move begins within a tenth of a second
 PHASES: Final = (Phase("new", 10.0, 60.0), Phase("60 s after two edges -30 %", 120.0, 175.0))
 END_S: Final = PHASES[-1].end_s
-_SIGNALS: Final = {"U": "U", "position": "x", "T": "T", "sequence": "Sequence"}
+_SIGNALS: Final = {
+    "U": "U",
+    "position": "x",
+    "set_position": "xSet",
+    "T": "T",
+    "sequence": "Sequence",
+}
 _PRESSURES: Final = {name: name for name in ("pA", "pB", "pS", "pT")}
 _WRITTEN: Final = {"required_U": "UCommand", "heartbeat": "Heartbeat"}
 

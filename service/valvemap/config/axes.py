@@ -19,6 +19,7 @@ _QUANTITIES: Final = {
     "U": Quantity.OPENING,
     "position": Quantity.LENGTH,
     "speed": Quantity.SPEED,
+    "set_position": Quantity.LENGTH,
     **dict.fromkeys(("pA", "pB", "pS", "pT"), Quantity.PRESSURE),
     "T": Quantity.TEMPERATURE,
     "required_U": Quantity.OPENING,
@@ -28,6 +29,7 @@ _SENTENCES: Final = {
     "U": "control voltage; above 0 extends",
     "position": "position of the piston, 0 where it is retracted",
     "speed": "speed of the piston, above 0 extends; in place of position",
+    "set_position": "position that the controller is to reach; the tracking error is shown",
     "pA": "pressure in the line of the piston's side",
     "pB": "pressure in the line of the rod's side",
     "pS": "supply pressure at the valve",
@@ -54,6 +56,7 @@ class AxisNodesConfig(Section):
     U: str = Field(description=_SENTENCES["U"])
     position: str | None = Field(None, description=_SENTENCES["position"])
     speed: str | None = Field(None, description=_SENTENCES["speed"])
+    set_position: str | None = Field(None, description=_SENTENCES["set_position"])
     pA: str | None = Field(None, description=_SENTENCES["pA"])
     pB: str | None = Field(None, description=_SENTENCES["pB"])
     pS: str | None = Field(None, description=_SENTENCES["pS"])
@@ -90,6 +93,8 @@ class AxisNodesConfig(Section):
         if (self.position is None) == (self.speed is None):
             given = "both are given" if self.position is not None else "both are missing"
             raise ValueError(f"position, speed: {given}; one of them is needed")
+        if self.set_position is not None and self.position is None:
+            raise ValueError("set_position: position is needed, too; speed tells no tracking error")
         return self
 
     @model_validator(mode="after")

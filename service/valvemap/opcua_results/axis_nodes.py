@@ -33,11 +33,13 @@ from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_variables import ResultVariables, add_described
 from valvemap.opcua_results.valve_variables import arming_variables, finding_variables
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
+from valvemap.pipeline.axis_tracking import SPAN_S, AxisTracking
 from valvemap.pipeline.ports import Answer
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 
+TRACKING: Final = "Tracking"
 _PERCENT: Final = (-100.0, 100.0)
 _DOUBLE, _TEXT = ua.VariantType.Double, ua.VariantType.String
 _CODES: Final = ua.StatusCodes
@@ -74,6 +76,7 @@ class AxisNodes:
         self._past, self._keep_events = past, keep_events
         self._variables: dict[str, Variable] = {}
         self._names: tuple[str, ...] = ()
+        self._tracking: dict[str, AxisTracking] = {}  # as written last
 
     async def follow(self, axes: Sequence[str], operator: AxisOperator | None) -> None:
         """Show these axes, in place of those before; ``operator`` is None if there are none."""
@@ -84,6 +87,7 @@ class AxisNodes:
             server.remove(gone, (root,))
             self._of_alarms.forget(self._names)
         self._variables.clear()
+        self._tracking.clear()
         self._names = tuple(axes)
         if operator is not None:
             for axis in axes:
@@ -119,6 +123,14 @@ class AxisNodes:
         await add_invert(server, parent, name, operator)
         await add_arming(server, parent, name, operator)
         parent = await add_object(
+            server,
+            folder,
+            f"{name}.{TRACKING}",
+            description="How the axis follows its set position.",
+        )
+        for node in tracking_variables(name):
+            await self._add_variable(parent, node)
+        parent = await add_object(
             server, folder, f"{name}.{ALARMS}", description="The alarms of the axis."
         )
         await self._alarms.add(parent, name, self._of_alarms.add_standing)
@@ -142,6 +154,14 @@ class AxisNodes:
             for name, value, code in values_of(results)
             if f"{axis}.{name}" in self._variables
         )
+        course = results.tracking
+        if course is not None and course is not self._tracking.get(axis):
+            self._tracking[axis] = course
+            self._server.write(
+                (self._variables[f"{axis}.{TRACKING}.{name}"], value, int(_CODES.Good), t)
+                for name, value in tracking_values(course)
+                if f"{axis}.{TRACKING}.{name}" in self._variables
+            )
         self._alarms.take(axis, results.alarms, self._clock.now())
 
 
@@ -206,6 +226,30 @@ def inverse_variables(axis: str) -> tuple[VariableNode, ...]:
         ),
         *arming_variables(prefix),
     )
+
+
+def tracking_variables(axis: str) -> tuple[VariableNode, ...]:
+    """Return the variables of the tracking error; without a set position they have no value."""
+    prefix = f"{axis}.{TRACKING}"
+    return (
+        VariableNode(
+            f"{prefix}.Rms",
+            f"Root mean square of Position less SetPosition over {SPAN_S:g} s, mm.",
+        ),
+        VariableNode(f"{prefix}.Time", "Times of Position, s since 1970 (UTC).", dimensions=(0,)),
+        VariableNode(
+            f"{prefix}.Position", f"Position in the newest {SPAN_S:g} s, mm.", dimensions=(0,)
+        ),
+        VariableNode(f"{prefix}.SetPosition", "Set position at the same times.", dimensions=(0,)),
+    )
+
+
+def tracking_values(course: AxisTracking) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of each variable of the tracking error."""
+    yield "Rms", course.rms
+    yield "Time", (1e-9 * course.t).tolist()
+    yield "Position", course.position.tolist()
+    yield "SetPosition", course.set_position.tolist()
 
 
 def values_of(results: AxisResults) -> Iterator[tuple[str, Any, int]]:

@@ -1,4 +1,4 @@
-"""Questions of a browser, answered by the service: voltages, trends, past alarms, comparisons."""
+"""Questions of a browser, answered by the service: voltages, trends, alarms, comparisons."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,6 +8,7 @@ from valvemap.page.alarm_list import MOST_PAST, row_of
 from valvemap.page.layout import Valve
 from valvemap.page.messages import pack_text, pack_trend
 from valvemap.page.observer import Observer
+from valvemap.page.tracking import tracking_of
 from valvemap.page.trends import MOST_INTERVALS, MOST_NAMES, STEPS_MS, recorded
 
 _MS = 1_000_000  # ns
@@ -54,6 +55,8 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
             case {"past": True, "from": int() as start, "to": int() as end}:
                 _check_span(start, end)
                 answer = await _past(observer, start, end)
+            case {"tracking": True}:
+                answer = await tracking_of(observer.client, observer.parts)
             case {"compare": str() as name, "estimator": str() as estimator}:
                 answer = await _compare(observer, _valve(observer, name), estimator)
             case _:

@@ -26,6 +26,7 @@ from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.pipeline.axis_tracking import Tracking
 from valvemap.pipeline.axis_watch import AxisWatch
 from valvemap.pipeline.axis_window import AxisWindow
 from valvemap.pipeline.edges import MOST_WAITING, paired
@@ -53,7 +54,8 @@ class AxisPlan:
     """Configuration of one axis; ``meaning`` are its nodes, units and scalings.
 
     ``is_frozen``: the stored map stays as it is; nothing is learnt, nothing is found.
-    ``has_speed``: the piston's speed is measured, and not its position.
+    ``has_speed``: the piston's speed is measured, and not its position. ``is_tracked``: there is a
+    set position; line B has it where line A has T.
     """
 
     name: str
@@ -63,6 +65,7 @@ class AxisPlan:
     feed_forward: FeedForward | None = None
     is_frozen: bool = False
     has_speed: bool = False
+    is_tracked: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ class Axis:
         self._of_shape: Floats = np.zeros((SIZE, SIZE))
         self._known: _Known | None = None
         self._watch: AxisWatch | None = None
-        self.alarms = AxisAlarms()
+        self.alarms, self._tracking = AxisAlarms(), Tracking()
         self.newest_U = np.nan  # of the newest sample, %
         self._newest: tuple[float, ...] = (np.nan,) * 6  # x, T, pA, pB, pS, pT
         self.t = 0  # of the newest sample, UTC ns
@@ -140,7 +143,9 @@ class Axis:
         self._unmet = [(t_A[past_A:], of_A[:, past_A:]), (t_B[past_B:], of_B[:, past_B:])]
         if len(rows):
             U, pS, pA, moved, T = of_A[:, rows]
-            _, pB, pT, *_ = of_B[:, of]
+            _, pB, pT, _, set_position = of_B[:, of]
+            if self.plan.is_tracked:
+                self._tracking.take(t_A[rows], moved, set_position)
             piston = {"v" if self.plan.has_speed else "x": moved}
             self.take(AxisSamples.of(t_A[rows], U=U, pA=pA, pB=pB, pS=pS, pT=pT, T=T, **piston))
 
@@ -326,12 +331,22 @@ class Axis:
                 left_out = {k: n for k, n in self._refused.left_out.items() if k != "used"}
         findings = None if self._watch is None else self._watch.condition.findings()
         required = self.required()
-        return AxisResults(status, sentence, self.t, used_s, left_out, known, required, findings)
+        return AxisResults(
+            status,
+            sentence,
+            self.t,
+            used_s,
+            left_out,
+            known,
+            required,
+            findings,
+            tracking=self._tracking.course,
+        )
 
     @property
     def key(self) -> str:
         """The hash that a stored state is bound to."""
-        return key_of(replace(self.plan, feed_forward=None, is_frozen=False))
+        return key_of(replace(self.plan, feed_forward=None, is_frozen=False, is_tracked=False))
 
     def to_bytes(self) -> dict[str, bytes]:
         """Return alarms, the learnt state, and the reference of findings, once there is one."""

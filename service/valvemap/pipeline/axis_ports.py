@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from valvemap.model.samples import Floats
+from valvemap.pipeline.axis_tracking import AxisTracking
 from valvemap.pipeline.ports import AlarmReport, Command
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
@@ -57,7 +58,8 @@ class AxisResults:
 
     ``left_out`` has the number of intervals by reason; ``used_s`` is the movement learnt from, s.
     ``findings`` are the changes since the reference, None: there is no reference yet. ``is_stale``:
-    no sample has come for long. ``alarms`` are all alarms of the axis.
+    no sample has come for long. ``alarms`` are all alarms of the axis. ``tracking`` is renewed once
+    a second; None: there is no set position.
     """
 
     status: AxisStatus
@@ -72,6 +74,7 @@ class AxisResults:
     feed_forward: FeedForwardStatus = FeedForwardStatus.NOT_CONFIGURED
     is_stale: bool = False
     alarms: tuple[AlarmReport, ...] = ()
+    tracking: AxisTracking | None = None
 
     @property
     def numbers(self) -> dict[str, float]:

@@ -123,6 +123,9 @@ export class Live extends EventTarget {
   /** How the present map differs from the approved one: {mean, largest, U, dp, points}. */
   compare(valve, estimator) { return this.#ask({ compare: valve, estimator }); }
 
+  /** The newest seconds of all axes with a set position: {tracking: [{name, rms, t, x, set}]}. */
+  tracking() { return this.#ask({ tracking: true }); }
+
   #ask(question) {
     const number = ++this.#question;
     return new Promise((resolve) => {

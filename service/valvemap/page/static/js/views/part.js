@@ -5,6 +5,7 @@ import { h, lineVariable, mark, onTheme, say } from "../dom.js";
 import { clock, CODES, fixed, inUnit, NAN, REASONS, short, spaced, span, spreadInUnit } from "../format.js";
 import { inverseCard } from "../inverse_card.js";
 import { slider } from "../slider.js";
+import { trackingCard } from "../tracking_card.js";
 import { inUnits, shown, spreadShown } from "../units.js";
 
 const REFRESH_MS = 1000;
@@ -19,11 +20,12 @@ export function partView(root, { live, part, user }) {
   const edges = isAxis ? edgesOfAxis(live) : edgesOfLine(live, part);
   const known = h("section.card", {}, h("header", {}, h("h2", {}, isAxis ? "What is known of the axis" : "What is known of the line")),
     h("table.described", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Value"), h("th.number", {}, "± 95 %"))), table));
-  closers.push(inverse.close, edges.close);
+  const tracking = isAxis ? trackingCard(live) : null;
+  closers.push(inverse.close, edges.close, () => tracking?.close());
 
   root.append(
     h("div.head", {}, h("h1", {}, part.name), badge, sentence),
-    h("div.grid.part-grid", {}, isAxis ? edges.element : h("div.grid", {}, edges.element, known), h("div.grid", {}, inverse.element, isAxis ? known : null)),
+    h("div.grid.part-grid", {}, isAxis ? h("div.grid", {}, tracking.element, edges.element) : h("div.grid", {}, edges.element, known), h("div.grid", {}, inverse.element, isAxis ? known : null)),
   );
 
   /** The variables of the part itself and its signals; those of the inverse and of edges have places of their own. */
