@@ -4,7 +4,10 @@ package main
 import (
 	"bufio"
 	"context"
+	"crypto/rsa"
+	"crypto/x509"
 	"encoding/json"
+	"encoding/pem"
 	"errors"
 	"math"
 	"os"
@@ -22,20 +25,25 @@ const (
 )
 
 type step struct {
-	Op         string           `json:"op"`
-	URL        string           `json:"url"`
-	Nodes      []string         `json:"nodes"`
-	Attributes []uint32         `json:"attributes"`
-	Root       string           `json:"root"`
-	Reference  string           `json:"reference"`
-	Owner      string           `json:"owner"`
-	Method     string           `json:"method"`
-	Inputs     []map[string]any `json:"inputs"`
-	Node       string           `json:"node"`
-	Start      int64            `json:"start"`
-	End        int64            `json:"end"`
-	Interval   float64          `json:"interval"`
-	Aggregate  string           `json:"aggregate"`
+	Op          string           `json:"op"`
+	URL         string           `json:"url"`
+	User        string           `json:"user"`
+	Password    string           `json:"password"`
+	Policy      string           `json:"policy"`
+	Certificate string           `json:"certificate"`
+	Key         string           `json:"key"`
+	Nodes       []string         `json:"nodes"`
+	Attributes  []uint32         `json:"attributes"`
+	Root        string           `json:"root"`
+	Reference   string           `json:"reference"`
+	Owner       string           `json:"owner"`
+	Method      string           `json:"method"`
+	Inputs      []map[string]any `json:"inputs"`
+	Node        string           `json:"node"`
+	Start       int64            `json:"start"`
+	End         int64            `json:"end"`
+	Interval    float64          `json:"interval"`
+	Aggregate   string           `json:"aggregate"`
 }
 
 type answer struct {
@@ -78,7 +86,11 @@ func main() {
 func do(ctx context.Context, wanted step) (any, error) {
 	switch wanted.Op {
 	case "connect":
-		made, err := opcua.NewClient(wanted.URL, opcua.SecurityPolicy("None"))
+		options, err := options(ctx, wanted)
+		if err != nil {
+			return nil, err
+		}
+		made, err := opcua.NewClient(wanted.URL, options...)
 		if err == nil {
 			client, err = made, made.Connect(ctx)
 		}
@@ -95,6 +107,55 @@ func do(ctx context.Context, wanted step) (any, error) {
 		return true, client.Close(ctx)
 	}
 	return nil, errors.New("unknown operation " + wanted.Op)
+}
+
+// options are those of an anonymous client without security, or of a user with both.
+func options(ctx context.Context, wanted step) ([]opcua.Option, error) {
+	if wanted.User == "" {
+		return []opcua.Option{opcua.SecurityPolicy("None")}, nil
+	}
+	endpoints, err := opcua.GetEndpoints(ctx, wanted.URL)
+	if err != nil {
+		return nil, err
+	}
+	mode := ua.MessageSecurityModeSignAndEncrypt
+	endpoint, err := opcua.SelectEndpoint(endpoints, wanted.Policy, mode)
+	if err != nil {
+		return nil, err
+	}
+	key, err := privateKey(wanted.Key)
+	if err != nil {
+		return nil, err
+	}
+	return []opcua.Option{
+		opcua.CertificateFile(wanted.Certificate),
+		opcua.PrivateKey(key),
+		opcua.AuthUsername(wanted.User, wanted.Password),
+		opcua.SecurityFromEndpoint(endpoint, ua.UserTokenTypeUserName),
+	}, nil
+}
+
+func privateKey(file string) (*rsa.PrivateKey, error) {
+	text, err := os.ReadFile(file)
+	if err != nil {
+		return nil, err
+	}
+	block, _ := pem.Decode(text)
+	if block == nil {
+		return nil, errors.New(file + ": no PEM")
+	}
+	if key, err := x509.ParsePKCS1PrivateKey(block.Bytes); err == nil {
+		return key, nil
+	}
+	key, err := x509.ParsePKCS8PrivateKey(block.Bytes)
+	if err != nil {
+		return nil, err
+	}
+	ofRSA, ok := key.(*rsa.PrivateKey)
+	if !ok {
+		return nil, errors.New(file + ": not an RSA key")
+	}
+	return ofRSA, nil
 }
 
 // walk finds all nodes that references lead to, and the methods of objects among them.
