@@ -18,6 +18,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
 from valvemap.model.support import Support
 from valvemap.model.valve_tables import valve_tables
+from valvemap.vocabulary.statuses import InverseStatus
 
 POINTS, N, T = 1_000_000, 5_000, 40.0
 
@@ -40,11 +41,16 @@ def figures(estimator: Any) -> dict[str, tuple[float, float]]:
     low, high = (np.interp(dp, inverse.dp, x) for x in (inverse.lowest, inverse.highest))
     beside = rng.uniform(size=POINTS) ** 4  # dense where a dead band ends
     r = np.where(rng.uniform(size=POINTS) < 0.5, beside, rng.uniform(-0.02, 1.02, POINTS))
+    ends = rng.integers(0, 2, POINTS) + rng.uniform(-1e-3, 1e-3, POINTS)  # beside both limits
+    r = np.where(rng.uniform(size=POINTS) < 0.25, ends, r)
     Q = low + r * (high - low)
-    U, exact = inverse.interpolate(Q, dp)[0], invert(estimator, state, Q, dp, T).U
-    both, within = np.isfinite(U), np.isfinite(U + exact) & (low < Q) & (high > Q)
+    U, exact = inverse.interpolate(Q, dp)[0], invert(estimator, state, Q, dp, T)
+    both, within = np.isfinite(U), np.isfinite(U) & (exact.status == InverseStatus.OK)
     delivered = flow(U[both], dp[both]) - np.clip(Q, low, high)[both]
     demand = rng.uniform(flows.Q[0], flows.Q[-1], POINTS)
+    shut, open_ = (flow(np.full(POINTS, end), dp) for end in (0.0, 100.0))
+    demand = np.where(rng.uniform(size=POINTS) < 0.5, shut + beside * (open_ - shut), demand)
+    demand = np.clip(demand, flows.Q[0], flows.Q[-1])
     sheet, wanted = flows.interpolate(demand, dp), invert(estimator, state, demand, dp, T).U
     known = np.isfinite(sheet) & np.isfinite(wanted)
     at_U, at_s = rng.uniform(0, 100, POINTS), rng.uniform(0, forward.s[-1], POINTS)
@@ -52,7 +58,7 @@ def figures(estimator: Any) -> dict[str, tuple[float, float]]:
     low_U, high_U = ((1 - v) * forward.Q[k, j] + v * forward.Q[k, j + 1] for k in (i, i + 1))
     of_sheet = flow(sheet[known], dp[known]) - flow(wanted[known], dp[known])
     pairs = {
-        "C, ST: U": (inverse.error_U, (U - exact)[within]),
+        "C, ST: U": (inverse.error_U, (U - exact.U)[within]),
         "C, ST: flow": (inverse.error_Q, delivered),
         "CSV: U": (flows.error_U, sheet[known] - wanted[known]),
         "CSV: flow": (flows.error_Q, of_sheet),

@@ -60,8 +60,10 @@ def points_tried(estimator, state, table, n):
     pieces = MapPieces.of(estimator, state, (table.dp[0], table.dp[-1]), table.T)
     knots = np.empty(0) if pieces is None else pieces.s**2
     crossings = np.meshgrid(edges(table.r, table.r), edges(table.dp, knots))
-    r = np.concatenate([rng.uniform(-0.02, 1.02, n), crossings[0].ravel()])
-    dp = np.concatenate([rng.uniform(table.dp[0], table.dp[-1], n), crossings[1].ravel()])
+    r, dp = rng.uniform(-0.02, 1.02, n), rng.uniform(table.dp[0], table.dp[-1], n)
+    beside = rng.integers(0, 2, n // 4) + rng.uniform(-1e-3, 1e-3, n // 4)  # both limits
+    r = np.concatenate([r, beside, crossings[0].ravel()])
+    dp = np.concatenate([dp, rng.permutation(dp)[: n // 4], crossings[1].ravel()])
     low, high = (np.interp(dp, table.dp, x) for x in (table.lowest, table.highest))
     return low + r * (high - low), dp
 
@@ -77,19 +79,19 @@ def largest_errors(estimator, state, table, n):
     flow = estimator.predict(state, U[known], dp[known], T[known])[0]
     apart_Q = np.abs(flow - np.clip(Q, low, high)[known]).max()
     exact = invert(estimator, state, Q, dp, table.T)
-    both = known & (exact.status == InverseStatus.OK) & (low < Q) & (high > Q)
+    both = known & (exact.status == InverseStatus.OK)
     return np.abs(U - exact.U)[both].max(), apart_Q
 
 
 @pytest.mark.parametrize("n", [20_000, pytest.param(POINTS, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_the_certified_error_holds_at_random_points_and_is_tight_in_flow(name, n):
+def test_the_certified_error_holds_at_random_points_and_is_tight(name, n):
     estimator = ESTIMATORS[name]
     state = learnt(estimator)
     table = lookup_table(estimator, state)
     assert table.certified
     error_U, error_Q = largest_errors(estimator, state, table, n)
-    assert error_U <= table.error_U
+    assert error_U <= table.error_U <= 1.5 * error_U
     assert error_Q <= table.error_Q <= 1.2 * error_Q + 2e-4
 
 
@@ -102,7 +104,7 @@ def test_it_holds_for_auto_at_temperatures_that_make_no_polynomial(T, n):
     table = lookup_table(estimator, state, T=T)
     assert table.certified
     error_U, error_Q = largest_errors(estimator, state, table, n)
-    assert error_U <= table.error_U <= 3.0 * error_U
+    assert error_U <= table.error_U <= 1.5 * error_U
     assert error_Q <= table.error_Q <= 1.2 * error_Q + 2e-4
 
 

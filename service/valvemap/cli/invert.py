@@ -163,7 +163,10 @@ def export(
     )
     share = float(np.mean(shown.guessed))
     if share > 0.0:
-        write_line(f"{share:.0%} of the points are extrapolated, and marked so in the table")
+        write_line(
+            f"{share:.0%} of the points are extrapolated, and marked so in the table; a range of "
+            "dp that was measured (--dp-min, --dp-max) leaves fewer"
+        )
 
 
 def _write_unit(out: Path, model: "Model", table: "LookupTable", title: str) -> None:

@@ -20,7 +20,7 @@ LEVELS: Final = np.linspace(0.0, 100.0, 401)
 WITHIN: Final = np.array([1e-6, 0.15, 0.35, 0.5, 0.65, 0.85, 1.0 - 1e-6])
 EDGES: Final = np.array([1e-6, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3])
 MARGIN: Final = 1.25
-SLACK_U: Final = 1.2  # of the measured error in U: a bound below is not refined
+SLACK_U: Final = 1.1  # of the measured error in U: a bound below is not refined
 
 
 @dataclass(frozen=True)

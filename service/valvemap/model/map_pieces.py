@@ -17,6 +17,7 @@ from valvemap.model.samples import Floats
 
 FINEST: Final = (24, 48, 96)  # rectangles along an axis without knots, until what is left is small
 SMALL: Final = 1e-5  # of the largest flow: what is left needs no finer rectangles
+FINE: Final = 192  # rectangles along U, at least, where the least slopes matter
 TRUE: Final = 1e-9  # of the largest flow: a map that differs more is no such polynomial
 SHARP: Final = 1e-6  # of the largest slope: a larger jump of a slope is a kink
 SLIVER: Final = 0.01  # of a rectangle's width; edges that are closer to a knot are left out
@@ -82,6 +83,14 @@ class Polynomials:
         U = np.concatenate([[below], self.U, [above]])
         whole = np.concatenate([lower, self.coefficients, upper])
         return self.of(U, self.s, whole)
+
+    def divided(self, parts: int) -> "Polynomials":
+        """Return them on rectangles divided along both axes, where their bounds are sharper."""
+        to_U, to_s = (_division(n, parts) for n in DEGREES)
+        shape = parts * len(self.coefficients), parts * self.coefficients.shape[1]
+        whole = np.einsum("pka,ijab,qlb->ipjqkl", to_U, self.coefficients, to_s)
+        U, s = (_between(edges, parts) for edges in (self.U, self.s))
+        return self.of(U, s, whole.reshape(*shape, *whole.shape[-2:]))
 
     def at(self, U: Floats, s: Floats) -> Floats:
         """Flow, dQ/dU and dQ/ds at N points, (3, N)."""
@@ -201,6 +210,12 @@ class MapPieces:
         above, below = c.min(axis=(2, 3)) >= 0.0, c.max(axis=(2, 3)) <= 0.0
         return np.asarray(np.select([above, below], [first, second], np.minimum(first, second)))
 
+    @cached_property
+    def fine(self) -> "MapPieces":
+        """The map on rectangles divided along both axes, where its least slopes are sharper."""
+        parts = -(-FINE // (len(self.U) - 1))
+        return MapPieces(tuple(part.divided(parts) for part in self.parts), self.slack)
+
     def extended(self, below: float, above: float, gain: float) -> "MapPieces":
         """Return the map also for U < 0 and U > 100: linear, with slopes gain·s."""
         parts = tuple(part.extended(below, above, gain) for part in self.parts)
@@ -291,6 +306,18 @@ def _edges(knots: Floats, low: float, high: float, count: int) -> Floats:
     within = np.unique(knots[(knots > low + 1e-6 * sliver) & (knots < high - 1e-6 * sliver)])
     apart = np.abs(even[1:-1, None] - within).min(axis=1, initial=np.inf)
     return np.unique(np.concatenate([[low, high], within, even[1:-1][apart > sliver]]))
+
+
+def _division(degree: int, parts: int) -> Floats:
+    """Matrices that give the coefficients on each of some equal parts, (parts, n + 1, n + 1)."""
+    nodes = np.linspace(0.0, 1.0, degree + 1)
+    back = np.linalg.inv(bernstein(nodes, degree))
+    return np.stack([back @ bernstein((p + nodes) / parts, degree) for p in range(parts)])
+
+
+def _between(edges: Floats, parts: int) -> Floats:
+    """Edges of equal parts of each interval."""
+    return np.append(_inside(edges, np.arange(parts) / parts).ravel(), edges[-1])
 
 
 def _derivative(coefficients: Floats, axis: int, widths: Floats) -> Floats:

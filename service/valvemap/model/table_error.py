@@ -14,7 +14,9 @@ with the largest second derivatives over the box, which follow from those of the
 theorem does: |F(c)| + a·max|F_u| + b·max|F_v|. Boxes whose bound is too large are split.
 
 The error in U follows from it. With C(U) = ∫ min dQ̂/dU dU over the box's pressure drops, no U
-delivers Q before C first reaches C(U) - |F|, and one does before C next reaches C(U) + |F|.
+delivers Q before C first reaches C(U) - |F|, and one does before C next reaches C(U) + |F|. Where
+the map falls with U, the least slope of a whole rectangle is far below the map's: boxes that matter
+are bounded again by the slopes on parts of the rectangles.
 """
 
 from dataclasses import dataclass
@@ -29,6 +31,7 @@ from valvemap.model.samples import Floats
 SLACK: Final = 1.05  # of the largest error found at a centre: a bound below is not refined
 DEEPEST: Final = 12  # splits of a cell along each axis
 MOST: Final = 200_000  # boxes at a time
+ROWS: Final = 2_048  # boxes with so many slopes at a time
 END: Final = 100.0  # % of U
 ROUNDING: Final = 1e-4  # % and l/min; literals have 12 digits
 
@@ -118,7 +121,7 @@ def certified_errors(cells: Cells, pieces: MapPieces, tolerance_U: float) -> tup
     half = np.full(len(cells.r), 0.5)
     boxes, found, worst_U, worst_Q = _Boxes(cells, half, half, half, half), 0.0, 0.0, 0.0
     for depth in range(DEEPEST + 1):
-        bounds, centre, U_error = _bounds(boxes, pieces, with_U=np.isfinite(tolerance_U))
+        bounds, centre, U_error = _bounds(boxes, pieces, tolerance_U)
         found = max(found, float(centre.max(initial=0.0)))
         rough = (bounds > SLACK * found + ROUNDING) | (U_error > tolerance_U)
         if depth == DEEPEST or 4 * int(rough.sum()) > MOST:
@@ -131,8 +134,11 @@ def certified_errors(cells: Cells, pieces: MapPieces, tolerance_U: float) -> tup
     return worst_U + ROUNDING, worst_Q + ROUNDING
 
 
-def _bounds(boxes: _Boxes, pieces: MapPieces, *, with_U: bool) -> tuple[Floats, Floats, Floats]:
-    """Return each box's bound of |F|, |F| at its centre, and, if asked, one of the error in U."""
+def _bounds(boxes: _Boxes, pieces: MapPieces, tolerance_U: float) -> tuple[Floats, Floats, Floats]:
+    """Return each box's bound of |F|, |F| at its centre, and one of the error in U.
+
+    An error in U below the tolerance may be less sharp.
+    """
     c, u, v, a, b = boxes.cells, boxes.u, boxes.v, boxes.a, boxes.b
     ends_u, ends_v = np.stack([u - a, u + a]), np.stack([v - b, v + b])
     by_u, by_v = c.U10 - c.U00, c.U01 - c.U00
@@ -163,9 +169,13 @@ def _bounds(boxes: _Boxes, pieces: MapPieces, *, with_U: bool) -> tuple[Floats, 
     plain = F + a * steep_u + b * _largest(by_both, Q_v)
     bounds = np.minimum(np.where(kinked, plain, np.minimum(smooth, plain)), c.largest())
     bounds = bounds + pieces.slack
-    if not with_U:
+    if not np.isfinite(tolerance_U):
         return bounds, F, 0.0 * F
     error_U = _error_in_U(pieces, low_U, high_U, s, bounds)
+    rough = np.flatnonzero(error_U > tolerance_U)
+    for rows in np.split(rough, range(ROWS, len(rough), ROWS)):
+        part = low_U[rows], high_U[rows], s[:, rows], bounds[rows]
+        error_U[rows] = _error_in_U(pieces.fine, *part)
     corners = (
         c.low
         + c.dlow * ends_v[:, None]
