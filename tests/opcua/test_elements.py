@@ -76,7 +76,7 @@ async def test_elements_are_read_browsed_and_named_if_they_are_not_there(served)
 
         for wrong, words in (
             ({"U": f"index=4;{ARRAY}"}, "has 4 elements .* none with index=4; index=0 to index=3"),
-            ({"U": ARRAY}, "is an array .* write index=0 to index=3; before the NodeId"),
+            ({"U": ARRAY}, "is an array .* a scalar is needed, or index=0 to index=3; before"),
             ({"Q": f"index=2;{FLOW}"}, "Q of valve V1.* is no array .* leave out index=2;"),
         ):
             with pytest.raises(SourceRejected, match=words):

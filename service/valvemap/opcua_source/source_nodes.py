@@ -422,7 +422,7 @@ def _fault_of_type(
         return _fault_of_element(rank, value, element)
     if rank.Value.Value not in _SCALARS or is_array:
         some = f"index=0 to index={len(value.Value.Value) - 1}" if is_array else "index=0"
-        return f"is an array at {{url}}; write {some}; before the NodeId for one of its elements"
+        return f"is an array at {{url}}; a scalar is needed, or {some}; before the NodeId"
     return None
 
 
