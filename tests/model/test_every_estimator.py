@@ -74,18 +74,16 @@ def test_it_learns_the_valve_and_says_what_it_says_of_each_sample(estimator):
 
 
 def test_it_changes_none_of_its_arguments(estimator):
+    """Told by bits: arrays that cannot be written are another type to numba, compiled anew."""
     samples = valve(200)
     state, _ = run(estimator, samples)
-    before = {name: array.copy() for name, array in arrays(state).items()}
-    for name in ("t", "U", "p1", "p2", "Q", "T", "quality"):
-        getattr(samples, name).flags.writeable = False
-    for array in arrays(state).values():
-        array.flags.writeable = False
+    given = [getattr(samples, name) for name in ("t", "U", "p1", "p2", "Q", "T", "quality")]
+    given += arrays(state).values()
+    before = [array.tobytes() for array in given]
     after, _ = estimator.update(state, samples)
     estimator.predict(after, samples.U, samples.dp, samples.T)
     estimator.parameters(after)
-    for name, array in arrays(state).items():
-        np.testing.assert_array_equal(array, before[name])
+    assert [array.tobytes() for array in given] == before
 
 
 @pytest.mark.parametrize("seed", range(3))
