@@ -73,7 +73,7 @@ def error_inside(auto, state, samples):
 )
 def test_lags_are_found_and_the_map_is_good_and_without_a_loop(tau_U, tau_Q):
     errors = []
-    for seed in (3, 4, 5):
+    for seed in (3, 4):
         samples, auto = machine(seed, tau_U, tau_Q), FlowMap()
         state, _ = auto.update(auto.initial_state(), samples)
         for found, true in zip(auto.lags(state), (tau_U, tau_Q), strict=True):
