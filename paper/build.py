@@ -7,10 +7,12 @@ from typing import Any
 
 from paper import pictures_data, pictures_runs, pictures_tables
 from paper.claims import judge, with_asides
+from paper.claims_motion import claim_14
 from paper.data import PaperData
 from paper.errata import show
 from paper.erratum import Erratum
 from paper.evidence import Evidence
+from paper.motion import Motion
 from paper.picture import Picture
 from paper.verdict import Claim, Part
 from valvemap.model.rbf_network import RbfNetwork
@@ -43,6 +45,7 @@ def build(
     sets: Sequence[PaperData],
     faster: PaperData,
     network: RbfNetwork | None = None,
+    motion: Motion | None = None,
     progress: Progress = lambda _step: None,
 ) -> PaperReport:
     """Reproduce the paper.
@@ -55,6 +58,8 @@ def build(
         A set at a higher sampling rate, to check how the verdicts depend on it.
     network
         Settings of the network, whose size and rates the paper does not give.
+    motion
+        A cylinder that follows moves, for the paper's open point; None: it is not judged.
     progress
         Called before each step with its name, STEPS times (and once more for each set).
     """
@@ -67,6 +72,8 @@ def build(
     claims = with_asides(judge(evidence), evidence[0])
     progress(f"the same at {faster.rate_hz:g} samples/s")
     claims_faster = judge([Evidence.of(faster, network)])
+    if motion is not None:
+        claims, claims_faster = ([*judged, claim_14(motion)] for judged in (claims, claims_faster))
     progress("showing the errata")
     errata = show(sets[0], network)
     progress("drawing")

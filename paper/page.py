@@ -84,7 +84,7 @@ def _summary_row(claim: Claim, faster: Claim, sets: int) -> str:
     return (
         f'<tr><td><a href="#claim-{claim.number}">{claim.number}</a></td>'
         f"<td>{escape(claim.text)}</td><td>{_badge(claim.verdict)}</td>"
-        f"<td class=num>{claim.agreeing} of {sets}</td><td>{other}</td></tr>"
+        f"<td class=num>{claim.agreeing} of {claim.sets or sets}</td><td>{other}</td></tr>"
     )
 
 
@@ -108,8 +108,8 @@ def _claim(claim: Claim, sets: int) -> str:
     return (
         f'<section class=claim id="claim-{claim.number}">'
         f"<h3>{claim.number}. {escape(claim.text)}</h3>"
-        f"<p>{_badge(claim.verdict)} <small>the same in {claim.agreeing} of {sets} sets of "
-        "recordings</small></p>"
+        f"<p>{_badge(claim.verdict)} <small>the same in {claim.agreeing} of {claim.sets or sets} "
+        "sets of recordings</small></p>"
         "<table class=parts><thead><tr><th>what the claim says<th>figure<th>as printed"
         f"<th>claim holds if<th>holds</tr></thead><tbody>{rows}</tbody></table>"
         f"<p class=note>{note}</p></section>"
@@ -184,9 +184,9 @@ ul.counts li { border-left: 4px solid; padding: .1rem .7rem; } ul.counts b { fon
 <body>
 <h1>The paper, rebuilt</h1>
 <p>“Adaptive Identification and Application of Flow Mapping for Electrohydraulic Valves”: its
-figures and tables from recordings of a virtual test rig, its thirteen claims with a verdict each,
-and every misprint beside the right form. Nothing here is typed in: figures are computed, and
-verdicts follow from them.</p>
+figures and tables from recordings of a virtual test rig, its thirteen claims and its open
+point with a verdict each, and every misprint beside the right form. Nothing here is typed in:
+figures are computed, and verdicts follow from them.</p>
 <ul class="counts">
 $counts
 </ul>
@@ -202,7 +202,8 @@ do not hold do so with the formulas as the paper misprints them: <b>explained by
 Otherwise: <b>not reproduced</b>. There are $recordings; the median over the sets decides, and
 “in sets” tells in how many of them, taken
 alone, it is the same. The last column judges one more set of $faster samples a second: where it
-differs, the claim hangs on how fast one samples, which the paper does not tell.</p>
+differs, the claim hangs on how fast one samples, which the paper does not tell. The last claim is
+judged on a cylinder of its own, once.</p>
 
 <h2>The valve and the data</h2>
 $figures

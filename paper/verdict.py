@@ -94,6 +94,8 @@ class Claim:
         Further results, in addition to the verdict.
     agreeing : int
         Number of sets of recordings with the same verdict.
+    sets : int or None
+        Number of sets that it was judged on; None: all of the report's.
     """
 
     number: int
@@ -101,6 +103,7 @@ class Claim:
     parts: tuple[Part, ...]
     note: str = ""
     agreeing: int = 1
+    sets: int | None = None
 
     @property
     def verdict(self) -> Verdict:
