@@ -159,6 +159,7 @@ def _wearing(state: FlowMapState, both: Both, explained: float) -> Iterator[Find
         moved = nodes[:, wears.LEVEL] - nodes[:, wears.FORMER]
         k = int(np.argmax(moved**2 / np.maximum(nodes[:, wears.P_LEVEL], 1e-300)))
         share = explained * float(head[wears.CHANCE])
+        share *= 1.0 - float(state.chance[side, drifts.MOVING])  # that of a whole edge is no wear
         U = abs(both[0].breaks[-1 if side == 0 else 0]) * k / (wears.NODES - 1)
         size = f"{moved[k]:+.2g} l/min at the largest Δp"
         when = f"within some {rules.WEAR_RECALLED / 60.0:.0f} minutes"

@@ -217,7 +217,8 @@ def _note_wear(
     head[wears.STAYS] += 1.0
     if wears.is_due(head):
         wears.settle(memory.wear, side, drift.now, math.sqrt(scalars[fits.SCALE]))
-        if head[wears.CHANCE] > rules.WORTH_SAYING:
+        of_part = head[wears.CHANCE] * (1.0 - drift.chance[drifts.MOVING])  # none of a whole edge
+        if of_part > rules.WORTH_SAYING:
             gain = 1.0 + drift.now[0, drifts.GAIN]
             wears.move(
                 memory.wear, axis_U, axis_s, side, gain, memory.theta, memory.cells, scalars,
