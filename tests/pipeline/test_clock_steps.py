@@ -95,7 +95,6 @@ def test_messages_that_catch_up_after_an_outage_are_no_step():
     [
         (-3.0, (6,), 6),
         (60.0, (6, 7, 8, 10), 10),
-        (-60.0, (4, 6), 6),
         (3600.0, (6, 7), 7),
     ],
 )

@@ -258,14 +258,16 @@ def test_without_its_numbers_a_valve_is_gone_on_with_by_time():
 
 def test_a_clock_set_back_behind_lost_samples_is_found_though_times_increase():
     """13 and 14 are on their way when 15 is flushed, whose clock was set back by 3 s."""
+    slow = AlignmentSettings(reorder_ns=5 * SECOND)
+    align = Alignment(slow, optional=(("T",),), has_sequence=(True,))
     numbers = np.array([*range(13), 15])
     t = START + numbers * 13 * SECOND // 10
     t[-1] -= 3 * SECOND
-    state, _ = ORDERED.update(ORDERED.initial_state(), stream(numbers, t))
-    state, _ = ORDERED.flush(state, np.array([0]))
+    state, _ = align.update(align.initial_state(), stream(numbers, t))
+    state, _ = align.flush(state, np.array([0]))
     late = np.array([13, 14])
-    state, _ = ORDERED.update(state, stream(late, START + late * 13 * SECOND // 10))
-    counted = ORDERED.counters(state, 0)
+    state, _ = align.update(state, stream(late, START + late * 13 * SECOND // 10))
+    counted = align.counters(state, 0)
     named = {name: counted[name] for name in LOSSES if counted[name]}
     assert named == {"late": 10, "gaps": 2, "clock_steps": 1}
 

@@ -104,6 +104,8 @@ def _of_commands(world, identification, valve):
         frozen = next((k == "freeze" for k in kinds[::-1] if k in ("freeze", "resume")), False)
         is_reset = (n, "reset") in given[:stop]
         if (lane.lam, lane.frozen) == (lam, frozen) and (not is_reset or lane.count == 0):
+            if world.all_saved and len(world.commands[valve]) > stop:
+                world.violated(f"V{valve}: a command is lost in an orderly stop")
             world.commands[valve] = given[:stop]
             return
         if stop and given[stop - 1][0] < n:

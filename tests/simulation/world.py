@@ -134,6 +134,7 @@ class World:
         self.counts = Counter()
         self.trace = hashlib.sha256()
         self.disturbed = 0.0  # end of the last stall
+        self.all_saved = False  # whether the last life ended so
 
     def _numbers(self, valve):
         t = self.server_of[valve].t.tolist()
@@ -228,6 +229,7 @@ class World:
         await live.start()
         said = repr(self.logs[logged:])
         judge.of_start(self, identification, [p.source for p in sources.parts], before, said)
+        self.all_saved = False
         stop = asyncio.Event()
         supervision = SupervisorSettings(
             startup_timeout_s=0.0, tick_s=case.tick_s, connected_before=True
@@ -248,6 +250,7 @@ class World:
         if not await live.keep(within_s=live.time_left_s):
             self.counts["not all saved"] += 1
             return
+        self.all_saved = True
         if self.rows is None:
             judge.of_history(self, keeper)
         else:

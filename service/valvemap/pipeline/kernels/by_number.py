@@ -113,7 +113,7 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
     at_step = False
     taken = not came_before and _is_taken(w, v, k, number)
     if taken or (last != NO_NUMBER and number <= last and not came_before):
-        course = _course(order, number, time)
+        course = _course(order, number, time, rules.reorder[v])
         at_step = course == _EARLIER and number >= order[FIRST]  # lost there, and late
         if taken or course == _UNKNOWN or (time > order[HIGH] and not at_step):
             if _is_old(slot):
@@ -246,10 +246,11 @@ def _unwrapped(order: NDArray[np.int64], raw: int) -> int:
 
 
 @inner
-def _course(order: NDArray[np.int64], number: int, time: int) -> int:
+def _course(order: NDArray[np.int64], number: int, time: int, reorder: int) -> int:
     """Return the course of the clock, present or earlier, on whose line number and time lie.
 
-    A sample lost at a step may belong to either: the line of the earlier course is continued.
+    The earlier course is continued where the clock was set back by less than ``reorder``: samples
+    lost there may come late. Beyond that, numbers that repeat are those of a restarted source.
     """
     step = np.float64(order[PERIOD])
     if order[LAST] > order[FIRST] and order[LAST_TIME] > order[FIRST_TIME]:
@@ -260,7 +261,8 @@ def _course(order: NDArray[np.int64], number: int, time: int) -> int:
         slack = _SLACK_NS + _SLACK * max(behind, 0.0)
         if abs(np.float64(last_time) - behind - np.float64(time)) <= slack:
             return course
-        if order[BEFORE_FIRST] == NEVER:
+        is_continued = order[HIGH] < time <= order[LAST_TIME] + reorder
+        if order[BEFORE_FIRST] == NEVER or (number >= order[FIRST] and not is_continued):
             return _UNKNOWN
         last, last_time = order[FIRST] - 1, order[BEFORE_FIRST]
     return _UNKNOWN
