@@ -14,7 +14,8 @@ Q is linear in the coefficients, which are eliminated at every step of the searc
 (variable projection). Where U always moves at the same pace, play and lag look alike but for the
 turning points; so the lag has a prior, of a usual spool and meter. The covariance of all of them at
 the optimum, times what the residuals have in common from sample to sample, gives a Gaussian
-posterior; figures are computed of draws from it.
+posterior; figures are computed of draws from it. A weight w multiplies a sample's noise as well:
+the covariance is H⁻¹JH⁻¹, with H the information of the weighted samples and J that of their noise.
 """
 
 import math
@@ -255,23 +256,23 @@ class _Problem:
             for d, g in ((0.05, 0.0), (0.0, 0.002))
         ]
         columns = np.column_stack([np.asarray(A.todense()), *by])
-        information = columns.T @ columns
         size = len(theta)
-        information[:size, :size] += self.prior(self.smooth)
+        known = np.zeros((size + 2, size + 2))  # of the prior
+        known[:size, :size] = self.prior(self.smooth)
         variance = (
             max(float(left @ left), self.many * EXACT**2)
             / max(self.many - size, 1.0)
             * _in_common(left)
         )
-        information[size + 1, size + 1] += variance / USUAL_LAG**2
+        known[size + 1, size + 1] = variance / USUAL_LAG**2
+        noises = self.weight[:, None] * columns
         try:
-            factor = np.linalg.cholesky(information)
+            spread = np.linalg.cholesky(noises.T @ noises + known)
+            factor = linalg.cho_factor(columns.T @ columns + known)
         except np.linalg.LinAlgError:
             return None
         rng = np.random.default_rng(seed)
-        draws = linalg.solve_triangular(
-            factor.T, rng.standard_normal((size + 2, DRAWS)), lower=False
-        )
+        draws = linalg.cho_solve(factor, spread @ rng.standard_normal((size + 2, DRAWS)))
         apart = math.sqrt(variance) * draws.T
         been = spool(self.U, self.dt, play, lag)[
             moved
