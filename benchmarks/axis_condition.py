@@ -44,6 +44,8 @@ FAULTS = {
     "friction x 2": (Fault(kind="friction", size=100), None),
 }
 """With the code that is right; None: it is not told."""
+TWO = ("PA and BT -30 %", ("PA", "BT"), (FindingCode.PA_CHANGE, FindingCode.BT_CHANGE))
+"""Two edges at once: both must come before all else."""
 
 
 class Run:
@@ -92,7 +94,7 @@ def last(watch: AxisWatch, work: AxisSamples) -> AxisWatch:
 def ranked(watch: AxisWatch) -> list[FindingCode | None]:
     """Return what is likeliest, None: nothing has changed."""
     codes: list[FindingCode | None] = [None, *CAUSES]
-    return [codes[k] for k in np.argsort(-watch.condition.probability)]
+    return [codes[k] for k in np.argsort(-watch.condition.of_causes)]
 
 
 def main() -> None:
@@ -122,6 +124,16 @@ def main() -> None:
             within[name].append(right in order[:2])
             size = [f"{one.probability:.2f} {one.sentence}" for one in after.condition.findings()]
             answers.append(f"    {name}: {'; '.join(size) or 'nothing'}")
+        name, edges, rights = TWO
+        run.travel = there
+        both = (Fault(kind="damage", edge=edge, size=-30) for edge in edges)
+        _, work = run.played(rig, 60.0, *both)
+        after = last(watch, work)
+        order = ranked(after)
+        exact.setdefault(name, []).append(set(order[:2]) == set(rights))
+        within.setdefault(name, []).append(set(rights) <= set(order[:3]))
+        size = [f"{one.probability:.2f} {one.sentence}" for one in after.condition.findings()]
+        answers.append(f"    {name}: {'; '.join(size) or 'nothing'}")
         worst, run.travel = 1.0, there
         for _ in range(round(36 * options.hours)):
             rig, work = run.played(rig, 100.0)

@@ -10,6 +10,7 @@ from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import (
     CAUSES,
+    HYPOTHESES,
     Condition,
     Reference,
     WindowSums,
@@ -87,10 +88,22 @@ def test_sizes_are_the_rigs(rig, known):
     (edge,) = condition_after(rig, known, FAULTS[FindingCode.PA_CHANGE]).findings()
     assert edge.sentence == "The edge PA passes 10 ± 0.9 % less than before."
     condition = condition_after(rig, known, FAULTS[FindingCode.LEAKAGE_CHANGE])
-    more = condition.size[CAUSES.index(FindingCode.LEAKAGE_CHANGE)]
+    more = condition.size[CAUSES.index(FindingCode.LEAKAGE_CHANGE), 0]
     assert more == pytest.approx(0.004, rel=0.2)  # l/min/bar
     (leak,) = condition.findings()
     assert "more than before" in leak.sentence
+
+
+@pytest.mark.parametrize("size", [-10, -30])
+def test_two_edges_at_once_are_both_named_with_their_sizes(rig, known, size):
+    both = [Fault(kind="damage", edge=edge, size=size) for edge in ("PA", "BT")]
+    found = condition_after(rig, known, *both).findings()
+    assert {one.code for one in found} == {FindingCode.PA_CHANGE, FindingCode.BT_CHANGE}
+    for one in found:
+        assert one.probability > 0.9
+        passes = int(one.sentence.split("passes ")[1].split(" ")[0])
+        assert passes == pytest.approx(-size, abs=2)
+        assert "less than before" in one.sentence
 
 
 def test_without_a_change_nothing_is_found(rig, known):
@@ -117,7 +130,7 @@ def test_no_rows_tell_nothing(known):
     nothing = WindowSums(np.zeros((SIZE, SIZE)), np.zeros(SIZE), 0.0, 0.0)
     condition = Condition.initial()
     weighed = weigh(reference, nothing, condition.mean, condition.spread)
-    assert weighed.log_evidence == pytest.approx(np.zeros(1 + len(CAUSES)), abs=1e-6)
+    assert weighed.log_evidence == pytest.approx(np.zeros(1 + len(HYPOTHESES)), abs=1e-6)
     for _ in range(360):
         condition = condition.after(reference, nothing, 10.0)
     assert condition.unchanged == pytest.approx(math.exp(-3600 / 360_000), abs=1e-3)
@@ -147,7 +160,7 @@ def test_an_exact_reference_gives_the_evidence_of_one_regressor():
     )
     found = weighed.log_evidence
     assert found[1] - found[0] == pytest.approx(by_hand, rel=1e-6)
-    assert weighed.size[0] == pytest.approx(-0.05, abs=0.01)
+    assert weighed.size[0, 0] == pytest.approx(-0.05, abs=0.01)
 
 
 @pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e308])

@@ -1,6 +1,7 @@
 """What has changed at an axis: each window of samples is weighed under every cause.
 
-A reference fit has the coefficients θ₀ with the covariance P₀. Under every cause, a window's
+Two edges that change at once are one hypothesis; all others have one cause. A reference fit has the
+coefficients θ₀ with the covariance P₀. Under every hypothesis, a window's
 coefficients are θ₀ + δ, and its rows are y = X·(θ₀ + δ) + e with e ~ N(0, σ²)::
 
     unchanged   δ ~ N(0, P)             P = P₀, slow drift, and the spline's error at corners
@@ -23,6 +24,7 @@ the load's force.
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -45,6 +47,13 @@ CAUSES: Final = (
     FindingCode.MISFIT,
 )
 """Of an axis; the last is *another*."""
+HYPOTHESES: Final = (
+    *((code,) for code in CAUSES),
+    *combinations(CAUSES[: len(EDGES)], 2),
+)
+"""What may have changed: each cause alone, and two edges at once."""
+_PAIRS: Final = slice(len(CAUSES), len(HYPOTHESES))
+_TOGETHER: Final = 0.01  # of the rate of one cause: two edges at once
 _RATE_PER_S: Final = 1.0 / 360_000.0  # 1/s; one change in 100 h of movement
 _GROWS: Final = 0.01  # of a size's prior variance per window: damage goes on
 _LISTED: Final = 0.05  # least probability of a finding
@@ -107,10 +116,10 @@ class Reference:
 
 
 class Weighed(NamedTuple):
-    """A window: log evidence of *unchanged* and of each cause, (1 + C,).
+    """A window: log evidence of *unchanged* and of each of H hypotheses, (1 + H,).
 
-    ``size`` and ``std`` (C,) of each cause, in its own unit; ``mean`` (C, 2) and ``spread``
-    (C, 2, 2) are the same of its columns of S, in prior standard deviations.
+    ``size`` and ``std`` (H, 2) of its causes, each in its own unit; ``mean`` (H, 2) and ``spread``
+    (H, 2, 2) are the same of its columns of S, in prior standard deviations.
     """
 
     log_evidence: Floats
@@ -155,9 +164,9 @@ def _weighed(reference: Reference, window: WindowSums, mean: Floats, spread: Flo
     K, u = A - A @ solved[:, :-1], r - A @ solved[:, -1]
     left = max(float(squares - r @ solved[:, -1]), 0.0)
     logs = [_student(left, n, _NOISE_KNOWN)]
-    sizes, stds = np.full(len(CAUSES), math.nan), np.full(len(CAUSES), math.nan)
+    sizes, stds = np.full((2, len(HYPOTHESES), 2), math.nan)
     mean, spread = mean.copy(), spread.copy()
-    for k, S in enumerate(_columns(theta)):
+    for k, S in _columns(theta).items():
         before = np.linalg.inv(spread[k])
         after = before + S.T @ K @ S
         v = S.T @ u + before @ mean[k]
@@ -167,15 +176,16 @@ def _weighed(reference: Reference, window: WindowSums, mean: Floats, spread: Flo
         logs.append(_student(less, n, _NOISE_KNOWN) - 0.5 * volume)
         noise = max(1.0, less / max(n, 1.0))
         mean[k], spread[k] = at, noise * np.linalg.inv(after)
-        unit = _unit(CAUSES[k], theta)
-        sizes[k], stds[k] = unit * at[0], unit * math.sqrt(spread[k, 0, 0])
-    logs.append(_another(theta, K, u, left, n))
+        for of, code in enumerate(HYPOTHESES[k]):
+            unit = _unit(code, theta)
+            sizes[k, of], stds[k, of] = unit * at[of], unit * math.sqrt(spread[k, of, of])
+    logs.insert(len(CAUSES), _another(theta, K, u, left, n))
     return Weighed(np.array(logs), sizes, stds, mean, spread)
 
 
 def _another(theta: Floats, K: Floats, u: Floats, left: float, n: float) -> float:
     """Return the log evidence of *another*."""
-    S = np.column_stack([*_columns(theta), np.diag(_ANY * theta)[:, :-COMMON]])
+    S = np.column_stack([*_columns(theta).values(), np.diag(_ANY * theta)[:, :-COMMON]])
     S = S[:, S.any(axis=0)]
     B, v = np.eye(S.shape[1]) + S.T @ K @ S, S.T @ u
     less = max(left - float(v @ np.linalg.solve(B, v)), 0.0)
@@ -213,13 +223,15 @@ def _common(theta: Floats, leakage: float, least: float, compliance: float, air:
     return found
 
 
-def _columns(theta: Floats) -> list[Floats]:
-    """Return S of each cause but *another*, (n, 2); a column is 0 where one is enough."""
+def _columns(theta: Floats) -> dict[int, Floats]:
+    """Return S (n, 2) of each hypothesis but *another*; a column is 0 where one is enough."""
     gains = _GAIN * _gains(theta)
     leakage, compliance, air = _common(theta, _LEAKAGE, _LEAKAGE_LEAST, _COMPLIANCE, _AIR).T
     nothing = np.zeros(SIZE)
     pairs = [*((gain, nothing) for gain in gains.T), (leakage, nothing), (air, compliance)]
-    return [np.column_stack(pair) for pair in pairs]
+    found = {k: np.column_stack(pair) for k, pair in enumerate(pairs)}
+    both = (np.column_stack(pair) for pair in combinations(gains.T, 2))
+    return found | dict(enumerate(both, start=len(CAUSES)))
 
 
 def _unit(code: FindingCode, theta: Floats) -> float:
@@ -233,7 +245,7 @@ def _unit(code: FindingCode, theta: Floats) -> float:
 
 @dataclass(frozen=True)
 class Condition:
-    """Probabilities of *unchanged* and of each cause, (1 + C,), after the windows so far.
+    """Probabilities of *unchanged* and of each hypothesis, (1 + H,), after the windows so far.
 
     The other fields are as of :class:`Weighed`.
     """
@@ -251,10 +263,10 @@ class Condition:
         >>> Condition.initial().unchanged, Condition.initial().findings()
         (1.0, ())
         """
-        C = len(CAUSES)
-        nothing = np.full(C, math.nan)
-        spread = np.broadcast_to(np.eye(2), (C, 2, 2)).copy()
-        return cls(np.eye(1 + C)[0], nothing, nothing, np.zeros((C, 2)), spread)
+        H = len(HYPOTHESES)
+        nothing = np.full((H, 2), math.nan)
+        spread = np.broadcast_to(np.eye(2), (H, 2, 2)).copy()
+        return cls(np.eye(1 + H)[0], nothing, nothing, np.zeros((H, 2)), spread)
 
     @property
     def unchanged(self) -> float:
@@ -269,7 +281,7 @@ class Condition:
         """
         moves = -math.expm1(-seconds * _RATE_PER_S)
         stays = (1.0 - moves) * self.probability
-        before = stays + moves * (1.0 - self.probability) / len(CAUSES)
+        before = stays + moves * (1.0 - self.probability) * _SHARES
         share = (stays / np.maximum(before, 1e-300))[1:, None]
         mean = share * self.mean
         apart = (share * (1.0 - share))[..., None] * self.mean[:, :, None] * self.mean[:, None, :]
@@ -281,16 +293,33 @@ class Condition:
         shares = np.exp(logs - logs.max())
         return Condition(shares / shares.sum(), *weighed[1:])
 
+    @property
+    def of_causes(self) -> Floats:
+        """Probabilities of *unchanged* and of each cause, (1 + C,); of two edges, both have it."""
+        found = self.probability[: 1 + len(CAUSES)].copy()
+        for pair, p in zip(HYPOTHESES[_PAIRS], self.probability[1 + len(CAUSES) :], strict=True):
+            for code in pair:
+                found[1 + CAUSES.index(code)] += p
+        return found
+
     def findings(self) -> tuple[Finding, ...]:
         """Return the causes that are likely enough to be listed, the likeliest first."""
-        found = [
-            Finding(code, float(p), _sentence(code, float(size), float(std)))
-            for code, p, size, std in zip(
-                CAUSES, self.probability[1:], self.size, self.std, strict=True
-            )
-            if p >= _LISTED
-        ]
+        found = []
+        for code, p in zip(CAUSES, self.of_causes[1:], strict=True):
+            if p >= _LISTED:
+                ways = [k for k, codes in enumerate(HYPOTHESES) if code in codes]
+                k = max(ways, key=lambda way: self.probability[1 + way])
+                of = HYPOTHESES[k].index(code)
+                size, std = float(self.size[k, of]), float(self.std[k, of])
+                found.append(Finding(code, float(p), _sentence(code, size, std)))
         return tuple(sorted(found, key=lambda one: -one.probability))
+
+
+_SHARES: Final = np.array(
+    [1.0 / len(CAUSES) if len(one) == 1 else _TOGETHER / len(CAUSES) for one in ((), *HYPOTHESES)]
+)
+"""Of what comes next: a repair, or one of the hypotheses."""
+_SHARES[0] = 1.0 / len(CAUSES)
 
 
 def _sentence(code: FindingCode, size: float, std: float) -> str:

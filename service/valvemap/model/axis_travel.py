@@ -38,7 +38,7 @@ class Travel:
         >>> t = np.arange(1, 702) * 10_000_000
         >>> out = AxisSamples.of(t, v=np.full(701, 100.0))
         >>> Travel.initial().update(out, 800.0)[1].x[[0, -1]].round().tolist()
-        [400.0, 750.0]
+        [400.0, 749.0]
         """
         after = Travel(self.last.copy(), self.memory.copy())
         x = np.empty(len(samples))
