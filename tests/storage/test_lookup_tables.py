@@ -252,5 +252,8 @@ def test_a_table_needs_axes_and_a_map():
         with pytest.raises(ValueError, match="a table of"):
             lookup_table(*known, **wrong)
     nothing = LinearMap(FiveTerms())
+    both = FlowMap(U_range=(-100.0, 100.0))
+    with pytest.raises(ValueError, match=r"covers U from -100 to 100 %.*learn one direction alone"):
+        lookup_table(both, both.initial_state())
     with pytest.raises(ValueError, match="not determined"):
         lookup_table(nothing, nothing.initial_state())

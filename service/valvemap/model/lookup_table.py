@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.estimator import Estimator, State
-from valvemap.model.extrapolation import trusted
+from valvemap.model.extrapolation import U_range_of, trusted
 from valvemap.model.inverse_map import invert
 from valvemap.model.map_pieces import MapPieces
 from valvemap.model.samples import Codes, Floats
 from valvemap.model.support import Support
-from valvemap.model.table_error import ROUNDING, Cells, certified_errors
+from valvemap.model.table_error import END, ROUNDING, Cells, certified_errors
 from valvemap.vocabulary.statuses import InverseStatus
 
 S = TypeVar("S", bound=State)
@@ -128,7 +128,8 @@ def lookup_table(
     Raises
     ------
     ValueError
-        if the axis is empty, or the map is not determined or does not rise with U.
+        if the axis is empty, or if the map covers other U than 0 … 100 %, is not determined, or
+        does not rise with U.
 
     Examples
     --------
@@ -141,6 +142,12 @@ def lookup_table(
     >>> table.error_U < 0.6
     True
     """
+    low, high = U_range_of(estimator)
+    if low < 0.0 or high > END:
+        raise ValueError(
+            f"the map covers U from {low:g} to {high:g} %, a table 0 to 100 %: learn one direction "
+            "alone, from the samples with U >= 0, or with -U and -Q in place of U and Q"
+        )
     if not 0.0 < dp_min < dp_max or min(points) < 2:
         raise ValueError(f"a table of {points} points over {dp_min:g} … {dp_max:g} bar")
     dp = np.linspace(np.sqrt(dp_min), np.sqrt(dp_max), points[1]) ** 2
