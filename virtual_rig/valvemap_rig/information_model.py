@@ -502,8 +502,8 @@ async def _add_signals(server: _Place, valve: ua.NodeId, bench: ValveBench) -> S
         )
         for last, unit, high, description in (
             ("U", Unit.PERCENT, 100.0, "Control signal"),
-            ("p1", Unit.BAR, p0, "Pressure before the valve"),
-            ("p2", Unit.BAR, p0, "Pressure behind the valve"),
+            ("p1", Unit.BAR, p0, "Pressure upstream of the valve"),
+            ("p2", Unit.BAR, p0, "Pressure downstream of the valve"),
             ("Q", Unit.LITRE_PER_MINUTE, Q, "Flow through the valve"),
             ("Temperature", Unit.DEGREE_CELSIUS, 100.0, "Oil temperature"),
         )

@@ -82,11 +82,11 @@ class Signal(IntEnum):
     )
     P1 = (
         *(1, "p1", "bar", Need.REQUIRED, (-10.0, 10_000.0)),
-        *("pressure before the valve", "p₁ before"),
+        *("pressure upstream of the valve", "p₁ upstream"),
     )
     P2 = (
         *(2, "p2", "bar", Need.REQUIRED, (-10.0, 10_000.0)),
-        *("pressure behind the valve", "p₂ behind"),
+        *("pressure downstream of the valve", "p₂ downstream"),
     )
     Q = 3, "Q", "l/min", Need.REQUIRED, (-100_000.0, 100_000.0), "flow", "Q flow"
     T = (
