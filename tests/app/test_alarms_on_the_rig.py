@@ -99,6 +99,13 @@ def test_a_fault_on_a_bench_raises_the_alarm_that_names_it(
     check(on_a_bench, kind, size, duration_s, alarm, words)
 
 
+def test_damage_while_the_map_is_new_raises_the_alarm_within_ten_seconds():
+    line = learnt(Scattered(hold_s=0.02), 25.0)
+    line.run(1.0, Commands(faults=((NAME, commanded_fault("damage", -10.0, 0.0)),)))
+    line.run(9.0)
+    assert Cause.EDGE.words in line.came.get("Changed", ""), line.came
+
+
 def test_the_map_follows_oil_that_warms_so_no_alarm_comes(at_a_machine, on_a_bench):
     for line in (at_a_machine, on_a_bench):
         line = copy.deepcopy(line)  # noqa: PLW2901 - the fixture's stays as it is

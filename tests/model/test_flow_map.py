@@ -138,6 +138,19 @@ def test_a_sudden_change_is_found_and_the_map_is_right_soon_after():
     assert judged(FlowMap(), state, lambda U, dp: 0.9 * bent(U, dp))[0] < 1.0
 
 
+@pytest.mark.parametrize("seed", [500, 501])
+def test_slow_noise_is_no_change_before_its_colour_is_known(seed):
+    (U, dp), N = scattered(seed, 3_000), 3_000
+    rng, noise = np.random.default_rng(seed), np.empty(N)
+    noise[0] = SIGMA * rng.standard_normal()
+    for i in range(1, N):
+        noise[i] = 0.95 * noise[i - 1] + SIGMA * np.sqrt(1 - 0.95**2) * rng.standard_normal()
+    t = 10_000_000 * np.arange(N)
+    samples = Samples.of(t, U, dp, 0 * dp, bent(U, dp) + noise)
+    state, _ = FlowMap().update(FlowMap().initial_state(), samples)
+    assert FlowMap().last_change(state) is None
+
+
 def test_what_one_edge_was_before_its_change_is_not_taken_from_the_other_edge():
     N, at = 24_000, 18_000
     U, dp = cycle(18, N, 100.0)

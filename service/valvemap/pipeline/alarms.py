@@ -186,23 +186,21 @@ class Alarms:
     ) -> None:
         """Update with the number of detected flow changes of K valves, and the newest of each.
 
-        A change while the map is new may be the map's convergence. A change that residuals do not
-        confirm is one of the estimate, not of the valve, unless the estimator has ``weighed`` it
-        against other causes: it may then follow before the residuals are large.
+        A change that the estimator ``weighed`` against other causes is certain, however new the
+        map is. Of others, one while the map is new may be the map's convergence, and one that
+        residuals do not confirm is one of the estimate, not of the valve.
         """
         memory, detail = self._senses.memory, self._conditions.detail
         memory[chosen, kernel.CHANGES_SEEN] = np.minimum(
             memory[chosen, kernel.CHANGES_SEEN], counts
         )
-        settled = memory[chosen, kernel.USUAL_N] >= kernel.SETTLED_BLOCKS
-        memory[chosen[~settled], kernel.CHANGES_SEEN] = counts[~settled]
+        if not weighed:
+            settled = memory[chosen, kernel.USUAL_N] >= kernel.SETTLED_BLOCKS
+            memory[chosen[~settled], kernel.CHANGES_SEEN] = counts[~settled]
         unseen = counts > memory[chosen, kernel.CHANGES_SEEN]
-        times = self._senses.times[chosen]
-        shown = times[:, kernel.LARGE_UNTIL] >= t - SHOWN_BEFORE_NS
-        shown &= times[:, kernel.LARGE_SINCE] <= t + SHOWN_WITHIN_NS
-        shown |= weighed
-        shown &= size**2 >= CLEAR_CHANGE**2 * memory[chosen, kernel.USUAL_SQUARE]
-        unseen &= shown | self._conditions.active[chosen, Alarm.CHANGED]
+        if not weighed:
+            active = self._conditions.active[chosen, Alarm.CHANGED]
+            unseen &= self._is_shown(chosen, t, size) | active
         detail[chosen, Alarm.CHANGED, 1] = counts
         x = np.where(unseen, 100.0 * np.abs(size) / self._Q_span, 0.0)
         came = self._move_on(chosen, Alarm.CHANGED, x, t)
@@ -211,6 +209,14 @@ class Alarms:
             new = chosen[came]
             shares = np.empty(kernel.CAUSES)
             kernel.name_causes(new, int(Alarm.CHANGED), self._conditions, self._senses, shares)
+
+    def _is_shown(self, chosen: Times, t: Times, size: Floats) -> Flags:
+        """Whether residuals confirm changes at ``t`` of this size (K,)."""
+        memory, times = self._senses.memory, self._senses.times[chosen]
+        shown = times[:, kernel.LARGE_UNTIL] >= t - SHOWN_BEFORE_NS
+        shown &= times[:, kernel.LARGE_SINCE] <= t + SHOWN_WITHIN_NS
+        shown &= size**2 >= CLEAR_CHANGE**2 * memory[chosen, kernel.USUAL_SQUARE]
+        return np.asarray(shown)
 
     def note_lags(self, chosen: Times, lags: Floats) -> None:
         """Update with the largest lag of K valves, s; NaN if lags are not estimated.

@@ -75,10 +75,12 @@ def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
 
 @inner
 def step(
-    drift: Drift, dt: float, jumps: float, warmed: float, residual: float, by: Floats,
-    variance: float,
+    drift: Drift, dt: float, jumps: float, nameless: float, warmed: float, residual: float,
+    by: Floats, variance: float,
 ) -> float:  # fmt: skip
     """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
+
+    ``nameless`` of what has no name are expected to begin.
 
     ``warmed`` K since the last stay add variance to the effects of T: the law is not exact.
 
@@ -89,7 +91,7 @@ def step(
     for k in range(STATES):
         known += by[k] * drift.now[0, k]
     if dt > 0.0:
-        _mix(drift, dt, jumps)
+        _mix(drift, dt, jumps, nameless)
         _advance(drift, dt)
     if warmed > 0.0:
         for m in range(MODELS):
@@ -144,9 +146,9 @@ def _transition(m: int, k: int, dt: float, jump: float) -> float:
 
 
 @inner
-def _mix(drift: Drift, dt: float, jumps: float) -> None:
+def _mix(drift: Drift, dt: float, jumps: float, nameless: float) -> None:
     """Give each model what the others know, as far as they may turn into it."""
-    _let_wander(drift, dt, jumps)
+    _let_wander(drift, dt, nameless)
     x, P, chance, room = drift.x, drift.P, drift.chance, drift.room
     for k in range(NAMED):
         room[0, k] = 0.0
@@ -180,11 +182,11 @@ def _mix(drift: Drift, dt: float, jumps: float) -> None:
 
 
 @inner
-def _let_wander(drift: Drift, dt: float, jumps: float) -> None:
-    """Something without a name begins ODDS times as often as sudden changes, where all is still."""
+def _let_wander(drift: Drift, dt: float, nameless: float) -> None:
+    """Something without a name begins, where all is still."""
     x, P, chance = drift.x, drift.P, drift.chance
     stays = chance[WANDERING] * (1.0 - min(dt / rules.PERSISTENCE, 0.1))
-    begins = (1.0 - chance[WANDERING]) * rules.ODDS * jumps
+    begins = (1.0 - chance[WANDERING]) * nameless
     chance[WANDERING] = stays + begins
     share = begins / max(stays + begins, 1e-300)
     for i in range(STATES):

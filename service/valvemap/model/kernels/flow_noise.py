@@ -59,8 +59,13 @@ def spreads(scalars: Floats, kept: float) -> float:
 
 @inner
 def of_stay(many: float, scalars: Floats) -> float:
-    """Variance of the mean of successive samples; the stay before has noise in common with it."""
+    """Variance of the mean of successive samples; the stay before has noise in common with it.
+
+    Until its colour is known, the noise is as slow as any: what then is a change is certain.
+    """
     phi, slow = scalars[fits.COLOUR], scalars[fits.SLOW]
+    if scalars[fits.NEXT_WEIGHT] < rules.COLOUR_KNOWN:
+        phi, slow = rules.MOST_COLOUR, 1.0
     alike = phi**many
     own = min((1.0 + phi) / (1.0 - phi) / max(many, 1.0), 1.0) * (1.0 + alike) / (1.0 - alike)
     return float(scalars[fits.VARIANCE] * ((1.0 - slow) / max(many, 1.0) + slow * own))

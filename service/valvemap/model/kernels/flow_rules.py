@@ -50,6 +50,8 @@ WAY_U: Final = 15.0  # %; way of U over which a map says the same again
 WAY_S: Final = 0.2  # of the largest √|Δp|; the same along s
 COLOUR_FROM: Final = 4.0  # samples in a cell from which its error tells of the noise's correlation
 MOST_COLOUR: Final = 0.96  # largest correlation of successive errors that is believed
+COLOUR_KNOWN: Final = 100.0  # pairs of successive errors from which on the noise's correlation is
+# known: one of .3 is then SURE standard errors; before them it is MOST_COLOUR
 METER_LASTS: Final = 0.25  # s; time constant of a meter's noise at most
 SURE: Final = 3.0  # standard errors from which on a correlation or a correction of play is believed
 OUTLIERS: Final = 0.005  # prior share of samples that the meter invents
@@ -81,7 +83,8 @@ WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estima
 WEAR_STAYS: Final = 256.0  # stays; after which it is at the latest
 WEAR_RECALLED: Final = 900.0  # s; how long ago a part of an edge was as it is, if it does not wear
 MOST_SAID: Final = 50.0  # log likelihood that one of these estimates tells at most
-MATURE: Final = 3000  # samples; before them no sudden change is looked for: the map is not sure
+MATURE: Final = 3000  # samples; before them a sudden change is looked for only where STAY_MEMORY
+# stays were compared with places known before; what has no name may be the map's own error
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
 VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves
 SHARED: Final = 8.0  # samples that have the doubt about gain and edge in common, when they are

@@ -80,7 +80,7 @@ def begin_again(memory: Memory) -> None:
 def forget_motion(memory: Memory) -> None:
     """Forget what moved in time."""
     memory.counters[ALARMED] = memory.counters[SKIPPED] = memory.counters[STAYS] = 0
-    memory.counters[CALM] = memory.counters[USED]
+    memory.counters[CALM] = memory.counters[USED] + rules.MATURE
     memory.stay[:KNOWN_COUNT] = 0.0
     wears.forget(memory.wear)
     for side in range(2):
@@ -89,9 +89,13 @@ def forget_motion(memory: Memory) -> None:
 
 @lean_kernel
 def begin_replay(memory: Memory, rows: int, T: float) -> None:
-    """Begin again, about to learn from the last ``rows`` samples once more."""
+    """Begin again, about to learn from the last ``rows`` samples once more.
+
+    Sudden changes among them were found before, if they were certain.
+    """
     begin_again(memory)
     counters, play = memory.counters, memory.play
+    counters[CALM] = counters[USED]
     counters[USED] = max(counters[USED] - rows, 1)
     counters[BEGAN] = counters[USED]
     counters[NEXT_FIT] = counters[USED] + rules.FIRST_FIT
@@ -186,13 +190,16 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         for k in range(drifts.RATES, drifts.STATES):
             warm += by[k] * drift.now[0, k]
         noise += (rules.WARM_DOUBT * warm) ** 2
-        young = counters[USED] - max(counters[BEGAN], counters[CALM]) < rules.MATURE
+        is_mature = counters[USED] - counters[BEGAN] >= rules.MATURE
+        young = not is_mature and scalars[fits.STAYS_SEEN] < rules.STAY_MEMORY
+        young = young or counters[USED] < counters[CALM]
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
+        nameless = rules.ODDS * jumps if is_mature else 0.0
         variance, warmed = counters[STAYS] * (noise + share * of_cell), _warmed(side, scalars)
         off = residual
         for k in range(drifts.LEVELS):
             off += by[k] * drift.now[0, k]
-        surprise = drifts.step(drift, dt, jumps, warmed, residual, by, variance)
+        surprise = drifts.step(drift, dt, jumps, nameless, warmed, residual, by, variance)
         scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
         scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
         _note_change(drift, side, now, off, by, memory)
