@@ -16,7 +16,7 @@ from playwright.async_api import Page, async_playwright
 from benchmarks.page_pictures import DESK, GRAPHICS, demo
 
 _LINES = 14  # of a view are printed
-_WATCHES_S = 120.0  # how long the visitor watches it learn
+_WATCHES_S = 30.0  # how long the visitor watches it learn
 
 
 @dataclass
@@ -73,7 +73,7 @@ async def _visit(program: str) -> None:
         await page.wait_for_timeout(1_000.0 * _WATCHES_S)
         await visit.reads("main")
         await visit.tour("Next")
-        await visit.does("has watched for two minutes, and presses “Next”")
+        await visit.does("has watched for half a minute, and presses “Next”")
         await visit.reads("aside.tour")
         await _log_in(page, password)
         await visit.does("logs in as operator, with the demo's password, and presses “Inject”")

@@ -6,7 +6,7 @@ const STEPS = [
   { title: "Watch it learn", view: "map", seen: /^#\/map/,
     text: "The service has never seen this valve. It learns the flow over U and Δp from the samples as they come: watch the surface settle, and “Extrapolated” shrink." },
   { title: "Break the valve", view: "rig", seen: /^#\/rig/,
-    text: "Log in as operator (the demo has printed the password), choose “Damage” and press Inject. Give the map two minutes before: until then, the service takes a change for learning. The rig's main edge now passes less oil than before." },
+    text: "Log in as operator (the demo has printed the password), choose “Damage” and press Inject. Give the map half a minute before: until then, the service cannot tell a change from learning. The rig's main edge now passes less oil than before." },
   { title: "Read what it reports", view: "alarms", seen: /^#\/(alarms|trend|map)/, // its links lead there
     text: "Within seconds an alarm says what was measured, what it may be, and what to do. From there, “Trend at that time” and “Place in the map” show it." },
 ];
