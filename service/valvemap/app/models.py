@@ -196,7 +196,7 @@ def _preferred(report: "Report", valve: str) -> str | None:
 
 
 def _refuse_if_unknown(model: Model, samples: int) -> None:
-    """Raise RecordingError if a map of so many samples is unknown everywhere."""
+    """Raise RecordingError if a map is unknown everywhere, naming its number of samples."""
     low_U, high_U, low, high, _ = model.support.ranges
     U, dp = np.meshgrid(np.linspace(low_U, high_U, 9), np.linspace(max(low, 0.0), high, 9))
     if np.isnan(model.predict(U, dp)).all():

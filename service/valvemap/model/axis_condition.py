@@ -318,7 +318,7 @@ class Condition:
 _SHARES: Final = np.array(
     [1.0 / len(CAUSES) if len(one) == 1 else _TOGETHER / len(CAUSES) for one in ((), *HYPOTHESES)]
 )
-"""Of what comes next: a repair, or one of the hypotheses."""
+"""Shares of the next cause: a repair, or one of the hypotheses."""
 _SHARES[0] = 1.0 / len(CAUSES)
 
 

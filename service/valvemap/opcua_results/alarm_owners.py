@@ -8,7 +8,7 @@ from valvemap.pipeline.ports import AlarmReport, Answer, Command, Operator
 
 
 class AlarmOwners:
-    """Forwards what is asked of alarms, by the name of their owner.
+    """Forwards requests for alarms, by the name of their owner.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ def with_elements(
 
 
 def _taken(data: bytes, place: int, element: int) -> tuple[int, float]:
-    """Return kind and number of an element; an array of one is what was asked for."""
+    """Return kind and number of an element; an array of one is the element itself."""
     kind = data[place] & _KIND
     form = NUMERIC_FORMATS.get(kind)
     (length,) = _LENGTH.unpack_from(data, place + 1)

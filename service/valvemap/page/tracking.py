@@ -7,7 +7,7 @@ from valvemap.page.layout import Part, PartKind
 from valvemap.page.ports import Client
 from valvemap.page.reading import read_all
 
-MOST_AXES: Final = 8  # of a chart; more could not be told apart
+MOST_AXES: Final = 8  # of a chart; more could not be distinguished
 _NAMES: Final = ("Rms", "Time", "Position", "SetPosition")
 _BAD: Final = 0x8000_0000
 

@@ -35,7 +35,7 @@ from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.pipeline.kept_watches import pack_watch, unpack_watch
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality, Status
 
-LEARNT, WATCH, ALARMS = "Axis", "AxisWatch", "AxisAlarms"  # names of what is stored
+LEARNT, WATCH, ALARMS = "Axis", "AxisWatch", "AxisAlarms"  # names of the stored parts
 WINDOW_S: Final = 200.0  # s of movement; length of a search: more does not move play and spool
 MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
 SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of movement until the first searches
@@ -150,7 +150,7 @@ class Axis:
             self.take(AxisSamples.of(t_A[rows], U=U, pA=pA, pB=pB, pS=pS, pT=pT, T=T, **piston))
 
     def take(self, samples: AxisSamples) -> None:
-        """Take whole samples; where the axis rests, they count for the present pressures alone.
+        """Take whole samples; where the axis rests, they give the present pressures alone.
 
         Where the speed is measured, the position comes from it.
         """

@@ -30,7 +30,7 @@ class Verdict:
 
     ``others`` are signals recognised as none of the map's, by node; ``least_U`` is set where only
     one direction is learnt; ``edges`` are the law's fits where the reading is one of all edges.
-    ``rating`` is what was given of the name plate.
+    ``rating`` is the given part of the name plate.
     """
 
     valve: str
@@ -192,7 +192,7 @@ def consequence_of(reading: Reading) -> str:
 
 
 def _missing(group: Group, best: Reading, record: Record, rating: Rating) -> Question:
-    """Name the missing signals, and what there is instead; of a single one with its readings."""
+    """Name the missing signals, and those present; of a single one with its readings."""
     parts = []
     for role in best.missing:
         instead = [

@@ -79,11 +79,11 @@ JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
 AFTER_JUMP: Final = 10.0  # s; how long a sudden change is a hypothesis of its own, about
 WANDERS_WITHIN: Final = 20.0  # s; in which what is not named moves gain and edge as far as a
 # sudden change does, about
-WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estimated anew: it is slow
+WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estimated again
 WEAR_STAYS: Final = 256.0  # stays; after which it is at the latest
 WEAR_RECALLED: Final = 900.0  # s; how long ago a part of an edge was as it is, if it does not wear
 MOST_SAID: Final = 50.0  # log likelihood that one of these estimates tells at most
-MATURE: Final = 3000  # samples; before them a sudden change is looked for only where STAY_MEMORY
+MATURE: Final = 3000  # samples; before them a sudden change is found only where STAY_MEMORY
 # stays were compared with places known before; what has no name may be the map's own error
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
 VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves

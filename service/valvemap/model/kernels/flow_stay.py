@@ -212,7 +212,7 @@ def _note_wear(
     axis_U: Axis, axis_s: Axis, drift: Drift, side: int, dt: float, off: float, by: Floats,
     variance: float, is_young: bool, memory: Memory, room: Room,  # noqa: FBT001
 ) -> None:  # fmt: skip
-    """Add the stay, ``off`` the map as it was at first, to what tells of wear."""
+    """Add the stay, ``off`` the map as it was at first, to the evidence of wear."""
     cell, scalars = memory.cells[memory.counters[STAY_CELL]], memory.scalars
     head = memory.wear[side, wears.NODES]
     u, s = float(cell[MEAN_U]), float(cell[MEAN_S])

@@ -6,7 +6,7 @@ with hats H_k on nodes along |U|, of which each has a level w and a rate r (l/mi
 per s). Stays give sums of normal equations, a matrix with a band. Every so often these sums settle:
 nodes are independent before that, and their variances are those of the joint solution behind it.
 
-Whether anything wears has a probability of its own: by the likelihood of the sums, against that of
+The probability that anything wears follows from the likelihood of the sums, against that of
 the field as it was a while ago. Where it is likelier than not, the map itself and all cells move by
 the field, and cells know less by as much as it may have moved otherwise: it is 0 again then.
 """
@@ -62,7 +62,7 @@ def note(
 ) -> None:  # fmt: skip
     """Add a stay, ``off`` the map as it was at first; ``by`` are its derivatives.
 
-    Gain and edge are ``now``: what they become until the sums settle is taken from the sums then.
+    Gain and edge are ``now``; their motion until the sums settle is subtracted from the sums then.
     """
     nodes = wear[side]
     x = _place(axis_U, side, u)
