@@ -30,7 +30,7 @@ from valvemap.config.loading import load_config
 from valvemap.config.logs import LogConfig
 from valvemap.config.models import Config, NodesConfig, ValveConfig
 from valvemap.opcua_results.results_server import ResultsServer
-from valvemap.pipeline.ports import Results
+from valvemap.pipeline.results import Results
 
 REPLAYED: Final = 100, 10_000  # valves, samples of each
 SHORT_S: Final = 60.0

@@ -23,7 +23,7 @@ from guarded_opcua.history.aggregate_kinds import Aggregate
 from guarded_opcua.history.intervals import Rules
 from guarded_opcua.history.processing import Processed, Summarised, aggregated
 from valvemap.opcua_results.past import ResultsPast
-from valvemap.pipeline.ports import Piece
+from valvemap.pipeline.store_ports import Piece
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.signals import PUBLISHED

@@ -23,7 +23,7 @@ from benchmarks.live_speed import free_url, names_of, rig, running
 from benchmarks.reliability_load import Service, service_of
 from valvemap.config.models import HistoryConfig, NodesConfig, ValveConfig
 from valvemap.opcua_results.results_server import NAMESPACE
-from valvemap.pipeline.ports import Piece
+from valvemap.pipeline.store_ports import Piece
 from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.signals import PUBLISHED
 

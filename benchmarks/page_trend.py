@@ -25,7 +25,7 @@ from benchmarks.page import SERVICE, child, cpu_s, demo, page_url
 from valvemap.errors import SourceLost
 from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE
-from valvemap.pipeline.ports import Piece
+from valvemap.pipeline.store_ports import Piece
 from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED

@@ -28,8 +28,8 @@ from valvemap.opcua_source.decoding import EPOCH_TICKS, decode_publish_response
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.storage.recordings import RecordingWriter
 

@@ -26,7 +26,7 @@ from guarded_opcua import Role, UserStore
 from valvemap.errors import StorageError
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoints import CheckpointFile
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

@@ -16,7 +16,7 @@ from valvemap.config.nameplate import IdentificationConfig
 from valvemap.opcua_results.information_model import PROCESS_VALUES
 from valvemap.opcua_results.map_variables import line_variables
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.ports import ValveDescription
+from valvemap.pipeline.results import ValveDescription
 
 _HEAD = """# Address space
 

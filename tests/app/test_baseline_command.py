@@ -18,7 +18,7 @@ from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.statuses import Status

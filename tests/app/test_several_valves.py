@@ -10,7 +10,7 @@ from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
 from valvemap.config.estimators import RlsConfig
 from valvemap.config.models import NodesConfig, ValveConfig
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 
 pytestmark = pytest.mark.waits
 

@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 from valvemap.app.build import build_identification
 from valvemap.app.warm_up import warm_up
 from valvemap.config.models import Config
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from support.plant import as_changes, plant
 
 def used():

@@ -11,7 +11,7 @@ from cli.test_dynamics import recorded
 from valvemap.app.build import build_identification
 from valvemap.cli import run
 from valvemap.config.loading import load_config
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.recordings import RecordingWriter
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from support.plant import START, plant
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 
 pa = pytest.importorskip("pyarrow")
 
@@ -34,7 +34,7 @@ from valvemap.kafka.result_blocks import (  # noqa: E402
 )
 from valvemap.model.samples import Samples, Segments  # noqa: E402
 from valvemap.pipeline.alignment import ByValve  # noqa: E402
-from valvemap.pipeline.ports import AlarmResults  # noqa: E402
+from valvemap.pipeline.results import AlarmResults  # noqa: E402
 
 VALVES = ("a", "b", "c", "d")
 

@@ -15,7 +15,7 @@ from valvemap.kafka.sending import Sender
 from valvemap.kafka.settings import CatalogueConfig, FleetConfig
 from valvemap.kafka.spool import Spool
 from valvemap.page.exposition import exposition
-from valvemap.pipeline.ports import SourceCounters
+from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.runtime.sources import Part, Sources
 from valvemap.vocabulary.series import OF_COLLECTOR
 

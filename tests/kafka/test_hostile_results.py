@@ -23,8 +23,8 @@ from valvemap.kafka.result_blocks import ResultsBlock, read_results
 from valvemap.kafka.serve import Show
 from valvemap.kafka.settings import FleetConfig
 from valvemap.opcua_results.results_server import ResultsServer
-from valvemap.pipeline import ports
-from valvemap.pipeline.ports import Remark
+from valvemap.pipeline import operator_ports
+from valvemap.pipeline.results import Remark
 
 NAME = "north.0"
 KEY = NAME.encode()
@@ -167,6 +167,8 @@ async def test_a_reply_with_another_number_of_values_is_refused_in_one_line(know
             await shown.show.operator.predict("V0", "RLS", 1.0, 2.0, 3.0)
     echo.of = (1.0, 2.0, 0.0)
     assert (await shown.show.operator.predict("V0", "RLS", 1.0, 2.0, 3.0))[0] == 1.0
-    too_long = ports.Command.of("acknowledge", "V0", "Changed", Remark("x" * 5_000, "me", 1))
+    too_long = operator_ports.Command.of(
+        "acknowledge", "V0", "Changed", Remark("x" * 5_000, "me", 1)
+    )
     with pytest.raises(CommandRejected, match="at most 4096"):
         await shown.show.operator.do(too_long)

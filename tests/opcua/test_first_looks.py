@@ -13,7 +13,7 @@ from support.results import results_of, results_settings
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.result_nodes import ResultNodes
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.results import (
     EstimatorDescription,
     EstimatorResult,
     InverseResult,

@@ -17,7 +17,7 @@ from valvemap.opcua_results.companions import DI
 from valvemap.opcua_results.model_changes import model_change, version_of_root, version_of_valve
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.nameplate import Nameplate
-from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 
 T = 1_800_000_000_000_000_000
 RLS = EstimatorDescription("RLS", "Least squares.", ("a1",), has_forgetting_factor=True)

@@ -7,11 +7,7 @@ from asyncua import ua
 
 from support.results import ESTIMATOR, INVERSE, results_of
 from valvemap.opcua_results.result_frames import frame_names, frame_variables, frames
-from valvemap.pipeline.ports import (
-    EstimatorDescription,
-    SignalResults,
-    ValveDescription,
-)
+from valvemap.pipeline.results import EstimatorDescription, SignalResults, ValveDescription
 from valvemap.vocabulary.statuses import Quality
 
 VALVE = ValveDescription(

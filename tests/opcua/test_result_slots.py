@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from valvemap.opcua_results.result_slots import ValveSlots
-from valvemap.pipeline.ports import ValveDescription
+from valvemap.pipeline.results import ValveDescription
 
 BOOM, BUCKET, STICK = (ValveDescription(name, ()) for name in ("Boom", "Bucket", "Stick"))
 COUNTED = replace(BUCKET, counters=("late", "gaps"))

@@ -6,7 +6,7 @@ from asyncua import ua
 
 from support.results import results_of
 from valvemap.opcua_results.result_values import Shown, columns_of, map_value
-from valvemap.pipeline.ports import EstimatorResult, InverseResult
+from valvemap.pipeline.results import EstimatorResult, InverseResult
 from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 T = 1_800_000_000_000_000_000

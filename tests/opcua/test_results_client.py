@@ -14,10 +14,7 @@ from valvemap.errors import CommandRejected, SourceLost, SourceRejected
 from valvemap.model.inversion import Inversion
 from valvemap.opcua_client.results_client import Engineering, ResultsClient, SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.ports import (
-    EstimatorDescription,
-    ValveDescription,
-)
+from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.statuses import Status
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -10,7 +10,7 @@ from asyncua import Client, ua
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.results import (
     EstimatorDescription,
     EstimatorResult,
     InverseResult,

@@ -14,19 +14,19 @@ from valvemap.model.inversion import Inversion
 from valvemap.model.recursive_least_squares import Change
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.recommendation import Recommendation
+from valvemap.pipeline.result_ports import Health
+from valvemap.pipeline.results import (
     AlarmReport,
     AlarmResults,
     EstimatorDescription,
     EstimatorResult,
-    Health,
     InverseResult,
     Remark,
     SignalResults,
-    SourceCounters,
     ValveDescription,
 )
-from valvemap.pipeline.recommendation import Recommendation
+from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
 

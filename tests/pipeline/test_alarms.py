@@ -20,7 +20,8 @@ from valvemap.pipeline.alarms import (
     Alarms,
     ServiceAlarms,
 )
-from valvemap.pipeline.ports import Command, Remark
+from valvemap.pipeline.operator_ports import Command
+from valvemap.pipeline.results import Remark
 from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.statuses import Quality, Status
 

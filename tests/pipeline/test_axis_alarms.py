@@ -9,7 +9,8 @@ from valvemap.model.axis_condition import CAUSES
 from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.axis_alarms import ALARM_OF, AXIS_RULES, AxisAlarms
 from valvemap.pipeline.axis_ports import AxisResults, RequiredU
-from valvemap.pipeline.ports import Command, Remark
+from valvemap.pipeline.operator_ports import Command
+from valvemap.pipeline.results import Remark
 from valvemap.vocabulary.axis_alarms import AxisAlarm
 from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.statuses import AxisStatus

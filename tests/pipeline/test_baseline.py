@@ -11,7 +11,7 @@ from valvemap.errors import CommandRejected
 from valvemap.model.estimator import State
 from valvemap.model.samples import Samples
 from valvemap.pipeline.baseline import KEY, Baseline, _digest, _Kept
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.vocabulary.statuses import Status
 
 VALVE = "Valvistor"

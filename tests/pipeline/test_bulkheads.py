@@ -21,7 +21,8 @@ from valvemap.errors import CommandRejected
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Command, Remark
+from valvemap.pipeline.operator_ports import Command
+from valvemap.pipeline.results import Remark
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.past import PastKeeper
 from valvemap.vocabulary.statuses import Quality, Status

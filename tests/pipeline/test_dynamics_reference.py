@@ -11,7 +11,7 @@ from valvemap.model.dynamics import Dynamics, NotFitted, Quantity
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.spool_fit import Hold
 from valvemap.pipeline.dynamics_reference import KEY, DynamicsReferences
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import Status

@@ -11,7 +11,7 @@ from valvemap.config.loading import load_config
 from valvemap.opcua_source.source_nodes import ValveNodes, copies_of
 from valvemap.opcua_source.source_units import Scales
 from valvemap.pipeline.edges import MOST_WAITING
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import LineEdge, Quality, Status
 

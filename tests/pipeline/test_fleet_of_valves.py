@@ -15,7 +15,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
 from valvemap.vocabulary.signals import Signal
 

@@ -12,7 +12,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.maps_and_surveys import SURVEYS_AT_ONCE
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
 from valvemap.vocabulary.signals import SENSORS
 from valvemap.vocabulary.statuses import InverseStatus, Quality, Status

@@ -18,8 +18,9 @@ from valvemap.pipeline import valve_state
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Checkpoint, Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.valve_state import ValvePlan
 

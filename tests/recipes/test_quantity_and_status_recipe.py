@@ -8,7 +8,7 @@ from support.recipes import Tree
 from valvemap.vocabulary.statuses import Status
 
 QUANTITIES = "service/valvemap/vocabulary/quantities.py"
-PORTS, LANES = "service/valvemap/pipeline/ports.py", "service/valvemap/pipeline/lanes.py"
+RESULTS, LANES = "service/valvemap/pipeline/results.py", "service/valvemap/pipeline/lanes.py"
 STATUSES = "service/valvemap/vocabulary/statuses.py"
 VALUES = "service/valvemap/opcua_results/result_values.py"
 
@@ -65,8 +65,8 @@ def quantity(tree):
         "ESTIMATOR_QUANTITIES: Final = (\n",
         '    Quantity("Doubled", "doubled", "Twice the residual.", unit="l/min", in_frame=True),\n',
     )
-    tree.after(PORTS, "    residual_rmse: float\n", "    doubled: float\n")
-    tree.after(PORTS, "    residual_rmse: Floats\n", "    doubled: Floats\n")
+    tree.after(RESULTS, "    residual_rmse: float\n", "    doubled: float\n")
+    tree.after(RESULTS, "    residual_rmse: Floats\n", "    doubled: Floats\n")
     tree.before(
         LANES,
         "            residual_rmse=recent_rmse(",

@@ -13,7 +13,7 @@ from valvemap.errors import CommandRejected, SourceLost, SourceRejected, Storage
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.provenance import ALARMS, MEMORY, PLACES
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.publishing_turns import VALVES_AT_ONCE

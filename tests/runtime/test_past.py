@@ -8,7 +8,7 @@ import pytest
 from valvemap.errors import StorageError
 from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.results import (
     AlarmChange,
     AlarmReport,
     EstimatorResults,

@@ -12,7 +12,7 @@ from support.stream import until
 from valvemap.errors import SourceLost, SourceRejected
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import SourceCounters
+from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings

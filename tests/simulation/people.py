@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.source import Client
 from valvemap.errors import CommandRejected, StorageError
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.storage.state_lock import FileLock

@@ -17,7 +17,7 @@ from valvemap.errors import SourceLost
 from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import SourceCounters
+from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.vocabulary.signals import MEASURED, PER_VALVE, Signal
 from valvemap.vocabulary.statuses import Quality
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from valvemap.errors import StorageError
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage import checkpoints
 from valvemap.storage.checkpoints import CheckpointFile
 
@@ -191,7 +191,7 @@ def test_a_closed_store_says_so(path):
 WRITER = textwrap.dedent("""
     import itertools, sys
     from valvemap.storage.checkpoints import CheckpointFile
-    from valvemap.pipeline.ports import Checkpoint
+    from valvemap.pipeline.store_ports import Checkpoint
 
     store = CheckpointFile(sys.argv[1])
     for t in itertools.count(1):

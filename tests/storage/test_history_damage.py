@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from valvemap.errors import StorageError
-from valvemap.pipeline.ports import AlarmChange, AlarmReport, Piece
+from valvemap.pipeline.results import AlarmChange, AlarmReport
+from valvemap.pipeline.store_ports import Piece
 from valvemap.storage import history
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.sqlite_files import MOST_SET_ASIDE

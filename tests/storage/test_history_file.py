@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvemap.errors import StorageError
-from valvemap.pipeline.ports import AlarmChange, AlarmReport, Piece
+from valvemap.pipeline.results import AlarmChange, AlarmReport
+from valvemap.pipeline.store_ports import Piece
 from valvemap.storage import alarm_changes
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.history_blocks import unpack

@@ -9,7 +9,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from valvemap.pipeline.ports import Piece
+from valvemap.pipeline.store_ports import Piece
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.history_blocks import CODES, T, base_of
 from valvemap.storage.history_cells import FIELDS, WIDTHS, as_past, cells_of, name_of

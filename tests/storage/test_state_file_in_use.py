@@ -11,7 +11,7 @@ from contextlib import closing
 import pytest
 
 from valvemap.errors import StateFileLost, StorageError
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoints import CheckpointFile
 
 HOLDER = """

@@ -12,7 +12,8 @@ from support.plant import START, as_changes, plant
 from support.results import results_settings
 from support.stream import until
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.ports import Command, Remark
+from valvemap.pipeline.operator_ports import Command
+from valvemap.pipeline.results import Remark
 from valvemap.runtime.past import PastKeeper
 
 S = 1_000_000_000

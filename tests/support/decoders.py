@@ -60,7 +60,7 @@ from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.page.viewers import Senseless as SenselessRequest
 from valvemap.page.viewers import _request
-from valvemap.pipeline import kept_axes, ports
+from valvemap.pipeline import kept_axes, operator_ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import ALARMS, WATCH, Axis, AxisPlan
@@ -71,8 +71,8 @@ from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kept_watches import pack_watch
 from valvemap.pipeline.meters import Meters
-from valvemap.pipeline.ports import AlarmReport
 from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.pipeline.valve_timing import TimingSettings
@@ -625,7 +625,7 @@ def _learnt(samples=300):
     learnt = Identification([plan], alignment, Timing(TimingSettings(), (("T",),)))
     learnt.take_samples(0, plant(samples))
     learnt.maps.refresh()
-    learnt.do(ports.Command.of("approve", VALVE))
+    learnt.do(operator_ports.Command.of("approve", VALVE))
     learnt._references.of[0] = DynamicsReference(
         np.array(20.0), np.array(0.1), np.array(9, np.int64)
     )

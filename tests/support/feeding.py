@@ -24,7 +24,7 @@ from valvemap.config.models import (
     StateConfig,
     ValveConfig,
 )
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap_rig.excitation import External
 from valvemap_rig.scenario import BUILTIN
 from valvemap_rig.server import RigServer

@@ -14,8 +14,8 @@ from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
 from valvemap.config.models import GateConfig, ValveConfig
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.provenance import ALARMS
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoints import LOG, CheckpointFile
 from valvemap.vocabulary.signals import PER_VALVE
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from guarded_opcua import ServerSettings
 from valvemap.opcua_results.results_server import NAMESPACE
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.results import (
     EstimatorResult,
     EstimatorResults,
     InverseResult,

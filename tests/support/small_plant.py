@@ -13,8 +13,9 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Health, SourceCounters
 from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.result_ports import Health
+from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.pipeline.valve_state import ValvePlan
 
 

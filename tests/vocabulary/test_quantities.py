@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from valvemap.pipeline.ports import EstimatorResult, EstimatorResults
+from valvemap.pipeline.results import EstimatorResult, EstimatorResults
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, FRAME_QUANTITIES, Kind
 from valvemap.vocabulary.statuses import Status
 

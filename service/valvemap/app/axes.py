@@ -15,7 +15,8 @@ from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
-from valvemap.pipeline.ports import AllSources, KeptElsewhere, Piece
+from valvemap.pipeline.source_ports import AllSources
+from valvemap.pipeline.store_ports import KeptElsewhere, Piece
 from valvemap.runtime.axes import AxisTap, LiveAxes
 from valvemap.runtime.led_axes import LINES
 from valvemap.runtime.sources import supervise_all

@@ -14,8 +14,8 @@ from valvemap.pipeline.edges import LEAK
 from valvemap.pipeline.fleet import COUNTER_NAMES, Fleet
 from valvemap.pipeline.lane_failures import LaneFailures
 from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
-from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.recommendation import Recommendation, recommendation
+from valvemap.pipeline.results import EstimatorResults
 from valvemap.pipeline.valve_state import ValvePlan, ValveState
 from valvemap.runtime.failure_log import log_failure
 

@@ -35,7 +35,7 @@ from valvemap.model.kernels import interpreted
 from valvemap.model.kernels.compiled import was_warmed_up
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.runtime.axes import AxisTap
 from valvemap.runtime.daemon_thread import unless_stopped
 from valvemap.runtime.dynamics import LiveDynamics

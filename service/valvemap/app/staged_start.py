@@ -18,7 +18,7 @@ from valvemap.model.kernels import interpreted
 from valvemap.model.kernels.compiled import was_warmed_up
 from valvemap.numba_version import is_tested
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import StartState
+from valvemap.pipeline.result_ports import StartState
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.live import LiveService
 

@@ -9,8 +9,8 @@ from valvemap.app.build import build_identification
 from valvemap.config.models import Config
 from valvemap.errors import StorageError
 from valvemap.owned_files import written_aside
-from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.provenance import BESIDE
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoint_rows import SetAside
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.state_files import read_states, write_states

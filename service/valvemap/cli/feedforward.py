@@ -18,7 +18,7 @@ from valvemap.config.feed_forward import FeedForwardConfig
 from valvemap.config.models import NodesConfig, ValveConfig
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.vocabulary.statuses import FeedForwardStatus
 from valvemap_rig.excitation import Scattered
 from valvemap_rig.scenario import Scenario

@@ -22,7 +22,7 @@ from valvemap.model.axis import AxisSamples
 from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_ports import AxisOperator
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap_rig.machine import Machine
 from valvemap_rig.machine_programme import moves

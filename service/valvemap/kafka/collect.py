@@ -28,7 +28,7 @@ from valvemap.model.samples import Samples, Segments, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import SourceCounters
+from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.runtime.sources import Sources, supervise_all

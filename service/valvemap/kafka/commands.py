@@ -17,10 +17,10 @@ from valvemap.kafka.json_messages import (
     text,
     whole,
 )
-from valvemap.pipeline import ports
+from valvemap.pipeline import operator_ports
 from valvemap.pipeline.alarms import ALARM_NAMES
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Remark
+from valvemap.pipeline.results import Remark
 from valvemap.vocabulary import commands
 from valvemap.vocabulary.commands import Subject
 
@@ -128,7 +128,7 @@ def carry_out(command: Command, operator: Identification) -> tuple[float | None,
     given: list[Any] = [*values]
     if on == ALARM:
         given = [Remark(command.comment, command.by, int(command.values[0] or 0))]
-    operator.do(ports.Command.of(command.action, *who, *given))
+    operator.do(operator_ports.Command.of(command.action, *who, *given))
     return ()
 
 

@@ -31,7 +31,7 @@ from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Step
-from valvemap.pipeline.ports import Results
+from valvemap.pipeline.results import Results
 from valvemap.vocabulary.signals import OPTIONAL
 
 REPEATED: Final = "repeated"  # blocks received before

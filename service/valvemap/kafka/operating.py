@@ -15,8 +15,9 @@ from valvemap.kafka.commands import ANSWERS, Command, Reply, read_command, write
 from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
 from valvemap.pipeline.alarms import FLEET_RULES, ServiceAlarms
-from valvemap.pipeline.ports import AlarmReport, Answer, Remark, Version
-from valvemap.pipeline.ports import Command as Asked
+from valvemap.pipeline.operator_ports import Answer
+from valvemap.pipeline.operator_ports import Command as Asked
+from valvemap.pipeline.results import AlarmReport, Remark, Version
 from valvemap.vocabulary.commands import NAMED, Action
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
@@ -33,7 +34,7 @@ class Post(Protocol):
 
 @dataclass(frozen=True)
 class _Moved:
-    """Deviation of a map from the approved one; see `valvemap.pipeline.ports.Compared`."""
+    """Deviation of a map from the approved one; see `valvemap.pipeline.results.Compared`."""
 
     mean: float
     largest: float
@@ -43,7 +44,7 @@ class _Moved:
 
 
 class FleetOperator:
-    """Implements :class:`valvemap.pipeline.ports.Operator`; a worker answers each command.
+    """Implements :class:`valvemap.pipeline.operator_ports.Operator`; a worker answers each command.
 
     Parameters
     ----------

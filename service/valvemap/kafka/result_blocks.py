@@ -25,7 +25,8 @@ from valvemap.kafka.json_messages import whole
 from valvemap.model.change import Change
 from valvemap.model.samples import Floats
 from valvemap.model.survey import Survey
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.recommendation import NOT_YET, Recommendation
+from valvemap.pipeline.results import (
     AlarmReport,
     AlarmResults,
     EstimatorResults,
@@ -34,7 +35,6 @@ from valvemap.pipeline.ports import (
     SignalResults,
     Version,
 )
-from valvemap.pipeline.recommendation import NOT_YET, Recommendation
 from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind
 from valvemap.vocabulary.signals import PUBLISHED

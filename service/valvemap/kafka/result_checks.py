@@ -12,7 +12,7 @@ from valvemap.kafka.json_messages import LATEST, MOST_TEXT
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.model.survey import axes
 from valvemap.pipeline.alarms import ALARM_NAMES
-from valvemap.pipeline.ports import AlarmReport, Results, ValveDescription
+from valvemap.pipeline.results import AlarmReport, Results, ValveDescription
 from valvemap.vocabulary.statuses import (
     Adaptation,
     FeedForwardStatus,

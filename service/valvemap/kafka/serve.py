@@ -34,7 +34,9 @@ from valvemap.kafka.settings import FleetConfig
 from valvemap.model.samples import Times
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.ports import AlarmChange, Health, PastCounters, PastStore, Results
+from valvemap.pipeline.result_ports import Health, PastCounters
+from valvemap.pipeline.results import AlarmChange, Results
+from valvemap.pipeline.store_ports import PastStore
 from valvemap.runtime.backoff import backoff
 from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
 from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from itertools import chain
 
 from valvemap.pipeline.axis_ports import AxisOperator
-from valvemap.pipeline.ports import AlarmReport, Answer, Command, Operator
+from valvemap.pipeline.operator_ports import Answer, Command, Operator
+from valvemap.pipeline.results import AlarmReport
 
 
 class AlarmOwners:

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from guarded_opcua import CommandRejected as Refused
 from valvemap.errors import CommandRejected
-from valvemap.pipeline.ports import Answer
+from valvemap.pipeline.operator_ports import Answer
 
 A = TypeVar("A")
 B = TypeVar("B")

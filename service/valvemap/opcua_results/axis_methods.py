@@ -9,7 +9,7 @@ from guarded_opcua import Argument, HardenedServer, Role, Unit, add_method
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import DIAGNOSTICS, INVERSE
 from valvemap.pipeline.axis_ports import AxisOperator, RequiredU
-from valvemap.pipeline.ports import Answer
+from valvemap.pipeline.operator_ports import Answer
 from valvemap.vocabulary.commands import NAMED
 from valvemap.vocabulary.statuses import InverseStatus
 

@@ -34,7 +34,7 @@ from valvemap.opcua_results.result_variables import ResultVariables, add_describ
 from valvemap.opcua_results.valve_variables import arming_variables, finding_variables
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.axis_tracking import SPAN_S, AxisTracking
-from valvemap.pipeline.ports import Answer
+from valvemap.pipeline.operator_ports import Answer
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus

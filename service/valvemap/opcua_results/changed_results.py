@@ -37,7 +37,7 @@ from valvemap.opcua_results.result_values import (
     survey_values,
 )
 from valvemap.opcua_results.valve_variables import counter_name
-from valvemap.pipeline.ports import EstimatorResults, Results
+from valvemap.pipeline.results import EstimatorResults, Results
 
 
 class ChangedResults:

@@ -21,7 +21,7 @@ from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import COMMISSION, VariableNode, sentences_of
 from valvemap.opcua_results.result_variables import add_described
 from valvemap.pipeline.commission_ports import CommissionOperator, CommissionResults
-from valvemap.pipeline.ports import Answer
+from valvemap.pipeline.operator_ports import Answer
 from valvemap.vocabulary.commission import Phase
 
 _HEARTBEAT: Final = "Heartbeat"

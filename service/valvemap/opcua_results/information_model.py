@@ -35,7 +35,7 @@ from asyncua import ua
 from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
-from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.edges import PARTS, split_id
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Bounds, Kind, Quantity
 from valvemap.vocabulary.signals import PUBLISHED, SENSORS

@@ -16,7 +16,7 @@ from valvemap.opcua_results.information_model import (
     sentences_of,
 )
 from valvemap.opcua_results.valve_variables import arming_variables
-from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.statuses import (
     InverseStatus,
     LineEdge,

@@ -11,7 +11,7 @@ from asyncua import ua
 
 from guarded_opcua import Event, instant
 from valvemap.opcua_results.information_model import ROOT
-from valvemap.pipeline.ports import ValveDescription
+from valvemap.pipeline.results import ValveDescription
 
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
 _KIND = ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType)

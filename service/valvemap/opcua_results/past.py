@@ -10,7 +10,8 @@ from asyncua import ua
 
 from guarded_opcua import Cells, Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import ROOT
-from valvemap.pipeline.ports import AlarmReport, PastStore
+from valvemap.pipeline.results import AlarmReport
+from valvemap.pipeline.store_ports import PastStore
 from valvemap.runtime.past import REQUIRED_U
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.edges import split_id

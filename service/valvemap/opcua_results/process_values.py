@@ -20,7 +20,7 @@ from valvemap.opcua_results.information_model import (
 )
 from valvemap.opcua_results.map_variables import inverse_variables
 from valvemap.opcua_results.result_variables import ResultVariables
-from valvemap.pipeline.ports import ValveDescription
+from valvemap.pipeline.results import ValveDescription
 
 _SIGNAL_VARIABLE: Final = 1111  # AnalogSignalVariableType, of PA-DIM
 _PROCESS_VALUE: Final = 1003  # ProcessValueType

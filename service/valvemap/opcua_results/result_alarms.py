@@ -33,15 +33,8 @@ from valvemap.opcua_results.result_types import ALARM, Place, type_of
 from valvemap.opcua_results.result_values import Shown, alarm_values
 from valvemap.opcua_results.valve_variables import alarm_variables
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
-from valvemap.pipeline.ports import (
-    AlarmChange,
-    AlarmReport,
-    Answer,
-    Command,
-    Remark,
-    Results,
-    ValveDescription,
-)
+from valvemap.pipeline.operator_ports import Answer, Command
+from valvemap.pipeline.results import AlarmChange, AlarmReport, Remark, Results, ValveDescription
 from valvemap.vocabulary.alarm_guide import GUIDES
 from valvemap.vocabulary.commands import NAMED, Action
 from valvemap.vocabulary.edges import split_id

@@ -26,7 +26,7 @@ from valvemap.opcua_results.result_frames import frame_names, frame_variables
 from valvemap.opcua_results.result_values import Column
 from valvemap.opcua_results.valve_variables import counter_variable, health_variables
 from valvemap.pipeline.nameplate import BLANK
-from valvemap.pipeline.ports import ValveDescription
+from valvemap.pipeline.results import ValveDescription
 from valvemap.vocabulary.edges import split_id
 
 _Kind = tuple[ua.VariantType, int | None]

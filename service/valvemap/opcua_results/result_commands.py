@@ -13,7 +13,7 @@ from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_types import Place
 from valvemap.opcua_results.result_values import Shown, baseline_values
 from valvemap.opcua_results.result_variables import ResultVariables
-from valvemap.pipeline.ports import Answer, Command, Operator
+from valvemap.pipeline.operator_ports import Answer, Command, Operator
 from valvemap.vocabulary.commands import Action, Effect, Subject, actions_on
 
 

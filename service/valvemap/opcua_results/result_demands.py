@@ -11,7 +11,7 @@ from valvemap.errors import CommandRejected
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import INVERSE
 from valvemap.opcua_results.result_notes import ResultNotes
-from valvemap.pipeline.ports import Answer, Command, Operator
+from valvemap.pipeline.operator_ports import Answer, Command, Operator
 
 _NOTHING = (np.nan, np.nan)
 

@@ -20,7 +20,7 @@ from valvemap.opcua_results.information_model import (
     VariableNode,
 )
 from valvemap.opcua_results.result_values import Column, estimator_own_words, worse
-from valvemap.pipeline.ports import Results, ValveDescription
+from valvemap.pipeline.results import Results, ValveDescription
 from valvemap.vocabulary.quantities import FRAME_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import Quality
@@ -29,7 +29,7 @@ from valvemap.vocabulary.statuses import Quality
 def frame_names(valve: ValveDescription) -> tuple[str, ...]:
     """Return the names of the frame's columns.
 
-    >>> from valvemap.pipeline.ports import EstimatorDescription
+    >>> from valvemap.pipeline.results import EstimatorDescription
     >>> rls = EstimatorDescription("RLS", "", ("a",), has_forgetting_factor=True)
     >>> frame_names(ValveDescription("V1", (rls,)))[:3]
     ('Sequence', 'RLS.PredictedFlow', 'RLS.Residual')

@@ -6,7 +6,7 @@ from asyncua import ua
 
 from guarded_opcua import Clock, HardenedServer, Variable
 from valvemap.pipeline.device_health import DeviceHealth, device_health
-from valvemap.pipeline.ports import AlarmReport
+from valvemap.pipeline.results import AlarmReport
 
 
 class ResultHealth:

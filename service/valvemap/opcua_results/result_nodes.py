@@ -14,7 +14,8 @@ from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_health import ResultHealth
 from valvemap.opcua_results.result_parts import ResultParts
 from valvemap.opcua_results.result_types import ESTIMATOR, VALVE, AddPart, type_of
-from valvemap.pipeline.ports import Operator, ValveDescription
+from valvemap.pipeline.operator_ports import Operator
+from valvemap.pipeline.results import ValveDescription
 
 
 class ResultNodes:

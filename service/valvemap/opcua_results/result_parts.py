@@ -51,7 +51,7 @@ from valvemap.opcua_results.valve_variables import (
     timing_variable,
     waiting_variable,
 )
-from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.commands import Subject
 from valvemap.vocabulary.statuses import FeedForwardStatus
 

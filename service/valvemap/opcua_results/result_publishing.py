@@ -17,7 +17,9 @@ from valvemap.opcua_results.result_health import ResultHealth
 from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_values import Column, columns_of
 from valvemap.opcua_results.result_variables import ResultVariables
-from valvemap.pipeline.ports import Health, Operator, Results
+from valvemap.pipeline.operator_ports import Operator
+from valvemap.pipeline.result_ports import Health
+from valvemap.pipeline.results import Results
 from valvemap.vocabulary.statuses import Quality
 
 

@@ -11,7 +11,7 @@ from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import BASELINE, INVERSE, U_RANGE
 from valvemap.opcua_results.result_notes import ResultNotes
 from valvemap.opcua_results.result_types import Place
-from valvemap.pipeline.ports import Answer, Operator
+from valvemap.pipeline.operator_ports import Answer, Operator
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
-from valvemap.pipeline.ports import ValveDescription
+from valvemap.pipeline.results import ValveDescription
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from valvemap.opcua_results.information_model import (
     TYPES,
 )
 from valvemap.opcua_results.valve_variables import COUNTERS
-from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.commission import Phase
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode

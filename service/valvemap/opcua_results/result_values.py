@@ -45,10 +45,10 @@ from valvemap.opcua_results.information_model import (
     SERVICE,
     SIGNALS,
 )
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.result_ports import Health
+from valvemap.pipeline.results import (
     AlarmReport,
     EstimatorResults,
-    Health,
     InverseResults,
     LineResults,
     Results,

@@ -12,7 +12,7 @@ from valvemap.opcua_results.result_blocks import Generations
 from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_types import Place
 from valvemap.opcua_results.result_values import Shown
-from valvemap.pipeline.ports import Answer
+from valvemap.pipeline.operator_ports import Answer
 from valvemap.vocabulary.edges import split_id
 from valvemap.vocabulary.statuses import Described
 

@@ -49,14 +49,10 @@ from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.commission_ports import CommissionResults
-from valvemap.pipeline.ports import (
-    AlarmChange,
-    Health,
-    Operator,
-    PastStore,
-    Results,
-    ValveDescription,
-)
+from valvemap.pipeline.operator_ports import Operator
+from valvemap.pipeline.result_ports import Health
+from valvemap.pipeline.results import AlarmChange, Results, ValveDescription
+from valvemap.pipeline.store_ports import PastStore
 
 __all__ = ["NAMESPACE", "ResultsServer"]
 
@@ -64,7 +60,7 @@ _SAID_FOR_S = 600.0  # a model change event is kept for clients that reconnect
 
 
 class ResultsServer(Startable):
-    """Publishes results, accepts commands; fulfils :class:`~valvemap.pipeline.ports.ResultSink`.
+    """Publishes results, accepts commands; a :class:`~valvemap.pipeline.result_ports.ResultSink`.
 
     Use it with ``async with``, or call :meth:`start` and :meth:`stop`.
 

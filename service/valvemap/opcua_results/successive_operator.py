@@ -3,7 +3,7 @@
 from typing import Any, cast
 
 from valvemap.errors import CommandRejected
-from valvemap.pipeline.ports import Operator
+from valvemap.pipeline.operator_ports import Operator
 
 _QUESTIONS = {
     *("alarms", "alarmed", "baseline", "compare"),

@@ -22,7 +22,7 @@ from valvemap.opcua_results.information_model import (
     VariableNode,
     sentences_of,
 )
-from valvemap.pipeline.ports import ValveDescription
+from valvemap.pipeline.results import ValveDescription
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import (
     FeedForwardStatus,

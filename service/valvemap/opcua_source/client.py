@@ -45,7 +45,7 @@ from valvemap.opcua_source.subscription import (
 )
 from valvemap.opcua_source.succession import Estate, divided
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import SourceCounters
+from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.vocabulary.signals import PER_VALVE
 
 __all__ = ["OpcUaSource", "Security", "SourceSettings", "ValveNodes"]
@@ -54,7 +54,7 @@ __all__ = ["OpcUaSource", "Security", "SourceSettings", "ValveNodes"]
 class OpcUaSource:
     """Data changes of the given valves from one OPC UA server.
 
-    Fulfils :class:`~valvemap.pipeline.ports.Source`.
+    Fulfils :class:`~valvemap.pipeline.source_ports.Source`.
     Every sample is requested, constant signals included (trigger StatusValueTimestamp), with queues
     long enough that none is lost between two publishing cycles. The time of a change is its
     SourceTimestamp, exact to the nanosecond, or the ServerTimestamp if the server sends none.

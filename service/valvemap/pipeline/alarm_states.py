@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.alarm_words import Measured, text_of
 from valvemap.pipeline.kernels.alarms import Conditions
-from valvemap.pipeline.ports import AlarmReport, Remark
+from valvemap.pipeline.results import AlarmReport, Remark
 
 MOST_OF_A_REMARK = 200  # characters stored of a comment, and of its author's name
 

@@ -35,8 +35,8 @@ from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
 from valvemap.pipeline.kernels.alarms import Senses, Watched
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, CopyBuffer, Restore, saved
-from valvemap.pipeline.ports import AlarmReport, Remark
 from valvemap.pipeline.quantity_alarms import KeptAlarms, QuantityAlarms, check_layout, limits_of
+from valvemap.pipeline.results import AlarmReport, Remark
 from valvemap.vocabulary.service_alarms import OF_FLEET, OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.signals import COUNT
 from valvemap.vocabulary.statuses import Adaptation

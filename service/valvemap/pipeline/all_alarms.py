@@ -14,7 +14,7 @@ from valvemap.pipeline.alarms import (
 )
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.lane_failures import Rows
-from valvemap.pipeline.ports import AlarmReport, Remark
+from valvemap.pipeline.results import AlarmReport, Remark
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 OF_SERVICE = "Service"  # owner of the service's alarms; no valve has this name

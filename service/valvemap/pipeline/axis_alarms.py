@@ -10,7 +10,7 @@ from typing import Final
 from valvemap.errors import CommandRejected
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.axis_ports import AxisResults
-from valvemap.pipeline.ports import Command
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quantity_alarms import QuantityAlarms
 from valvemap.vocabulary.axis_alarms import AxisAlarm
 from valvemap.vocabulary.findings import Finding, FindingCode

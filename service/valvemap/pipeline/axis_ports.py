@@ -8,7 +8,8 @@ import numpy as np
 
 from valvemap.model.samples import Floats
 from valvemap.pipeline.axis_tracking import AxisTracking
-from valvemap.pipeline.ports import AlarmReport, Command
+from valvemap.pipeline.operator_ports import Command
+from valvemap.pipeline.results import AlarmReport
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
 

@@ -15,7 +15,7 @@ from valvemap.vocabulary.statuses import Status
 
 
 class EstimatorCommands:
-    """Executes commands on estimators and maps, see :class:`valvemap.pipeline.ports.Operator`.
+    """Executes commands on estimators and maps, see :class:`.operator_ports.Operator`.
 
     Parameters
     ----------

@@ -33,9 +33,9 @@ from valvemap.pipeline.lane_failures import (
 )
 from valvemap.pipeline.lanes import Lanes, SharedRests, nothing_of
 from valvemap.pipeline.places import Places, Ranking
-from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
 from valvemap.pipeline.quality_gate import GateState
+from valvemap.pipeline.results import EstimatorResults
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import (

@@ -33,12 +33,7 @@ from valvemap.pipeline.kept_states import KeptStates
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.line_inverse import LineInverse
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
-from valvemap.pipeline.ports import (
-    AlarmReport,
-    Checkpoint,
-    Command,
-    ValveDescription,
-)
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.readable_parts import (
     ReadableAnswers,
     ReadableArming,
@@ -53,7 +48,9 @@ from valvemap.pipeline.readable_parts import (
     ReadableValves,
 )
 from valvemap.pipeline.result_tables import ResultTables, descriptions
+from valvemap.pipeline.results import AlarmReport, ValveDescription
 from valvemap.pipeline.sample_intake import SampleIntake
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import ValvePlan
@@ -63,7 +60,7 @@ from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 
 class Identification:
-    """All valves of one service; implements :class:`valvemap.pipeline.ports.Operator`.
+    """All valves of one service; implements :class:`valvemap.pipeline.operator_ports.Operator`.
 
     It builds the parts. Those that are public are for reading, and replaced by `take_over`: look
     them up for each call. Calls that change the state are methods here, so that a preview can note

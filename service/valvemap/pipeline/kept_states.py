@@ -15,7 +15,6 @@ from valvemap.pipeline.dynamics_reference import DynamicsReferences
 from valvemap.pipeline.edges import Splitter
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.meters import Meters
-from valvemap.pipeline.ports import Checkpoint
 from valvemap.pipeline.provenance import (
     ALARMS,
     BASELINE,
@@ -29,6 +28,7 @@ from valvemap.pipeline.provenance import (
     review,
 )
 from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.timing import TimingSettings, TimingState
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import ValveState

@@ -23,7 +23,7 @@ from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, all_of, isolate_last, saved
-from valvemap.pipeline.ports import EstimatorResults
+from valvemap.pipeline.results import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns

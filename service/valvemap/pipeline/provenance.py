@@ -25,7 +25,7 @@ from valvemap.pipeline.meaning import (
     other_scaling,
     rescaling,
 )
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
 from valvemap.vocabulary.signals import MEASURED, READ

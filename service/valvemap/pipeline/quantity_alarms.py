@@ -11,7 +11,7 @@ from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Floats
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
-from valvemap.pipeline.ports import AlarmReport, Remark
+from valvemap.pipeline.results import AlarmReport, Remark
 from valvemap.vocabulary.statuses import Described
 
 Kind = TypeVar("Kind", bound=Described)

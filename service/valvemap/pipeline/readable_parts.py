@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Times
 from valvemap.pipeline.lane_failures import LaneFailure
 from valvemap.pipeline.plausibility import Finding
-from valvemap.pipeline.ports import Checkpoint, Results, ValveResult
 from valvemap.pipeline.provenance import Reviewed
 from valvemap.pipeline.recommendation import Recommendation
+from valvemap.pipeline.results import Results, ValveResult
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValveState
 from valvemap.vocabulary.statuses import FeedForwardStatus, Status

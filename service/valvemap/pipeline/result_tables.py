@@ -27,7 +27,8 @@ from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.line_inverse import NO_ANSWER, LineAnswer, LineInverse
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
-from valvemap.pipeline.ports import (
+from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
+from valvemap.pipeline.results import (
     AlarmResults,
     EstimatorDescription,
     EstimatorResults,
@@ -38,7 +39,6 @@ from valvemap.pipeline.ports import (
     ValveDescription,
     ValveResult,
 )
-from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
 from valvemap.vocabulary.signals import PUBLISHED

@@ -16,7 +16,7 @@ from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.lane_failures import Rows, Step
 from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
-from valvemap.pipeline.ports import SignalResults
+from valvemap.pipeline.results import SignalResults
 from valvemap.vocabulary.signals import PUBLISHED
 
 _CONTRADICTED = (

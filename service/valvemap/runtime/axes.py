@@ -18,7 +18,10 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import ALARMS, LEARNT, WATCH, Axis, AxisPlan, Job
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import AlarmReport, AllSources, CheckpointStore, Command, Piece
+from valvemap.pipeline.operator_ports import Command
+from valvemap.pipeline.results import AlarmReport
+from valvemap.pipeline.source_ports import AllSources
+from valvemap.pipeline.store_ports import CheckpointStore, Piece
 from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.failure_log import log_left_out, log_missing

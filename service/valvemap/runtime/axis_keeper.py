@@ -9,7 +9,7 @@ import structlog
 from valvemap.clock import Clock
 from valvemap.errors import StateFileLost, StorageError
 from valvemap.pipeline.axes import Axis
-from valvemap.pipeline.ports import Checkpoint, CheckpointStore
+from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore
 
 log = structlog.get_logger(__name__)
 

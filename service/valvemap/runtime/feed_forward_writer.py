@@ -20,7 +20,7 @@ from valvemap.pipeline.feedforward import (
     decide,
     written,
 )
-from valvemap.pipeline.ports import AllSources
+from valvemap.pipeline.source_ports import AllSources
 from valvemap.vocabulary.statuses import FeedForwardStatus
 
 AGAIN_S = 0.05  # s; interval of steps without new samples: each batch of samples makes a step

@@ -19,19 +19,11 @@ from valvemap.pipeline.feedforward import Situation
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
-from valvemap.pipeline.ports import (
-    COMPLETE,
-    AlarmReport,
-    AllSources,
-    Checkpoint,
-    CheckpointStore,
-    Health,
-    KeptElsewhere,
-    PastCounters,
-    Results,
-    ResultSink,
-)
+from valvemap.pipeline.result_ports import COMPLETE, Health, PastCounters, ResultSink
+from valvemap.pipeline.results import AlarmReport, Results
 from valvemap.pipeline.sample_clocks import SampleClocks
+from valvemap.pipeline.source_ports import AllSources
+from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore, KeptElsewhere
 from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter

@@ -14,7 +14,9 @@ from valvemap.errors import StorageError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.axis_ports import AxisResults
-from valvemap.pipeline.ports import AlarmChange, PastCounters, PastStore, Piece, Results
+from valvemap.pipeline.result_ports import PastCounters
+from valvemap.pipeline.results import AlarmChange, Results
+from valvemap.pipeline.store_ports import PastStore, Piece
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import Quality

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import structlog
 
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.ports import Checkpoint, CheckpointStore
 from valvemap.pipeline.provenance import BESIDE, Reviewed
+from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore
 
 NAMED = 8  # valves and estimators named in one log line; the rest are counted
 REMEDY = "`valvemap state list` lists them, `valvemap state adopt` restores one"

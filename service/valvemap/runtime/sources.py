@@ -16,7 +16,7 @@ from valvemap.clock import Clock
 from valvemap.errors import SourceError, SourceLost
 from valvemap.model.samples import Floats, Times, field_names
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import Source, SourceCounters
+from valvemap.pipeline.source_ports import Source, SourceCounters
 from valvemap.runtime.supervisor import Consumer, SupervisorSettings, supervise
 from valvemap.vocabulary.signals import PER_VALVE
 

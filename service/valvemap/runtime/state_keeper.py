@@ -12,7 +12,8 @@ from valvemap.clock import Clock
 from valvemap.errors import StateFileLost, StorageError
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
-from valvemap.pipeline.ports import AllSources, Checkpoint, CheckpointStore
+from valvemap.pipeline.source_ports import AllSources
+from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore
 
 POSITION = "Service", "Position"  # key of the source's position; no valve has this name
 KEPT_PER_S = 20  # valves saved per s, 3 MB, unless more are due

@@ -12,7 +12,7 @@ from valvemap.clock import Clock
 from valvemap.errors import SourceError, SourceLost, SourceRejected
 from valvemap.model.samples import Times
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.ports import Source
+from valvemap.pipeline.source_ports import Source
 from valvemap.runtime.backoff import backoff
 
 log = structlog.get_logger(__name__)

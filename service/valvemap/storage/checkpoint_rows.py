@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Self
 
 from valvemap.pipeline.meaning import UNREADABLE, digest_of
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.sqlite_files import text
 
 APPLICATION_ID: Final = 0x76_6D_61_70  # "vmap"

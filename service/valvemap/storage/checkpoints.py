@@ -9,7 +9,7 @@ from threading import Lock
 
 from valvemap.errors import StateFileLost
 from valvemap.pipeline.meaning import digest_of
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage import checkpoint_rows as rows_of
 from valvemap.storage.checkpoint_rows import APPLICATION_ID, SCHEMA_VERSION, Row, SetAside
 from valvemap.storage.closing import Closing
@@ -34,7 +34,7 @@ _LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes, of a write-ahead log
 
 
 class CheckpointFile(Closing):
-    """Stores checkpoints; fulfils :class:`valvemap.pipeline.ports.CheckpointStore`.
+    """Stores checkpoints; fulfils :class:`valvemap.pipeline.store_ports.CheckpointStore`.
 
     A save is one transaction in a write-ahead log: readers are never blocked, and if the process is
     killed, the file holds the last complete save. Each save checkpoints its log into the file. It

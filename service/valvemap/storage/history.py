@@ -9,7 +9,8 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from valvemap.pipeline.ports import AlarmChange, Past, PastCells, Piece
+from valvemap.pipeline.results import AlarmChange
+from valvemap.pipeline.store_ports import Past, PastCells, Piece
 from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
 from valvemap.storage.history_blocks import CODES, SEALED, T

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Floats, Times
-from valvemap.pipeline.ports import PastCells
+from valvemap.pipeline.store_ports import PastCells
 from valvemap.storage.history_blocks import CODES, SEALED, T, base_of
 
 WIDTHS: Final = (10 * 10**9, 300 * 10**9)  # ns; for spans of hours, and of weeks

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Floats, Times
-from valvemap.pipeline.ports import Past
+from valvemap.pipeline.store_ports import Past
 
 Span = tuple[int, int, Past]
 """First and last time of a block, and the rows of it that are asked for."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Flags, Floats, Times
-from valvemap.pipeline.ports import Piece
+from valvemap.pipeline.store_ports import Piece
 
 
 @dataclass(frozen=True)

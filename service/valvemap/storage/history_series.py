@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Flags, Times
-from valvemap.pipeline.ports import Piece
+from valvemap.pipeline.store_ports import Piece
 from valvemap.storage.history_blocks import (
     CODES,
     SEALED,

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from valvemap.pipeline.ports import PastCells
+from valvemap.pipeline.store_ports import PastCells
 from valvemap.storage.history_blocks import CODES, SEALED, T
 from valvemap.storage.history_cells import (
     FIELDS,

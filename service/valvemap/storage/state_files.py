@@ -7,7 +7,7 @@ from pathlib import Path
 
 from valvemap.errors import NoSuchFile, StorageError
 from valvemap.pipeline.meaning import digest_of
-from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage import checkpoint_rows as rows_of
 from valvemap.storage.checkpoint_rows import Row
 from valvemap.storage.sqlite_files import naming, pragma, text, transaction
