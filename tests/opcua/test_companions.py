@@ -13,6 +13,7 @@ from documentation.companions import KEPT, PARTS, NodeSet, cut
 from support import ncc_peer, node_peer
 from support.conditions import raised
 from support.stream import until
+from valvemap.config.models import RESERVED_ESTIMATORS
 from valvemap.opcua_results.companions import DI, MACHINERY, PADIM, PROCESS
 from valvemap.opcua_results.results_server import NAMESPACE
 from valvemap.pipeline.device_health import DeviceHealth
@@ -54,6 +55,14 @@ async def found(client, *path):
 
 
 VALVE = (DI, "DeviceSet"), (NAMESPACE, "Valvistor")
+
+
+@a_loop
+async def test_no_estimator_may_take_the_name_of_a_valves_other_node(client):
+    children = await (await found(client, *VALVE)).get_children()
+    own = [str(child.nodeid.Identifier).split(".") for child in children]
+    names = {part[1] for part in own if part[0] == "Valvistor" and len(part) > 1}
+    assert names - set(RESERVED_ESTIMATORS) == {"RLS"}
 
 
 @pytest.mark.parametrize("uri", URIS)

@@ -56,6 +56,7 @@ RESERVED_ESTIMATORS = (
     "RecommendedReason",
     "Edge",
     "Meter",
+    "ProcessValues",
     *PARTS,
 )
 RECOMMENDED = "recommended"  # value of ``inverse``
