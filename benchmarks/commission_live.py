@@ -33,9 +33,11 @@ from guarded_opcua import Role, ServerSettings, SystemClock, UserStore
 from guarded_opcua.clock import Timer
 from valvemap.app.commission import TICK_S, CommissionRun, settings_of
 from valvemap.config.commission import CommissionConfig
+from valvemap.config.connections import SourceConfig
 from valvemap.config.estimators import AutoConfig
-from valvemap.config.models import Config, NodesConfig, SourceConfig, ValveConfig
+from valvemap.config.models import Config
 from valvemap.config.signals import SignalConfig, SignalsConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.storage.commission_files import RunFiles
 from valvemap.storage.recordings import read_recording

@@ -28,7 +28,8 @@ from valvemap.cli.logs import set_up_logs
 from valvemap.config.estimators import default_estimators
 from valvemap.config.loading import load_config
 from valvemap.config.logs import LogConfig
-from valvemap.config.models import Config, NodesConfig, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.results import Results
 

@@ -17,7 +17,8 @@ import numpy as np
 from benchmarks import directional_plant as plant
 from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.edges import gathered

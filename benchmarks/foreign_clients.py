@@ -23,7 +23,7 @@ from typing import IO, Final
 from asyncua import Client
 
 from benchmarks import live_speed
-from valvemap.config.models import NodesConfig
+from valvemap.config.valves import NodesConfig
 from valvemap.opcua_results.namespaces import RIG_NAMESPACE
 
 SOURCES: Final = Path(__file__).with_name("clients")

@@ -21,7 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from benchmarks import live_speed
 from benchmarks.live_speed import free_url, names_of, rig, running
 from benchmarks.reliability_load import Service, service_of
-from valvemap.config.models import HistoryConfig, NodesConfig, ValveConfig
+from valvemap.config.stores import HistoryConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.opcua_results.results_server import NAMESPACE
 from valvemap.pipeline.store_ports import Piece
 from valvemap.storage.history import HistoryFile

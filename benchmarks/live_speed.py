@@ -28,7 +28,8 @@ from valvemap.cli.logs import set_up_logs
 from valvemap.config.estimators import AnyEstimatorConfig, RlsConfig
 from valvemap.config.loading import load_config
 from valvemap.config.logs import LogConfig
-from valvemap.config.models import Config, NodesConfig, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.pipeline.identification import Identification
 from valvemap_rig.fleet import valve_names
 from valvemap_rig.scenario import Fleet, Scenario

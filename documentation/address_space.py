@@ -11,8 +11,9 @@ from documentation.tables import table
 from guarded_opcua import ServerSettings
 from valvemap.app.build import build_identification
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
 from valvemap.config.nameplate import IdentificationConfig
+from valvemap.config.valves import ValveConfig
 from valvemap.opcua_results.information_model import PROCESS_VALUES
 from valvemap.opcua_results.map_variables import line_variables
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer

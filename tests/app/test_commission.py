@@ -10,7 +10,9 @@ import pytest
 from support.feeding import PASSWORD, VALVE, Heard, ListeningRig, settings
 from valvemap.app.commission import CommissionRun, settings_of
 from valvemap.config.commission import CommissionConfig
-from valvemap.config.models import Config, NodesConfig, SourceConfig, ValveConfig
+from valvemap.config.connections import SourceConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.pipeline.commission_state import Reason
 from valvemap.storage.commission_files import RunFiles, last_run, new_run
 from valvemap.vocabulary.commission import Phase

@@ -13,14 +13,10 @@ from support.processes import free_port
 from support.served import serving
 from valvemap.app.serve import serve
 from valvemap.config.commission import CommissionConfig
-from valvemap.config.models import (
-    Config,
-    NodesConfig,
-    ServerConfig,
-    SourceConfig,
-    StateConfig,
-    ValveConfig,
-)
+from valvemap.config.connections import ServerConfig, SourceConfig
+from valvemap.config.models import Config
+from valvemap.config.stores import StateConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.vocabulary.commission import Phase
 from valvemap_rig.excitation import External
 from valvemap_rig.scenario import BUILTIN

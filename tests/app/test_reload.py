@@ -19,7 +19,7 @@ from valvemap.app.reload import Reload
 from valvemap.app.serve import serve
 from valvemap.app.shown import is_same_server
 from valvemap.config.estimators import RlsConfig
-from valvemap.config.models import NodesConfig, ValveConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.errors import ConfigurationError, StorageError
 from valvemap.model.samples import Samples
 from valvemap.runtime.live import LiveService

@@ -9,8 +9,9 @@ from guarded_opcua import ServerSettings
 from support.processes import free_port, rig_url
 from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
+from valvemap.config.connections import NamedSourceConfig
 from valvemap.config.estimators import RlsConfig
-from valvemap.config.models import NamedSourceConfig, ValveConfig
+from valvemap.config.valves import ValveConfig
 from valvemap_rig.scenario import BUILTIN, ValveBench
 from valvemap_rig.server import RigServer
 

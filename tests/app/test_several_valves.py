@@ -9,7 +9,7 @@ from support.processes import rig_url
 from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
 from valvemap.config.estimators import RlsConfig
-from valvemap.config.models import NodesConfig, ValveConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.pipeline.operator_ports import Command
 
 pytestmark = pytest.mark.waits

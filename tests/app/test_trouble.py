@@ -12,7 +12,7 @@ from support.processes import free_port, rig_url, run, service_url
 from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
 from valvemap.cli import run as run_here
-from valvemap.config.models import NodesConfig
+from valvemap.config.valves import NodesConfig
 from valvemap.errors import SourceLost, SourceRejected, StorageError
 
 

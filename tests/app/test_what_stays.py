@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from valvemap.app.reload import check_what_stays
-from valvemap.config.models import Config, HistoryConfig, StateConfig
+from valvemap.config.models import Config
+from valvemap.config.stores import HistoryConfig, StateConfig
 from valvemap.errors import ConfigurationError
 
 

@@ -1,8 +1,9 @@
 from pathlib import Path
 
 from valvemap.config.loading import load_config
-from valvemap.config.models import Config, NodesConfig
+from valvemap.config.models import Config
 from valvemap.config.template import configuration_template
+from valvemap.config.valves import NodesConfig
 
 SHIPPED = Path(__file__).parents[2] / "config" / "service.toml"
 

@@ -16,7 +16,8 @@ from valvemap.pipeline.operator_ports import Command
 pa = pytest.importorskip("pyarrow")
 
 from valvemap.app.build import build_identification  # noqa: E402 - the extra first
-from valvemap.config.models import Config, ValveConfig  # noqa: E402
+from valvemap.config.models import Config  # noqa: E402
+from valvemap.config.valves import ValveConfig  # noqa: E402
 from valvemap.errors import BlockError  # noqa: E402
 from valvemap.kafka.blocks import (  # noqa: E402
     Head,

@@ -12,7 +12,8 @@ from dataclasses import replace
 from numba.core.registry import CPUDispatcher
 from support.plant import as_changes, plant
 from valvemap.app.build import build_preview
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.model.kernels import interpreted
 from valvemap.opcua_source.decoding import decode_data_changes
 from valvemap.vocabulary.statuses import Status

@@ -13,7 +13,7 @@ from documentation.companions import KEPT, PARTS, NodeSet, cut
 from support import ncc_peer, node_peer
 from support.conditions import raised
 from support.stream import until
-from valvemap.config.models import RESERVED_ESTIMATORS
+from valvemap.config.names import RESERVED_ESTIMATORS
 from valvemap.opcua_results.companions import DI, MACHINERY, PADIM, PROCESS
 from valvemap.opcua_results.results_server import NAMESPACE
 from valvemap.pipeline.device_health import DeviceHealth

@@ -12,8 +12,10 @@ from guarded_opcua import Role, UserStore
 from support.stream import NODES, NumberedServer, until, watching
 from valvemap.app.record import record, record_history
 from valvemap.app.replay import as_json, replay
+from valvemap.config.connections import SourceConfig
 from valvemap.config.estimators import RlsConfig
-from valvemap.config.models import Config, NodesConfig, SourceConfig, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.errors import SourceRejected
 from valvemap.storage.recordings import read_recording
 

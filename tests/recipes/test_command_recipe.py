@@ -15,7 +15,8 @@ from asyncua import Client, ua
 from guarded_opcua import Role, ServerSettings, UserStore
 from valvemap.app.build import build_identification
 from valvemap.config.estimators import RlsConfig
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.kafka.commands import Command, carry_out, read_command, write_message
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 

@@ -17,7 +17,8 @@ import json
 import numpy as np
 from valvemap.app.build import build_identification
 from valvemap.config.estimators import RlsConfig
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.model.samples import Samples
 from valvemap.opcua_results.information_model import estimator_variables
 from valvemap.opcua_results.result_frames import frame_names
@@ -42,7 +43,8 @@ print(json.dumps(found))
 STATUS_USED = """
 from valvemap.app.build import build_identification
 from valvemap.config.estimators import RlsConfig
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.opcua_results.information_model import estimator_variables
 
 config = Config(valves=(ValveConfig(name="V1", estimators=(RlsConfig(),)),))

@@ -14,16 +14,12 @@ from valvemap.app.build import build_identification
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
 from valvemap.app.serve import serve
 from valvemap.cli.feedforward import commission
+from valvemap.config.connections import ServerConfig, SourceConfig
 from valvemap.config.estimators import AutoConfig
 from valvemap.config.feed_forward import FeedForwardConfig
-from valvemap.config.models import (
-    Config,
-    NodesConfig,
-    ServerConfig,
-    SourceConfig,
-    StateConfig,
-    ValveConfig,
-)
+from valvemap.config.models import Config
+from valvemap.config.stores import StateConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.pipeline.operator_ports import Command
 from valvemap_rig.excitation import External
 from valvemap_rig.scenario import BUILTIN

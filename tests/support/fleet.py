@@ -4,7 +4,8 @@ import numpy as np
 
 from support.plant import plant
 from valvemap.config.estimators import RbfConfig, RlsConfig, RmlConfig
-from valvemap.config.models import Config, NodesConfig, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.kafka.blocks import SamplesBlock, write_samples
 from valvemap.kafka.catalogue import catalogue_of
 from valvemap.kafka.commands import Command, Reply, write_message

@@ -12,7 +12,8 @@ import numpy as np
 from support.plant import lively
 from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
-from valvemap.config.models import GateConfig, ValveConfig
+from valvemap.config.samples import GateConfig
+from valvemap.config.valves import ValveConfig
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.provenance import ALARMS
 from valvemap.pipeline.store_ports import Checkpoint

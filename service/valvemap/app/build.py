@@ -8,16 +8,10 @@ from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.axes import AxisConfig
 from valvemap.config.estimators import build_estimator
 from valvemap.config.meters import meters_of
-from valvemap.config.models import (
-    RECOMMENDED,
-    Config,
-    EdgeConfig,
-    GateConfig,
-    LineConfig,
-    NodesConfig,
-    ValveConfig,
-)
+from valvemap.config.models import Config
+from valvemap.config.samples import GateConfig
 from valvemap.config.signals import SignalConfig, SignalsConfig
+from valvemap.config.valves import RECOMMENDED, EdgeConfig, LineConfig, NodesConfig, ValveConfig
 from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import Estimator
 from valvemap.model.leakage import Leakage

@@ -20,7 +20,8 @@ from valvemap.app.page_access import Watched
 from valvemap.app.page_access import settings_of as settings_for_client
 from valvemap.clock import Clock, SystemClock
 from valvemap.config.estimators import AutoConfig, build_estimator
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.errors import (
     ConfigurationError,
     SourceError,

@@ -16,7 +16,8 @@ from valvemap.app.build import measures
 from valvemap.app.history_span import DAY_S
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PAGE_URI, PRODUCT, load_users
 from valvemap.config.axes import AxisConfig
-from valvemap.config.models import Config, SourceConfig
+from valvemap.config.connections import SourceConfig
+from valvemap.config.models import Config
 from valvemap.config.secret_files import read_secret
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes

@@ -14,7 +14,8 @@ from valvemap.app.learnt_valve import BEST_FIT, LearntValve
 from valvemap.app.map_checks import MapCheck, check_maps, summed, verified_maps
 from valvemap.app.recording_batches import FlowSplitting, Progress, one_ahead, read_batches
 from valvemap.config.loading import check_has_valves
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.recursive_least_squares import Change
 from valvemap.model.samples import Floats, Samples, Trace

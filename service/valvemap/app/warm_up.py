@@ -18,7 +18,8 @@ import numpy as np
 
 from valvemap.app.build import alignment_of, build_identification, build_plans
 from valvemap.config.meters import meters_of
-from valvemap.config.models import Config, ValveConfig
+from valvemap.config.models import Config
+from valvemap.config.valves import ValveConfig
 from valvemap.model import flow_map_warm_up, spool_fit
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.capabilities import ChoosesStructure, FindsChanges

@@ -31,12 +31,9 @@ from valvemap.cli.under_demo import page_process, rig_process
 from valvemap.clock import SystemClock
 from valvemap.config.loading import load_config
 from valvemap.config.logs import LogConfig
-from valvemap.config.models import (
-    Config,
-    NodesConfig,
-    StateConfig,
-    ValveConfig,
-)
+from valvemap.config.models import Config
+from valvemap.config.stores import StateConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.samples import Samples

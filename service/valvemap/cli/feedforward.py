@@ -15,7 +15,7 @@ from rich.table import Table
 
 from valvemap.config.estimators import AutoConfig, RlsConfig
 from valvemap.config.feed_forward import FeedForwardConfig
-from valvemap.config.models import NodesConfig, ValveConfig
+from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.operator_ports import Command

@@ -12,8 +12,9 @@ from valvemap.cli.options import ConfigOption, ForceOption, SourceOption, new_re
 from valvemap.cli.output import write_line
 from valvemap.cli.progress import working
 from valvemap.cli.without import without
+from valvemap.config.connections import NamedSourceConfig
 from valvemap.config.loading import load_config
-from valvemap.config.models import EdgeConfig, LineConfig, NamedSourceConfig
+from valvemap.config.valves import EdgeConfig, LineConfig
 from valvemap.errors import RecordingError
 
 

@@ -17,7 +17,8 @@ from valvemap.cli.feedforward import Phase
 from valvemap.clock import Clock
 from valvemap.config.axes import AxisConfig, AxisNodesConfig
 from valvemap.config.feed_forward import AxisFeedForwardConfig
-from valvemap.config.models import RIG_NAMESPACE, Config
+from valvemap.config.models import Config
+from valvemap.config.valves import RIG_NAMESPACE
 from valvemap.model.axis import AxisSamples
 from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.axes import Axis

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from valvemap.model.shared_meter import MOST_VALVES
 
 if TYPE_CHECKING:
-    from valvemap.config.models import ValveConfig
+    from valvemap.config.valves import ValveConfig
 
 
 def meters_of(valves: "Sequence[ValveConfig]") -> Mapping[str, str]:

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from pydantic_settings import SettingsConfigDict
 
 from valvemap.config.loading import load_settings
-from valvemap.config.models import Name
+from valvemap.config.names import Name
 from valvemap.config.sections import Section, SettingsFile
 from valvemap.errors import ConfigurationError
 

@@ -1,0 +1,301 @@
+"""The section of a valve: its nodes, signals, estimators and parts."""
+
+from typing import Any, Self
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from valvemap.config.alarms import AlarmsConfig
+from valvemap.config.commission import CommissionConfig
+from valvemap.config.estimators import SECTIONS, AutoConfig, EstimatorConfig, default_estimators
+from valvemap.config.feed_forward import FeedForwardConfig, check_command_unit, check_feed_forward
+from valvemap.config.nameplate import IdentificationConfig
+from valvemap.config.names import RESERVED_ESTIMATORS, Name, check_not_reserved, check_unique
+from valvemap.config.ports import PortsConfig, check_each_once, node_id
+from valvemap.config.samples import GateConfig, Range
+from valvemap.config.sections import Section, per_signal
+from valvemap.config.signals import SignalsConfig
+from valvemap.model.extrapolation import ONE_EDGE
+from valvemap.vocabulary.edges import Edge
+from valvemap.vocabulary.signals import IN_DIFFERENCE, Need, Signal
+
+RIG_NAMESPACE = "urn:valvemap:rig"
+_OF_ANY_RANGE = [f'"{kind}"' for kind, section in SECTIONS.items() if section.any_U_range]
+RECOMMENDED = "recommended"  # value of ``inverse``
+_NOT_WITH_PORTS = {
+    "commission": "a sweep of one edge is not offered yet",
+    "nodes": "leave out nodes, or ports",
+    "signals": "its units and columns are in ports.signals",
+    "feed_forward": "nothing is written to it",
+}
+
+
+def _node_field(signal: Signal) -> tuple[Any, Any]:
+    if signal.label in IN_DIFFERENCE:
+        return str | None, Field(None, description=signal.sentence)
+    if signal.need is Need.REQUIRED:
+        return str, Field(description=signal.sentence)
+    sensor = ", where there is a sensor" if signal.need is Need.OPTIONAL else ""
+    return str | None, Field(None, description=signal.sentence + sensor)
+
+
+class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: ignore[misc]
+    """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``.
+
+    An element of an array is ``index=3;nsu=URI;s=NAME``, counted from 0.
+    """
+
+    dp: str | None = Field(
+        None, description="p1 - p2 of one transmitter, in place of p1 and p2: p2 is 0 then"
+    )
+    required_U: str | None = Field(
+        None, description="where to write the feed-forward voltage, if at all"
+    )
+    heartbeat: str | None = Field(
+        None,
+        description="UInt32 that counts while the voltage is written; the source takes its own "
+        "command when it stops or is 0",
+    )
+    load: str | None = Field(
+        None,
+        description="where commissioning writes the set point of the load (p2), if at all; "
+        "under the same heartbeat",
+    )
+
+    @model_validator(mode="after")
+    def _heartbeat_is_of_a_command(self) -> Self:
+        if self.heartbeat is not None and self.required_U is None:
+            raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
+        if self.load is not None and self.heartbeat is None:
+            raise ValueError("load: heartbeat is needed, too; the source would keep the last load")
+        return self
+
+    @model_validator(mode="after")
+    def _has_pressures(self) -> Self:
+        pair = self.p1 is not None, self.p2 is not None
+        if self.dp is None and not all(pair):
+            missing = "p1" if not pair[0] else "p2"
+            raise ValueError(f"{missing} is missing; p1 and p2 are needed, or dp alone")
+        if self.dp is not None and any(pair):
+            raise ValueError("dp takes the place of p1 and p2; leave out dp, or both of them")
+        return self
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        check_each_once({name: self.of(name) for name in type(self).model_fields})
+        return self
+
+    @field_validator("*")
+    @classmethod
+    def _is_node_id(cls, text: str | None) -> str | None:
+        return None if text is None else node_id(text)
+
+    def source_of(self, name: str) -> str:
+        """Return the field that holds a signal's node: dp for p1, where there is dp."""
+        return "dp" if name == "p1" and self.dp is not None else name
+
+    def of(self, name: str) -> str | None:
+        """Return the node of a signal, if there is one."""
+        node: str | None = getattr(self, name)
+        return node
+
+    @classmethod
+    def of_rig(cls, valve: str, *, commanded: bool = False, loaded: bool = False) -> Self:
+        """Return the virtual rig's nodes; the written ones if ``commanded``, ``loaded``."""
+        head = f"nsu={RIG_NAMESPACE};s={valve}."
+        return cls(
+            **{signal.label: head + signal.at_rig for signal in Signal},
+            required_U=head + "UCommand" if commanded else None,
+            heartbeat=head + "Heartbeat" if commanded else None,
+            load=head + "LoadCommand" if loaded else None,
+        )
+
+
+class ValveConfig(Section):
+    """One valve."""
+
+    name: Name = Field("Valvistor", description="its name in each node id")
+    source: Name | None = Field(
+        None, description="which of [[sources]] publishes its signals; none with [source]"
+    )
+    nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
+    ports: PortsConfig | None = Field(
+        None, description="nodes by port, in place of nodes: four edges, or two ports"
+    )
+    signals: SignalsConfig = SignalsConfig()
+    feed_forward: FeedForwardConfig = FeedForwardConfig()
+    commission: CommissionConfig = CommissionConfig()
+    gate: GateConfig = GateConfig()
+    alarms: AlarmsConfig = AlarmsConfig()
+    identification: IdentificationConfig = IdentificationConfig()
+    insist: bool = Field(
+        default=False, description="learn from implausible data, such as p1 below p2"
+    )
+    estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
+    U_range_percent: Range = Field((0.0, 100.0), description="range of U that the map covers")
+    dp_range_bar: Range = Field((0.0, 200.0), description="range of p1 - p2 that the map covers")
+    Q_range_l_min: Range = Field((0.0, 200.0), description="range of the flow")
+    inverse: str | None = Field(
+        None,
+        description="name of the estimator whose map is inverted, or recommended: the one with the "
+        "least error at places visited again, until then Auto or the first; none = recommended",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _nodes_of_the_rig_by_default(cls, given: Any) -> Any:  # noqa: ANN401 - pydantic's raw input
+        if not isinstance(given, dict) or {"nodes", "ports"} & given.keys():
+            return given
+        if isinstance(given.get("name"), str):
+            return {**given, "nodes": NodesConfig.of_rig(given["name"])}
+        return given
+
+    @field_validator("U_range_percent", "dp_range_bar", "Q_range_l_min")
+    @classmethod
+    def _low_below_high(cls, bounds: Range) -> Range:
+        if not bounds[0] < bounds[1]:
+            raise ValueError(f"the first number must be below the second, not {list(bounds)}")
+        return bounds
+
+    @field_validator("U_range_percent")
+    @classmethod
+    def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
+        estimators: tuple[EstimatorConfig, ...] = info.data.get("estimators", ())
+        unable = [e.name for e in estimators if not e.any_U_range]
+        if info.data.get("ports") is not None:
+            return bounds  # each of its edges has one sign of U
+        if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
+            raise ValueError(
+                f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
+                f"with them {ONE_EDGE[0]:g} … {ONE_EDGE[1]:g} is allowed, any range with "
+                f"estimators of the kind {' or '.join(_OF_ANY_RANGE)} alone"
+            )
+        return bounds
+
+    @model_validator(mode="after")
+    def _ports_stand_alone(self) -> Self:
+        if self.ports is None:
+            return self
+        for name, remedy in _NOT_WITH_PORTS.items():
+            if name in self.model_fields_set:
+                raise ValueError(f"{name} is not for a valve with ports: {remedy}")
+        low, high = self.U_range_percent
+        if "U_range_percent" in self.model_fields_set and not low < 0.0 < high:
+            raise ValueError(
+                f"a valve with ports works both ways: U_range_percent = [{low:g}, {high:g}], "
+                "[-100, 100] is meant"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _feed_forward_fits(self) -> Self:
+        check_feed_forward(
+            self.feed_forward,
+            is_given="feed_forward" in self.model_fields_set,
+            is_written=self.nodes.required_U is not None,
+            has_heartbeat=self.nodes.heartbeat is not None,
+        )
+        return self
+
+    @model_validator(mode="after")
+    def _commission_fits(self) -> Self:
+        self.commission.check_within(self.U_range_percent, has_load=self.nodes.load is not None)
+        return self
+
+    @model_validator(mode="after")
+    def _command_has_a_unit(self) -> Self:
+        check_command_unit(
+            self.signals.U.measure("U").scaling("U"),
+            self.signals.required_U.model_fields_set,
+            is_written=self.nodes.required_U is not None,
+        )
+        return self
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        names = [estimator.name for estimator in self.estimators]
+        if not names:
+            raise ValueError("estimators: at least one is needed")
+        check_unique("estimator", names)
+        check_not_reserved("estimator", names, RESERVED_ESTIMATORS)
+        if self.inverse not in (None, RECOMMENDED, *names):
+            allowed = ", ".join((RECOMMENDED, *names))
+            raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {allowed}")
+        return self
+
+
+class EdgeConfig(ValveConfig):
+    """One edge of a valve with ports; made from that valve, never read from a file."""
+
+    valve: str = ""
+    edge: Edge = Edge.PA
+
+
+class LineConfig(ValveConfig):
+    """One line of a valve with ports; made from that valve, never read from a file."""
+
+    valve: str = ""
+    line: str = "A"
+    closed_percent: float = 3.0
+    not_learnt: tuple[str, ...] = ()  # which edges of the valve are not, and why
+
+
+def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
+    """Return the valves that stand for a valve: itself, or its lines and edges."""
+    ports = valve.ports
+    if ports is None:
+        return (valve,)
+    low, high = (
+        valve.U_range_percent if "U_range_percent" in valve.model_fields_set else (-100.0, 100.0)
+    )
+    if ports.is_two_port:
+        own = {} if "estimators" in valve.model_fields_set else {"estimators": (AutoConfig(),)}
+        signals = {**ports.drop(Edge.PA), "Q": "QA"}
+        kept = {n: getattr(valve, n) for n in valve.model_fields_set - {"ports"}}
+        given = {**kept, **own, "U_range_percent": (low, high)}
+        return (ValveConfig(**given, **_of_part(ports, signals)),)
+    found: list[ValveConfig] = []
+    edges = ports.learnt
+    left_out = tuple(f"{edge} is not learnt: {why}" for edge, why in ports.not_learnt())
+    for line in ports.lines:
+        if not any(edge.line == line for edge in edges):
+            continue
+        head = {"name": f"{valve.name}.Line{line}", "valve": valve.name, "line": line}
+        most = valve.dp_range_bar[1]
+        bounds = {"U_range_percent": (low, high), "dp_range_bar": (-most, most)}
+        signals = {**ports.leak(line), "Q": f"Q{line}"}
+        found.append(
+            _made(
+                LineConfig,
+                valve,
+                **head,
+                **bounds,
+                **_of_part(ports, signals),
+                estimators=(),
+                inverse=None,
+                insist=True,
+                closed_percent=ports.closed_percent,
+                not_learnt=left_out if not found else (),
+            )
+        )
+    for edge in edges:
+        head = {"name": f"{valve.name}.{edge}", "valve": valve.name, "edge": edge}
+        bounds = {"U_range_percent": (0.0, high if edge.opens > 0 else -low)}
+        signals = {**ports.drop(edge), "Q": f"Q{edge.line}"}
+        found.append(_made(EdgeConfig, valve, **head, **bounds, **_of_part(ports, signals)))
+    return tuple(found)
+
+
+def _made(kind: type[ValveConfig], whole: ValveConfig, /, **own: Any) -> ValveConfig:  # noqa: ANN401
+    """Return a part of a valve: its name is not one that a file may have."""
+    given = {name: getattr(whole, name) for name in ValveConfig.model_fields if name != "ports"}
+    return kind.model_construct(**(given | own))
+
+
+def _of_part(ports: PortsConfig, signals: dict[str, str]) -> dict[str, Any]:
+    """Return nodes and signals of an edge or line, from the names that they have among ports."""
+    named = {"U": "U", **signals} | ({} if ports.T is None else {"T": "T"})
+    nodes = {signal: ports.node(name) for signal, name in named.items()}
+    return {
+        "nodes": NodesConfig(**nodes, sequence=ports.sequence),
+        "signals": ports.signals.of(**named),
+    }
