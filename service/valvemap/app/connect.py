@@ -12,6 +12,7 @@ from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.elements import parted
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
@@ -109,6 +110,7 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
     for one in groups:
         if one.name in refused:
             continue
+        one = _monitored(one, values)  # noqa: PLW2901 - from here on the same valve
         given = of_valve(wanted.given, one.name, assume=wanted.assume)
         given = replace(given, ports=one.name in wanted.ports)
         verdict = judge(one, record_of(values, one), given, wanted.rating)
@@ -228,21 +230,26 @@ def _statistics(
 
 
 async def _watch(
-    settings: SourceSettings, groups: Sequence[Group], watch_s: float
+    settings: SourceSettings, groups: Sequence[Group], watch_s: float, *, elements: bool = True
 ) -> tuple[dict[str, DataChanges], dict[str, str]]:
-    """Monitor all variables; return their changes by node, and refused valves with the reason."""
-    lots: dict[str, list[ValveNodes]] = {}
-    refused: dict[str, str] = {}
-    for one in groups:
-        try:
-            lots[one.name] = list(_lots(one))
-        except ConfigurationError as error:
-            refused[one.name] = f"{printable(one.name)}: {printable(str(error))}"
+    """Monitor all variables; return their changes by node, and refused valves with the reason.
+
+    A server may permit fewer items of one node than an array has elements: variables that are no
+    elements are monitored alone then.
+    """
+    lots, refused = _lots_of(groups, elements=elements)
     if not lots:
         return {}, refused
     try:
         changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
-    except SourceRejected:  # find the valve
+    except SourceRejected as error:
+        if elements and any(_is_element(node) for one in groups for node in one.watched):
+            values, others = await _watch(settings, groups, watch_s, elements=False)
+            return values, {
+                "": f"elements of arrays are left out: {printable(str(error))}",
+                **others,
+            }
+        # find the valve
         for name, own in list(lots.items()):
             try:
                 await changes_of(OpcUaSource(settings, own), 0.0)
@@ -255,9 +262,37 @@ async def _watch(
     return _by_node(changes, _all(lots)), refused
 
 
-def _lots(one: Group) -> Iterator[ValveNodes]:
+def _monitored(one: Group, values: Mapping[str, DataChanges]) -> Group:
+    """Return a valve without the elements of arrays that could not be monitored."""
+    own, shared = (
+        tuple(node for node in nodes if node.node in values or not _is_element(node))
+        for nodes in (one.own, one.shared)
+    )
+    return replace(one, own=own, shared=shared)
+
+
+def _is_element(one: Candidate) -> bool:
+    return parted(one.node)[0] is not None
+
+
+def _lots_of(
+    groups: Sequence[Group], *, elements: bool
+) -> tuple[dict[str, list[ValveNodes]], dict[str, str]]:
+    """Return the lots of each valve, and the valves whose nodes cannot be read."""
+    lots: dict[str, list[ValveNodes]] = {}
+    refused: dict[str, str] = {}
+    for one in groups:
+        try:
+            lots[one.name] = list(_lots(one, elements=elements))
+        except ConfigurationError as error:
+            refused[one.name] = f"{printable(one.name)}: {printable(str(error))}"
+    return lots, refused
+
+
+def _lots(one: Group, *, elements: bool) -> Iterator[ValveNodes]:
     """Yield a valve's variables in lots as the source client reads them, without scaling."""
-    nodes = [candidate.node for candidate in one.watched[:_MOST_OF_A_VALVE]]
+    watched = [node for node in one.watched if elements or not _is_element(node)]
+    nodes = [node.node for node in watched[:_MOST_OF_A_VALVE]]
     for start in range(0, len(nodes), _PER_LOT):
         lot = nodes[start : start + _PER_LOT]
         U, p1, p2, Q = (*lot, *[lot[-1]] * 3)[:4]
