@@ -72,6 +72,22 @@ SHOWN = {
 }
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_end_of_the_meter_that_is_reached_later_is_found_within_25_seconds(seed):
+    """The map of the first minute says what flows beyond it; new places refute the meter."""
+    U, dp = cycle(seed, many=8500)
+    dp[:6000] *= 0.2
+    noise = SIGMA * np.random.default_rng(seed).normal(size=len(U))
+    Q = np.minimum(valve(U, dp), 80.0) + noise
+    t = 1_700_000_000_000_000_000 + 10_000_000 * np.arange(len(U))
+    estimator = FlowMap()
+    state, _ = estimator.update(estimator.initial_state(), Samples.of(t, U, dp, 0 * dp, Q))
+    assert {one.code for one in estimator.findings(state)} == {Code.METER_END}
+    asked = np.array([70.0, 80.0, 90.0]), np.array([170.0, 150.0, 170.0])
+    flow, std = estimator.predict(state, *asked, np.full(3, np.nan))
+    assert np.all(np.abs(flow - valve(*asked)) < 3.0 * std + 2.0 * SIGMA)
+
+
 @pytest.mark.parametrize("code", SHOWN, ids=lambda code: code.name)
 def test_a_cause_is_the_likeliest_finding_and_its_size_is_said(code):
     shown, size = SHOWN[code]

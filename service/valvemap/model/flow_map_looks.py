@@ -56,7 +56,7 @@ def learn(state: FlowMapState, both: Both, batch: flow_memory.Batch, start: int,
         if counters[flow_memory.USED] >= counters[flow_memory.NEXT_FIT]:
             _refit(state, *both)
             if counters[flow_memory.DOUBTED]:
-                _doubt_change(state, both)
+                _doubt(state, both)
             _watch(state, both)
             if counters[flow_memory.USED] >= counters[flow_memory.NEXT_LOOK]:
                 _look(state, both, T, batch.longest)
@@ -145,18 +145,29 @@ def _refine(
     state.path[: flow_path.PARAMETERS] += moved
 
 
-def _doubt_change(state: FlowMapState, both: Both) -> None:
-    """Take a change back that is the meter's end, reached for the first time."""
+def _doubt(state: FlowMapState, both: Both) -> None:
+    """Find the meter's end, reached for the first time; take a change back that it is."""
     counters, path = state.counters, state.path
+    was_called = counters[flow_memory.DOUBTED] == 1
     counters[flow_memory.DOUBTED] = 0
     given = _given(state)
     if given[flow_path.TOP]:
         return
-    top = flow_causes.end_of_meter(flow_evidence.Evidence(*both, _rows(state)), given)
-    if top:
+    rows = _rows(state)
+    top = flow_causes.end_of_meter(flow_evidence.Evidence(*both, rows), given)
+    if top and not _was_reached(rules.NEAR_TOP * top, rows, state):
         path[flow_path.TOP], path[flow_path.GAINS + flow_path.TOP] = top, rules.CLEAR
-        counters[flow_memory.CHANGES] -= 1
+        counters[flow_memory.CHANGES] -= int(was_called)
         _empty_bounds(state, both)
+
+
+def _was_reached(flow: float, rows: Floats, state: FlowMapState) -> bool:
+    """Whether the meter showed such a flow before the newest half of the rows."""
+    shown = np.abs(rows[:, flow_path.LEFT_Q]) >= flow
+    older, newer = shown[: len(rows) // 2], shown[len(rows) // 2 :]
+    known = np.abs(state.cells[:, flow_cells.MEAN_Q]) >= flow
+    many = state.cells[known, flow_cells.COUNT].sum() - np.count_nonzero(newer)
+    return bool(np.count_nonzero(older) > 1 or many > 1)
 
 
 def _empty_bounds(state: FlowMapState, both: Both) -> None:

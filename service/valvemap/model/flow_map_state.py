@@ -95,6 +95,9 @@ class FlowMapState(State):
         arrays["wear"] = np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS))
         flow_wear.begin(arrays["wear"])
         arrays["recent"] = np.ascontiguousarray(arrays["recent"][:, : flow_path.COLUMNS])
+        sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
+        for name, size in (sizes | {"path": flow_path.PLACES, "stay": flow_memory.STAY}).items():
+            arrays[name] = np.pad(arrays[name][:size], (0, max(size - len(arrays[name]), 0)))
         if version == "5":
             return arrays
         if version == "3":
@@ -102,9 +105,6 @@ class FlowMapState(State):
                 still = arrays[name][:, flow_drift.STILL]
                 arrays[name] = np.insert(arrays[name], flow_drift.WANDERING, still, axis=1)
             arrays["chance"] = np.insert(arrays["chance"], flow_drift.WANDERING, 0.0, axis=1)
-        sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
-        for name, size in (sizes | {"path": flow_path.PLACES, "stay": flow_memory.STAY}).items():
-            arrays[name] = np.pad(arrays[name][:size], (0, max(size - len(arrays[name]), 0)))
         scalars = arrays["scalars"]
         scalars[flow_fit.SLOW] = scalars[flow_fit.COLOUR] > 0.0
         scalars[flow_fit.AFTER] = scalars[flow_fit.COLOUR] * scalars[flow_fit.NEXT]
@@ -138,9 +138,10 @@ class FlowMapState(State):
             1,
             [
                 *(flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED),
-                *(flow_memory.ALARMED, flow_memory.DOUBTED),
+                flow_memory.ALARMED,
             ],
         )
+        counters.within(0, 2, [flow_memory.DOUBTED])
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
             "std": Contents(self.std).within(0.0),

@@ -45,7 +45,8 @@ PAIR_PRODUCT, PAIR_SQUARE, PAIRS = 28, 29, 30  # sums over pairs of stays in dif
 SLOW = 31  # the noise's slow part, as a share of σ²
 AFTER, AFTER_WEIGHT = 32, 33  # products of errors two samples apart, and their number
 ERROR_BEFORE = 34  # error of the sample before the last one
-SCALARS = 35
+REFUTED = 35  # log likelihood against the map by the first samples of cells
+SCALARS = 36
 
 
 @inner

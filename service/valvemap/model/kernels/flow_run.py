@@ -145,6 +145,8 @@ def _learn(
         residual = batch.residual[i]
         slope = at[SLOPE]
         weight = _trust(residual, axis_U, axis_s, memory, gain, number, bent, room)
+        if memory.cells[number, COUNT] == 0.0:
+            _weigh_guess(residual, memory, at)
         is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
         is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
         if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
@@ -180,6 +182,22 @@ def _learn(
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
     return _OK if known else _WARMING_UP
+
+
+@inner
+def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
+    """Weigh what the map said of a place never visited: the meter may end there."""
+    scalars, counters = memory.scalars, memory.counters
+    if counters[USED] - counters[BEGAN] < rules.LOOKS[0]:
+        return
+    square = residual * residual / (at[TOTAL] + scalars[fits.VARIANCE])
+    against = min(0.5 * (square - 1.0), rules.MOST_OF_GUESS)
+    scalars[fits.REFUTED] = max(scalars[fits.REFUTED] + against, 0.0)
+    if scalars[fits.REFUTED] >= rules.CLEAR:
+        scalars[fits.REFUTED] = 0.0
+        if counters[DOUBTED] == 0:
+            counters[DOUBTED] = 2
+        counters[NEXT_FIT] = counters[USED]
 
 
 @inner
