@@ -155,7 +155,7 @@ def _doubt(state: FlowMapState, both: Both) -> None:
         return
     rows = _rows(state)
     top = flow_causes.end_of_meter(flow_evidence.Evidence(*both, rows), given)
-    if top and not _was_reached(rules.NEAR_TOP * top, rows, state):
+    if top and not (was_called and _was_reached(rules.NEAR_TOP * top, rows, state)):
         path[flow_path.TOP], path[flow_path.GAINS + flow_path.TOP] = top, rules.CLEAR
         counters[flow_memory.CHANGES] -= int(was_called)
         _empty_bounds(state, both)

@@ -197,7 +197,6 @@ def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
         scalars[fits.REFUTED] = 0.0
         if counters[DOUBTED] == 0:
             counters[DOUBTED] = 2
-        counters[NEXT_FIT] = counters[USED]
 
 
 @inner
