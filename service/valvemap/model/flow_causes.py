@@ -170,7 +170,7 @@ def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
     """Return the parameters with one more operator; a lag may take over age of another one."""
     for k, values in TRIED.items():
         for value in values:
-            if not at[k]:
+            if not at[k] and _is_distinct(evidence, k, value):
                 tried = with_value(at, k, value)
                 for group in RIVALS[:2]:
                     if k in group:
@@ -183,6 +183,18 @@ def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
     if not at[paths.TOP]:
         for share in rules.SHARES_TOP:
             yield with_value(at, paths.TOP, float(np.quantile(evidence.Q, share)))
+
+
+def _is_distinct(evidence: Evidence, k: int, value: float) -> bool:
+    """Whether a choke leaves some Δp as they are; if not, it only scales Δp: the map does that.
+
+    So it is where p2 is 0 throughout.
+    """
+    if k != paths.CHOKE:
+        return True
+    dp, p1 = evidence.rows[:, paths.LEFT_DP], evidence.rows[:, paths.LEFT_P1]
+    whole = np.abs(dp) < value * np.maximum(p1, p1 - dp)
+    return bool(np.count_nonzero(whole) >= rules.SEEN_BELOW)
 
 
 def least_shown(Q: Floats, noise: float) -> tuple[float, float]:
