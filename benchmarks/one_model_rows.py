@@ -287,6 +287,15 @@ def shown(name, how, cause, seed, N=20_000, below=np.inf):
     return Row(samples, (N,), (valve,), below=below, causes=frozenset(cause))
 
 
+def ended_later(name, kind, seed, N=9_000, at=5_000):
+    """A meter that ends at 80 l/min, where Δp is a fifth of its range until sample ``at``."""
+    U, dp = _points(seed, kind, N)
+    dp = np.where(np.arange(N) < at, 0.2 * dp, dp)
+    valve = c.VALVES[name]
+    samples = c.samples_of(U, dp, np.minimum(valve(U, dp), 80.0) + c.white(seed, N))
+    return Row(samples, (N,), (valve,), below=75.0, causes=frozenset({FindingCode.METER_END}))
+
+
 def choked(name, seed, N=20_000, share=0.7):
     """Δp counts up to a share of p1; p2 varies by itself."""
     U, dp = c.cycle(seed, N)
@@ -495,6 +504,11 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
         f"{what}, {name}": partial(shown, name, how, cause, below=below)
         for what, (how, cause, below) in SHOWN.items()
         for name in ("ordinary", "S-shape")
+    },
+    **{
+        f"meter ends at 80 after 50 s, {name}, {kind}": partial(ended_later, name, kind)
+        for name in ("ordinary", "S-shape")
+        for kind in ("scattered", "cycle")
     },
     "choked, ordinary": partial(choked, "ordinary"),
     "pump limit, ordinary": partial(pumped, "ordinary"),
