@@ -67,7 +67,7 @@ def test_two_valves_with_one_supply_pressure_are_written_and_checked(installed, 
         ),
     )
     code, out = connect(url, tmp_path)
-    said, failed = capsys.readouterr()
+    _, failed = capsys.readouterr()
     assert code == 0, failed
     valves = load_config(out).valves
     assert [valve.name for valve in valves] == ["V1", "V2"]
@@ -75,7 +75,6 @@ def test_two_valves_with_one_supply_pressure_are_written_and_checked(installed, 
         assert valve.nodes.p1 == "nsu=urn:plc;s=Press/Versorgungsdruck"
         assert f"nsu=urn:plc;s=Press/{valve.name}/Stellsignal [%]" == valve.nodes.U
         assert (valve.signals.p2.unit, valve.signals.Q.unit) == ("kPa", "m³/h")
-    assert "Press/V1/Werte: it is an array" in said
     assert run(["check-config", str(out), "--online", "--watch", "2"]) == 0
 
 

@@ -176,7 +176,8 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
             step = (time - order[LAST_TIME]) // (number - last)
             usual = (number - last - 1) * order[PERIOD]  # of the samples between, which are lost
             excess = time - order[LAST_TIME] - usual
-            is_back = step <= 0 or (order[REGULAR] == ENOUGH and excess <= 0)
+            is_early = usual > 0 and time - order[LAST_TIME] < order[PERIOD]
+            is_back = step <= 0 or (is_early and order[REGULAR] == ENOUGH)
             w.counters[v, CLOCK_STEPS] += is_back
             jump = max(step, excess)
             if is_back or _is_jump(order, jump, rules.max_wait, rules.reorder[v]):
