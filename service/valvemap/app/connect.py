@@ -105,7 +105,7 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
     groups = [with_answers(one, numbers, wanted) for one in groups]
     skipped += _left_over(numbers, groups)
     groups = [one for one in groups if one.name not in wanted.skip]
-    values, refused = await _watch(settings, groups, watch_s)
+    values, refused, left_out = await _watch(settings, groups, watch_s)
     verdicts, watched = [], {}
     for one in groups:
         if one.name in refused:
@@ -116,7 +116,7 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
         verdict = judge(one, record_of(values, one), given, wanted.rating)
         verdicts.append(verdict)
         watched[one.name] = _statistics(verdict, values, watch_s)
-    return Found(tuple(verdicts), watched, (*skipped, *refused.values()))
+    return Found(tuple(verdicts), watched, (*skipped, *left_out, *refused.values()))
 
 
 def with_answers(one: Group, numbers: Sequence[Candidate], wanted: Wanted) -> Group:
@@ -230,36 +230,53 @@ def _statistics(
 
 
 async def _watch(
-    settings: SourceSettings, groups: Sequence[Group], watch_s: float, *, elements: bool = True
-) -> tuple[dict[str, DataChanges], dict[str, str]]:
-    """Monitor all variables; return their changes by node, and refused valves with the reason.
+    settings: SourceSettings, groups: Sequence[Group], watch_s: float
+) -> tuple[dict[str, DataChanges], dict[str, str], list[str]]:
+    """Monitor all variables; return changes by node, refused valves, and what is left out.
 
-    A server may permit fewer items of one node than an array has elements: variables that are no
-    elements are monitored alone then.
+    A server may permit fewer items of one node than an array has elements: if it takes all
+    variables but these, they are left out.
     """
-    lots, refused = _lots_of(groups, elements=elements)
+    lots, refused = _lots_of(groups)
+    left_out: list[str] = []
     if not lots:
-        return {}, refused
+        return {}, refused, left_out
     try:
         changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
     except SourceRejected as error:
-        if elements and any(_is_element(node) for one in groups for node in one.watched):
-            values, others = await _watch(settings, groups, watch_s, elements=False)
-            return values, {
-                "": f"elements of arrays are left out: {printable(str(error))}",
-                **others,
-            }
-        # find the valve
-        for name, own in list(lots.items()):
-            try:
-                await changes_of(OpcUaSource(settings, own), 0.0)
-            except SourceRejected as error:
-                refused[name] = f"{printable(name)}: {printable(str(error))}"
-                del lots[name]
-        if not lots:
-            raise
+        whole, _ = _lots_of(groups, elements=False)
+        is_fewer = whole != lots and bool(_all(whole))
+        if is_fewer and await _rejection(settings, _all(whole)) is None:
+            left_out.append(f"elements of arrays are left out: {printable(str(error))}")
+            lots = whole
+        else:
+            refused |= await _refused_of(settings, lots)
+            lots = {name: own for name, own in lots.items() if name not in refused}
+            if not lots:
+                raise
         changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
-    return _by_node(changes, _all(lots)), refused
+    return _by_node(changes, _all(lots)), refused, left_out
+
+
+async def _rejection(settings: SourceSettings, lots: Sequence[ValveNodes]) -> SourceRejected | None:
+    """Return why the server takes these variables not, None if it does."""
+    try:
+        await changes_of(OpcUaSource(settings, lots), 0.0)
+    except SourceRejected as error:
+        return error
+    return None
+
+
+async def _refused_of(
+    settings: SourceSettings, lots: Mapping[str, Sequence[ValveNodes]]
+) -> dict[str, str]:
+    """Return the valves whose variables the server does not take, with the reason."""
+    errors = {name: await _rejection(settings, own) for name, own in lots.items()}
+    return {
+        name: f"{printable(name)}: {printable(str(error))}"
+        for name, error in errors.items()
+        if error is not None
+    }
 
 
 def _monitored(one: Group, values: Mapping[str, DataChanges]) -> Group:
@@ -276,7 +293,7 @@ def _is_element(one: Candidate) -> bool:
 
 
 def _lots_of(
-    groups: Sequence[Group], *, elements: bool
+    groups: Sequence[Group], *, elements: bool = True
 ) -> tuple[dict[str, list[ValveNodes]], dict[str, str]]:
     """Return the lots of each valve, and the valves whose nodes cannot be read."""
     lots: dict[str, list[ValveNodes]] = {}
