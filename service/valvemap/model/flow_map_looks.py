@@ -148,7 +148,7 @@ def _refine(
 def _doubt(state: FlowMapState, both: Both) -> None:
     """Find the meter's end, reached for the first time; take a change back that it is."""
     counters, path = state.counters, state.path
-    was_called = counters[flow_memory.DOUBTED] == 1
+    was_called = counters[flow_memory.DOUBTED] == flow_memory.A_CHANGE
     counters[flow_memory.DOUBTED] = 0
     given = _given(state)
     if given[flow_path.TOP]:

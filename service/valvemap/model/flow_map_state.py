@@ -141,7 +141,7 @@ class FlowMapState(State):
                 flow_memory.ALARMED,
             ],
         )
-        counters.within(0, 2, [flow_memory.DOUBTED])
+        counters.within(0, flow_memory.A_GUESS, [flow_memory.DOUBTED])
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
             "std": Contents(self.std).within(0.0),

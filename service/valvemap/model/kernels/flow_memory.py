@@ -17,12 +17,14 @@ CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15,
 ROWS_SEEN, LAST_TIME, NEXT_LOOK, CENSORED = 17, 18, 19, 20  # rows of `recent` so far; ns; samples
 WATCHED = 21  # rows of `recent` that were searched for a least flow
 CHANGE_KIND = 22  # of the last change: model of `flow_drift`, plus NAMED where U < 0
-DOUBTED = 23  # may be the meter's end: 1 a change that was called, 2 flows that refute a guess
+DOUBTED = 23  # what may be the meter's end: nothing, A_CHANGE or A_GUESS
 CALM = 24  # samples until which what moves is found again, and is no news
 RESTARTED = 25  # samples when the map began again, those that it then learnt once more included
 WANDERED = 26  # ns; of the last stay that something without a name explained
 PAIR_CELL, PAIR_TIME = 27, 28  # of the stay that is to be compared
 COUNTERS = 29
+
+A_CHANGE, A_GUESS = 1, 2  # one that was called; one that flows at new places refute
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2

@@ -25,6 +25,8 @@ from valvemap.model.kernels.flow_cells import (
 )
 from valvemap.model.kernels.flow_look import clipped, look, place, viscosity
 from valvemap.model.kernels.flow_memory import (
+    A_CHANGE,
+    A_GUESS,
     ALARMED,
     BEGAN,
     CENSORED,
@@ -82,7 +84,7 @@ def run(
         alarmed = counters[ALARMED]
         batch.status[i] = _learn(i, batch, axis_U, axis_s, memory, room)
         if counters[ALARMED] > alarmed:  # may be the meter's end, reached for the first time
-            counters[DOUBTED] = 1
+            counters[DOUBTED] = A_CHANGE
             counters[NEXT_FIT] = counters[USED]
         if counters[USED] >= counters[NEXT_FIT]:
             end_stay(axis_U, axis_s, memory, room)
@@ -196,7 +198,7 @@ def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
     if scalars[fits.REFUTED] >= rules.CLEAR:
         scalars[fits.REFUTED] = 0.0
         if counters[DOUBTED] == 0:
-            counters[DOUBTED] = 2
+            counters[DOUBTED] = A_GUESS
 
 
 @inner
