@@ -2,6 +2,7 @@
 
 import asyncio
 import dataclasses
+from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 
 import numpy as np
@@ -64,17 +65,26 @@ def results(findings):
     return AxisResults(AxisStatus.OK, "", T, 100.0, {}, None, RequiredU(), findings)
 
 
-async def test_findings_are_shown_as_those_of_valves_and_a_reference_is_set():
-    operator = Operator()
+def operators():
     users = UserStore()
     users.add("operator", Role.OPERATOR, PASSWORD)
-    settings = dataclasses.replace(results_settings(none_on_loopback=True), users=users)
-    async with ResultsServer(settings, [], operator, TurnedClock(T)) as server:
+    return dataclasses.replace(results_settings(none_on_loopback=True), users=users)
+
+
+@asynccontextmanager
+async def as_operator(server):
+    client = Client(server.url)
+    client.set_user("operator")
+    client.set_password(PASSWORD)
+    async with client:
+        yield client
+
+
+async def test_findings_are_shown_as_those_of_valves_and_a_reference_is_set():
+    operator = Operator()
+    async with ResultsServer(operators(), [], operator, TurnedClock(T)) as server:
         await server.follow_axes(["Press"], operator)
-        client = Client(server.url)
-        client.set_user("operator")
-        client.set_password(PASSWORD)
-        async with client:
+        async with as_operator(server) as client:
             index = await client.get_namespace_index(NAMESPACE)
 
             def node(name):
@@ -119,22 +129,13 @@ async def test_findings_are_shown_as_those_of_valves_and_a_reference_is_set():
     assert np.array_equal(asked, [100.0, 50.0, np.nan, np.nan, np.nan, 60.0], equal_nan=True)
 
 
-def operators():
-    users = UserStore()
-    users.add("operator", Role.OPERATOR, PASSWORD)
-    return dataclasses.replace(results_settings(none_on_loopback=True), users=users)
-
-
 async def test_alarms_are_tags_and_conditions_that_an_operator_acknowledges(tmp_path):
     operator, changes = Operator(), []
     async with ResultsServer(
         operators(), [], operator, TurnedClock(T), on_alarm=changes.append
     ) as server:
         await server.follow_axes(["Press"], operator)
-        client = Client(server.url)
-        client.set_user("operator")
-        client.set_password(PASSWORD)
-        async with client:
+        async with as_operator(server) as client:
             index = await client.get_namespace_index(NAMESPACE)
 
             def node(name):

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 from asyncua import Server, ua
 
-from guarded_opcua import HardenedServer, ServerSettings, add_object, add_variable
+from guarded_opcua import HardenedServer, add_object, add_variable
+from support.plant_server import plant_settings
 from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
@@ -43,15 +44,7 @@ async def whole_arrays():
 @asynccontextmanager
 async def single_elements():
     """Our own server: it knows index ranges."""
-    server = await HardenedServer.create(
-        ServerSettings(
-            url="opc.tcp://127.0.0.1:0/plant/",
-            application_uri="urn:test:plant",
-            application_name="plant",
-            namespace_uri="urn:plant",
-            none_on_loopback=True,
-        )
-    )
+    server = await HardenedServer.create(plant_settings())
     folder = await add_object(server, None, "Plant")
     for name, value in VALUES.items():
         dimensions = (0,) if isinstance(value, list) else None

@@ -6,7 +6,8 @@ from contextlib import asynccontextmanager, suppress
 
 from asyncua import ua
 
-from guarded_opcua import HardenedServer, ServerSettings, add_object, add_variable
+from guarded_opcua import HardenedServer, add_object, add_variable
+from support.plant_server import plant_settings
 from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
 from valvemap.config.loading import load_config
@@ -21,15 +22,7 @@ class PlayedPlant:
 
     @classmethod
     async def create(cls, columns, rate_hz):
-        server = await HardenedServer.create(
-            ServerSettings(
-                url="opc.tcp://127.0.0.1:0/plant/",
-                application_uri="urn:test:plant",
-                application_name="plant",
-                namespace_uri="urn:plant",
-                none_on_loopback=True,
-            )
-        )
+        server = await HardenedServer.create(plant_settings())
         folder = await add_object(server, None, "Plant")
         variables = [
             await add_variable(server, folder, name, None, type=ua.VariantType.Double)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from asyncua import ua
 
-from guarded_opcua import HardenedServer, ServerSettings, add_object, add_variable
+from guarded_opcua import HardenedServer, add_object, add_variable
+from support.plant_server import plant_settings
 from support.proxy import Proxy
 from valvemap.clock import SystemClock
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
@@ -51,14 +52,7 @@ class NumberedServer:
     @classmethod
     async def create(cls, *, remembers=0, valves=("V1",), shows=saw, clock=None, **more):
         server = await HardenedServer.create(
-            ServerSettings(
-                url="opc.tcp://127.0.0.1:0/plant/",
-                application_uri="urn:test:plant",
-                application_name="plant",
-                namespace_uri="urn:plant",
-                none_on_loopback=True,
-                **more,
-            ),
+            plant_settings(**more),
             clock,
         )
         kinds = {"Sequence": ua.VariantType.UInt32}

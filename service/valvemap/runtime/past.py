@@ -175,10 +175,8 @@ class PastKeeper:
             return chain(of_samples, _of_results(self._valves, results, failed), joined(of_axes))
 
         def keep() -> None:
-            if (
-                samples or results or of_axes
-            ):  # piece by piece: all at once would be tens of megabytes
-                self._save(pieces, failed)
+            if samples or results or of_axes:
+                self._save(pieces, failed)  # piece by piece: all at once would be tens of megabytes
             if changes:
                 self._store.note(changes)
             if forget:
