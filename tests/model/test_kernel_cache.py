@@ -2,11 +2,11 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from support.compiler_forks import forks
 
 ROOT = Path(__file__).parents[2]
 FILES = {
@@ -58,7 +58,27 @@ def written(folder):
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
+def run():
+    """Run a package's kernel in a process of its own; return its value and the cache's hits."""
+    with forks() as processes:
+
+        def of(package, cache=None):
+            paths = os.pathsep.join((str(package.parent), str(ROOT)))
+            environment = os.environ | {"PYTHONPATH": paths}
+            environment["PYTHONDONTWRITEBYTECODE"] = "1"  # bytecode is known by the second alone
+            environment.pop("NUMBA_CACHE_DIR", None)
+            if cache is not None:
+                environment["NUMBA_CACHE_DIR"] = str(cache)
+            done = processes.run(RUN.format(package=package.name), environment)
+            assert done.returncode == 0, done.stderr
+            value, hits = done.stdout.split()
+            return float(value), int(hits)
+
+        yield of
+
+
+@pytest.fixture(scope="module")
+def compiled(run, tmp_path_factory):
     """A package whose kernels were compiled by a first process and loaded by a second."""
     folder = written(tmp_path_factory.mktemp("compiled") / "minikernels")
     assert run(folder) == (13.0, 0)
@@ -72,25 +92,6 @@ def package(compiled, tmp_path):
     return shutil.copytree(compiled, tmp_path / "first" / "minikernels")
 
 
-def run(package, cache=None):
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(package.parent), str(ROOT)))}
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # bytecode is known by the second alone
-    environment.pop("NUMBA_CACHE_DIR", None)
-    if cache is not None:
-        environment["NUMBA_CACHE_DIR"] = str(cache)
-    done = subprocess.run(
-        [sys.executable, "-c", RUN.format(package=package.name)],
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    value, hits = done.stdout.split()
-    return float(value), int(hits)
-
-
 @pytest.mark.parametrize(
     ("file", "old", "new", "value"),
     [
@@ -101,20 +102,20 @@ def run(package, cache=None):
         ("kernels.py", "+ limits", "- limits", 11.0),
     ],
 )
-def test_changed_code_is_run_at_once(package, file, old, new, value):
+def test_changed_code_is_run_at_once(run, package, file, old, new, value):
     text = (package / file).read_text()
     assert text.count(old) == 1 or file == "inner.py"
     (package / file).write_text(text.replace(old, new, 1))
     assert run(package) == (value, 0)
 
 
-def test_changed_code_is_compiled_once(package):
+def test_changed_code_is_compiled_once(run, package):
     (package / "rules.py").write_text("FACTOR = 4.0\n")
     assert run(package) == (17.0, 0)
     assert run(package) == (17.0, 1)
 
 
-def test_a_comment_compiles_nothing_and_a_change_elsewhere_neither(package):
+def test_a_comment_compiles_nothing_and_a_change_elsewhere_neither(run, package):
     for file in FILES:
         text = (package / file).read_text()
         (package / file).write_text(f"# A comment.\n\n{text}\n# Another one.\n")
@@ -124,7 +125,7 @@ def test_a_comment_compiles_nothing_and_a_change_elsewhere_neither(package):
     assert run(package) == (13.0, 1)
 
 
-def test_what_was_compiled_before_a_change_is_removed(package):
+def test_what_was_compiled_before_a_change_is_removed(run, package):
     cached = package / "__pycache__"
     before = {file.name for file in cached.glob("kernels.judged*")}
     (package / "rules.py").write_text("FACTOR = 4.0\n")
@@ -134,7 +135,7 @@ def test_what_was_compiled_before_a_change_is_removed(package):
     assert before & after == set()
 
 
-def test_a_process_that_was_killed_between_index_and_code_leaves_no_old_code(package):
+def test_a_process_that_was_killed_between_index_and_code_leaves_no_old_code(run, package):
     """Numba writes a kernel's index first: the code that it names must not be of another stamp."""
     cached = package / "__pycache__"
     old = {file.name: file.read_bytes() for file in cached.glob("*.nbc")}
@@ -147,7 +148,7 @@ def test_a_process_that_was_killed_between_index_and_code_leaves_no_old_code(pac
     assert run(package) == (17.0, 0)
 
 
-def test_a_cache_is_good_at_another_path(compiled, tmp_path):
+def test_a_cache_is_good_at_another_path(run, compiled, tmp_path):
     moved = tmp_path / "elsewhere" / compiled.name
     shutil.copytree(compiled, moved)
     for file in moved.glob("*.py"):
@@ -155,7 +156,7 @@ def test_a_cache_is_good_at_another_path(compiled, tmp_path):
     assert run(moved) == (13.0, 1)
 
 
-def test_the_cache_folder_of_the_environment_is_used(tmp_path):
+def test_the_cache_folder_of_the_environment_is_used(run, tmp_path):
     package = written(tmp_path / "minikernels")
     assert run(package, tmp_path / "kept") == (13.0, 0)
     assert run(package, tmp_path / "kept") == (13.0, 1)
