@@ -59,13 +59,68 @@ import valvemap
 from numba.core.targetconfig import TargetConfig
 X = np.random.default_rng(3).normal(size=(500, 4))
 y = X @ np.arange(4.0) + 0.1 * np.sin(np.arange(500))
-if "likelihood" in sys.argv:
+if "kinds" in sys.argv:
+    from kernels_of_every_kind import swept
+    found = swept(X, y)
+elif "likelihood" in sys.argv:
     fit = valvemap.recursive_maximum_likelihood(y, X[:, 0], 1, 2, 1)
+    found = fit.theta_history, fit.covariance
 else:
     fit = valvemap.recursive_least_squares(X, y, forgetting=0.99)
+    found = fit.theta_history, fit.covariance
 print(TargetConfig.__eq__.__module__)
-print(fit.theta_history.tobytes().hex(), fit.covariance.tobytes().hex())
+print(*(array.tobytes().hex() for array in found))
 """
+KINDS = """
+import numpy as np
+from valvemap.model.kernels.compiled import inlined, inner, kernel, lean_kernel, maker, spliced
+
+@inner
+def scaled(x, y):
+    return x * y / (1.0 + abs(x))
+
+@inlined
+def bent(x):
+    return x + np.sqrt(abs(x)) - np.exp(-abs(x))
+
+@spliced
+def either(x, rising):
+    return bent(x) if rising else -bent(x)
+
+@maker
+def columns(X):
+    sums = np.zeros(X.shape[1])
+    for i in range(X.shape[0]):
+        for j in range(X.shape[1]):
+            sums[j] += scaled(X[i, j], sums[j - 1])
+    return sums
+
+@lean_kernel
+def lean(parts, y, into):
+    X, sums = parts
+    total = 0.0
+    for i in range(len(y)):
+        total = 0.99 * total + either(X[i, i % X.shape[1]] - y[i], i % 3 == 0) / (1.0 + total**2)
+        into[i] = total + sums[i % len(sums)]
+    return total
+
+@kernel
+def means(X):
+    return columns(X) / X.shape[0]
+
+def swept(X, y):
+    into, sums = np.zeros(len(y)), means(X)
+    lean((X, sums), y, into)
+    return sums, into
+"""
+
+
+@pytest.fixture
+def kinds(tmp_path):
+    """Environment in which a module has kernels of every kind."""
+    (tmp_path / "kernels_of_every_kind.py").write_text(KINDS)
+    paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {"PYTHONPATH": os.pathsep.join(paths)}
 
 
 def run(source, *arguments, **environment):
@@ -93,31 +148,35 @@ def test_the_check_sees_what_a_command_changes():
         assert part in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("estimator", "cached"),
-    [
-        ("squares", True),
-        ("likelihood", False),  # takes half as long to compile, with kernels of every kind
-        pytest.param("squares", False, marks=pytest.mark.soak),
-    ],
-)
-def test_results_have_the_same_bits_with_and_without_shortcuts(estimator, cached, tmp_path):
-    apart = [{} if cached else {"NUMBA_CACHE_DIR": str(tmp_path / name)} for name in ("a", "b")]
-    plain = run(BITS, estimator, **apart[0])
-    quick = run(BITS, estimator, "ask", **apart[1])
+SLOW = pytest.param("likelihood", marks=pytest.mark.minor)  # compiles for half a minute
+
+
+@pytest.mark.parametrize("fitted", ["kinds", SLOW, pytest.param("squares", marks=pytest.mark.soak)])
+def test_results_have_the_same_bits_with_and_without_shortcuts(fitted, kinds, tmp_path):
+    apart = [kinds | {"NUMBA_CACHE_DIR": str(tmp_path / name)} for name in ("a", "b")]
+    same_bits(run(BITS, fitted, **apart[0]), run(BITS, fitted, "ask", **apart[1]))
+
+
+def test_a_cached_fit_has_the_same_bits_with_and_without_shortcuts():
+    same_bits(run(BITS, "squares"), run(BITS, "squares", "ask"))
+
+
+def same_bits(plain, quick):
     assert plain.returncode == quick.returncode == 0, plain.stderr + quick.stderr
     (theirs, bits), (ours, same) = plain.stdout.split("\n", 1), quick.stdout.split("\n", 1)
     assert theirs.startswith("numba.")
     assert ours.startswith("valvemap.")
+    assert len(bits) > 1_000
     assert bits == same
 
 
-def test_an_unknown_numba_is_left_to_itself_and_one_line_says_so():
+@pytest.mark.parametrize("fitted", ["kinds", SLOW])
+def test_an_unknown_numba_is_left_to_itself_and_one_line_says_so(fitted, kinds):
     unknown = "import valvemap.numba_version as v; v.TESTED = ('0.1', '0.2')\n"
     kernels = "from valvemap.model.kernels import plain_numba, rules\n"
     private = "import sys; assert not any(m.endswith('.tested_numba') for m in sys.modules)\n"
-    plain = run(BITS, "likelihood", "ask")
-    other = run(unknown + BITS + kernels + private, "likelihood", "ask")
+    plain = run(BITS, fitted, "ask", **kinds)
+    other = run(unknown + BITS + kernels + private, fitted, "ask", **kinds)
     assert other.returncode == 0, other.stderr
     assert other.stdout.split("\n", 1)[1] == plain.stdout.split("\n", 1)[1]
     assert other.stdout.startswith("numba.")
