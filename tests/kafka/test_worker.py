@@ -191,6 +191,7 @@ def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, und
     kept = group(known.groups["north.0"])
     feed(kept, [first])
     worker, other = Worker(known, RHYTHM), Dictionary()
+    right = set()  # states that were looked into: they are nearly always the same bytes
     with structlog.testing.capture_logs():
         for k, packed in enumerate(damaged(kept.to_bytes())):
             store = Dictionary()
@@ -205,12 +206,14 @@ def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, und
                 other_block = block(known.groups["north.1"], k // 10 + 1, (9, 9), first=9 * k)
                 worker.samples(b"north.1", write_samples(other_block), other)
             worker.keep()
-            found = read_memory(store.get_bytes(MEMORY))
-            assert found.counts["damaged"] == 1
-            assert found.number == 2
-            again = group(known.groups["north.0"])
-            again.remember(store.get_bytes(MEMORY))
-            assert again.identification.valves.lane("V0", "RLS").count == 9
+            if store.get_bytes(MEMORY) not in right:
+                found = read_memory(store.get_bytes(MEMORY))
+                assert found.counts["damaged"] == 1
+                assert found.number == 2
+                again = group(known.groups["north.0"])
+                again.remember(store.get_bytes(MEMORY))
+                assert again.identification.valves.lane("V0", "RLS").count == 9
+                right.add(store.get_bytes(MEMORY))
     assert worker._log.count == k + 1
 
 

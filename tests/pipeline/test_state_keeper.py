@@ -107,11 +107,18 @@ async def learn_and_crash(answers, turns, valves_a_turn):
 
 
 def after_a_restart(source, disk):
-    known, kept = valves(), dict(disk.kept)
+    kept = dict(disk.kept)
     position = kept.pop(POSITION, None)
     resumed = 0 if position is None else int(position.state)
     assert resumed == source.committed, "acknowledged and saved positions differ"
-    known.restore(list(kept.values()))
+    return learnt_from(resumed, tuple(kept.values()))
+
+
+@cache
+def learnt_from(resumed, kept):
+    """What valves know at the end; many crashes leave the same behind."""
+    known = valves()
+    known.restore(list(kept))
     known.take(stream()[resumed:])
     return known.states.checkpoints()
 
