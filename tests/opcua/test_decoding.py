@@ -159,9 +159,13 @@ def test_arrays_equal_the_generic_decoder_on_messages_of_every_kind(batches):
     assert changes.source_time.dtype == np.int64
 
 
-@pytest.mark.parametrize("mask", range(64))
 @pytest.mark.parametrize("kind", [*NUMERIC, ua.VariantType.String])
-def test_every_mask_with_every_type_is_read_in_the_order_of_the_standard(mask, kind):
+def test_every_mask_with_every_type_is_read_in_the_order_of_the_standard(kind):
+    for mask in range(64):
+        is_read_in_the_order_of_the_standard(mask, kind)
+
+
+def is_read_in_the_order_of_the_standard(mask, kind):
     value = 1 if kind == ua.VariantType.Boolean else 42
     body = (
         struct.pack("<i", 2) + b"ab" if kind not in NUMERIC else struct.pack(NUMERIC[kind], value)
