@@ -24,7 +24,8 @@ from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
-from valvemap.opcua_source.decoding import EPOCH_TICKS, decode_publish_response
+from valvemap.opcua_source.decoding import decode_publish_response
+from valvemap.opcua_source.timestamps import EPOCH_TICKS
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification

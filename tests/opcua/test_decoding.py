@@ -9,14 +9,9 @@ from asyncua.ua import ua_binary
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valvemap.opcua_source.decoding import (
-    EPOCH_TICKS,
-    DecodeError,
-    decode_publish_response,
-    decode_republish_response,
-    ns_from_ticks,
-    ticks_from_ns,
-)
+from valvemap.opcua_source.decoding import decode_publish_response, decode_republish_response
+from valvemap.opcua_source.timestamps import EPOCH_TICKS, ns_from_ticks, ticks_from_ns
+from valvemap.opcua_source.wire import DecodeError
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 NUMERIC = {

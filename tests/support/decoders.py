@@ -58,6 +58,7 @@ from valvemap.opcua_client import responses
 from valvemap.opcua_source import decoding
 from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
+from valvemap.opcua_source.wire import DecodeError
 from valvemap.page.viewers import Senseless as SenselessRequest
 from valvemap.page.viewers import _request
 from valvemap.pipeline import kept_axes, operator_ports
@@ -152,7 +153,7 @@ def decoders(folder):
 
 
 def _of_opc_ua():
-    status, malformed = ua.UaStatusCodeError, decoding.DecodeError
+    status, malformed = ua.UaStatusCodeError, DecodeError
     return {
         "server: requests": Decoder(_request_of_opc_ua, _requests, (status,)),
         "server: values": Decoder(

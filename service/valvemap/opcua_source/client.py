@@ -18,11 +18,11 @@ from valvemap.opcua_client.connection import (
     open_connection,
     status_name,
 )
-from valvemap.opcua_source.decoding import overflown
 from valvemap.opcua_source.history import NEVER, Holes, Knowledge, SourceHistory
 from valvemap.opcua_source.item_watch import ItemWatch
 from valvemap.opcua_source.position import Mark, Position, position_from_bytes, position_to_bytes
 from valvemap.opcua_source.recall import recall
+from valvemap.opcua_source.records import overflown
 from valvemap.opcua_source.source_clock import SourceClock
 from valvemap.opcua_source.source_nodes import (
     HEARTBEAT,

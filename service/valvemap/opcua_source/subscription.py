@@ -23,7 +23,6 @@ from valvemap.errors import SourceError, SourceLost
 from valvemap.opcua_client.connection import Connection, status_name
 from valvemap.opcua_client.responses import Senseless
 from valvemap.opcua_source.decoding import (
-    DecodeError,
     Message,
     PublishResponse,
     decode_publish_response,
@@ -33,6 +32,7 @@ from valvemap.opcua_source.elements import ARRAY, with_elements
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import Item, create_items, delete_items, enlarge_queues
 from valvemap.opcua_source.source_nodes import MonitoredNode
+from valvemap.opcua_source.wire import DecodeError
 from valvemap.pipeline.data_changes import DataChanges
 
 _log = bounded_logger(__name__)
