@@ -21,22 +21,18 @@ kind = "LMS"
 mu = {mu}
 """
 
-DESCRIBED = """
-import json
+CHECKED = """
+import json, sys
 from pathlib import Path
 from valvemap.app.build import build_identification
+from valvemap.cli import run
 from valvemap.config.loading import load_config
+from valvemap.errors import ConfigurationError
 
+assert run(["check-config", "valve.toml"]) == 0
 identification = build_identification(load_config(Path("valve.toml")))
 (estimator,) = identification.descriptions()[0].estimators
 print(json.dumps([estimator.name, estimator.has_named_parameters, *estimator.parameter_names]))
-"""
-
-WRONG = """
-import sys
-from pathlib import Path
-from valvemap.config.loading import load_config
-from valvemap.errors import ConfigurationError
 
 for text in sys.argv[1:]:
     Path("wrong.toml").write_text(text)
@@ -44,6 +40,15 @@ for text in sys.argv[1:]:
         load_config(Path("wrong.toml"))
     except ConfigurationError as error:
         print(error)
+"""
+
+REPLAYED = """
+from valvemap.cli import run
+
+replay = ["replay", "run.csv", "--config", "valve.toml"]
+assert run([*replay, "--json", "found.json", "--save", "model.json"]) == 0
+print("and now the model")
+assert run(["invert", "model.json", "--Q", "65", "--dp", "100"]) == 0
 """
 
 
@@ -94,33 +99,34 @@ def test_it_takes_three_files(tree):
     assert len(tree.touched) <= 3
 
 
-def test_its_configuration_is_checked_and_errors_name_field_and_kinds(tree):
-    tree.valvemap("check-config", "valve.toml")
+@pytest.fixture(scope="module")
+def checked(tree):
+    """What its configuration gives, and the errors of wrong ones."""
     misspelt = TOML.format(mu=1.0).replace("mu =", "muu =")
     without_kind = TOML.format(mu=1.0).replace('kind = "LMS"\n', "")
-    of_step, of_field, of_kind = tree.run(
-        "-c", WRONG, TOML.format(mu=3.0), misspelt, without_kind
-    ).splitlines()
+    said = tree.run("-c", CHECKED, TOML.format(mu=3.0), misspelt, without_kind)
+    return said.splitlines()[-4:]
+
+
+def test_its_configuration_is_checked_and_errors_name_field_and_kinds(checked):
+    _, of_step, of_field, of_kind = checked
     assert of_step.startswith("wrong.toml: valves[0].estimators[0].mu = 3.0: ")
     assert of_field.endswith("estimators[0].muu: there is no such field; is mu meant?")
     assert of_kind.endswith("kind is missing: allowed is one of LMS, RLS, RML, RBF, Auto")
 
 
+def test_each_parameter_gets_a_node(checked):
+    assert json.loads(checked[0]) == ["LMS", True, "a1", "a2", "a3", "a4", "a5"]
+
+
 def test_a_recording_is_replayed_and_its_model_saved_and_loaded(tree):
-    run = "replay", "run.csv", "--config", "valve.toml"
-    tree.valvemap(*run, "--json", "found.json", "--save", "model.json")
+    _, said = tree.run("-c", REPLAYED).split("and now the model")
     found = json.loads((tree.folder / "found.json").read_text())["V1"]["LMS"]
     assert found["parameters"]["a4"] == pytest.approx(0.13, rel=0.15)
     assert found["one_step"]["rmse"] < 8.0
     saved = json.loads((tree.folder / "model.json").read_text())
     assert saved["parameters"]["a4"] == found["parameters"]["a4"]
-    said = tree.valvemap("invert", "model.json", "--Q", "65", "--dp", "100")
     assert re.search(r"\b(49|50|51)\.\d", said), said
-
-
-def test_each_parameter_gets_a_node(tree):
-    said = json.loads(tree.run("-c", DESCRIBED).splitlines()[-1])
-    assert said == ["LMS", True, "a1", "a2", "a3", "a4", "a5"]
 
 
 def test_it_passes_every_shared_check(tree):

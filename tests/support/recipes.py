@@ -53,7 +53,3 @@ class Tree:
         )
         assert done.returncode == code, done.stdout + done.stderr
         return done.stderr + done.stdout
-
-    def valvemap(self, *arguments, code=0):
-        """Run a command of the copy; return its output."""
-        return self.run("-m", "valvemap", *arguments, code=code)
