@@ -28,7 +28,7 @@ from valvemap.pipeline.results import Remark
 
 NAME = "north.0"
 KEY = NAME.encode()
-MUTANTS = 2_000
+MUTANTS = 800
 LIKELY_BAD = 0.5  # of the mutants: the others are honest by chance
 
 # Of flows of 1e308 l/min, which are shown as they are.
