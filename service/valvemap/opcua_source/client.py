@@ -34,15 +34,8 @@ from valvemap.opcua_source.source_nodes import (
     check_nodes,
 )
 from valvemap.opcua_source.source_units import Scales, check_units
-from valvemap.opcua_source.subscription import (
-    LIFETIME_S,
-    Left,
-    Part,
-    Subscription,
-    Tally,
-    subscribe,
-    take_over,
-)
+from valvemap.opcua_source.subscribing import LIFETIME_S, subscribe, take_over
+from valvemap.opcua_source.subscription import Left, Part, Subscription, Tally
 from valvemap.opcua_source.succession import Estate, divided
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.source_ports import SourceCounters

@@ -38,10 +38,8 @@ from valvemap.pipeline.data_changes import DataChanges
 _log = bounded_logger(__name__)
 
 _STALL_S = 1.0  # a wait longer than its timeout by this: our process was stalled
-_LOST_KEEP_ALIVES = 3
+LOST_KEEP_ALIVES = 3
 _LONGEST_ANSWER_S = 1.5  # added to the missing keep-alives
-_LIFETIME_KEEP_ALIVES = 10
-LIFETIME_S = 120.0
 QUEUED_S = 60.0  # of samples that the server should queue during an outage
 _NOTICEABLY = 1.1  # smallest ratio of new to old queue size worth a request
 _MEASURE_S = 2.0
@@ -49,9 +47,8 @@ _SPARE = 1.2  # margin of the queue size over the measured rate
 _MEASURE_AFTER_S = (2.0, 10.0, 60.0)  # … then repeated at the last interval
 _MAX_REPUBLISH = 100
 _MOST_KEPT_BACK = 10_000  # messages; more than a server retains
-_LONGEST_SILENCE_S = 86_400.0  # upper limit of the keep-alive watchdog
-_NOTIFICATIONS_PER_PUBLISH = 100_000
-_MOST_CHANGES = 2 * _NOTIFICATIONS_PER_PUBLISH  # some servers exceed the limit
+NOTIFICATIONS_PER_PUBLISH = 100_000
+_MOST_CHANGES = 2 * NOTIFICATIONS_PER_PUBLISH  # some servers exceed the limit
 _GOOD_TRANSFERRED = 0x002D0000
 
 
@@ -113,7 +110,7 @@ class Left:
 
 
 class Subscription:
-    """A running subscription; created by :func:`subscribe` or :func:`take_over`."""
+    """A running subscription; created by :mod:`valvemap.opcua_source.subscribing`."""
 
     def __init__(
         self,
@@ -140,7 +137,7 @@ class Subscription:
         self._interval_s = created.RevisedPublishingInterval * 1e-3
         self._tally = tally
         self._clock = clock
-        silent_s = _LOST_KEEP_ALIVES * created.RevisedMaxKeepAliveCount * self._interval_s
+        silent_s = LOST_KEEP_ALIVES * created.RevisedMaxKeepAliveCount * self._interval_s
         self._silence = silent_s + min(connection.settings.timeout_s, _LONGEST_ANSWER_S)
         self._heard = clock.monotonic()
         self._next: int | None = None
@@ -297,7 +294,7 @@ class Subscription:
             if patience <= 0.0:
                 raise SourceLost(
                     f"{self._settings.url}: silent for {self._silence:.1f} s, "
-                    f"{_LOST_KEEP_ALIVES} keep-alives are missing"
+                    f"{LOST_KEEP_ALIVES} keep-alives are missing"
                 )
             try:
                 async with asyncio.timeout(patience):
@@ -454,7 +451,7 @@ class Subscription:
             return
         if len(changes) > _MOST_CHANGES:
             raise Senseless(
-                f"{len(changes)} changes at once, {_NOTIFICATIONS_PER_PUBLISH} were asked"
+                f"{len(changes)} changes at once, {NOTIFICATIONS_PER_PUBLISH} were asked"
             )
         self._tally.notifications += len(changes)
         self._tally.overflows += message.overflows
@@ -512,83 +509,6 @@ class Subscription:
         self._arrived.set()
 
 
-async def subscribe(
-    connection: Connection,
-    nodes: Sequence[MonitoredNode],
-    tally: Tally,
-    clock: Clock,
-    table: ItemTable,
-    *,
-    hold_back: bool = False,
-) -> Subscription:
-    """Subscribe to every sample of every node.
-
-    Publishing starts before the items are created, so queues need not hold the time that takes.
-
-    Raises
-    ------
-    SourceLost, SourceRejected
-    """
-    settings = connection.settings
-    with connection.errors("subscribing"):
-        interval = settings.publishing_interval_ms
-        keep_alive = max(round(settings.keep_alive_s * 1e3 / interval), 1)
-        result = await connection.session.create_subscription(
-            ua.CreateSubscriptionParameters(
-                RequestedPublishingInterval=interval,
-                RequestedLifetimeCount=max(
-                    _LIFETIME_KEEP_ALIVES * keep_alive, round(LIFETIME_S * 1e3 / interval)
-                ),
-                RequestedMaxKeepAliveCount=keep_alive,
-                MaxNotificationsPerPublish=_NOTIFICATIONS_PER_PUBLISH,
-                PublishingEnabled=True,
-            )
-        )
-        _check_pace(result)
-    subscription = Subscription(connection, result, tally, clock, table)
-    if hold_back:
-        subscription.hold_back()
-    subscription.expect(nodes)
-    subscription.start()
-    try:
-        with connection.errors("subscribing"):
-            by_handle = {node.item: node for node in nodes}
-            items = await create_items(connection, result.SubscriptionId, by_handle)
-        subscription.watch(items)
-    except BaseException:
-        await subscription.stop()
-        raise
-    return subscription
-
-
-async def take_over(
-    connection: Connection, left: Left, tally: Tally, clock: Clock, table: ItemTable
-) -> tuple[Subscription, Sequence[int]] | None:
-    """Take over a subscription that still exists at the server; None if it cannot be transferred.
-
-    Returns the subscription and the sequence numbers available for Republish. Call `catch_up` with
-    these, then `start`.
-
-    Raises
-    ------
-    SourceLost, SourceRejected
-    """
-    number, available = left.created.SubscriptionId, []
-    with connection.errors("taking the subscription over"):
-        if not connection.resumed:
-            parameters = ua.TransferSubscriptionsParameters([number], SendInitialValues=False)
-            try:
-                (result,) = await connection.session.transfer_subscriptions(parameters)
-            except ua.UaStatusCodeError:
-                return None
-            if result.StatusCode.value >> 30:
-                return None
-            available = list(result.AvailableSequenceNumbers or ())
-    subscription = Subscription(connection, left.created, tally, clock, table)
-    subscription.go_on_from(left)
-    return subscription, available
-
-
 def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
     if all(item.handle == item.node.item for item in items):
         return None
@@ -596,14 +516,6 @@ def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
     for item in items:
         table[item.handle] = item.node.item
     return table
-
-
-def _check_pace(created: ua.CreateSubscriptionResult) -> None:
-    """Reject revised intervals that are zero, or too long for the keep-alive watchdog."""
-    interval_ms, count = created.RevisedPublishingInterval, created.RevisedMaxKeepAliveCount
-    silence_ms = _LOST_KEEP_ALIVES * count * interval_ms
-    if not (interval_ms > 0.0 and count and silence_ms <= _LONGEST_SILENCE_S * 1e3):
-        raise ValueError(f"keep-alives every {count} times {interval_ms:g} ms")
 
 
 def _acknowledgement(subscription: int, number: int) -> ua.SubscriptionAcknowledgement:
