@@ -28,6 +28,12 @@ VALVE = ValveDescription(
 )
 
 
+RIGHTS = (
+    *("V1.Inverse.FlowDemand", "V1.RLS.Reset", "V1.Inverse.Invert", "V1.RLS.Residual"),
+    "V1.RLS.Nonsense",
+)
+
+
 class Operator:
     def do(self, command):
         return getattr(self, command.action)(*command.arguments)
@@ -106,6 +112,7 @@ async def test_an_observer_asks_but_does_not_command(client):
         await client.write("V1.Inverse.FlowDemand", 50.0)
     with pytest.raises(CommandRejected, match="BadUserAccessDenied"):
         await client.call("V1.RLS", "Reset", [()])
+    assert await client.permitted(RIGHTS) == [False, False, True, False, False]
 
 
 async def test_an_operator_writes_and_hears_what_is_refused(served):
@@ -113,6 +120,7 @@ async def test_an_operator_writes_and_hears_what_is_refused(served):
     operator = ResultsClient(settings, NAMESPACE)
     await operator.connect()
     await operator.write("V1.Inverse.FlowDemand", 50.0)
+    assert await operator.permitted(RIGHTS) == [True, True, True, False, False]
     (demand,) = await operator.read(["V1.Inverse.FlowDemand"])
     assert demand.value == 50.0
     with pytest.raises(CommandRejected, match="BadOutOfRange"):

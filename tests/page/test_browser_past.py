@@ -1,4 +1,4 @@
-"""The page's memory in a browser: trends, alarms, units; and that nothing pretends."""
+"""The page's memory in a browser: trends, alarms, units, large screens."""
 
 import math
 import re
@@ -16,14 +16,9 @@ from support.shown_service import Alarm, ShownService
 pytestmark = pytest.mark.chromium
 
 S = 1_000_000_000
-REFUSED = Read(None, 0x801F_0000)  # BadUserAccessDenied
 VIEWS = (
     *("valve/V1", "trend/V1", "map/V1", "alarms", "overview", "commissioning/V1", "timeline"),
     *("rig/V1", "axis/Press", "line/Boom.LineA", "valve/Boom.PA"),
-)
-WRITES = (
-    *("Write as FlowDemand", "Write as SpeedDemand", "Withdraw", "Acknowledge", "Confirm"),
-    *("Comment", "Approve this map", "Keep the approved one", "Start", "Stop", "Abort", "Inject"),
 )
 RIG = "opc.tcp://127.0.0.1:1/rig/"
 _PLANT = tuple(f"V{k}" for k in range(1, 13))
@@ -190,77 +185,6 @@ async def test_an_alarm_is_acknowledged_by_who_may():
         await button.click()
         await visitor.page.locator("[role=status]", has_text="Acknowledged").wait_for()
         assert shown.calls[-1] == ("V1.Alarms.SensorFrozen", "Acknowledge", (("cable",),))
-
-
-async def says_nothing_good(page):
-    """Neither in words nor by colour; events of the past keep theirs."""
-    words = (await page.locator("main").inner_text()).lower().split()
-    assert not {"ok", "ok:", "good", "normal"} & set(words)
-    good = page.locator("main .badge[data-severity='0']:visible")
-    assert [b for b in await good.all_inner_texts() if b not in {"service", "state"}] == []
-
-
-@pytest.mark.parametrize("view", VIEWS)
-async def test_without_the_service_nothing_says_ok_and_nothing_can_be_written(view):
-    shown, _ = alarmed()
-    async with visit(shown) as (visitor, _):
-        visitor.password = "any"
-        page = visitor.page
-        await visitor.open(view)
-        await page.locator(".link[data-link=up]").wait_for()
-        await visitor.log_in()
-        await page.locator("main h1").wait_for()
-        await page.wait_for_timeout(1_500)
-        shown.up = False
-        await page.locator(".strip", has_text="since").wait_for()
-        await page.wait_for_timeout(1_500)
-        await says_nothing_good(page)
-        for writes in WRITES:
-            for button in await page.get_by_role("button", name=writes, exact=True).all():
-                assert await button.is_disabled(), writes
-        shown.up = True
-        await page.locator(".link[data-link=up]").wait_for()
-        await page.locator("main:not([data-stale=true])").wait_for()
-        assert visitor.problems == []
-
-
-@pytest.mark.parametrize("view", [v for v in VIEWS if "V1" in v])
-async def test_of_a_valve_that_is_refused_nothing_says_ok_and_nothing_is_written(view):
-    shown, _ = alarmed()
-    async with visit(shown) as (visitor, _):
-        visitor.password = "any"
-        page = visitor.page
-        await visitor.open(view)
-        await page.locator(".link[data-link=up]").wait_for()
-        await visitor.log_in()
-        await page.locator("main h1").wait_for()
-        for name in ("PredictedFlow", "Frame"):
-            shown.values[f"V1.RLS.{name}" if name != "Frame" else "V1.Frame"] = REFUSED
-        shown.may_follow = shown.moving = False
-        shown.up = False  # a subscription that stands would go on
-        await page.locator(".strip", has_text="since").wait_for()
-        shown.up = True
-        await page.locator(".link[data-link=up]").wait_for()
-        if not view.startswith("rig"):
-            await page.locator("main[data-stale=true]").wait_for()
-        await page.wait_for_timeout(1_500)
-        await says_nothing_good(page)
-        for writes in ("Write as FlowDemand", "Approve this map", "Start", "Abort"):
-            if view.startswith("rig"):
-                continue  # the rig is another server, which answers
-            for button in await page.get_by_role("button", name=writes, exact=True).all():
-                assert await button.is_disabled(), writes
-
-
-async def test_a_valve_without_samples_is_not_ok_and_no_demand_is_written_for_it():
-    shown = ShownService(moving=False)
-    async with visit(shown) as (visitor, _):
-        visitor.password = "any"
-        await visitor.open("map")
-        write = visitor.page.locator("button", has_text="Write as FlowDemand")
-        await visitor.log_in()
-        await visitor.page.locator("p", has_text="Nothing can be written").wait_for()
-        assert await write.is_disabled()
 
 
 async def test_units_are_the_same_everywhere_and_kept():

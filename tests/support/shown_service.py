@@ -24,6 +24,7 @@ FRAME = (
     "Signals.Q",
 )
 SIGNALS = (40.0, 100.0, 60.0)
+_BAD_USER_ACCESS_DENIED = 0x801F_0000
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,10 @@ class ShownService:
     more: tuple[str, ...] = ()  # parts of each valve
     lines: tuple[str, ...] = ()  # of valves with ports, such as Boom.LineA
     axes: tuple[str, ...] = ()
+    rejects: bool = False  # the client altogether
+    refused: tuple[str, ...] = ()  # how the nodes begin that may not be read
+    may_write: bool = True
+    status: float = 0.0  # of the estimators
 
     async def connect(self):
         self._check()
@@ -189,9 +194,15 @@ class ShownService:
         values = [float(t // every_ns % 100) for t in times]
         return [Course(0, times, values, [0] * len(times)) for _ in asked]
 
+    async def permitted(self, ids):
+        self._check()
+        return [self.may_write for _ in ids]
+
     def _check(self):
         if not self.up:
             raise SourceLost("gone")
+        if self.rejects:
+            raise SourceRejected("the certificate is not trusted")
 
     def _part_of(self, id_):
         """The variables of the line or axis that a node belongs to, and the node's prefix there."""
@@ -202,6 +213,8 @@ class ShownService:
         return None
 
     def _one(self, id_):
+        if isinstance(id_, str) and id_.startswith(self.refused):
+            return Read(None, _BAD_USER_ACCESS_DENIED)
         if id_ in self.values:
             return self.values[id_]
         if isinstance(id_, int):
@@ -213,7 +226,7 @@ class ShownService:
         name = split_id(id_)[1]
         count = self.t / 1e7
         known = {
-            "Frame": [count, 10.0, 0.1, 0.2, 0.3, count, 0.0, 1.5, 30.0, 0.0, *SIGNALS],
+            "Frame": [count, 10.0, 0.1, 0.2, 0.3, count, self.status, 1.5, 30.0, 0.0, *SIGNALS],
             "FrameNames": list(FRAME),
             "RLS.ParameterNames": ["a1"],
             "RLS.ParameterStd": [0.01],

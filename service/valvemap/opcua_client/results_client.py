@@ -310,6 +310,20 @@ class ResultsClient:
             )
         _check(id, status.value)
 
+    async def permitted(self, ids: Sequence[str]) -> list[bool]:
+        """Whether the user may write each of these variables, or call each of these methods.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        wanted = (ua.AttributeIds.UserAccessLevel, ua.AttributeIds.UserExecutable)
+        nodes = [self._node(id_) for id_ in ids]
+        with connection.errors("reading the user's rights"):
+            answers = await read_attributes(connection, nodes, wanted)
+        return [_is_permitted(level, executable) for level, executable in answers]
+
     async def courses(
         self, asked: Sequence[tuple[str, str]], span: tuple[int, int], every_ns: int
     ) -> list[Course]:
@@ -443,6 +457,14 @@ def _engineering(information: object, span: object, text: ua.DataValue) -> Engin
         bounds if bounds is not None and all(map(isfinite, bounds)) else None,
         (given.Text or "") if isinstance(given, ua.LocalizedText) else "",
     )
+
+
+def _is_permitted(level: ua.DataValue, executable: ua.DataValue) -> bool:
+    """A variable has the one attribute, a method the other."""
+    if executable.Value is not None and executable.Value.Value is not None:
+        return bool(executable.Value.Value)
+    bits = level.Value.Value if level.Value is not None else None
+    return isinstance(bits, int) and bool(bits & ua.AccessLevel.CurrentWrite.mask)
 
 
 def _type_name(type_: ua.DataValue, rank: ua.DataValue, own: int) -> str | None:

@@ -6,7 +6,7 @@ import secrets
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from guarded_opcua.admission import Admission, address_of
 from guarded_opcua.security.lock_out import Failures
@@ -29,12 +29,32 @@ Clients = Callable[[str, str, str], tuple[Client, Client | None]]
 
 @dataclass
 class LogIn:
-    """A user's connections; ``used`` is the time of the last use, s."""
+    """A user's connections; ``used`` is the time of the last use, s.
+
+    ``connections`` counts how often they were made again, after the service was away.
+    """
 
     user: str
     service: Client
     rig: Client | None
     used: float
+    connections: int = 0
+    connecting: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+    async def reconnect(self, lost: int) -> None:
+        """Connect again as the same user, after ``connections`` was ``lost``: once for all callers.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        async with self.connecting:
+            if self.connections != lost:
+                return
+            for client in (self.service, self.rig):
+                if client is not None:
+                    await client.connect()
+            self.connections += 1
 
 
 class LogIns:

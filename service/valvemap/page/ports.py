@@ -49,6 +49,9 @@ class Client(Protocol):
     async def write(self, id: str, value: float) -> None:  # noqa: A002 - OPC UA's word
         """Write a Double."""
 
+    async def permitted(self, ids: Sequence[str]) -> Sequence[bool]:
+        """Whether the user may write each of these variables, or call each of these methods."""
+
     async def courses(
         self, asked: Sequence[tuple[str, str]], span: tuple[int, int], every_ns: int
     ) -> Sequence[Course]:

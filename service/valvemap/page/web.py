@@ -15,8 +15,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from valvemap.clock import Clock
-from valvemap.errors import SourceLost, ValvemapError
-from valvemap.page.commands import carry_out
+from valvemap.errors import SourceLost, SourceRejected, ValvemapError
+from valvemap.page.commands import carry_out, may_carry_out
 from valvemap.page.door import Door
 from valvemap.page.exposition import CONTENT_TYPE
 from valvemap.page.guard import Guard
@@ -97,6 +97,7 @@ class Page:
                 Route("/log-in", self._log_in, methods=["POST"]),
                 Route("/log-out", self._log_out, methods=["POST"]),
                 Route("/command", self._command, methods=["POST"]),
+                Route("/may", self._may, methods=["POST"]),
                 Mount("/", _Files(STATIC)),
             ]
         )
@@ -161,6 +162,19 @@ class Page:
         except ValvemapError as error:
             return _answer(409, error=str(error))
         return _answer()
+
+    async def _may(self, request: Request) -> Response:
+        """Say whether the user may carry out a command; nothing is written."""
+        log_in = self.log_ins.find(request.cookies.get(_COOKIE))
+        if log_in is None:
+            return _answer(401, error="log in first")
+        try:
+            return _answer(may=await may_carry_out(log_in, await _body(request)))
+        except SourceRejected as error:  # the user may have been removed while the service was away
+            await self.log_ins.log_out(request.cookies.get(_COOKIE))
+            return _answer(401, error=str(error))
+        except ValvemapError as error:
+            return _answer(409, error=str(error))
 
 
 class _Files(StaticFiles):

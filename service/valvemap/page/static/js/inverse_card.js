@@ -1,7 +1,8 @@
 // Which U for which flow or speed: the service is asked, and an operator may write the demand.
 
+import { writer } from "./controls.js";
 import { h, mark, say } from "./dom.js";
-import { clock, fixed, INVERSE_STATUS } from "./format.js";
+import { fixed, INVERSE_STATUS } from "./format.js";
 
 const ASK_MS = 150; // between two questions while a slider moves
 const AGAIN_MS = 1000; // the map moves on
@@ -12,11 +13,11 @@ const AGAIN_MS = 1000; // the map moves on
  */
 export function inverseCard({ live, user, name, title, quantity, sliders, ask, demand, withdraw = null, words, inForce, beside = [], verdicts = INVERSE_STATUS }) {
   const answer = h("span.value", { "aria-live": "off" }, "–"), interval = h("span.muted"), verdict = h("span.badge");
-  const write = h("button", { type: "button", disabled: true, onclick: () => act(demand(values()), `Written: ${quantity} ${words(values())}.`) }, `Write as ${quantity}`);
-  const end = withdraw ? h("button.quiet", { type: "button", disabled: true, onclick: () => act(withdraw, `${quantity} is withdrawn.`) }, "Withdraw") : null;
+  const write = writer(`Write as ${quantity}`, { of: name, command: () => demand(values()), does: (command) => act(command, `Written: ${quantity} ${words(values())}.`) });
+  const end = withdraw ? writer("Withdraw", { of: name, look: ".quiet", command: () => withdraw, does: (command) => act(command, `${quantity} is withdrawn.`) }) : null;
   const written = h("p.words", { role: "status" }), standing = h("p.words");
   const element = h("section.card.inverse", {}, h("header", {}, h("h2", {}, title)), sliders.map((one) => one.element), beside,
-    h("div.answer", {}, h("span.muted", {}, "U ="), answer, interval, verdict), h("div.answer.writes", {}, write, end), written, standing);
+    h("div.answer", {}, h("span.muted", {}, "U ="), answer, interval, verdict), h("div.answer.writes", {}, write.button, end?.button), written, standing);
   let isAsking = false, timer = 0;
 
   const values = () => sliders.map((one) => one.value);
@@ -60,11 +61,8 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
   }
 
   function show() {
-    const old = live.oldOf(name);
-    for (const button of [write, end]) if (button) button.disabled = !user.name || old !== null;
-    write.title = old ? old.why : user.name ? "" : "Log in as an operator of the service first";
-    if (old) say(written, `Nothing can be written: ${old.why}${old.since ? ` Since ${clock(old.since)}.` : ""} ${old.advice}`);
-    else if (!user.name) say(written, `Asking writes nothing. To write ${quantity}, log in as an operator.`);
+    const why = write.why();
+    if (why) say(written, user.name || live.oldOf(name) ? why : `Asking writes nothing. To write ${quantity}, log in as an operator.`);
     else if (!/Written|withdrawn/.test(written.textContent)) say(written, "");
     const demanded = inForce();
     say(standing, live.old ? "" : Number.isFinite(demanded[0]) ? `In force: ${quantity} ${words(demanded)}, RequiredU ${fixed(live.number("Inverse.RequiredU"), 1)} %.` : `No ${quantity} is in force.`);
@@ -74,7 +72,7 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
   const again = setInterval(soon, AGAIN_MS);
   live.addEventListener("standing", question);
   live.addEventListener("values", show);
-  user.addEventListener("change", show);
+  for (const what of ["change", "rights"]) user.addEventListener(what, show);
   show();
   soon();
   return {
@@ -84,7 +82,7 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
       clearTimeout(timer);
       live.removeEventListener("standing", question);
       live.removeEventListener("values", show);
-      user.removeEventListener("change", show);
+      for (const what of ["change", "rights"]) user.removeEventListener(what, show);
     },
   };
 }

@@ -1,20 +1,13 @@
 // The page's one connection: what it brings is kept here, and whoever draws asks for it.
 
-import { learnWords, REASONS } from "./format.js";
+import { learnWords } from "./format.js";
+import { oldLink, oldPart, oldRow } from "./trust.js";
 
 const RETRY_MS = [300, 1000, 2000];
 const SILENT_MS = 4000; // the page hears something every second
 const COURSE_MS = 120000;
-const STALE_S = 3; // without a new sample, a valve's numbers are old
 
-const OLD = {
-  connecting: { why: "The page is still connecting to the service.", advice: "Wait some seconds." },
-  lost: { why: "The service does not answer.", advice: "Check that it runs, and the network between." },
-  refused: { why: "The service refuses this page.", advice: "Check the page's certificate and its user at the service: valvemap trust." },
-  page: { why: "This page's server does not answer.", advice: "Check that valvemap dashboard runs, and the network." },
-};
-
-export class Live extends EventTarget {
+class Live extends EventTarget {
   link = "connecting";
   text = "";
   url = "";
@@ -76,31 +69,24 @@ export class Live extends EventTarget {
 
   names() { return [...this.#values.keys()]; }
 
-  /** Why nothing that is shown is of now: {why, since (ms), advice}; null while all is well. */
+  /** Why nothing that is shown is of now: {state, label, why, since (ms), advice}; null while all is well. */
   get old() {
-    const silent = performance.now() - this.heardAt > SILENT_MS;
-    const state = this.link === "up" && silent ? "page" : this.link;
-    if (state === "up") return null;
-    return { state, ...OLD[state], since: state === "page" ? Date.now() - (performance.now() - this.heardAt) : this.since };
+    const silent = performance.now() - this.heardAt;
+    const state = this.link === "up" && silent > SILENT_MS ? "page" : this.link;
+    return state === "up" ? null : oldLink(state, state === "page" ? Date.now() - silent : this.since);
   }
 
-  /** The same of one valve, whose samples may have ended while all else goes on. */
-  oldOf(valve) {
+  /** The same of one valve, line or axis, whose samples may have ended while all else goes on. */
+  oldOf(name) {
     if (this.old) return this.old;
-    if (this.parts.some(({ name }) => name === valve)) return this.#oldPart();
-    const row = this.rows.get(this.valves.findIndex(({ name }) => name === valve));
-    if (!row) return null;
-    if (REASONS[row.reason][2]) return { state: "valve", why: REASONS[row.reason][1], since: row.since, advice: "See Alarms for what to do." };
-    if (row.silent > STALE_S) return { state: "valve", why: "No new sample arrives.", since: Date.now() - 1000 * row.silent, advice: "Check the source of its signals." };
-    return null;
+    const row = this.rowOf(name);
+    if (row) return oldRow(row);
+    if (!this.parts.some((part) => part.name === name) || name !== this.watched) return null;
+    return oldPart(this.#newest.t, (performance.now() - this.#newest.at) / 1000, this.quality("Inverse.RequiredU") === "bad");
   }
 
-  /** An axis has no row in the overview: its own values tell. */
-  #oldPart() {
-    const { t, at } = this.#newest, required = this.quality("Inverse.RequiredU"), silent = (performance.now() - at) / 1000;
-    if (required !== "bad" && silent <= STALE_S) return null;
-    return { state: "valve", why: "No new sample arrives.", since: t || Date.now() - 1000 * silent, advice: "Check the source of its signals." };
-  }
+  /** A valve's or line's row of the overview; undefined where none is known. */
+  rowOf(name) { return this.rows.get(this.valves.findIndex((valve) => valve.name === name)); }
 
   /** The line or axis of that name. */
   part(name) { return [...this.parts, ...this.valves].find((known) => known.kind && known.name === name); }
@@ -276,3 +262,5 @@ export class Live extends EventTarget {
     this.dispatchEvent(new Event("rows"));
   }
 }
+
+export const live = new Live();

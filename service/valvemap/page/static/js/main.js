@@ -1,9 +1,10 @@
 // The frame around the views: which is shown, of which valve, line or axis; theme, log-in, how the connection stands.
 
+import { forgetControls } from "./controls.js";
 import { h, mark, say } from "./dom.js";
 import { familyTabs } from "./family.js";
 import { clock, span } from "./format.js";
-import { Live } from "./live.js";
+import { live } from "./live.js";
 import { tour } from "./tour.js";
 import { choices, choose as chooseUnit } from "./units.js";
 import { user } from "./user.js";
@@ -33,7 +34,6 @@ const VIEWS = [
 // Keys that lead to a field: of this view, or else of another one.
 const FIELDS = { "/": ["overview", ".overview-search"], q: ["map", ".inverse input[type=number]"] };
 
-const live = new Live();
 const root = document.querySelector("main"), nav = document.querySelector(".views"), strip = document.querySelector(".strip");
 const link = document.querySelector(".link"), linkText = document.querySelector(".link-text");
 let close = () => {}, shown = null, chosen = { trend: sessionStorage.getItem("trend") ?? "" }, wanted = "", wasOld = "";
@@ -80,6 +80,7 @@ function show() {
   shown = key;
   close();
   close = () => {};
+  forgetControls();
   root.replaceChildren();
   root.dataset.view = view.key;
   mark(root, "stale", live.old !== null && hasItems());
@@ -143,7 +144,7 @@ function drawNav(view) {
 function drawLink() {
   const old = live.old, state = old?.state ?? "up";
   mark(link, "link", state);
-  say(linkText, { up: "Live", lost: "Service lost", refused: "Refused", page: "Page server lost", connecting: "Connecting …" }[state]);
+  say(linkText, { up: "Connected", lost: "Service lost", refused: "Refused", page: "Page server lost", connecting: "Connecting …" }[state]);
   strip.hidden = !old || state === "connecting" || !hasItems();
   if (!strip.hidden) {
     const since = old.since ? ` for ${span((Date.now() - old.since) / 1000)}, since ${clock(old.since)}` : "";
@@ -155,6 +156,7 @@ function drawLink() {
     wasOld = old?.state ?? "";
     live.dispatchEvent(new Event("standing"));
   }
+  live.dispatchEvent(new Event("trust"));
 }
 
 function drawUnits() {

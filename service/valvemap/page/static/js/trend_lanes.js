@@ -30,10 +30,10 @@ export function trendLanes({ live, valve, span, changes, areAllKnown, silences, 
 
   /** Spans of the valve's state, with its label; silences over them. */
   function states() {
-    const row = live.rows.get(live.valves.findIndex(({ name }) => name === valve.name)), isOld = live.oldOf(valve.name) !== null;
+    const row = live.rowOf(valve.name), old = live.oldOf(valve.name);
     const present = row ? { since: row.since, severity: row.severity, text: REASONS[row.reason][1] } : null;
     const label = (text) => REASONS.find(([, sentence]) => sentence === text)?.[0] ?? text;
-    const known = stateSpans(live.events, valve.name, present).map((one) => ({ ...one, to: one.to ?? (isOld && live.old ? live.old.since : null), label: label(one.text) }));
+    const known = stateSpans(live.events, valve.name, present).map((one) => ({ ...one, to: one.to ?? (old && !one.severity ? old.since : live.old ? live.old.since : null), label: label(one.text) }));
     return [...known, ...silences().map(([from, to]) => ({ from, to, severity: 3, label: SILENT }))];
   }
 

@@ -1,9 +1,13 @@
 // Who is logged in, and what may be done in that name.
 
+const AGAIN_MS = 1000; // until a right is asked for again that the service did not tell
+const BESIDE = ["comment", "event"]; // of a command: they change nothing of who may
+
 class User extends EventTarget {
   name = null;
   mayLogIn = false;
   hasRig = false;
+  #rights = new Map(); // by what a command is about: whether the service would let the user
   #dialog = document.querySelector("dialog.log-in");
   #button = document.querySelector("button.user");
 
@@ -41,9 +45,34 @@ class User extends EventTarget {
     return answer.error ?? null;
   }
 
+  /** Why the user may not carry out a command; "" where the service would let them. */
+  mayNot(command) {
+    const about = JSON.stringify(Object.entries(command).filter(([name, value]) => typeof value === "string" && !BESIDE.includes(name)));
+    const right = this.#rights.get(about);
+    if (right === undefined) this.#askFor(about, command);
+    return right === true ? "" : right === false ? `${this.name} may not do this: log in as a user with the role Operator.` : `Asking whether ${this.name} may do this …`;
+  }
+
+  /** Ask anew what the user may, as after the service was away. */
+  forgetRights() { this.#rights.clear(); }
+
+  async #askFor(about, command) {
+    const rights = this.#rights;
+    rights.set(about, null);
+    const { status, may } = await post("may", command);
+    if (rights !== this.#rights) return; // of another user
+    if (status === 401) this.#take({ user: null });
+    else if (may === undefined) setTimeout(() => rights.delete(about), AGAIN_MS);
+    else {
+      rights.set(about, may);
+      this.dispatchEvent(new Event("rights"));
+    }
+  }
+
   async #logOut() { this.#take(await post("log-out", {})); }
 
   #take({ user = null, mayLogIn = this.mayLogIn, hasRig = this.hasRig }) {
+    if (user !== this.name) this.#rights = new Map();
     Object.assign(this, { name: user, mayLogIn, hasRig });
     this.#button.textContent = user ? `${user} · log out` : "Log in";
     this.dispatchEvent(new Event("change"));

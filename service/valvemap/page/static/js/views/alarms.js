@@ -1,5 +1,6 @@
 // Alarms: what was measured, what it may be, what to do; from there to the trend and the map.
 
+import { writer } from "../controls.js";
 import { h, mark, say } from "../dom.js";
 import { clock, GUIDES, span, spaced } from "../format.js";
 import { activeSpans, merged, parts } from "../intervals.js";
@@ -20,9 +21,15 @@ export function alarmsView(root, { live, query, keep, user }) {
   root.append(h("div.head", {}, h("h1", {}, "Alarms"), tabs, h("span.fill"), search), h("div.alarm-grid", {}, h("section.card.alarm-side", {}, list, note), detail));
 
   const comment = h("input", { name: "comment", maxlength: 200, autocomplete: "off" }), done = h("p.words", { role: "status" }), hint = h("p.words");
-  const step = (name) => h("button", { type: "button", onclick: () => act(name) }, name);
-  const buttons = { Acknowledge: step("Acknowledge"), Confirm: step("Confirm"), Comment: step("Comment") };
-  buttons.Comment.classList.add("quiet");
+  const STEPS = { Acknowledge: ({ acked }) => !acked, Confirm: ({ acked, confirmed }) => acked && !confirmed, Comment: () => true };
+  const present = () => live.alarms.find((one) => keyOf(one) === detail.dataset.alarm?.split("@")[0]);
+  const steps = Object.fromEntries(Object.entries(STEPS).map(([name, isDue]) => [name, writer(name, {
+    look: name === "Comment" ? ".quiet" : "", idle: "This alarm does not wait for it.", does: (command) => act(name, command),
+    command: () => {
+      const now = present();
+      return now && isDue(now) ? { alarm: now.name, of: now.source, do: name, comment: comment.value, ...(name === "Comment" ? { event: now.event } : {}) } : null;
+    },
+  })]));
 
   function rows() {
     if (tab === "past") {
@@ -82,8 +89,7 @@ export function alarmsView(root, { live, query, keep, user }) {
     detail.hidden = false;
     const { measured, causes } = parts(inUnits(alarm.text)), [quantity, action] = GUIDES[alarm.name] ?? ["", ""], isService = alarm.source === "Service";
     const key = JSON.stringify([alarm, tab, Math.floor(Date.now() / 10000)]);
-    showButtons(alarm);
-    if (detail.dataset.key === key) return;
+    if (detail.dataset.key === key) { showButtons(); return; }
     const isSame = detail.dataset.alarm === `${keyOf(alarm)}@${alarm.t}`;
     detail.dataset.key = key;
     detail.dataset.alarm = `${keyOf(alarm)}@${alarm.t}`;
@@ -103,25 +109,20 @@ export function alarmsView(root, { live, query, keep, user }) {
       isService ? null : live.part(alarm.source) ? h("p.links", {}, h("a.button", { href: live.hrefOf(alarm.source) }, "Line")) : h("p.links", {}, h("a.button", { href: `#/trend/${encodeURIComponent(alarm.source)}?${trend}` }, "Trend at that time"),
         h("a.button", { href: `#/map/${encodeURIComponent(alarm.source)}?at=${Math.round(alarm.t)}` }, "Place in the map"),
         h("a.button", { href: `#/valve/${encodeURIComponent(alarm.source)}` }, "Valve")),
-      h("form.form.remark", { onsubmit: (event) => { event.preventDefault(); act(alarm.acked ? "Comment" : "Acknowledge"); } },
-        h("label", {}, "Comment", comment), h("div.buttons", {}, hint, Object.values(buttons)), done));
+      h("form.form.remark", { onsubmit: (event) => { event.preventDefault(); steps[alarm.acked ? "Comment" : "Acknowledge"].act(); } },
+        h("label", {}, "Comment", comment), h("div.buttons", {}, hint, Object.values(steps).map(({ button }) => button)), done));
+    showButtons();
     if (hadFocus?.isConnected) hadFocus.focus();
   }
 
-  function showButtons(alarm) {
-    const now = live.alarms.find((one) => keyOf(one) === keyOf(alarm)), old = live.old;
-    const reason = old ? `${old.why} Nothing can be written.` : !user.name ? "To acknowledge, log in as an operator of the service." : "";
-    buttons.Acknowledge.disabled = Boolean(reason) || !now || now.acked;
-    buttons.Confirm.disabled = Boolean(reason) || !now || !now.acked || now.confirmed;
-    buttons.Comment.disabled = Boolean(reason) || !now;
-    say(hint, reason);
+  function showButtons() {
+    for (const one of Object.values(steps)) one.update();
+    say(hint, live.old || user.name ? (present() ? steps.Comment.why() : "") : "To acknowledge, log in as an operator of the service.");
   }
 
-  async function act(what) {
-    const now = live.alarms.find((one) => `${keyOf(one)}` === detail.dataset.alarm?.split("@")[0]);
-    if (!now || buttons[what].disabled) return;
+  async function act(what, command) {
     say(done, "…");
-    const problem = await user.command({ alarm: now.name, of: now.source, do: what, comment: comment.value, ...(what === "Comment" ? { event: now.event } : {}) });
+    const problem = await user.command(command);
     say(done, problem ?? { Acknowledge: "Acknowledged: it was seen.", Confirm: "Confirmed: its cause was dealt with.", Comment: "The comment is kept." }[what]);
     if (!problem) comment.value = "";
   }
@@ -144,10 +145,10 @@ export function alarmsView(root, { live, query, keep, user }) {
   search.addEventListener("input", update);
   live.addEventListener("alarms", onAlarms);
   live.addEventListener("standing", again);
-  user.addEventListener("change", update);
+  for (const what of ["change", "rights"]) user.addEventListener(what, update);
   const slow = setInterval(update, 5000);
   mark(root, "stale", live.old !== null);
   update();
   readPast();
-  return () => { clearInterval(slow); live.removeEventListener("alarms", onAlarms); live.removeEventListener("standing", again); user.removeEventListener("change", update); };
+  return () => { clearInterval(slow); live.removeEventListener("alarms", onAlarms); live.removeEventListener("standing", again); for (const what of ["change", "rights"]) user.removeEventListener(what, update); };
 }

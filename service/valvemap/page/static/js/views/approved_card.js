@@ -1,7 +1,9 @@
 // The present map against the approved one: approve it, or go back.
 
+import { writer } from "../controls.js";
 import { h, say } from "../dom.js";
 import { clock, fixed, inUnit, spreadInUnit } from "../format.js";
+import { told } from "../trust.js";
 import { shown } from "../units.js";
 
 const COMPARE_MS = 10000; // between two comparisons
@@ -13,9 +15,10 @@ export function approvedCard({ live, user, valve, onShow }) {
   let selected = valve.primary, comparison = null;
   const words = h("p"), done = h("p.words", { role: "status" }), hint = h("p.words");
   const both = h("button.quiet", { type: "button", onclick: onShow }, "Show both maps");
-  const approve = h("button", { type: "button", disabled: true, onclick: () => act("Approve") }, "Approve this map");
-  const rollBack = h("button.quiet", { type: "button", disabled: true, onclick: () => act("RollBack") }, "Keep the approved one");
-  const element = h("section.card.before", {}, h("header", {}, h("h2", {}, "Against the approved map")), words, h("div.buttons", {}, both, hint, rollBack, approve), done);
+  const asks = (what) => ({ of: valve.name, command: () => ({ baseline: valve.name, do: what }), does: () => act(what) });
+  const approve = writer("Approve this map", asks("Approve"));
+  const rollBack = writer("Keep the approved one", { ...asks("RollBack"), look: ".quiet", idle: "No map is approved yet.", command: () => (live.get("Baseline.Version")?.value ? { baseline: valve.name, do: "RollBack" } : null) });
+  const element = h("section.card.before", {}, h("header", {}, h("h2", {}, "Against the approved map")), words, h("div.buttons", {}, both, hint, rollBack.button, approve.button), done);
 
   async function compare() {
     const of = selected, found = live.get("Baseline.Version")?.value && !live.old ? await live.compare(valve.name, of) : { error: "" };
@@ -27,7 +30,7 @@ export function approvedCard({ live, user, valve, onShow }) {
   function show() {
     const version = live.get("Baseline.Version")?.value, when = live.number("Baseline.Time"), unit = shown("l/min"), old = live.oldOf(valve.name);
     const name = `version ${version}${when > 0 ? `, ${clock(when)}` : ""}`;
-    if (live.old) say(words, `Not known: ${live.old.why}`);
+    if (old) say(words, `Not known: ${told(old)}`);
     else if (!version) say(words, "No map is approved yet. Approve one when the valve is new: later maps are compared with it.");
     else if (!comparison) say(words, `Approved: ${name}. The comparison is not known.`);
     else if (!comparison.points) say(words, `Approved: version ${version}. Both maps rest on measurements at no common point yet.`);
@@ -36,10 +39,7 @@ export function approvedCard({ live, user, valve, onShow }) {
       say(words, `Now minus approved (${name}): ${spreadInUnit(comparison.mean, "l/min", 1)} ${unit} on average; largest ${spreadInUnit(comparison.largest, "l/min", 1)} ${unit} at U ${fixed(comparison.U, 0)} %, Δp ${inUnit(comparison.dp, "bar", 0)} ${shown("bar")}; ${comparison.points} points.${since}`);
     }
     both.hidden = !version;
-    const why = live.old ? `${live.old.why} Nothing can be written.` : !user.name ? "To approve a map, log in as an operator." : "";
-    approve.disabled = Boolean(why) || old !== null;
-    rollBack.disabled = Boolean(why) || !version;
-    say(hint, why);
+    say(hint, user.name || old ? approve.why() : "To approve a map, log in as an operator.");
   }
 
   async function act(what) {
@@ -52,7 +52,7 @@ export function approvedCard({ live, user, valve, onShow }) {
 
   const comparing = setInterval(compare, COMPARE_MS), first = setTimeout(compare, FIRST_MS), showing = setInterval(show, SHOW_MS);
   for (const what of ["standing", "values"]) live.addEventListener(what, show);
-  user.addEventListener("change", show);
+  for (const what of ["change", "rights"]) user.addEventListener(what, show);
   show();
   return {
     element,
@@ -62,7 +62,7 @@ export function approvedCard({ live, user, valve, onShow }) {
       clearInterval(showing);
       clearTimeout(first);
       for (const what of ["standing", "values"]) live.removeEventListener(what, show);
-      user.removeEventListener("change", show);
+      for (const what of ["change", "rights"]) user.removeEventListener(what, show);
     },
   };
 }

@@ -2,6 +2,7 @@
 
 import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, inUnit, span, spreadInUnit } from "../format.js";
+import { told } from "../trust.js";
 import { shown } from "../units.js";
 import { guidedRun } from "./guided_run.js";
 import { sheetCard } from "./sheet_card.js";
@@ -60,7 +61,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       say(cells[2], fixed(per(name), 1));
     });
     const perSecond = per("Aligned");
-    say(rate, Number.isFinite(perSecond) && !live.old ? fixed(perSecond, 1) : "–");
+    say(rate, Number.isFinite(perSecond) && !live.oldOf(valve.name) ? fixed(perSecond, 1) : "–");
     say(rateWords, " samples/s");
     showChecks(of, counts, per);
     showComing();
@@ -76,15 +77,15 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     const arriving = Number.isFinite(per("Aligned")) ? per("Aligned") > 0 : counts.Aligned > 0; // no rate yet at the first look
-    const old = live.old, isStale = live.oldOf(valve.name) !== null;
-    mark(root, "stale", isStale);
-    const lines = old ? [[false, `${old.why} ${old.advice} Nothing else is known now.`]] : [
-      [live.link === "up" && arriving, arriving ? "Signals arrive and are aligned." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
+    const old = live.oldOf(valve.name);
+    mark(root, "stale", old !== null);
+    const lines = old ? [[false, `${told(old)} Nothing else is known now.`], ...(waiting && !live.old ? [[false, `Waiting for: ${waiting}`]] : [])] : [
+      [arriving, arriving ? "Signals arrive and are aligned." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
       [share >= 0.6, `${fixed(100 * share, 0)} % of the range measured recently; 60 % make a map worth its name.`],
-      [of("Status") === 0 && !isStale, isStale ? "The parameters are those of the last sample." : of("Status") === 0 ? "All parameters are determined." : "Not all parameters are determined, or the signals hold still."],
+      [of("Status") === 0, of("Status") === 0 ? "All parameters are determined." : "Not all parameters are determined, or the signals hold still."],
     ];
     if (!old && Number.isFinite(condition)) lines.push([condition < 1e4, condition < 1e4 ? "U and Δp vary enough, and apart from each other." : "U and Δp vary too little, or only together: vary one while the other rests."]);
     while (checks.children.length < lines.length) checks.append(h("li", {}, h("span")));

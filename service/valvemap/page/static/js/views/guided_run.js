@@ -1,12 +1,13 @@
 // Drives the valve through its range on the operator's command, with an abort button.
 
+import { writer } from "../controls.js";
 import { h, mark, say } from "../dom.js";
 import { fromShown, inUnits, shown } from "../units.js";
 import { user } from "../user.js";
 
 const HEARTBEAT_MS = 400; // the run ends without one for a second
 const UNSEEN_MS = 5000; // after a start, until its run is seen
-const OVER = [0, 6, 7, 8]; // not started, done, aborted, refused
+const OVER = [NaN, 0, 6, 7, 8]; // not known, not started, done, aborted, refused
 const INTERRUPTED = [0, 7]; // by the end of the service, or aborted
 const TEXTS = ["Progress", "Recording"].map((name) => `Commission.${name}`);
 
@@ -15,18 +16,20 @@ export function guidedRun({ live, valve }) {
   let beats = 0, beating = null, beganAt = 0, hasBegun = false;
   const accuracy = h("input", { type: "number", min: 0, step: 0.1, value: 0, "aria-label": "Accuracy" });
   const unit = h("span.muted");
-  const begin = h("button", { type: "button", onclick: () => start("Start") }, "Start");
-  const resume = h("button", { type: "button", onclick: () => start("Resume") }, "Resume");
-  const abort = h("button.danger", { type: "button", onclick: () => act({ run: valve.name, do: "Abort" }) }, "Abort");
+  const isOver = () => OVER.includes(live.number("Commission.State"));
+  const begins = (how) => ({ of: valve.name, idle: "A run is under way.", command: () => (isOver() ? { run: valve.name, do: how, accuracy: fromShown(accuracy.valueAsNumber || 0, "l/min") } : null), does: start });
+  const begin = writer("Start", begins("Start")), resume = writer("Resume", begins("Resume"));
+  // a run is ended while the service answers, whatever the signals are
+  const abort = writer("Abort", { look: ".danger", idle: "No run is under way.", command: () => (isOver() ? null : { run: valve.name, do: "Abort" }), does: act });
   const progress = h("p"), recording = h("p.words"), hint = h("p.words"), problem = h("p.words", { role: "alert" });
   const element = h("section.card.guided-run", {}, h("header", {}, h("h2", {}, "Guided run")),
     h("p.words", {}, "Moves U through its range, within the limits of [valves.commission], until the map is known. This page must stay open and in front: without it the run ends at the safe U."),
-    h("p", {}, h("label", {}, "End at ± ", accuracy), " ", unit, " ", begin, " ", resume, " ", abort),
+    h("p", {}, h("label", {}, "End at ± ", accuracy), " ", unit, " ", begin.button, " ", resume.button, " ", abort.button),
     progress, recording, hint, problem);
 
-  async function start(how) {
+  async function start(command) {
     if (!confirm(`${valve.name} will move. Is everybody clear of the machine?`)) return;
-    if (!(await act({ run: valve.name, do: how, accuracy: fromShown(accuracy.valueAsNumber || 0, "l/min") }))) return;
+    if (!(await act(command))) return;
     [beganAt, hasBegun] = [performance.now(), false];
     beating ??= setInterval(beat, HEARTBEAT_MS);
   }
@@ -48,20 +51,17 @@ export function guidedRun({ live, valve }) {
   }
 
   function update() {
-    const state = live.number("Commission.State"), old = live.old;
+    const state = live.number("Commission.State"), old = live.old, hasEnded = isOver();
     element.hidden = !live.has("Commission.State");
-    const isOver = OVER.includes(state) || !Number.isFinite(state);
-    hasBegun ||= !isOver;
-    if (beating && isOver && (hasBegun || performance.now() - beganAt > UNSEEN_MS)) end();
+    hasBegun ||= !hasEnded;
+    if (beating && hasEnded && (hasBegun || performance.now() - beganAt > UNSEEN_MS)) end();
     say(unit, shown("l/min"));
-    resume.hidden = !INTERRUPTED.includes(state);
-    begin.disabled = resume.disabled = Boolean(old) || !isOver || !user.name;
-    abort.disabled = Boolean(old) || isOver || !user.name;
+    resume.button.hidden = !INTERRUPTED.includes(state);
     const [line, file] = TEXTS.map((name) => live.get(name)?.value || "");
     say(progress, old ? `Not known: ${old.why}` : inUnits(line));
     say(recording, file ? `Recording: ${file}` : "");
-    say(hint, user.name ? "" : "To start a run, log in as an operator.");
-    mark(element, "state", isOver ? "over" : "running");
+    say(hint, user.name || old ? (hasEnded ? begin : abort).why() : "To start a run, log in as an operator.");
+    mark(element, "state", hasEnded ? "over" : "running");
   }
 
   return { element, update, end };

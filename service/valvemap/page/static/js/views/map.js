@@ -5,6 +5,7 @@ import { css, h, mark, onTheme, say } from "../dom.js";
 import { clock, counted, fixed, inUnit, spreadInUnit } from "../format.js";
 import { inverseCard } from "../inverse_card.js";
 import { slider } from "../slider.js";
+import { standingOf } from "../trust.js";
 import { approvedCard } from "./approved_card.js";
 import { decimals, inUnits, shown, spreadShown, toShown } from "../units.js";
 
@@ -26,7 +27,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     h("button", { type: "button", "data-colouring": key, "aria-pressed": String(key === colouring), onclick: () => { colouring = key; schedule(true); } }, title)));
   const keep = h("button.quiet", { type: "button", onclick: () => { kept = surface(); keepButton(); if (kept) colouring = "change"; schedule(true); } }, "Keep to compare");
   const plot = h("div.surface", { role: "img", "aria-label": "Flow over control voltage and pressure drop" });
-  const words = h("p.words");
+  const words = h("p.words"), badge = h("span.badge"), sentence = h("span.muted.sentence");
   const sectionChart = h("div.chart"), sectionWords = h("span.muted");
   const best = h("strong"), reason = h("p"), placeWords = h("p.words");
   const approved = approvedCard({ live, user, valve, onShow: () => { kept = null; keepButton(); colouring = "change"; schedule(true); } });
@@ -41,7 +42,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   });
 
   root.append(
-    h("div.head", {}, h("h1", {}, `${valve.name}: map`), h("span.fill"), h("span.together", {}, h("span.muted", {}, "Colour"), colourings), keep),
+    h("div.head", {}, h("h1", {}, `${valve.name}: map`), badge, sentence, h("span.fill"), h("span.together", {}, h("span.muted", {}, "Colour"), colourings), keep),
     h("div.grid.map-grid", {},
       h("section.card.stack", {}, plot, placeWords, words),
       h("div.grid", {},
@@ -192,7 +193,11 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   }
 
   function showStanding() {
-    mark(root, "stale", live.oldOf(valve.name) !== null);
+    const { old, severity, label, sentence: told } = standingOf(live, valve.name);
+    mark(root, "stale", old !== null);
+    mark(badge, "severity", severity);
+    say(badge, label);
+    say(sentence, old ? told : "");
     followRecommended();
   }
 

@@ -3,6 +3,7 @@
 import { css, h, mark, pen, say } from "../dom.js";
 import { clock, count, counted, HEALTH, inUnit, NAN, REASONS, span, spaced, spreadInUnit } from "../format.js";
 import { parts } from "../intervals.js";
+import { standingOf } from "../trust.js";
 import { inUnits, shown } from "../units.js";
 
 const byName = new Intl.Collator("en", { numeric: true }).compare;
@@ -59,7 +60,7 @@ export function overviewView(root, { live }) {
       else head.removeAttribute("aria-sort");
     });
     const of = [0, 0, 0, 0];
-    for (const row of live.rows.values()) of[row.severity] += 1;
+    for (const row of rows) of[standingOf(live, row.name).severity] += 1;
     const words_ = [null, "note", "warning", "alarm"];
     height = Math.min(Math.max(Math.floor((seen - HEAD) / Math.max(items.length, 1)), LOWEST), HIGHEST);
     body.style.setProperty("--row", `${height}px`);
@@ -110,20 +111,20 @@ export function overviewView(root, { live }) {
       for (const cell of [since, rmse, predicted, samples]) say(cell, "");
       return;
     }
-    const old = live.old;
-    mark(state.firstChild, "severity", old ? 1 : row.severity);
-    say(state.firstChild, old ? "not known" : REASONS[row.reason][0]);
+    const { old, severity, label, sentence, since: begun } = standingOf(live, row.name);
+    mark(state.firstChild, "severity", live.old ? 1 : severity);
+    say(state.firstChild, label);
     const href = live.hrefOf(row.name);
     if (name.firstChild.getAttribute("href") !== href) name.firstChild.setAttribute("href", href);
     say(name.firstChild, row.name);
     mark(health.firstChild, "severity", old ? 1 : HEALTH_SEVERITY[row.health] ?? 1);
     say(health.firstChild, old ? "not known" : HEALTH[row.health]?.[0] ?? NAN);
-    say(why, old ? `${old.why} Before: ${REASONS[row.reason][0] === "ok" ? "good" : REASONS[row.reason][0]}.` : row.silent > 3 ? `No new sample for ${span(row.silent)}.` : REASONS[row.reason][1]);
-    say(since, clock(old ? old.since : row.since));
+    say(why, live.old ? `${old.why} Before: ${REASONS[row.reason][0] === "ok" ? "no finding" : REASONS[row.reason][0]}.` : old ? old.why : sentence);
+    say(since, clock(begun));
     say(rmse, spreadInUnit(row.rmse, "l/min", 2));
     say(predicted, inUnit(row.predicted, "l/min", 1));
     say(samples, count(row.samples));
-    drawCourse(course.firstChild, live.courses.get(row.number), row.severity);
+    drawCourse(course.firstChild, live.courses.get(row.number), severity);
   }
 
   function drawCourse(canvas, course, severity) {

@@ -2,10 +2,11 @@
 
 import { lineChart } from "../charts.js";
 import { h, lineVariable, mark, onTheme, say } from "../dom.js";
-import { clock, CODES, fixed, inUnit, NAN, REASONS, short, spaced, span, spreadInUnit } from "../format.js";
+import { CODES, fixed, inUnit, NAN, short, spaced, spreadInUnit } from "../format.js";
 import { inverseCard } from "../inverse_card.js";
 import { slider } from "../slider.js";
 import { trackingCard } from "../tracking_card.js";
+import { standingOf } from "../trust.js";
 import { inUnits, shown, spreadShown } from "../units.js";
 
 const REFRESH_MS = 1000;
@@ -51,15 +52,12 @@ export function partView(root, { live, part, user }) {
   }
 
   function showStanding() {
-    const old = live.oldOf(part.name), row = live.rows.get(live.valves.findIndex(({ name }) => name === part.name));
-    const known = isAxis ? codes.Status?.[live.number("Status")] : row && [row.severity, ...REASONS[row.reason]];
-    const [severity, label, about] = known ?? [1, "not known yet", ""];
+    const { old, severity, label, sentence: about } = standingOf(live, part.name, isAxis ? codes.Status?.[live.number("Status")] : null);
     mark(root, "stale", old !== null);
-    mark(badge, "severity", old ? 3 : severity);
-    say(badge, old ? (old.state === "valve" ? "no new samples" : "not known") : label);
+    mark(badge, "severity", severity);
+    say(badge, label);
     const reason = live.get("Reason")?.value || about, leftOut = live.get("LeftOut")?.value?.join?.(", ");
-    say(sentence, old ? `${old.why}${old.since ? ` Since ${clock(old.since)}, for ${span((Date.now() - old.since) / 1000)}.` : ""} ${old.advice}`
-      : inUnits(`${reason}${leftOut ? ` Left out: ${leftOut}.` : ""}`));
+    say(sentence, old ? about : inUnits(`${reason}${leftOut ? ` Left out: ${leftOut}.` : ""}`));
   }
 
   function update() {
@@ -144,10 +142,10 @@ function edgesOfLine(live, part) {
 
   function update() {
     edges.forEach(({ name, number }, k) => {
-      const [, state, why, rmse] = table.rows[k].cells, row = live.rows.get(number), old = live.oldOf(name);
-      mark(state.firstChild, "severity", old ? 3 : row?.severity ?? 1);
-      say(state.firstChild, old ? "not known" : row ? REASONS[row.reason][0] : NAN);
-      say(why, old ? old.why : row ? REASONS[row.reason][1] : "");
+      const [, state, why, rmse] = table.rows[k].cells, row = live.rows.get(number), { severity, label, sentence } = standingOf(live, name);
+      mark(state.firstChild, "severity", severity);
+      say(state.firstChild, label);
+      say(why, sentence);
       say(rmse, spreadInUnit(row?.rmse ?? NaN, "l/min", 2));
     });
     say(words, edges.length ? "U > 0 opens PA and BT, U < 0 opens PB and AT." : "No edge of this valve is learnt.");

@@ -1,5 +1,6 @@
 // The virtual rig of a demo: scenarios to run, things to break.
 
+import { writer } from "../controls.js";
 import { h, say } from "../dom.js";
 import { clock, KINDS } from "../format.js";
 import { inUnits } from "../units.js";
@@ -24,19 +25,19 @@ export function rigView(root, { live, valve, user }) {
   const size = h("input", { name: "size", type: "number", step: "any", required: true }), unit = h("span.muted");
   const duration = h("input", { name: "duration", type: "number", min: 0, step: "any", required: true });
   const reports = h("ol.events"), done = h("p.words", { role: "status" }), hint = h("p.muted");
-  const start = h("button", { type: "button", onclick: () => act({ scenario: scenario.value }, `Scenario ${scenario.value} runs.`) }, "Start");
-  const stop = h("button.quiet", { type: "button", onclick: () => act({ scenario: "" }, "The scenario is stopped.") }, "Stop");
-  const inject = h("button", { type: "submit" }, "Inject");
+  const start = writer("Start", { command: () => ({ scenario: scenario.value }), does: (command) => act(command, `Scenario ${scenario.value} runs.`) });
+  const stop = writer("Stop", { look: ".quiet", command: () => ({ scenario: "" }), does: (command) => act(command, "The scenario is stopped.") });
+  const inject = writer("Inject", { type: "submit", command: () => ({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }), does: (command) => act(command, `Injected: ${kind.selectedOptions[0].text.split(":")[0]}, ${size.value} ${unitOf()} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`) });
 
   root.append(
     h("div.head", {}, h("h1", {}, "Virtual rig"), hint),
     h("div.grid.two", {},
-      h("section.card", {}, h("header", {}, h("h2", {}, "Scenario")), h("div.form", {}, h("label", {}, "What the rig plays", scenario), h("div.buttons", {}, stop, start))),
+      h("section.card", {}, h("header", {}, h("h2", {}, "Scenario")), h("div.form", {}, h("label", {}, "What the rig plays", scenario), h("div.buttons", {}, stop.button, start.button))),
       h("section.card", {}, h("header", {}, h("h2", {}, `Break something of ${valve.name}`)),
         h("form.form", { onsubmit: (event) => {
           event.preventDefault();
-          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.selectedOptions[0].text.split(":")[0]}, ${size.value} ${unitOf()} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`);
-        } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject)), done),
+          inject.act();
+        } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject.button)), done),
     ),
     h("section.card.reports", {}, h("header", {}, h("h2", {}, `What the service reports of ${valve.name}`), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), reports),
   );
@@ -62,16 +63,15 @@ export function rigView(root, { live, valve, user }) {
   }
 
   function showUser() {
-    for (const button of [start, stop, inject]) button.disabled = !user.name || live.old !== null;
-    say(hint, live.old ? `${live.old.why} ${live.old.advice}` : user.name ? `As ${user.name}.` : "Log in as operator (the demo has printed the password) to play with it.");
+    say(hint, live.old || user.name ? start.why() || `As ${user.name}.` : "Log in as operator (the demo has printed the password) to play with it.");
   }
 
   kind.addEventListener("change", choose);
-  user.addEventListener("change", showUser);
+  for (const what of ["change", "rights"]) user.addEventListener(what, showUser);
   choose();
   showUser();
   showReports();
   live.addEventListener("standing", showUser);
   live.addEventListener("events", showReports);
-  return () => { live.removeEventListener("events", showReports); user.removeEventListener("change", showUser); live.removeEventListener("standing", showUser); };
+  return () => { live.removeEventListener("events", showReports); for (const what of ["change", "rights"]) user.removeEventListener(what, showUser); live.removeEventListener("standing", showUser); };
 }

@@ -7,6 +7,7 @@ import { merged } from "../intervals.js";
 import { bounded, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
 import { trendLanes } from "../trend_lanes.js";
 import { addNewest, doubtSpans, emptyRows, joined, tabled } from "../trend_rows.js";
+import { told } from "../trust.js";
 import { decimals, inUnits, shown } from "../units.js";
 
 const REFRESH_MS = 30000; // what is live is read again so often, from the history
@@ -192,7 +193,7 @@ export function trendView(root, { live, valve, query, keep }) {
     const read = !source ? "Reading the service's history …" : source.kept === false
       ? `The service keeps no history ([history] in its configuration). Shown is what this page has seen${source.since ? ` since ${clock(source.since)}` : ""}.`
       : `${clock(from())} to ${clock(to())}. Mean, least and largest of ${step < 1 ? `${rows.step} ms` : spanText(step)} each, from the service's history.`;
-    say(note, failed ? `Not read: ${failed}` : old ? `${old.why} ${old.since ? `Since ${clock(old.since)}.` : ""} ${old.advice}` : read);
+    say(note, failed ? `Not read: ${failed}` : old ? told(old) : read);
   }
 
   function showMarks() {

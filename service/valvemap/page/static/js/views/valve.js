@@ -3,6 +3,7 @@
 import { History, SECOND_AXIS, timeChart } from "../charts.js";
 import { css, h, mark, onTheme, paced, pen, say } from "../dom.js";
 import { ADAPTATION, clock, count, fixed, inUnit, REASONS, short, SIGNALS, span, spreadInUnit, STATUS } from "../format.js";
+import { standingOf } from "../trust.js";
 import { inUnits, shown as shownUnit, spreadShown, toShown } from "../units.js";
 import { estimatorTable } from "./estimator_table.js";
 import { drawnResiduals } from "./residuals.js";
@@ -159,20 +160,14 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
 
   function standing() {
     showOthers();
-    const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name)), old = live.oldOf(valve.name);
+    const row = live.rowOf(valve.name), { old, severity, label, sentence: words } = standingOf(live, valve.name);
     const recommended = live.get("Recommended")?.value, reason = live.get("RecommendedReason")?.value;
     say(best, old ? "not known now" : recommended || "none yet");
     say(bestReason, inUnits(reason || (recommended ? "" : "No estimator stands out yet: places must be visited again.")));
     mark(root, "stale", old !== null);
-    if (old) {
-      mark(badge, "severity", 3);
-      say(badge, row && old.state === "valve" ? REASONS[row.reason][0] === "ok" ? "no new samples" : REASONS[row.reason][0] : "not known");
-      say(sentence, `${old.why}${old.since ? ` Since ${clock(old.since)}, for ${span((Date.now() - old.since) / 1000)}.` : ""} ${old.advice}`);
-      return;
-    }
-    if (!row) return;
-    mark(badge, "severity", row.severity);
-    say(badge, REASONS[row.reason]?.[0] ?? "");
+    mark(badge, "severity", severity);
+    say(badge, label);
+    if (old || !row) { say(sentence, words); return; }
     const status = live.number(`${selected}.Status`);
     const since = row.severity ? ` since ${clock(row.since)}` : "";
     const next = row.severity > 1 ? " See Alarms for what to do." : "";
@@ -199,8 +194,8 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
     const [status, about] = STATUS[of("Status")] ?? ["–", ""], old = live.oldOf(valve.name);
     lines.push(["Status", old ? `not known: ${old.why}` : `${status}: ${about}`]);
     const age = live.number("Diagnostics.SampleAge");
-    const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
-    lines.push(["Newest sample", Number.isFinite(age) ? `${span(age)} old` : row ? `seen ${span(row.silent)} ago` : "–"]);
+    const row = live.rowOf(valve.name);
+    lines.push(["Newest sample", old ? `not known now${old.since ? `; the last before ${clock(old.since)}` : ""}` : Number.isFinite(age) ? `${span(age)} old` : row ? `seen ${span(row.silent)} ago` : "–"]);
     const lagU = live.number("Diagnostics.LagU"), lagQ = live.number("Diagnostics.LagQ");
     if (Number.isFinite(lagU) || Number.isFinite(lagQ)) {
       lines.push(["Lag", `${Number.isFinite(lagU) ? `U ${fixed(1000 * lagU, 0)} ms` : "U unknown"}, ${Number.isFinite(lagQ) ? `Q ${fixed(1000 * lagQ, 0)} ms` : "Q unknown"}`]);
