@@ -58,41 +58,6 @@ async def test_without_a_valve_the_page_says_what_to_do():
         await visitor.page.locator("h1", has_text="No valves yet").wait_for()
 
 
-async def test_which_valve_is_worst_why_and_since_when_by_keyboard():
-    shown = ShownService(names=("V1", "V2", "V3"))
-    shown.values["V2.RLS.PredictedFlow"] = Read(1.0, 0x808C0000)
-    async with visit(shown) as (visitor, page):
-        await visitor.open("valve")
-        await visitor.page.locator("h1", has_text="V1").wait_for()
-        await visitor.page.keyboard.press("3")
-        first = visitor.page.locator(".rows tbody tr:has(a)").first
-        await first.locator("a", has_text="V2").wait_for()
-        assert "A sensor has failed." in await first.inner_text()
-        since = page.observer.standings.rows[1].since
-        shown_time = await visitor.page.evaluate(
-            "ms => new Date(ms).toLocaleTimeString('en-GB')", since / 1e6
-        )
-        assert shown_time in await first.inner_text()
-
-
-async def test_a_valve_is_found_among_many_by_keyboard():
-    shown = ShownService(names=tuple(f"V{k}" for k in range(1, 40)))
-    async with visit(shown) as (visitor, _):
-        await visitor.open("valve")
-        await visitor.page.locator("h1").wait_for()
-        await visitor.page.keyboard.press("/")
-        await visitor.page.locator("input[type=search]:focus").wait_for()
-        await visitor.page.keyboard.type("V37")
-        await visitor.page.locator(".rows tbody tr:has(a)").nth(1).wait_for(state="detached")
-        await visitor.page.keyboard.press("Tab")
-        for _ in range(20):
-            if await visitor.page.evaluate("document.activeElement.textContent") == "V37":
-                break
-            await visitor.page.keyboard.press("Tab")
-        await visitor.page.keyboard.press("Enter")
-        await visitor.page.locator("main h1", has_text="V37").wait_for()
-
-
 async def test_commissioning_says_how_the_signals_come_and_advises_no_setting_for_it():
     shown = ShownService(moving=False)
     shown.values["V1.Diagnostics.Timing"] = Read(["not found yet"])
@@ -102,29 +67,6 @@ async def test_commissioning_says_how_the_signals_come_and_advises_no_setting_fo
         assert "tolerance_ms" not in await visitor.text("main")
         shown.values["V1.Diagnostics.Timing"] = Read(["U: on change, its last value is held"])
         await visitor.page.locator(".coming li", has_text="its last value is held").wait_for()
-
-
-async def test_whether_u_can_be_trusted_for_a_flow_by_keyboard():
-    async with visit(ShownService()) as (visitor, page):
-        await visitor.open("valve")
-        await visitor.page.locator("h1", has_text="V1").wait_for()
-        await visitor.page.keyboard.press("2")
-        flow = visitor.page.locator(".inverse input[type=range]").first
-        await flow.wait_for()
-        while not await flow.evaluate("slider => slider === document.activeElement"):
-            await visitor.page.keyboard.press("Tab")
-        await visitor.page.keyboard.press("Home")
-        for _ in range(80):
-            await visitor.page.keyboard.press("ArrowRight")
-        await visitor.page.locator(".answer .value[data-for='40@100']").wait_for()
-        ((U, lower, upper, _),) = await page.observer.client.call(
-            "V1.Inverse", "Invert", [(40.0, 100.0, float("nan"))]
-        )
-        told = await visitor.text(".inverse .answer")
-        assert f"{U:.2f} %" in told
-        assert f"95 %: {lower:.2f} to {upper:.2f} %" in told
-        assert "U delivers the demanded flow at this pressure drop." in told
-        assert page.observer.client.writes == []
 
 
 async def test_how_sure_a_parameter_is_of_another_estimator_by_keyboard():
@@ -139,21 +81,6 @@ async def test_how_sure_a_parameter_is_of_another_estimator_by_keyboard():
         await row.wait_for()
         assert "1.500" in await row.inner_text()
         assert "0.02000" in await row.inner_text()
-
-
-async def test_what_is_missing_and_the_next_test_point_by_keyboard():
-    shown = ShownService()
-    shown.values["V1.RLS.SuggestedU"] = Read(80.0)
-    shown.values["V1.RLS.SuggestedDp"] = Read(150.0)
-    shown.values["V1.Diagnostics.Late"] = Read(7)
-    async with visit(shown) as (visitor, _):
-        await visitor.open("valve")
-        await visitor.page.locator("h1", has_text="V1").wait_for()
-        await visitor.page.keyboard.press("4")
-        await visitor.page.locator("p", has_text="U 80 % at Δp 150 bar").wait_for()
-        await visitor.page.locator(
-            "li[data-done=false]", has_text="7 signals or samples"
-        ).wait_for()
 
 
 async def test_an_operator_s_button_writes_the_demand_that_is_shown():

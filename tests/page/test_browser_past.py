@@ -152,26 +152,6 @@ async def test_without_a_history_the_trend_says_so():
         assert "since" in await note.inner_text()
 
 
-async def test_what_happened_when_and_what_now_by_keyboard():
-    shown, _ = alarmed()
-    async with visit(shown) as (visitor, _):
-        page = visitor.page
-        await visitor.open("valve")
-        await page.locator("h1", has_text="V1").wait_for()
-        await page.keyboard.press("a")
-        detail = page.locator(".alarm-detail")
-        await detail.locator("dd", has_text="p2 was constant").wait_for()
-        told = await detail.inner_text()
-        for said in ("for 34.0 s", "a dead sensor", "Check the named sensor", "10 min"):
-            assert said in told
-        link = page.locator("a", has_text="Trend at that time")
-        while not await link.evaluate("a => a === document.activeElement"):
-            await page.keyboard.press("Tab")
-        await page.keyboard.press("Enter")
-        await page.locator(".marks .badge", has_text="Sensor frozen").wait_for()
-        assert visitor.problems == []
-
-
 async def test_an_alarm_is_acknowledged_by_who_may():
     shown, _ = alarmed()
     async with visit(shown) as (visitor, _):

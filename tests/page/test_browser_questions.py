@@ -4,6 +4,7 @@ import time
 from contextlib import asynccontextmanager
 
 import pytest
+import pytest_asyncio
 
 from support.browser import Visit, chromium
 from support.keyboard import Keyboard
@@ -12,10 +13,10 @@ from support.served_page import served
 from support.shown_parts import AXIS, LINE
 from support.shown_service import Alarm, ShownService
 
-pytestmark = pytest.mark.chromium
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
 
 S = 1_000_000_000
-MINUTE_MS = 60_000
+BAD_SENSOR_FAILURE = 0x808C_0000
 
 
 def plant():
@@ -35,21 +36,28 @@ def plant():
     )
 
 
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def browser():
+    async with chromium() as found:
+        yield found
+
+
 @asynccontextmanager
-async def asked(shown):
-    async with served(shown) as (page, url), chromium() as browser:
+async def asked(browser, shown):
+    async with served(shown) as (page, url):
         context = await browser.new_context(viewport={"width": 1280, "height": 800})
         visitor = Visit(await context.new_page(), url)
         await visitor.open("valve/V1")
         await visitor.page.locator("main h1").wait_for()
         await visitor.page.locator(".signals .value", has_text="60.0").wait_for()
-        yield visitor.page, Keyboard(visitor.page), page.observer.client
+        yield visitor.page, Keyboard(visitor.page), page.observer
         assert visitor.problems == []
+        await context.close()
 
 
-async def test_how_long_has_p2_been_frozen_and_what_to_check():
+async def test_how_long_has_p2_been_frozen_and_what_to_check(browser):
     shown = plant()
-    async with asked(shown) as (page, keys, _):
+    async with asked(browser, shown) as (page, keys, _):
         await keys.press("a")
         detail = page.locator(".alarm-detail")
         await detail.locator("dd", has_text="p2 was constant").wait_for()
@@ -60,16 +68,18 @@ async def test_how_long_has_p2_been_frozen_and_what_to_check():
         assert "Check the named sensor" in told
 
 
-async def test_may_i_trust_60_l_min_at_120_bar():
+async def test_may_i_trust_60_l_min_at_120_bar(browser):
     shown = plant()
-    async with asked(shown) as (page, keys, client):
+    async with asked(browser, shown) as (page, keys, observer):
         await keys.press("q")
         await page.locator(".inverse input[type=number]:focus").wait_for()
         await keys.type("60")
         await page.keyboard.press("Tab")  # over the slider of the pressure drop
         await keys.type("120")
         await page.locator(".answer .value[data-for='60@120']").wait_for()
-        ((U, lower, upper, _),) = await client.call("V1.Inverse", "Invert", [(60.0, 120.0, 0.0)])
+        ((U, lower, upper, _),) = await observer.client.call(
+            "V1.Inverse", "Invert", [(60.0, 120.0, 0.0)]
+        )
         told = await page.locator(".inverse").inner_text()
         assert f"{U:.2f} %" in told
         assert f"95 %: {lower:.2f} to {upper:.2f} %" in told
@@ -77,23 +87,25 @@ async def test_may_i_trust_60_l_min_at_120_bar():
         assert shown.writes == []
 
 
-async def test_how_far_is_the_map_from_the_approved_one_and_where():
+async def test_how_far_is_the_map_from_the_approved_one_and_where(browser):
     shown = plant()
     shown.values["V1.Baseline.Version"] = Read("7")
-    async with asked(shown) as (page, keys, client):
+    async with asked(browser, shown) as (page, keys, observer):
         await keys.press("2")
         words = page.locator(".before p", has_text="on average")
         await words.wait_for()
-        ((mean, largest, U, dp, points),) = await client.call("V1.Baseline", "Compare", [["RLS"]])
+        ((mean, largest, U, dp, points),) = await observer.client.call(
+            "V1.Baseline", "Compare", [["RLS"]]
+        )
         told = (await words.inner_text()).replace("−", "-")
         for part in ("version 7", f"{mean:.1f} l/min", f"{largest:.1f} l/min at U {U:.0f} %"):
             assert part in told
         assert f"{dp:.0f} bar; {points} points" in told
 
 
-async def test_what_did_the_flow_do_in_the_last_hour():
+async def test_what_did_the_flow_do_in_the_last_hour(browser):
     shown = plant()
-    async with asked(shown) as (page, keys, _):
+    async with asked(browser, shown) as (page, keys, _):
         await keys.press("t")
         await keys.open(page.locator("button[data-span='3600000']"))
         row = page.locator(".readout tr:has(td)").first
@@ -102,10 +114,10 @@ async def test_what_did_the_flow_do_in_the_last_hour():
         assert (await row.locator("td").all_inner_texts())[2] == "0.0"
 
 
-async def test_which_valve_is_this_among_many():
+async def test_which_valve_is_this_among_many(browser):
     shown = plant()
     shown.names = tuple(f"V{k}" for k in range(1, 40))
-    async with asked(shown) as (page, keys, _):
+    async with asked(browser, shown) as (page, keys, _):
         await keys.press("/")
         await page.locator("input[type=search]:focus").wait_for()
         await page.keyboard.type("V37")
@@ -113,8 +125,8 @@ async def test_which_valve_is_this_among_many():
         await page.locator("main h1", has_text="V37").wait_for()
 
 
-async def test_how_soft_is_the_oil_of_an_axis_and_how_sure_is_that():
-    async with asked(plant()) as (page, keys, _):
+async def test_how_soft_is_the_oil_of_an_axis_and_how_sure_is_that(browser):
+    async with asked(browser, plant()) as (page, keys, _):
         await keys.press("x")
         row = page.locator(".described tr", has_text="Bulk modulus")
         await row.wait_for()
@@ -124,21 +136,21 @@ async def test_how_soft_is_the_oil_of_an_axis_and_how_sure_is_that():
         assert "GPa" in told
 
 
-async def test_which_u_does_a_speed_demand():
-    async with asked(plant()) as (page, keys, client):
+async def test_which_u_does_a_speed_demand(browser):
+    async with asked(browser, plant()) as (page, keys, observer):
         await keys.press("x")
         await page.locator("h1", has_text="Press").wait_for()
         await keys.press("q")
         await keys.type("-80")
         await page.locator(".answer .value[data-for='-80']").wait_for()
-        ((U, *_),) = await client.call("Press.Inverse", "Invert", [(-80.0, *[0.0] * 5)])
+        ((U, *_),) = await observer.client.call("Press.Inverse", "Invert", [(-80.0, *[0.0] * 5)])
         told = await page.locator(".inverse").inner_text()
         assert f"{U:.2f} %".replace("-", "−") in told
         assert "U delivers the demanded speed" in told
 
 
-async def test_which_edge_passes_the_flow_and_how_much_leaks():
-    async with asked(plant()) as (page, keys, _):
+async def test_which_edge_passes_the_flow_and_how_much_leaks(browser):
+    async with asked(browser, plant()) as (page, keys, _):
         await page.locator(".which input").fill("Boom.PA")
         await page.locator(".which input").press("Enter")
         await page.locator("h1", has_text="Boom.PA").wait_for()
@@ -146,3 +158,49 @@ async def test_which_edge_passes_the_flow_and_how_much_leaks():
         await page.locator(".inverse p", has_text="Edge in use: P to A").wait_for()
         row = page.locator(".described tr", has_text="Leakage")
         assert f"{LINE['Leakage']:.5f}" in await row.inner_text()
+
+
+async def test_what_happened_when_and_what_now(browser):
+    shown = plant()
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("a")
+        detail = page.locator(".alarm-detail")
+        await detail.locator("dd", has_text="p2 was constant").wait_for()
+        told, (frozen,) = await detail.inner_text(), shown.alarms
+        measured, _, cause = frozen.text.rstrip(".").partition(" It may be: ")
+        for said in (measured, *cause.split("; "), "Check the named sensor"):
+            assert said in told
+        begun = await time_of_day(page, frozen.t)
+        assert begun in told
+        await keys.open(page.locator("a", has_text="Trend at that time"))
+        await page.locator(".marks li", has_text="Sensor frozen").wait_for()
+        assert begun in await page.locator(".marks li", has_text="Sensor frozen").inner_text()
+
+
+async def test_which_valve_is_worst_why_and_since_when(browser):
+    shown = plant()
+    shown.values["Boom.AT.RLS.PredictedFlow"] = Read(1.0, BAD_SENSOR_FAILURE)
+    async with asked(browser, shown) as (page, keys, observer):
+        await keys.press("3")
+        first = page.locator(".rows tbody tr:has(a)").first
+        await first.locator("a", has_text="Boom.AT").wait_for()
+        told = await first.inner_text()
+        assert "A sensor has failed." in told
+        (row,) = [r for r in observer.standings.rows.values() if r.reason.label == "sensor failed"]
+        assert await time_of_day(page, row.since) in told
+
+
+async def test_what_is_missing_for_a_map_and_which_point_is_next(browser):
+    shown = plant()
+    shown.values["V1.RLS.SuggestedU"] = Read(80.0)
+    shown.values["V1.RLS.SuggestedDp"] = Read(150.0)
+    shown.values["V1.Diagnostics.Late"] = Read(7)
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("4")
+        await page.locator("p", has_text="U 80 % at Δp 150 bar").wait_for()
+        await page.locator("li[data-done=false]", has_text="7 signals or samples").wait_for()
+
+
+async def time_of_day(page, t):
+    """As the browser shows it."""
+    return await page.evaluate("ms => new Date(ms).toLocaleTimeString('en-GB')", t / 1e6)

@@ -79,8 +79,9 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const arriving = Number.isFinite(per("Aligned")) ? per("Aligned") > 0 : counts.Aligned > 0; // no rate yet at the first look
     const old = live.oldOf(valve.name);
     mark(root, "stale", old !== null);
-    const lines = old ? [[false, `${told(old)} Nothing else is known now.`], ...(waiting && !live.old ? [[false, `Waiting for: ${waiting}`]] : [])] : [
-      [arriving, arriving ? "Signals arrive and are aligned." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
+    const missing = waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "");
+    const lines = old ? [[false, `${told(old)} Nothing else is known now.`], ...(missing && !live.old ? [[false, `No samples: ${missing}`]] : [])] : [
+      [arriving, arriving ? "Signals arrive and are aligned." : `No samples: ${missing || "a signal is missing."}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
