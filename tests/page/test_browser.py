@@ -5,14 +5,13 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from support.browser import Visit, axe, chromium, serious
+from support.browser import Visit, chromium
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import ShownService
 
 pytestmark = pytest.mark.chromium
 
-VIEWS = ("valve", "map", "overview", "commissioning", "timeline")
 _MOST_BYTES = 2_000_000  # of all that is loaded without 3-D
 _LONGEST_TASK_MS = 100.0
 _CLICK = """selector => new Promise(done => {
@@ -157,19 +156,6 @@ async def test_on_a_slow_machine_the_page_is_there_at_once_and_answers_at_once()
     print(sorted(paints), sorted(answers))  # noqa: T201 - the figures
     assert sorted(paints)[2] <= 1_500
     assert sorted(answers)[2] <= 200
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-async def test_axe_finds_nothing_serious_in_any_view(theme, request):
-    script = axe(request.config.cache.mkdir("axe"))
-    shown = ShownService(names=("V1", "V2"))
-    shown.values["V2.RLS.PredictedFlow"] = Read(1.0, 0x808C0000)
-    async with visit(shown, theme) as (visitor, _):
-        for view in VIEWS:
-            await visitor.open(view)
-            await visitor.page.wait_for_timeout(1_500)
-            assert await serious(visitor, script) == []
-        assert visitor.problems == []
 
 
 async def test_a_closed_tab_leaves_nothing():

@@ -4,7 +4,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from support.browser import Visit, axe, chromium, serious
+from support.browser import Visit, chromium
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import ShownService
@@ -127,14 +127,3 @@ async def test_the_sheet_tells_how_it_is_made():
         await card.locator("p", has_text="data/commission/V1.csv").wait_for()
         told = await card.locator("code").inner_text()
         assert told == "valvemap sheet V1 --config valvemap.toml --out V1.html"
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(1280, 800), (820, 1180)], ids=["desk", "tablet"])
-async def test_axe_finds_nothing_serious(theme, size, request):
-    script = axe(request.config.cache.mkdir("axe"))
-    async with visit(plant(), "axis/Press", theme, size) as (visitor, _):
-        for view in ("axis/Press", "line/Boom.LineA", "valve/Boom.PA", "map/Boom.PA"):
-            await visitor.open(view)
-            await visitor.page.wait_for_timeout(1_500)
-            assert await serious(visitor, script) == [], view

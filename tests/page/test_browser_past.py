@@ -7,19 +7,21 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import pytest
+import pytest_asyncio
 
 from support.browser import Visit, axe, chromium, serious
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
 
-pytestmark = pytest.mark.chromium
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
 
 S = 1_000_000_000
 VIEWS = (
     *("valve/V1", "trend/V1", "map/V1", "alarms", "overview", "commissioning/V1", "timeline"),
     *("rig/V1", "axis/Press", "line/Boom.LineA", "valve/Boom.PA"),
 )
+SIZES = {"desk": (1280, 800), "large": (1920, 1080), "tablet": (820, 1180)}
 RIG = "opc.tcp://127.0.0.1:1/rig/"
 _PLANT = tuple(f"V{k}" for k in range(1, 13))
 _HEIGHT = """() => { // how low texts, charts and fields reach; an empty card uses nothing
@@ -41,14 +43,21 @@ _HEIGHT = """() => { // how low texts, charts and fields reach; an empty card us
 NO_DATA = 0x809B_0000
 
 
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def browser():
+    async with chromium() as found:
+        yield found
+
+
 @asynccontextmanager
-async def visit(shown, theme="light", size=(1280, 800)):
-    async with served(shown, RIG) as (page, url), chromium() as browser:
+async def visit(browser, shown, theme="light", size=(1280, 800)):
+    async with served(shown, RIG) as (page, url):
         width, height = size
         view = {"width": width, "height": height}
         context = await browser.new_context(viewport=view, color_scheme=theme)
         await context.add_init_script("localStorage.setItem('tour', 'closed')")
         yield Visit(await context.new_page(), url), page
+        await context.close()
 
 
 def alarmed():
@@ -72,9 +81,9 @@ def alarmed():
     return shown, frozen
 
 
-async def test_a_trend_is_there_after_a_change_of_view_a_reload_and_in_another_browser():
+async def test_a_trend_is_there_after_a_change_of_view_a_reload_and_in_another_browser(browser):
     shown, _ = alarmed()
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         await visitor.open("trend/V1?span=3600")
         page = visitor.page
         value = page.locator(".readout td.value").first
@@ -94,7 +103,7 @@ async def test_a_trend_is_there_after_a_change_of_view_a_reload_and_in_another_b
         assert visitor.problems == []
 
 
-async def test_the_state_alarms_and_silences_are_bands_over_the_trend():
+async def test_the_state_alarms_and_silences_are_bands_over_the_trend(browser):
     shown, frozen = alarmed()
     silent = time.time_ns() - 300 * S, time.time_ns() - 200 * S
     whole = shown.courses
@@ -108,7 +117,7 @@ async def test_the_state_alarms_and_silences_are_bands_over_the_trend():
         return found
 
     shown.courses = with_a_gap
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         await visitor.open("trend/V1?span=600")
         lanes = visitor.page.locator("canvas.lanes")
         for said in ("failure from", "no samples from", "Sensor frozen from"):
@@ -119,7 +128,7 @@ async def test_the_state_alarms_and_silences_are_bands_over_the_trend():
         assert f"Sensor frozen from {begun} on" in await lanes.get_attribute("aria-label")
 
 
-async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the_history():
+async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the_history(browser):
     shown, _ = alarmed()
     doubtful = time.time_ns() - 300 * S, time.time_ns() - 200 * S
     whole = shown.courses
@@ -135,7 +144,7 @@ async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the
         return found
 
     shown.courses = with_a_doubt
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         await visitor.open("trend/V1?span=600")
         lanes = visitor.page.locator("canvas.lanes[aria-label*='uncertain from']")
         await lanes.wait_for()
@@ -144,17 +153,17 @@ async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the
         assert visitor.problems == []
 
 
-async def test_without_a_history_the_trend_says_so():
-    async with visit(ShownService(keeps_history=False)) as (visitor, _):
+async def test_without_a_history_the_trend_says_so(browser):
+    async with visit(browser, ShownService(keeps_history=False)) as (visitor, _):
         await visitor.open("trend/V1")
         note = visitor.page.locator("[role=status]", has_text="keeps no history")
         await note.wait_for()
         assert "since" in await note.inner_text()
 
 
-async def test_an_alarm_is_acknowledged_by_who_may():
+async def test_an_alarm_is_acknowledged_by_who_may(browser):
     shown, _ = alarmed()
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         visitor.password = "any"
         await visitor.open("alarms")
         button = visitor.page.get_by_role("button", name="Acknowledge", exact=True)
@@ -167,8 +176,8 @@ async def test_an_alarm_is_acknowledged_by_who_may():
         assert shown.calls[-1] == ("V1.Alarms.SensorFrozen", "Acknowledge", (("cable",),))
 
 
-async def test_units_are_the_same_everywhere_and_kept():
-    async with visit(ShownService()) as (visitor, _):
+async def test_units_are_the_same_everywhere_and_kept(browser):
+    async with visit(browser, ShownService()) as (visitor, _):
         page = visitor.page
         await visitor.open("valve")
         await page.locator(".signal[data-signal=dp]", has_text="100.0").wait_for()
@@ -190,20 +199,20 @@ async def test_units_are_the_same_everywhere_and_kept():
 
 
 @pytest.mark.parametrize("view", ["valve/V1", "map/V1", "alarms", "overview", "trend/V1"])
-async def test_a_large_screen_is_used(view):
+async def test_a_large_screen_is_used(browser, view):
     now = time.time_ns()
     alarms = [Alarm(source=name, t=now - k * 60 * S) for k, name in enumerate(_PLANT)]
     shown = ShownService(names=_PLANT, alarms=alarms)
-    async with visit(shown, size=(1920, 1080)) as (visitor, _):
+    async with visit(browser, shown, size=(1920, 1080)) as (visitor, _):
         await visitor.open(view)
         await visitor.page.locator("main h1").wait_for()
         await visitor.page.wait_for_timeout(1_500)
         assert await visitor.page.evaluate(_HEIGHT) >= 0.75
 
 
-async def test_the_worst_valve_is_first_with_its_health_and_alarms_beside():
+async def test_the_worst_valve_is_first_with_its_health_and_alarms_beside(browser):
     shown, _ = alarmed()
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         await visitor.open("overview")
         rows = visitor.page.locator(".rows tbody tr:has(a)")
         await rows.nth(0).and_(visitor.page.locator("tr", has_text="failure")).wait_for()
@@ -212,11 +221,11 @@ async def test_the_worst_valve_is_first_with_its_health_and_alarms_beside():
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(1920, 1080), (820, 1180)], ids=["large", "tablet"])
-async def test_axe_finds_nothing_serious_in_any_view(theme, size, request):
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+async def test_axe_finds_nothing_serious_in_any_view(browser, theme, size, request):
     script = axe(request.config.cache.mkdir("axe"))
     shown, _ = alarmed()
-    async with visit(shown, theme, size) as (visitor, _):
+    async with visit(browser, shown, theme, size) as (visitor, _):
         for view in (*VIEWS, "alarms?show=past"):
             await visitor.open(view)
             await visitor.page.wait_for_timeout(1_000)
