@@ -249,6 +249,8 @@ class ShownService:
             "Checkpoint.Size": 4_096,
             "Source.Notifications": int(count),
             "Source.Overflows": 2,
+            "Commission.State": 0,
+            "Commission.Progress": "not started",
             "RLS.ChangeCount": 0,
             "RLS.PredictedFlow": 10.0,
         }

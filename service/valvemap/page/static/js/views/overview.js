@@ -109,9 +109,11 @@ export function overviewView(root, { live }) {
       const bad = row.some.filter((one) => one.severity > 0).length;
       say(why, `${counted(row.some.length, "valve")}${bad ? `, ${bad} not good` : ""}`);
       for (const cell of [since, rmse, predicted, samples]) say(cell, "");
+      mark(element, "stale", false);
       return;
     }
     const { old, severity, label, sentence, since: begun } = standingOf(live, row.name);
+    mark(element, "stale", old !== null);
     mark(state.firstChild, "severity", live.old ? 1 : severity);
     say(state.firstChild, label);
     const href = live.hrefOf(row.name);
