@@ -107,7 +107,7 @@ def fit(
         theta[p] = to.beta[p] + zeta * axis_s.squares[p % n_s]
     scalars[LEAST] = _least(cells, scale)
     scalars[FREE] = to.scalars[solved.FREE]
-    scalars[EVIDENCE] = _evidence(2 * n_s + 3, scalars, to)
+    scalars[EVIDENCE] = _evidence(2 * n_s + 3, scale, of, scalars, to)
     spread(axis_U, axis_s, to.Z, to.lifted[0], root, theta, work, std)
     terms = np.full(plain.TERMS, ridge)
     terms[0] = terms[1] = lam[prior.ZERO]
@@ -174,8 +174,13 @@ def _weigh(n_s: int, of: Design, sigma2: float, delta2: float, scale: float, to:
         if of.worth[k] < rules.FEW:
             residual, own = solved.residual_of(n_s, of, k, to)
             doubt = delta2 + sigma2 / of.worth[k] + own
-            width = rules.OUTLIER_WIDTH * math.sqrt(scale) / max(of.worth[k], 1.0)
-            of.regular[k] = outlier_weight(residual * residual, doubt, width)
+            of.regular[k] = outlier_weight(residual * residual, doubt, _width(of.worth[k], scale))
+
+
+@inner
+def _width(worth: float, scale: float) -> float:
+    """Width of the even density of what a cell of few samples shows where it is an outlier."""
+    return float(rules.OUTLIER_WIDTH * math.sqrt(scale) / max(worth, 1.0))
 
 
 @inner
@@ -227,9 +232,13 @@ def _towards(wanted: float, before: float) -> float:
 
 
 @inner
-def _evidence(band: int, scalars: Floats, to: Solution) -> float:
-    """Log marginal likelihood of the cells and of the samples within them."""
+def _evidence(band: int, scale: float, of: Design, scalars: Floats, to: Solution) -> float:
+    """Log marginal likelihood of the cells, outliers among them, and of the samples within them."""
     total = to.scalars[solved.EVIDENCE]
+    for k in range(len(of.y)):  # without it a map that refuses its cells would be the likeliest
+        if of.regular[k] < 1.0:
+            outlier = rules.OUTLIERS / _width(of.worth[k], scale) * math.sqrt(2.0 * math.pi)
+            total += (1.0 - of.regular[k]) * math.log(outlier)
     for p in range(len(to.beta)):
         total += math.log(to.A_prior[p * band])
     sigma2 = scalars[VARIANCE]

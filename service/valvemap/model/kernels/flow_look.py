@@ -53,10 +53,9 @@ def look(
     end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
     flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
-    along = math.copysign(1.0, at[PLACE_S]) * (1.0 if side == 0 else -1.0)
-    least = memory.scalars[fits.LEAST]
-    if flow * along < least:  # flow does not run against Δp but for an offset of the meter
-        flow, slope = least * along, 0.0
+    allowed = paths.forward(flow, side, at[PLACE_S], memory.scalars[fits.LEAST])
+    if flow != allowed:
+        flow, slope = allowed, 0.0
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
     of_path = between_sites(axis_U, axis_s, memory.doubt, at[PLACE_U], at[PLACE_S])
     for k in range(drifts.STATES):

@@ -125,52 +125,66 @@ def filters(path: Floats) -> bool:
 
 
 @inner
+def forward(flow: float, side: int, s: float, least: float) -> float:
+    """The map's flow, which runs against Δp by an offset of the meter, ``least`` < 0, at most."""
+    along = math.copysign(1.0, s) * (1.0 if side == 0 else -1.0)
+    return along * max(flow * along, least)
+
+
+@inner
 def metered(
-    axis_U: Axis, axis_s: Axis, theta: Floats, recent: Singles, newest: int, known: int,
-    path: Floats, work: Floats, out: Floats,
+    axis_U: Axis, axis_s: Axis, theta: Floats, least: float, recent: Singles, newest: int,
+    known: int, path: Floats, work: Floats, out: Floats,
 ) -> bool:  # fmt: skip
     """Means over what the meter shows now; False: not enough is known.
 
     ``newest`` is the row of the last sample, ``known`` the number of rows. ``out`` becomes the mean
     of spool and root; of the flow, less that at the mean place; of the squared difference; the
-    variances of spool and root. Those of the flow are by the map ``theta``, of some of the rows.
+    variances of spool and root. Flows are those of the map ``theta``, see `forward`, at the mean
+    places of parts of equal weight.
     """
     out[:] = 0.0
-    total, some, u, r, age, row = 0.0, 0.0, 0.0, 0.0, 0.0, newest
+    total, age, row = 0.0, 0.0, newest
+    part, u, r = 0.0, 0.0, 0.0
     horizon = path[DEAD_Q] + path[AVERAGE] + rules.LAGS_LEFT * path[LAG_Q]
-    every = 0.0
-    for _ in range(known):
+    for k in range(known):
         step = float(recent[row, STEP])
         weight = _share(age + step, path) - _share(age, path)
         root = effective(float(recent[row, LEFT_DP]), float(recent[row, LEFT_P1]), path)
         root = min(max(root, axis_s.breaks[0]), axis_s.breaks[-1])
+        spool = float(recent[row, SPOOL])
         total += weight
-        out[0] += weight * recent[row, SPOOL]
+        out[0] += weight * spool
         out[1] += weight * root
-        out[4] += weight * recent[row, SPOOL] ** 2
+        out[4] += weight * spool * spool
         out[5] += weight * root * root
-        every += step
-        if weight > 0.0 and (every >= horizon / rules.POINTS_SHOWN or some == 0.0):
-            flow = surface(axis_U, axis_s, theta, recent[row, SPOOL], root, work)
-            some += weight
-            every = 0.0
-            u += weight * recent[row, SPOOL]
-            r += weight * root
-            out[2] += weight * flow
-            out[3] += weight * flow * flow
+        part, u, r = part + weight, u + weight * spool, r + weight * root
         age += step
-        if age >= horizon or step >= rules.GAP:
+        is_last = age >= horizon or step >= rules.GAP or k == known - 1
+        if part >= 1.0 / rules.POINTS_SHOWN or (is_last and part > 0.0):
+            flow = _flow(axis_U, axis_s, theta, least, u / part, r / part, work)
+            out[2] += part * flow
+            out[3] += part * flow * flow
+            part, u, r = 0.0, 0.0, 0.0
+        if is_last:
             break
         row = row - 1 if row > 0 else len(recent) - 1
     if total < rules.ENOUGH_SHOWN:
         return False
-    flow = surface(axis_U, axis_s, theta, u / some, r / some, work)
-    out[0], out[1] = out[0] / total, out[1] / total
-    out[4], out[5] = out[4] / total - out[0] ** 2, out[5] / total - out[1] ** 2
-    out[2] /= some
-    out[3] = max(out[3] / some - out[2] ** 2, 0.0)
-    out[2] -= flow
+    for place in range(6):
+        out[place] /= total
+    out[3] = max(out[3] - out[2] ** 2, 0.0)
+    out[4], out[5] = out[4] - out[0] ** 2, out[5] - out[1] ** 2
+    out[2] -= _flow(axis_U, axis_s, theta, least, out[0], out[1], work)
     return True
+
+
+@inner
+def _flow(
+    axis_U: Axis, axis_s: Axis, theta: Floats, least: float, u: float, s: float, work: Floats
+) -> float:
+    flow = surface(axis_U, axis_s, theta, u, s, work)
+    return forward(flow, 0 if u >= 0.0 else 1, s, least)
 
 
 @inner

@@ -156,7 +156,7 @@ STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
 MOST_OPERATORS: Final = 4  # taken in one look
 SHARES_TOP: Final = (0.9, 0.97, 1.0)  # of the readings; where a meter's end is looked for
 SEEN_BELOW: Final = 5  # readings of no flow, from which on a meter may have a least flow
-POINTS_SHOWN: Final = 16  # points at which the map is evaluated along what a meter shows
+POINTS_SHOWN: Final = 16  # parts of equal weight into which what a meter shows is divided
 BENT_BY_LAGS: Final = 0.1  # of the flow that a meter's filter adds to that of the mean place: its
 # standard deviation, as the map bends on the way
 LOOKS: Final = (1024, 2048, 4096)  # samples; after which the last rows are searched for operators

@@ -228,9 +228,11 @@ def _metered(axis_U: Axis, axis_s: Axis, u: float, memory: Memory, room: Room) -
     newest = (counters[ROWS_SEEN] - 1) % len(recent)
     recent[newest, paths.SPOOL] = u
     known = min(counters[ROWS_SEEN], len(recent))
+    least = memory.scalars[fits.LEAST]
     return paths.metered(
-        axis_U, axis_s, memory.theta, recent, newest, known, memory.path, room.work, room.means
-    )
+        axis_U, axis_s, memory.theta, least, recent, newest, known, memory.path, room.work,
+        room.means,
+    )  # fmt: skip
 
 
 @inner
