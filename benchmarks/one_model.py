@@ -4,8 +4,10 @@ A line per row and moment: RMSE of the map inside the data in σ, the share of t
 95 % interval, and the least such share over the quarters of U and of Δp; each the mean over the
 seeds, RMSE the root mean square. *Named* is the share of the causes found, *names too many* the
 number of others, *play off* the error of its width, *delay* the number of samples of more than 5 %
-of the largest flow from a change until it was found. ``--report`` takes the seeds that nothing is
-tuned on.
+of the largest flow from a change until it was found. *Answered* is the share of the true flows
+inside the data for which the inverse gives U at status OK, *wrong* the share of these answers at
+which the valve passes a flow that is more than 3 σ off. ``--report`` takes the seeds that nothing
+is tuned on.
 """
 
 import argparse
@@ -17,11 +19,14 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks import circumstances as c
-from benchmarks.one_model_rows import ROWS, Row, inside
+from benchmarks.one_model_rows import ROWS, Flow, Row, inside
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import FlowMapState
+from valvemap.model.inverse_map import invert
+from valvemap.vocabulary.statuses import InverseStatus
 
+WRONG: Final = 3.0  # σ; more is a wrong answer, less is no demand
 REPORT: Final = 97_000  # the first seed of those that nothing is tuned on
 
 Figures = dict[str, list[float]]
@@ -32,6 +37,7 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
     state, start, spent = estimator.initial_state(), 0, 0.0
     found: Figures = {"rmse": [], "held": [], "least": [], "width": [], "us": []}
     found |= {"named": [], "misnamed": [], "play off": [], "delay": []}
+    found |= {"answered": [], "wrong": []}
     for end, truth in zip(row.ends, row.truths, strict=True):
         began = time.process_time()
         state, _ = estimator.update(state, row.samples[start:end])
@@ -54,7 +60,23 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
             found["misnamed"].append(float(len(codes - row.causes)))
             found["play off"].append(abs(2.0 * estimator.half_play(state) - row.play))
             found["delay"].append(_delay(estimator, state, row))
+        answered, wrong = _answers(estimator, state, row, truth, at)
+        found["answered"].append(answered)
+        found["wrong"].append(wrong)
     return found
+
+
+def _answers(
+    estimator: Estimator[Any], state: Any, row: Row, truth: Flow, at: c.Region
+) -> tuple[float, float]:
+    """Share of the true flows that are answered; of these answers, the share that is wrong."""
+    demand = truth(at.U, at.dp)
+    asked = np.abs(demand) > WRONG * row.sigma
+    demand, dp = demand[asked], at.dp[asked]
+    answer = invert(estimator, state, demand, dp, np.full(len(dp), row.T))
+    good = answer.status == InverseStatus.OK
+    off = np.abs(truth(answer.U[good], dp[good]) - demand[good]) > WRONG * row.sigma
+    return float(good.mean()), float(off.mean()) if good.any() else 0.0
 
 
 def _delay(estimator: FlowMap, state: FlowMapState, row: Row) -> float:
@@ -99,7 +121,8 @@ def _line(name: str, k: int, ours: Sequence[Figures]) -> str:
         f"{name} [{k}]: {c.rms(one['rmse']):.3f} σ, held {one['held'].mean():.3f} "
         f"(a quarter {one['least'].mean():.3f}), std {one['width'].mean():.3f} σ, "
         f"{one['us'].mean():.1f} µs, named {one['named'].mean():.2f}, "
-        f"names too many {one['misnamed'].mean():.2f}"
+        f"names too many {one['misnamed'].mean():.2f}, answered {one['answered'].mean():.3f}, "
+        f"wrong {one['wrong'].mean():.4f}"
     )
     for what, unit in (("play off", "%"), ("delay", "samples")):
         if np.isfinite(one[what]).any():

@@ -361,6 +361,74 @@ def _times(valve, factor, U, dp):
     return factor * valve(U, dp)
 
 
+def moving(name, width, seed, seconds=(60, 200, 900)):
+    """A spool with play, asked after these times."""
+    row = slack(name, width, seed, round(seconds[-1] * c.FS))
+    ends = tuple(round(s * c.FS) for s in seconds)
+    return replace(row, ends=ends, truths=row.truths * len(ends))
+
+
+def quantised(name, seed, N=20_000, of_U=0.4, of_dp=1.0):
+    """U of 8 bits, pressures in whole bar."""
+    row = plain(name, "cycle", N, seed)
+    U, dp = (np.round(x / q) * q for x, q in ((row.samples.U, of_U), (row.samples.dp, of_dp)))
+    return replace(row, samples=c.samples_of(U, dp, row.samples.Q))
+
+
+def pulsed(name, seed, N=20_000, pulse=1e-4):
+    """A gear meter: what it shows are the pulses, in l, between two samples."""
+    row = plain(name, "cycle", N, seed)
+    count = np.floor(np.cumsum(row.samples.Q) / (60.0 * c.FS * pulse))
+    Q = 60.0 * c.FS * pulse * np.diff(count, prepend=0.0)
+    return replace(row, samples=replace(row.samples, Q=Q))
+
+
+def slowly(name, seed, N=3_000):
+    """The machine's cycle at 1 Hz."""
+    U, dp = _slow_cycle(seed, N, 1)
+    valve = c.VALVES[name]
+    return Row(timed(U, dp, valve(U, dp) + c.white(seed, N), 1), (N,), (valve,))
+
+
+def of_reading(name, seed, N=20_000, share=0.01, least=0.05):
+    """Noise of 1 % of the reading."""
+    row = plain(name, "cycle", N, seed)
+    Q = row.truths[0](row.samples.U, row.samples.dp)
+    Q = Q + (share * np.abs(Q) + least) / c.SIGMA * c.white(seed, N)
+    return replace(row, samples=replace(row.samples, Q=Q))
+
+
+def together(seed, N=20_000):
+    """Three or four circumstances at once, on a valve drawn for the seed."""
+    rng = np.random.default_rng([seed, 11])
+    lap, bend, gain = rng.uniform(2.0, 12.0), rng.uniform(0.9, 1.3), rng.uniform(8.0, 15.0)
+    drawn = {TOGETHER[k] for k in rng.permutation(len(TOGETHER))[: rng.integers(3, 5)]}
+    fade = rng.uniform(-0.2, 0.2) if FindingCode.GAIN_DRIFT in drawn else 0.0  # 1/h
+    wide = rng.uniform(2.0, 5.0) if FindingCode.PLAY in drawn else 0.0
+    warm = rng.uniform(10.0, 30.0) if "warm" in drawn else 0.0
+    U, dp = c.cycle(seed, N)
+    T = 40.0 + warm * np.arange(N) / N
+
+    def valve(U, dp, T=40.0, hours=0.0):
+        u = np.clip((U - lap) / (100.0 - lap), 0.0, 1.0) ** bend
+        return (1.0 + fade * hours) * (1.0 + 2e-3 * (T - 40.0)) * gain * u * np.sqrt(dp)
+
+    hours = np.arange(N) / c.FS / 3600.0
+    late_U = late(U, round(rng.uniform(8, 20))) if FindingCode.DEAD_TIME in drawn else U
+    Q = valve(behind(late_U, wide) if wide else late_U, dp, T, hours)
+    Q = lagging(Q, rng.uniform(0.08, 0.25)) if FindingCode.LAG_Q in drawn else Q
+    Q = Q + (c.ar(seed, N, 0.8) if "coloured" in drawn else c.white(seed, N))
+    top = rng.uniform(0.6, 0.8) * Q.max() if FindingCode.METER_END in drawn else np.inf
+    causes = frozenset(x for x in drawn if isinstance(x, FindingCode))
+    samples, now = c.samples_of(U, dp, np.minimum(Q, top), T), T[-1]
+    truth = partial(valve, T=now, hours=hours[-1])
+    return Row(samples, (N,), (truth,), T=now, below=0.93 * top, causes=causes)
+
+
+TOGETHER: Final = (
+    *(FindingCode.GAIN_DRIFT, FindingCode.PLAY, FindingCode.DEAD_TIME, FindingCode.LAG_Q),
+    *(FindingCode.METER_END, "warm", "coloured"),
+)
 SHOWN: Final = {
     "dead time .15 s": (
         lambda valve, U, dp, e: late(valve(U, dp), 15) + e,
@@ -500,6 +568,15 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
         for name in ("ordinary", "saturating")
         for width in (2, 4, 6)
     },
+    **{
+        f"play {width} %, ordinary, ramps and holds": partial(moving, "ordinary", width)
+        for width in (0, 2, 4, 6)
+    },
+    "quantised U and p, ordinary, cycle, 20000": partial(quantised, "ordinary"),
+    "gear meter's pulses, ordinary, cycle, 20000": partial(pulsed, "ordinary"),
+    "noise of 1 % of reading, ordinary, cycle, 20000": partial(of_reading, "ordinary"),
+    "1 Hz, ordinary, cycle, 3000": partial(slowly, "ordinary"),
+    "three or four together": together,
     **{
         f"{what}, {name}": partial(shown, name, how, cause, below=below)
         for what, (how, cause, below) in SHOWN.items()

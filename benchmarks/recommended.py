@@ -6,13 +6,14 @@ recommended, its regret, the regret of the estimator with the least one-step err
 noise σ of one measurement added to both: √(e² + σ²)/√(e_best² + σ²) - 1. The last lines: regrets,
 how often each estimator is best, and for each estimator the mean share of true flows inside its
 95 % interval, as it comes from the estimator and as it is published, and the share of samples in
-the second half at status OK. ``--report`` takes the seeds that nothing is tuned on.
+the second half at status OK. ``--report`` takes the seeds that nothing is tuned on. ``--only
+recorded`` measures the recordings of docs/accuracy.md alone.
 """
 
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -22,15 +23,22 @@ import numpy as np
 from benchmarks import circumstances as c
 from benchmarks import one_model_rows as rows
 from benchmarks import results_file
-from benchmarks.measured_data import cooling_circuit
-from benchmarks.recordings import COOLING_CIRCUIT, SETTLED, r2
+from benchmarks.accuracy import MAPS
+from benchmarks.measured_data import air_valve, cooling_circuit, elsewhere_is_there
+from benchmarks.recordings import (
+    COOLING_CIRCUIT,
+    SETTLED,
+    air_valve_error,
+    air_valve_swept,
+    r2,
+)
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Segments
+from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan, predicted
@@ -161,19 +169,31 @@ def _line(name: str, seed: int, found: dict[str, Any]) -> tuple[str, float, floa
 
 
 def recorded() -> None:
-    """The cooling circuit of docs/accuracy.md: which estimator is recommended, R² of each."""
+    """Recordings of docs/accuracy.md: which estimator is recommended, and the error of each."""
     estimators = {"RLS .999": RecursiveLeastSquares(COOLING_CIRCUIT, Exponential(0.999)), **ALL}
-    plan = ValvePlan("V", QualityGate(), estimators, "Auto", follows=True)
-    fleet, samples = Fleet(plan, 1), cooling_circuit()
-    _, traces = fleet.take(samples, Segments.one(len(samples)))
-    ranking = fleet.rank_now(0)
-    chosen = list(estimators)[ranking.chosen] if ranking.chosen >= 0 else "none"
+    samples = cooling_circuit()
+    chosen, traces = _recommended(estimators, samples)
     scores = {}
     for name, trace in traces.items():
         known = np.isfinite(trace.residual)
         known[:SETTLED] = False
         scores[name] = round(r2(samples.Q[known], trace.residual[known]), 5)
     print(f"cooling circuit: recommended {chosen}; R² one step ahead {scores}", flush=True)
+    if elsewhere_is_there():
+        valve = air_valve()
+        chosen, _ = _recommended(MAPS, air_valve_swept(valve))
+        scores = {name: round(air_valve_error(valve, MAPS[name]).rmse, 3) for name in MAPS}
+        print(f"air valve: recommended {chosen}; RMSE in l/min {scores}", flush=True)
+
+
+def _recommended(
+    estimators: Mapping[str, Estimator[Any]], samples: Samples
+) -> tuple[str, Mapping[str, Trace]]:
+    plan = ValvePlan("V", QualityGate(), dict(estimators), "Auto", follows=True)
+    fleet = Fleet(plan, 1)
+    _, traces = fleet.take(samples, Segments.one(len(samples)))
+    ranking = fleet.rank_now(0)
+    return list(estimators)[ranking.chosen] if ranking.chosen >= 0 else "none", traces
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -192,10 +212,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             found = measured(estimators, make(seed))
             every.append((name, found))
             lines.append(_line(name, seed, found))
-    if not every:
-        return 0
-    _summary(every, lines)
-    if not wanted.only:
+    if every:
+        _summary(every, lines)
+    if wanted.only in ("", "recorded"):
         recorded()
     return 0
 

@@ -133,11 +133,15 @@ class MapError:
 
 def air_valve_error(valve: Samples, estimator: Estimator) -> MapError:
     """Teach with every other point, swept up and down; verify with the points between."""
-    taught = np.arange(0, len(valve), 2)
-    rows = np.tile(np.concatenate([taught, taught[::-1]]), SWEEPS)
-    t = np.arange(len(rows), dtype=np.int64) * SECOND
-    sweep = Samples.of(t, valve.U[rows], valve.p1[rows], valve.p2[rows], valve.Q[rows])
-    state, _ = estimator.update(estimator.initial_state(), sweep)
+    state, _ = estimator.update(estimator.initial_state(), air_valve_swept(valve))
     between = valve[np.arange(len(valve)) % 2 == 1]
     error = between.Q - estimator.predict(state, between.U, between.dp, between.T)[0]
     return MapError(rmse(error), float(np.abs(error).max()))
+
+
+def air_valve_swept(valve: Samples) -> Samples:
+    """Every other point, swept up and down, a second apart."""
+    taught = np.arange(0, len(valve), 2)
+    rows = np.tile(np.concatenate([taught, taught[::-1]]), SWEEPS)
+    t = np.arange(len(rows), dtype=np.int64) * SECOND
+    return Samples.of(t, valve.U[rows], valve.p1[rows], valve.p2[rows], valve.Q[rows])
