@@ -18,7 +18,7 @@ from valvemap.model.axis import AxisSamples
 from valvemap.model.axis_condition import CAUSES
 from valvemap.model.axis_search import identify
 from valvemap.model.axis_travel import Travel
-from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.pipeline.axis_watch import AxisWatch, balance
 from valvemap.vocabulary.findings import FindingCode
 from valvemap_rig.faults import Fault
 from valvemap_rig.scenario import Scenario
@@ -41,7 +41,8 @@ FAULTS = {
     "air 5 %": (Fault(kind="air", size=5), FindingCode.AIR),
     "air 10 %": (Fault(kind="air", size=10), FindingCode.AIR),
     "x lags 0.1 s": (Fault(kind="lag", signal="x", size=0.1), FindingCode.MISFIT),
-    "friction x 2": (Fault(kind="friction", size=100), None),
+    "friction x 2": (Fault(kind="friction", size=100), FindingCode.FRICTION),
+    "load x 2": (Fault(kind="load", size=100), None),
 }
 """With the code that is right; None: it is not told."""
 TWO = ("PA and BT -30 %", ("PA", "BT"), (FindingCode.PA_CHANGE, FindingCode.BT_CHANGE))
@@ -60,7 +61,8 @@ class Run:
         found = identify(block, GEOMETRY)
         if found.status or found.fit is None or found.state is None or found.of_shape is None:
             raise SystemExit(f"seed {seed}: {found.sentence}")
-        self.watch = AxisWatch.begin(found.state, found.fit, MEMORY_S, found.of_shape)
+        forces = balance(found.fit, block)
+        self.watch = AxisWatch.begin(found.state, found.fit, MEMORY_S, found.of_shape, forces)
 
     def played(self, rig: RigState, seconds: float, *faults: Fault) -> tuple[RigState, AxisSamples]:
         """Return rig and samples of so many seconds more."""

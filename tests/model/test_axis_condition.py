@@ -130,10 +130,13 @@ def test_no_rows_tell_nothing(known):
     nothing = WindowSums(np.zeros((SIZE, SIZE)), np.zeros(SIZE), 0.0, 0.0)
     condition = Condition.initial()
     weighed = weigh(reference, nothing, condition.mean, condition.spread)
-    assert weighed.log_evidence == pytest.approx(np.zeros(1 + len(HYPOTHESES)), abs=1e-6)
-    for _ in range(360):
-        condition = condition.after(reference, nothing, 10.0)
-    assert condition.unchanged == pytest.approx(math.exp(-3600 / 360_000), abs=1e-3)
+    but_friction = np.delete(weighed.log_evidence, 1 + CAUSES.index(FindingCode.FRICTION))
+    assert but_friction == pytest.approx(np.zeros(len(HYPOTHESES)), abs=1e-6)
+    for _ in range(36):
+        condition = condition.after(reference, nothing, 100.0)
+    but_friction = (len(CAUSES) - 1) / len(CAUSES)  # without forces, friction is excluded
+    expected = math.exp(-3600 * but_friction / 360_000)
+    assert condition.unchanged == pytest.approx(expected, abs=1e-3)
 
 
 def test_an_exact_reference_gives_the_evidence_of_one_regressor():

@@ -265,7 +265,7 @@ def test_a_weighing_under_way_loses_no_window_and_outlives_no_reference(samples,
     running = one._watch.running
     one.accept(job())
     assert len(one._watch.closed) == 1
-    assert one._watch.running.M.tobytes() == running.M.tobytes()
+    assert one._watch.running.flow.M.tobytes() == running.flow.M.tobytes()
     job = one.job()
     one.set_reference()
     one.accept(job())

@@ -9,7 +9,7 @@ from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_search import fitted
 from valvemap.pipeline import axis_watch
-from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.pipeline.axis_watch import AxisWatch, balance
 from valvemap.vocabulary.findings import FindingCode
 from valvemap_rig.directional import DirectionalValve
 from valvemap_rig.faults import Fault
@@ -32,7 +32,8 @@ def begun(rig):
     state, block = advance(rig, initial(rig, 0), 12_000, Commands())
     samples = AxisSamples.of(block.t, **block.machines["Axis"].shown)
     sums, found = fitted(KNOWN, samples)
-    return state, AxisWatch.begin(sums, found, MEMORY_S, np.zeros((SIZE, SIZE)))
+    forces = balance(found, samples)
+    return state, AxisWatch.begin(sums, found, MEMORY_S, np.zeros((SIZE, SIZE)), forces)
 
 
 def watched(rig, state, watch, seconds, *faults):
@@ -63,6 +64,17 @@ def test_a_change_is_found_and_not_followed(rig, begun):
     assert set(codes) == {FindingCode.PB_CHANGE}
     assert np.array_equal(after.reference.theta, watch.reference.theta)
     assert after.waiting == ()
+
+
+def test_more_friction_is_found_and_no_heavier_load(rig, begun):
+    state, watch = begun
+    _, after, codes = watched(rig, state, watch, 60, Fault(kind="friction", size=100))
+    assert set(codes) == {FindingCode.FRICTION}
+    (finding,) = after.condition.findings()
+    assert finding.probability > 0.9
+    assert "more dry friction than before" in finding.sentence
+    _, _, codes = watched(rig, state, watch, 60, Fault(kind="load", size=100))
+    assert codes == []
 
 
 def test_windows_that_nobody_weighs_are_bounded(begun, monkeypatch):

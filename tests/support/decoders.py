@@ -48,6 +48,7 @@ from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_resul
 from valvemap.model.axis import AxisGeometry, AxisRegression
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import Condition, Reference
+from valvemap.model.axis_force import ForceState
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.maximum_likelihood import MaximumLikelihood
@@ -66,7 +67,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import ALARMS, WATCH, Axis, AxisPlan
 from valvemap.pipeline.axis_alarms import AxisAlarms
-from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.pipeline.axis_watch import AxisWatch, AxisWindowSums
 from valvemap.pipeline.dynamics_reference import DynamicsReference
 from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
@@ -262,7 +263,8 @@ def _packed_watch():
     regression = AxisRegression(_AXIS.geometry, play_percent=2.0, spool_hz=40.0)
     square, state = np.zeros((SIZE, SIZE)), regression.initial_state()
     reference = Reference(np.zeros(SIZE), np.eye(SIZE), 1.0, 1.0)
-    watch = AxisWatch(regression, 1800.0, square, reference, state, state, Condition.initial())
+    sums = AxisWindowSums(state, ForceState.initial())
+    watch = AxisWatch(regression, 1800.0, square, reference, sums, sums, Condition.initial())
     return pack_watch(watch, Axis(_AXIS).key)
 
 

@@ -163,10 +163,14 @@ class AxisState:
 
 
 class AxisTrace(NamedTuple):
-    """Per sample: why it was left out (``kernels.axis_rows``), residuals of both lines, l/min."""
+    """Per sample: why it was left out (``kernels.axis_rows``), residuals of both lines, l/min.
+
+    ``speed`` (N, 2) is the piston's, mm/s: as measured, and by the map of the state.
+    """
 
     reason: Codes
     residual: Floats
+    speed: Floats
 
 
 @dataclass(frozen=True)
@@ -238,7 +242,7 @@ class AxisRegression:
         """Return the state after the samples; any division of them gives the same bits."""
         after = AxisState(**{name: array.copy() for name, array in vars(state).items()})
         n = len(samples)
-        status, residual = np.empty(n, np.uint8), np.empty((n, 2))
+        status, residual, speed = np.empty(n, np.uint8), np.empty((n, 2)), np.empty((n, 2))
         kernel.axis_rows(
             samples.t,
             np.ascontiguousarray(
@@ -263,8 +267,9 @@ class AxisRegression:
             PLACES,
             status,
             residual,
+            speed,
         )
-        return after, AxisTrace(status, residual)
+        return after, AxisTrace(status, residual, speed)
 
     @property
     def row_s(self) -> float:

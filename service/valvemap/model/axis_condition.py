@@ -18,8 +18,8 @@ distribution about the reference's, so that a window's evidence is Student's t. 
 
 Here the size has its prior distribution; later, that of the windows before. Between windows a cause
 comes or goes at a small rate (forward algorithm of a hidden Markov model): evidence accumulates,
-and a repair is seen as well. Friction is in none of these equations: it needs
-the load's force.
+and a repair is seen as well. Friction is in none of these equations, but in that of motion: its
+evidence is that of *unchanged* times the factor of :mod:`~valvemap.model.axis_force`.
 """
 
 import math
@@ -32,6 +32,7 @@ import numpy as np
 from valvemap.model.axis import AxisState
 from valvemap.model.axis_basis import KNOTS, SIZE
 from valvemap.model.axis_fit import AxisFit
+from valvemap.model.axis_force import ForceReference, ForceState
 from valvemap.model.kernels.axis_rows import COMMON, PER_LEAKAGE
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES
@@ -44,6 +45,7 @@ CAUSES: Final = (
     FindingCode.BT_CHANGE,
     FindingCode.LEAKAGE_CHANGE,
     FindingCode.AIR,
+    FindingCode.FRICTION,
     FindingCode.MISFIT,
 )
 """Of an axis; the last is *another*."""
@@ -52,6 +54,7 @@ HYPOTHESES: Final = (
     *combinations(CAUSES[: len(EDGES)], 2),
 )
 """What may have changed: each cause alone, and two edges at once."""
+_FRICTION: Final = CAUSES.index(FindingCode.FRICTION)
 _PAIRS: Final = slice(len(CAUSES), len(HYPOTHESES))
 _TOGETHER: Final = 0.01  # of the rate of one cause: two edges at once
 _RATE_PER_S: Final = 1.0 / 360_000.0  # 1/s; one change in 100 h of movement
@@ -71,35 +74,44 @@ _PLACE_COMPLIANCE, _PLACE_AIR = 0.1, 4.0
 _CORNER: Final = 0.125  # of slope times distance: error of a parabola at a corner in its interval
 _NOISE_KNOWN: Final = 10.0  # ν: degrees of freedom with which σ² is known; it varies with the work
 _NOISE_OTHER: Final = 1.0  # ν under *another*
+_EXCLUDED: Final = -50.0  # log factor of friction, where the forces tell nothing
 _SIZE_OF_NOTHING: Final = 1e-9  # l/min/√bar; keeps P₀ invertible
 
 
 class WindowSums(NamedTuple):
-    """Sums of the rows of a window: XᵀX (n, n), Xᵀy (n,), Σy², and number of rows of both lines."""
+    """Sums of the rows of a window: XᵀX (n, n), Xᵀy (n,), Σy², and number of rows of both lines.
+
+    ``force`` are those of the balance of forces; None: there are none.
+    """
 
     M: Floats
     b: Floats
     yy: float
     rows: float
+    force: ForceState | None = None
 
     @classmethod
-    def of(cls, state: AxisState) -> Self:
+    def of(cls, state: AxisState, force: ForceState | None = None) -> Self:
         """Return the sums of a state."""
         M = state.M + np.tril(state.M, -1).T
-        return cls(M, state.b, float(state.squares[:2].sum()), 2.0 * float(state.squares[2]))
+        return cls(M, state.b, float(state.squares[:2].sum()), 2.0 * float(state.squares[2]), force)
 
 
 @dataclass(frozen=True)
 class Reference:
-    """An axis as it was: θ₀ (n,), Λ = P⁻¹ (n, n), the rows' σ₀², and how many count as one."""
+    """An axis as it was: θ₀ (n,), Λ = P⁻¹ (n, n), the rows' σ₀², and how many count as one.
+
+    ``force`` is the balance of forces as it was; None: it is not known.
+    """
 
     theta: Floats
     precision: Floats
     variance: float
     together: float
+    force: ForceReference | None = None
 
     @classmethod
-    def of(cls, found: AxisFit) -> Self:
+    def of(cls, found: AxisFit, force: ForceReference | None = None) -> Self:
         """Return the reference of a fit."""
         volumes = (
             (_DRIFT_COMPLIANCE, _DRIFT_AIR)
@@ -112,7 +124,7 @@ class Reference:
         corners = _CORNER * np.concatenate([*bends, np.zeros(COMMON)])
         P = found.covariance + drift @ drift.T + np.diag(corners**2 + _SIZE_OF_NOTHING**2)
         precision = np.asarray(np.linalg.inv(P), np.float64)
-        return cls(found.theta, precision, found.residual_std**2, found.together)
+        return cls(found.theta, precision, found.residual_std**2, found.together, force)
 
 
 class Weighed(NamedTuple):
@@ -179,6 +191,13 @@ def _weighed(reference: Reference, window: WindowSums, mean: Floats, spread: Flo
         for of, code in enumerate(HYPOTHESES[k]):
             unit = _unit(code, theta)
             sizes[k, of], stds[k, of] = unit * at[of], unit * math.sqrt(spread[k, of, of])
+    factor = _EXCLUDED
+    if reference.force is not None and window.force is not None:
+        k = _FRICTION
+        found = reference.force.weighed(window.force, float(mean[k, 0]), float(spread[k, 0, 0]))
+        factor, mean[k, 0], spread[k] = found.factor, found.size, np.diag([found.variance, 1.0])
+        sizes[k, 0], stds[k, 0] = found.size, math.sqrt(found.variance)
+    logs.insert(1 + _FRICTION, logs[0] + factor)
     logs.insert(len(CAUSES), _another(theta, K, u, left, n))
     return Weighed(np.array(logs), sizes, stds, mean, spread)
 
@@ -224,7 +243,10 @@ def _common(theta: Floats, leakage: float, least: float, compliance: float, air:
 
 
 def _columns(theta: Floats) -> dict[int, Floats]:
-    """Return S (n, 2) of each hypothesis but *another*; a column is 0 where one is enough."""
+    """Return S (n, 2) of each hypothesis but friction and *another*.
+
+    A column is 0 where one is enough.
+    """
     gains = _GAIN * _gains(theta)
     leakage, compliance, air = _common(theta, _LEAKAGE, _LEAKAGE_LEAST, _COMPLIANCE, _AIR).T
     nothing = np.zeros(SIZE)
@@ -335,6 +357,12 @@ def _sentence(code: FindingCode, size: float, std: float) -> str:
             return (
                 f"The oil holds {abs(size):.2g} ± {1.96 * std:.1g} % free air {word} than before, "
                 "or oil and hoses have another stiffness."
+            )
+        case FindingCode.FRICTION:
+            word = "more" if size > 0.0 else "less"
+            return (
+                f"The piston has {100.0 * abs(size):.0f} ± {196.0 * std:.0f} % {word} dry friction "
+                "than before."
             )
         case FindingCode.MISFIT:
             return (

@@ -56,7 +56,8 @@ _CATEGORY = {
         ConditionClass.MAINTENANCE,
     ),
     **dict.fromkeys(
-        ("EdgeChanged", "LeakageChanged", "AirChanged", "AxisSilent"), ConditionClass.MAINTENANCE
+        ("EdgeChanged", "LeakageChanged", "AirChanged", "FrictionChanged", "AxisSilent"),
+        ConditionClass.MAINTENANCE,
     ),
     **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated", "AxisMisfit"), ConditionClass.PROCESS),
 }

@@ -257,6 +257,10 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
         ("a damaged or worn edge", "dirt in the valve", "pressure sensors at its ports"),
     ),
     "LeakageChanged": (_found, ("the piston's seal", "a valve between the lines", "warmer oil")),
+    "FrictionChanged": (
+        _found,
+        ("a worn or swollen seal", "a dry or bent guide", "a side load"),
+    ),
     "AirChanged": (_found, ("air drawn in by the pump", "a line that was opened", "other hoses")),
     "AxisMisfit": (
         _found,

@@ -27,7 +27,7 @@ from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
 from valvemap.pipeline.axis_tracking import Tracking
-from valvemap.pipeline.axis_watch import AxisWatch
+from valvemap.pipeline.axis_watch import AxisWatch, Balance, balance
 from valvemap.pipeline.axis_window import AxisWindow
 from valvemap.pipeline.edges import MOST_WAITING, paired
 from valvemap.pipeline.feedforward import FeedForward, Situation
@@ -72,13 +72,15 @@ class AxisPlan:
 class _Known:
     """The solution of the sums: the fit, the table that is searched, and the map that is shown.
 
-    ``sums`` is the fit of the sums alone, ``fit`` the edges as they are now.
+    ``sums`` is the fit of the sums alone, ``fit`` the edges as they are now. ``forces`` is the
+    balance of forces, when a watch is to begin.
     """
 
     sums: AxisFit
     fit: AxisFit
     table: AxisTable
     map: AxisMap
+    forces: Balance | None
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,8 @@ class Axis:
             return partial(identify, window, plan.geometry, memory_s=plan.memory_s)
         if self._to_refit_s <= 0.0 and self._state is not None:
             self._works, self._to_refit_s = True, REFIT_S
-            return partial(_solved, self._regression, self._state, self._of_shape)
+            newest = self._window.whole() if self._begins_watch and self._window else None
+            return partial(_solved, self._regression, self._state, self._of_shape, newest)
         if self._watch is not None and self._watch.closed:
             self._works = True
             return partial(_weighed, self._watch)
@@ -235,9 +238,13 @@ class Axis:
 
     def _begin_watch(self, known: _Known) -> None:
         """Take the map as the reference of findings, once play and spool are settled."""
-        if self._watch is None and self._state is not None and self._searches >= len(SEARCHES_S):
+        if self._begins_watch and self._state is not None:
             of_shape, memory_s = self._of_shape, self.plan.memory_s
-            self._watch = AxisWatch.begin(self._state, known.fit, memory_s, of_shape)
+            self._watch = AxisWatch.begin(self._state, known.fit, memory_s, of_shape, known.forces)
+
+    @property
+    def _begins_watch(self) -> bool:
+        return self._watch is None and self._searches >= len(SEARCHES_S)
 
     def set_reference(self) -> None:
         """Learn anew; the map stays until there is a new one, findings come after the searches."""
@@ -392,7 +399,13 @@ class Axis:
         self.continue_from(unpack(packed, self.key, regression))
 
 
-def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _Known:
+def _solved(
+    regression: AxisRegression,
+    state: AxisState,
+    of_shape: Floats,
+    window: AxisSamples | None = None,
+) -> _Known:
+    """Return the solution of a state; with a window, also the balance of forces there."""
     sums = fit(regression, state)
     sums = replace(sums, covariance=sums.covariance + of_shape)
     found = moved(sums, state)
@@ -412,6 +425,7 @@ def _solved(regression: AxisRegression, state: AxisState, of_shape: Floats) -> _
             flow_std=table.spread * np.sqrt(_RATED_BAR),
             known=table.known,
         ),
+        None if window is None else balance(found, window),
     )
 
 

@@ -23,6 +23,7 @@ ALARM_OF: Final[Mapping[FindingCode, AxisAlarm]] = {
     FindingCode.BT_CHANGE: AxisAlarm.EDGE_CHANGED,
     FindingCode.LEAKAGE_CHANGE: AxisAlarm.LEAKAGE_CHANGED,
     FindingCode.AIR: AxisAlarm.AIR_CHANGED,
+    FindingCode.FRICTION: AxisAlarm.FRICTION_CHANGED,
     FindingCode.MISFIT: AxisAlarm.AXIS_MISFIT,
 }
 _FOUND: Final = frozenset(ALARM_OF.values())
@@ -31,6 +32,7 @@ AXIS_RULES: Final[Mapping[AxisAlarm, AlarmRule]] = {
     AxisAlarm.EDGE_CHANGED: AlarmRule(limit=0.8, hysteresis=0.3, delay_s=0.0, severity=600),
     AxisAlarm.LEAKAGE_CHANGED: AlarmRule(limit=0.8, hysteresis=0.3, delay_s=0.0, severity=500),
     AxisAlarm.AIR_CHANGED: AlarmRule(limit=0.8, hysteresis=0.3, delay_s=0.0, severity=400),
+    AxisAlarm.FRICTION_CHANGED: AlarmRule(limit=0.8, hysteresis=0.3, delay_s=0.0, severity=400),
     AxisAlarm.AXIS_MISFIT: AlarmRule(limit=0.8, hysteresis=0.3, delay_s=0.0, severity=500),
     AxisAlarm.AXIS_SILENT: AlarmRule(limit=2.0, hysteresis=0.0, delay_s=0.0, severity=800),
     AxisAlarm.AXIS_FAILED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=0.0, severity=800),

@@ -8,7 +8,8 @@ FAILURE                     unusable output: SensorLost, SensorFrozen, LaneFaile
 OFF_SPEC                    deviation from the map, or extrapolation: Residual, Misfit,
                             Extrapolated; of an axis: AxisMisfit; of the service: Load
 MAINTENANCE_REQUIRED        works, but needs inspection: Changed, LagFound, SamplesLost; of an
-                            axis: EdgeChanged, LeakageChanged, AirChanged;
+                            axis: EdgeChanged, LeakageChanged, AirChanged,
+                            FrictionChanged;
                             of the service: Checkpoint, Certificate, History, MessagesRejected
 NORMAL                      none of these; Unexcited only means that a machine is at rest
 CHECK_FUNCTION              never: the service is not informed of work on a device
@@ -39,6 +40,7 @@ HEALTH_OF = {
     "EdgeChanged": DeviceHealth.MAINTENANCE_REQUIRED,
     "LeakageChanged": DeviceHealth.MAINTENANCE_REQUIRED,
     "AirChanged": DeviceHealth.MAINTENANCE_REQUIRED,
+    "FrictionChanged": DeviceHealth.MAINTENANCE_REQUIRED,
     "AxisMisfit": DeviceHealth.OFF_SPEC,
     "AxisSilent": DeviceHealth.FAILURE,
     "AxisFailed": DeviceHealth.FAILURE,

@@ -10,8 +10,10 @@ from valvemap.model.axis import AxisRegression
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import Condition, Reference
 from valvemap.model.axis_fit import with_theta
+from valvemap.model.axis_force import SUMS as FORCE_SUMS
+from valvemap.model.axis_force import ForceReference, ForceState
 from valvemap.model.contents import Contents
-from valvemap.pipeline.axis_watch import SUMS, AxisWatch
+from valvemap.pipeline.axis_watch import SUMS, AxisWatch, AxisWindowSums
 from valvemap.pipeline.kept_axes import KeptShape, shape_of
 
 _OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
@@ -19,7 +21,10 @@ _OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
 
 @dataclass(frozen=True)
 class _KeptWatch(KeptShape):
-    """What is stored of a watch; windows that have not joined the reference are not."""
+    """What is stored of a watch; windows that have not joined the reference are not.
+
+    Without a balance of forces, ``force_transition`` is 0.
+    """
 
     theta: Any
     precision: Any
@@ -35,6 +40,15 @@ class _KeptWatch(KeptShape):
     std: Any
     mean: Any
     spread: Any
+    force_transition: Any
+    force_sigma: Any
+    force_together: Any
+    force_theta: Any
+    force_precision: Any
+    force_M: Any
+    force_b: Any
+    force_squares: Any
+    force_scores: Any
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
@@ -44,6 +58,10 @@ class _KeptWatch(KeptShape):
             "together": Contents(self.together).within(1.0),
             "squares": Contents(self.squares).within(0.0),
             "probability": Contents(self.probability).within(0.0, 1.0),
+            "force_transition": Contents(self.force_transition).within(0.0, 1.0),
+            "force_sigma": Contents(self.force_sigma).within(0.0),
+            "force_together": Contents(self.force_together).within(1.0),
+            "force_squares": Contents(self.force_squares).within(0.0),
             "size": Contents(self.size).or_nan(),
             "std": Contents(self.std).or_nan(),
         }
@@ -59,8 +77,9 @@ def pack_watch(watch: AxisWatch, key: str) -> bytes:
         precision=reference.precision,
         variance=np.array(reference.variance),
         together=np.array(reference.together),
-        **{name: getattr(watch.sums, name) for name in SUMS},
+        **{name: getattr(watch.sums.flow, name) for name in SUMS},
         **{name: getattr(condition, name) for name in _OF_CONDITION},
+        **_force_numbers(reference.force, watch.sums.force),
     ).to_bytes(key)
 
 
@@ -81,13 +100,46 @@ def unpack_watch(packed: bytes, key: str, regression: AxisRegression) -> AxisWat
     like |= {"of_shape": square, "precision": square, "theta": np.zeros(SIZE)}
     like |= {name: getattr(initial, name) for name in SUMS}
     like |= {name: getattr(fresh, name) for name in _OF_CONDITION}
+    like |= _force_numbers(None, ForceState.initial())
     kept.check(_KeptWatch(**like))
+    force, sums = _force_of(kept, regression)
+    flow = replace(initial, **{name: getattr(kept, name) for name in SUMS})
     return AxisWatch(
         replace(kept.of(regression), memory_s=np.inf),
         regression.memory_s,
         kept.of_shape,
-        Reference(kept.theta, kept.precision, float(kept.variance), float(kept.together)),
-        replace(initial, **{name: getattr(kept, name) for name in SUMS}),
-        with_theta(initial, kept.theta),
+        Reference(kept.theta, kept.precision, float(kept.variance), float(kept.together), force),
+        AxisWindowSums(flow, sums),
+        AxisWindowSums(with_theta(initial, kept.theta), ForceState.initial()),
         Condition(**{name: getattr(kept, name) for name in _OF_CONDITION}),
     )
+
+
+def _force_numbers(force: ForceReference | None, sums: ForceState) -> dict[str, Any]:
+    known = force or ForceReference.nothing()
+    return {
+        "force_transition": np.array(known.transition),
+        "force_sigma": np.array(known.sigma),
+        "force_together": np.array(known.together),
+        "force_theta": known.theta,
+        "force_precision": known.precision,
+        **{f"force_{name}": getattr(sums, name) for name in FORCE_SUMS},
+    }
+
+
+def _force_of(
+    kept: _KeptWatch, regression: AxisRegression
+) -> tuple[ForceReference | None, ForceState]:
+    sums = {name: getattr(kept, f"force_{name}") for name in FORCE_SUMS}
+    if not kept.force_transition > 0.0:
+        return None, ForceState.initial()
+    found = ForceReference(
+        regression.geometry,
+        float(kept.period_s),
+        float(kept.force_transition),
+        kept.force_theta,
+        kept.force_precision,
+        float(kept.force_sigma),
+        float(kept.force_together),
+    )
+    return found, replace(ForceState.initial(), **sums)

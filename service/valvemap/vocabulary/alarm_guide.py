@@ -132,6 +132,12 @@ GUIDES: Final[Mapping[str, Guide]] = {
         "Vent the lines; check the oil's level and the suction line. Then call "
         "Diagnostics.SetReference.",
     ),
+    "FrictionChanged": Guide(
+        "probability that the cylinder's dry friction has changed",
+        "",
+        "Check the seals of piston and rod, the guides and their lubrication. Then call "
+        "Diagnostics.SetReference.",
+    ),
     "AxisMisfit": Guide(
         "probability that something else has changed",
         "",

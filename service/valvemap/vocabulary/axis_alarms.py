@@ -22,3 +22,4 @@ class AxisAlarm(Described):
     )
     AXIS_SILENT = 4, "AxisSilent", "No sample of the axis arrives."
     AXIS_FAILED = 5, "AxisFailed", "The axis stopped at an unexpected error."
+    FRICTION_CHANGED = 6, "FrictionChanged", "The piston moves with more or less dry friction."

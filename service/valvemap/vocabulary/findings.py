@@ -48,6 +48,11 @@ class FindingCode(Described):
     AIR = 23, "air", "Oil and hoses are softer or stiffer than they were: the oil's air changed."
 
     WEAR = 24, "part of edge wears", "The flow at some openings rises or falls steadily."
+    FRICTION = (
+        25,
+        "friction changed",
+        "The piston moves with more or less dry friction than it did.",
+    )
 
 
 @dataclass(frozen=True)

@@ -133,6 +133,17 @@ def _sum_row(
             M[j, k] += value * row[k]
 
 
+@inner
+def _speed_by_map(rows: Floats, theta: Floats, places: Times, A_A: float, A_B: float) -> float:
+    """Return the piston's speed (mm/s) that both lines' flows leave it; noise goes by 1/area."""
+    flow = 0.0
+    for line in range(2):
+        area = A_A if line == 0 else -A_B
+        for p in range(places.shape[1]):
+            flow += area * theta[places[line, p]] * rows[line, places[line, p]]
+    return flow / (6e-3 * (A_A * A_A + A_B * A_B))
+
+
 @kernel
 def axis_rows(
     t: Times,
@@ -156,6 +167,7 @@ def axis_rows(
     places: Times,
     status: Codes,
     residual: Floats,
+    speeds: Floats,
 ) -> None:
     """Advance the state of an axis by N samples.
 
@@ -189,6 +201,9 @@ def axis_rows(
         Columns of line A and of line B, (2, ·).
     status, residual
         Out: reason (N,), and residuals of both lines (N, 2), l/min.
+    speeds
+        Out: the piston's speed over the interval (N, 2), mm/s: as measured, and as it is by the
+        coefficients. NaN where the interval is left out.
     """
     n, knots = len(b), len(breaks) + 2  # m + 2 functions on m intervals, and the departure
     half = settings[1]
@@ -213,6 +228,8 @@ def axis_rows(
             memory[12] = thin
         residual[i, 0] = math.nan
         residual[i, 1] = math.nan
+        speeds[i, 0] = math.nan
+        speeds[i, 1] = math.nan
         if not finite:
             status[i] = MISSING
             counts[1 + MISSING] += 1
@@ -282,6 +299,8 @@ def axis_rows(
                 square = (before + ATMOSPHERE_BAR) * (after + ATMOSPHERE_BAR)  # exact for air
                 rows[line, n - 3] = -PER_COMPLIANCE * taken
                 rows[line, n - 1] = -PER_AIR * taken * ATMOSPHERE_BAR / square
+            speeds[i, 0] = v
+            speeds[i, 1] = _speed_by_map(rows, theta, places, A_A, A_B)
             counts[0] += 1
             is_row = counts[0] % stride == 0 and memory[11] == 0.0
             if forget < 1.0 and counts[0] % _RENEWED == 0:
