@@ -21,6 +21,7 @@ from valvemap.runtime.past import PastKeeper, pieces_of
 from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.findings import Finding, FindingCode
+from valvemap.vocabulary.health import DeviceHealth
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus
 
 T = 1_800_000_000_000_000_000
@@ -146,10 +147,20 @@ async def test_alarms_are_tags_and_conditions_that_an_operator_acknowledges(tmp_
                 operator.of_axis.judge(found, T, 0.0)
                 server.show_axis("Press", dataclasses.replace(found, alarms=operator.alarms_of("")))
 
+            health = client.get_node(ua.NodeId("Press.DeviceHealth", index))
+            unknown = await health.read_data_value(raise_on_bad_status=False)
+            assert unknown.StatusCode.name == "BadWaitingForInitialData"
             show()
             assert await node("Active").read_value() is False
+            assert await health.read_value() == DeviceHealth.NORMAL
             show(LEAK)
             assert await node("Active").read_value() is True
+            assert await health.read_value() == DeviceHealth.MAINTENANCE_REQUIRED
+            folder = client.get_node(ua.NodeId("Press", index))
+            interfaces = await folder.get_referenced_nodes(ua.ObjectIds.HasInterface)
+            assert [(await one.read_browse_name()).Name for one in interfaces] == [
+                "IDeviceHealthType"
+            ]
             assert (await node("Text").read_value()).startswith(LEAK.sentence)
             (child,) = [
                 one
@@ -163,6 +174,7 @@ async def test_alarms_are_tags_and_conditions_that_an_operator_acknowledges(tmp_
             assert await node("Acked").read_value() is True
             show()
             assert await node("Active").read_value() is False
+            assert await health.read_value() == DeviceHealth.NORMAL
         await server.follow_axes([], None)
         await server.follow_axes(["Press"], operator)
     kept = [(one.owner, one.report.name, one.report.active, one.report.acked) for one in changes]

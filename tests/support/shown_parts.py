@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 AXIS = {
+    "DeviceHealth": 0,
     "Status": 0,
     "Reason": "The edges, the bulk modulus and the leakage are identified.",
     "BulkModulus": 0.9,

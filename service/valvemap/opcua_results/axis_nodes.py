@@ -15,6 +15,7 @@ from guarded_opcua import (
 from valvemap.clock import Clock
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.axis_methods import SPEEDS, add_arming, add_invert, add_set_reference
+from valvemap.opcua_results.companions import Companions
 from valvemap.opcua_results.information_model import (
     ALARMS,
     ARMED,
@@ -30,6 +31,7 @@ from valvemap.opcua_results.information_model import (
 )
 from valvemap.opcua_results.past import ResultsPast, has_past
 from valvemap.opcua_results.result_alarms import ResultAlarms
+from valvemap.opcua_results.result_health import ResultHealth
 from valvemap.opcua_results.result_variables import ResultVariables, add_described
 from valvemap.opcua_results.valve_variables import arming_variables, finding_variables
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
@@ -56,6 +58,8 @@ class AxisNodes:
         Time of values without a sample.
     variables, alarms
         Add and write the nodes of alarms, and report their changes.
+    companions, health
+        Add and publish the DeviceHealth.
     past
         The history of variables; None: no history.
     keep_events
@@ -68,11 +72,14 @@ class AxisNodes:
         clock: Clock,
         variables: ResultVariables,
         alarms: ResultAlarms,
+        companions: Companions,
+        health: ResultHealth,
         past: ResultsPast | None,
         keep_events: Callable[[ua.NodeId], None],
     ) -> None:
         self._server, self._clock = server, clock
         self._of_alarms, self._alarms = variables, alarms
+        self._companions, self._health = companions, health
         self._past, self._keep_events = past, keep_events
         self._variables: dict[str, Variable] = {}
         self._names: tuple[str, ...] = ()
@@ -86,6 +93,8 @@ class AxisNodes:
         if gone:
             server.remove(gone, (root,))
             self._of_alarms.forget(self._names)
+            for name in self._names:
+                self._health.forget(name)
         self._variables.clear()
         self._tracking.clear()
         self._names = tuple(axes)
@@ -100,6 +109,8 @@ class AxisNodes:
         server.let_emit(folder)
         self._keep_events(folder)
         server.refer_to_conditions(folder, self._alarms.keys(name))
+        health = await self._companions.add_health(folder, "axis")
+        self._health.add(name, health, None)
         for node in axis_variables(name):
             await self._add_variable(folder, node)
         for edge in EDGES:
@@ -162,6 +173,7 @@ class AxisNodes:
                 for name, value in tracking_values(course)
                 if f"{axis}.{TRACKING}.{name}" in self._variables
             )
+        self._health.stands(axis, results.alarms)
         self._alarms.take(axis, results.alarms, self._clock.now())
 
 

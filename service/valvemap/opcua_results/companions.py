@@ -18,7 +18,7 @@ from guarded_opcua import (
     add_property,
     add_variable,
 )
-from valvemap.opcua_results.information_model import DEVICE_HEALTH, IDENTIFICATION, SERVICE
+from valvemap.opcua_results.information_model import DEVICE_HEALTH, IDENTIFICATION
 from valvemap.pipeline.nameplate import Nameplate
 
 DI = "http://opcfoundation.org/UA/DI/"
@@ -100,10 +100,9 @@ class Companions:
             tag = ua.NodeId(_I_MACHINE_TAG_NAMEPLATE, self.machinery)
             server.refer(own, ua.ObjectIds.HasInterface, tag)
 
-    async def add_health(self, owner: ua.NodeId) -> Variable:
-        """Add the DeviceHealth of a valve, or of the service."""
+    async def add_health(self, owner: ua.NodeId, whose: str) -> Variable:
+        """Add the DeviceHealth of an owner, which the description calls ``whose``."""
         server = self.server
-        whose = "service" if owner.Identifier == SERVICE else "valve"
         server.refer(owner, ua.ObjectIds.HasInterface, self._of_di(_I_DEVICE_HEALTH))
         return await add_variable(
             server,

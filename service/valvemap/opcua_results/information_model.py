@@ -19,7 +19,8 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 
     Objects/Identification/<Axis>/…                  s=<Axis>.<Variable>, s=<Axis>.<Edge>.Flow,
-                                                     s=<Axis>.Inverse.<Variable>
+                                                     s=<Axis>.Inverse.<Variable>,
+                                                     s=<Axis>.DeviceHealth
 
 An edge of a valve with ports has the place of a valve under the name ``<Valve>.PA``, a line under
 ``<Valve>.LineA``: ``s=<Valve>.PA.<Estimator>.<Variable>``, ``s=<Valve>.LineA.Leakage``.

@@ -1,4 +1,4 @@
-"""DeviceHealth of valves and service, written on change and only where the node exists."""
+"""DeviceHealth of valves, axes and service, written on change and only where the node exists."""
 
 from collections.abc import Iterable
 

@@ -94,7 +94,7 @@ class ResultNodes:
         is_heard_of = self._is_heard_of(valve.name)
         self._health.add(
             valve.name,
-            await self._companions.add_health(folder),
+            await self._companions.add_health(folder, "valve"),
             self._operator.alarms(valve.name) if is_heard_of else None,
         )
         await self._process_values.add(folder, valve)

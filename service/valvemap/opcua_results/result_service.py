@@ -65,7 +65,7 @@ class ResultService:
         )
         server.let_emit(folder)
         server.refer_to_conditions(folder, self._alarms.keys(None))
-        self._health.add(SERVICE, await self._companions.add_health(folder), None)
+        self._health.add(SERVICE, await self._companions.add_health(folder, "service"), None)
         for part, variables in service_variables().items():
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:

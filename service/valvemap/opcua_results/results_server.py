@@ -318,7 +318,14 @@ class ResultsServer(Startable):
         )
         self._variables, self._alarms, self._demands = variables, alarms, demands
         self._axes = AxisNodes(
-            server, clock, variables, alarms, past, partial(self._keep_events, server)
+            server,
+            clock,
+            variables,
+            alarms,
+            companions,
+            health,
+            past,
+            partial(self._keep_events, server),
         )
         self.commissions = CommissionNodes(server, clock)
         return parts

@@ -26,7 +26,11 @@ _CODES: Final[Mapping[PartKind, Mapping[str, type[Described]]]] = {
         "Inverse.Edge": LineEdge,
         "Inverse.RequiredUStatus": InverseStatus,
     },
-    PartKind.AXIS: {"Status": AxisStatus, "Inverse.RequiredUStatus": InverseStatus},
+    PartKind.AXIS: {
+        "DeviceHealth": DeviceHealth,
+        "Status": AxisStatus,
+        "Inverse.RequiredUStatus": InverseStatus,
+    },
 }
 _OF_SPEED: Final = (
     ("flow", "speed"),
