@@ -7,6 +7,7 @@ from typing import Any
 
 from paper import pictures_data, pictures_runs, pictures_tables
 from paper.claims import judge, with_asides
+from paper.claims_data import claim_15
 from paper.claims_motion import claim_14
 from paper.data import PaperData
 from paper.errata import show
@@ -14,6 +15,7 @@ from paper.erratum import Erratum
 from paper.evidence import Evidence
 from paper.motion import Motion
 from paper.picture import Picture
+from paper.source_types import SourceTypes
 from paper.verdict import Claim, Part
 from valvemap.model.rbf_network import RbfNetwork
 
@@ -46,6 +48,7 @@ def build(
     faster: PaperData,
     network: RbfNetwork | None = None,
     motion: Motion | None = None,
+    types: SourceTypes | None = None,
     progress: Progress = lambda _step: None,
 ) -> PaperReport:
     """Reproduce the paper.
@@ -60,6 +63,8 @@ def build(
         Settings of the network, whose size and rates the paper does not give.
     motion
         A cylinder that follows moves, for the paper's open point; None: it is not judged.
+    types
+        Maps from the source data of the paper's Figure 1; None: it is not judged.
     progress
         Called before each step with its name, STEPS times (and once more for each set).
     """
@@ -74,6 +79,8 @@ def build(
     claims_faster = judge([Evidence.of(faster, network)])
     if motion is not None:
         claims, claims_faster = ([*judged, claim_14(motion)] for judged in (claims, claims_faster))
+    if types is not None:
+        claims, claims_faster = ([*judged, claim_15(types)] for judged in (claims, claims_faster))
     progress("showing the errata")
     errata = show(sets[0], network)
     progress("drawing")

@@ -8,6 +8,7 @@ from paper.build import STEPS, as_json, build
 from paper.motion import Motion
 from paper.page import html_page
 from paper.rig import measure
+from paper.source_types import SourceTypes
 from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars
 from valvemap.cli.replay import write_json
@@ -15,7 +16,7 @@ from valvemap.errors import StorageError
 from valvemap.owned_files import write_whole
 
 _FASTER = 10.0
-_MOTION_SEED = 1
+_MOTION_SEED = _TYPES_SEED = 1
 
 
 def rebuild(out: Path, sets: int, rate: float) -> None:
@@ -37,7 +38,7 @@ def rebuild(out: Path, sets: int, rate: float) -> None:
     """
     _make(out)
     with bars() as bar:
-        task = bar.add_task("measuring", total=2 * sets + 1 + STEPS)
+        task = bar.add_task("measuring", total=2 * sets + 2 + STEPS)
 
         def progress(step: str) -> None:
             bar.update(task, description=step, advance=1)
@@ -48,8 +49,11 @@ def rebuild(out: Path, sets: int, rate: float) -> None:
             progress("measuring")
         motion = Motion.measured(_MOTION_SEED)
         progress("a cylinder has followed its moves")
-        result = build(data, measure(_FASTER * rate), motion=motion, progress=progress)
-        bar.update(task, completed=2 * sets + 1 + STEPS, description="done")
+        types = SourceTypes.measured(_TYPES_SEED)
+        progress("maps from the source data of Figure 1")
+        quicker = measure(_FASTER * rate)
+        result = build(data, quicker, motion=motion, types=types, progress=progress)
+        bar.update(task, completed=2 * sets + 2 + STEPS, description="done")
     pictures = {f"{picture.key}.png": picture.png for picture in result.pictures}
     _write(out, {"paper.html": html_page(result).encode(), **pictures})
     write_json(out / "paper.json", as_json(result))

@@ -184,9 +184,9 @@ ul.counts li { border-left: 4px solid; padding: .1rem .7rem; } ul.counts b { fon
 <body>
 <h1>The paper, rebuilt</h1>
 <p>“Adaptive Identification and Application of Flow Mapping for Electrohydraulic Valves”: its
-figures and tables from recordings of a virtual test rig, its thirteen claims and its open
-point with a verdict each, and every misprint beside the right form. Nothing here is typed in:
-figures are computed, and verdicts follow from them.</p>
+figures and tables from recordings of a virtual test rig, its thirteen claims, its open
+point and its Figure 1 with a verdict each, and every misprint beside the right form. Nothing here
+is typed in: figures are computed, and verdicts follow from them.</p>
 <ul class="counts">
 $counts
 </ul>
