@@ -2,10 +2,10 @@
 
 One valve, whose spool of 2nd order and meter lag, is sampled 6,000 times in nine ways. *Static*
 samples are taken at rest; *quasi-static* ones while U and Δp move slowly through their range, in
-four minutes; *dynamic* ones while U steps several times a second, in one. *Structured* data have U at discrete
-levels, *scattered* ones anywhere in the range, *operating points* lie about the four points of a
-working cycle. A static map (a spline of 63 parameters by recursive least squares) is learnt from
-each, and from dynamic data also the map together with spool and meter.
+four minutes; *dynamic* ones while U steps several times a second, in one. *Structured* data have U
+at discrete levels, *scattered* ones anywhere in the range, *operating points* lie about the four
+points of a working cycle. A static map (a spline of 63 parameters by recursive least squares) is
+learnt from each, and from dynamic data also the map together with spool and meter.
 """
 
 import math

@@ -70,6 +70,7 @@ _ANY: Final = 0.05  # of each coefficient, each for itself
 _DRIFT_GAIN, _DRIFT_LEAKAGE, _DRIFT_COMPLIANCE, _DRIFT_AIR = 0.005, 0.1, 0.02, 0.05
 """What a healthy axis may differ from its reference: 5 K of oil change the leakage by 15 %."""
 _DRIFT_ZERO: Final = 0.05  # mm/s; of a measured speed
+_DRIFT_PLACE: Final = 20.0  # mm/GPa; of a place that is a range
 _PLACE_COMPLIANCE, _PLACE_AIR = 0.1, 4.0
 """The same where the position is a range (``axis_travel``): its middle moves with the work."""
 _CORNER: Final = 0.125  # of slope times distance: error of a parabola at a corner in its interval
@@ -120,7 +121,7 @@ class Reference:
             else (_PLACE_COMPLIANCE, _PLACE_AIR)
         )
         common = _common(found.theta, _DRIFT_LEAKAGE, 0.0, *volumes)
-        common[-1, -1] = _DRIFT_ZERO
+        common[-2, -2], common[-1, -1] = _DRIFT_ZERO, _DRIFT_PLACE
         drift = np.column_stack([_DRIFT_GAIN * _gains(found.theta), common])
         bends = [part for edge in EDGES for part in (found.bends(edge), [0.0])]
         corners = _CORNER * np.concatenate([*bends, np.zeros(COMMON)])
@@ -235,7 +236,7 @@ def _gains(theta: Floats) -> Floats:
 
 
 def _common(theta: Floats, leakage: float, least: float, compliance: float, air: float) -> Floats:
-    """Return the directions of leakage, 1/β and air, (n, 4), with these sizes; the last is 0."""
+    """Return the directions of leakage, 1/β and air, (n, 5), with these sizes; the last are 0."""
     found = np.zeros((SIZE, COMMON))
     at = SIZE - COMMON
     found[at + 1, 0] = math.hypot(leakage * theta[at + 1], least)
@@ -250,7 +251,7 @@ def _columns(theta: Floats) -> dict[int, Floats]:
     A column is 0 where one is enough.
     """
     gains = _GAIN * _gains(theta)
-    leakage, compliance, air, _ = _common(theta, _LEAKAGE, _LEAKAGE_LEAST, _COMPLIANCE, _AIR).T
+    leakage, compliance, air, *_ = _common(theta, _LEAKAGE, _LEAKAGE_LEAST, _COMPLIANCE, _AIR).T
     nothing = np.zeros(SIZE)
     pairs = [*((gain, nothing) for gain in gains.T), (leakage, nothing), (air, compliance)]
     found = {k: np.column_stack(pair) for k, pair in enumerate(pairs)}

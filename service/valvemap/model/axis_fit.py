@@ -18,6 +18,7 @@ _CORNER: Final = 0.015  # share of the third difference; tuned on simulated axes
 _ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 0.7 to 0.9 tried
 _PLACE: Final = 0.05  # share of 1/β, where the place is a range; 0.02 to 0.05 seen with long moves
 _ZERO_SIZE: Final = 0.2  # mm/s; prior of a measured speed's zero
+_PLACE_SIZE: Final = 100.0  # mm/GPa; prior of what the place is off, where it is a range
 _SCALE: Final = 0.001  # share; of a measured speed's scale, which scales all flows
 _SHIFT: Final = 0.05  # %; step of derivatives by an edge's shift
 _LEAST_VARIANCE: Final = 1e-10  # (l/min)²
@@ -104,7 +105,7 @@ def fit(regression: AxisRegression, state: AxisState) -> AxisFit:
     if regression.has_place:
         return best
     flows = _SCALE * best.theta
-    flows[-1] = 0.0  # the zero is no flow
+    flows[-2] = 0.0  # the zero is no flow
     return replace(best, covariance=best.covariance + np.outer(flows, flows))
 
 
@@ -221,7 +222,7 @@ def _prior(slope: float) -> Floats:
         own = np.arange(at, at + KNOTS - 1)
         P[own, own] += _COEFFICIENT_SIZE**-2
         P[at + KNOTS - 1, at + KNOTS - 1] = _DEPARTURE_SIZE**-2
-    sizes = np.array([_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE, _ZERO_SIZE])
+    sizes = np.array([_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE, _ZERO_SIZE, _PLACE_SIZE])
     common = np.arange(SIZE - kernel.COMMON, SIZE)
     P[common, common] = sizes**-2.0
     return P

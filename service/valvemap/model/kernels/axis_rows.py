@@ -8,7 +8,8 @@ bare ones. An interval that is left out is left out of every term. The noise of 
 it ends then stays in the filter, so that rows begin again once it has faded.
 
 Columns: for the edges PA, AT, PB, BT ``knots`` spline functions and one for the departure from √Δp,
-then 1/β, c at 40 °C, free air, and the zero of a measured speed.
+then 1/β, c at 40 °C and free air. Where the speed is measured: its zero, and by how much the piston
+is not at its assumed place, over β.
 """
 
 import math
@@ -24,7 +25,7 @@ from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Codes, Floats, Times
 
 PARTS: Final = 4  # parts of an interval; a spool of 100 Hz then moves by a quarter of its way
-COMMON: Final = 4  # 1/β, c, air, zero
+COMMON: Final = 5  # 1/β, c, air, zero, place
 ATMOSPHERE_BAR: Final = 1.013
 PER_COMPLIANCE: Final = 1e-4  # 1/bar; unit of the coefficient 1/β: 1 is 1 GPa
 PER_LEAKAGE: Final = 1e-2  # l/min/bar; unit of the coefficient c
@@ -136,7 +137,7 @@ def _sum_row(
 @inner
 def _speed_by_map(rows: Floats, theta: Floats, places: Times, A_A: float, A_B: float) -> float:
     """Return the piston's speed (mm/s) that both lines' flows leave it; noise goes by 1/area."""
-    flow, zero = 0.0, rows.shape[1] - 4
+    flow, zero = 0.0, rows.shape[1] - 5
     for line in range(2):
         area = A_A if line == 0 else -A_B
         for p in range(places.shape[1]):
@@ -286,7 +287,10 @@ def axis_rows(
             drop = 0.5 * (pA + now[2] - pB - now[3]) * (memory[12] if memory[12] > 0.0 else 1.0)
             v = 0.5 * (memory[14] + signals[i, 7])
             if math.isfinite(v):
-                rows[0, n - 1], rows[1, n - 1] = 6e-3 * A_A, -6e-3 * A_B
+                rows[0, n - 2], rows[1, n - 2] = 6e-3 * A_A, -6e-3 * A_B
+                per_mm = 6e-3 * PER_COMPLIANCE / dt  # l/min a cm² and bar
+                rows[0, n - 1] = -per_mm * A_A * (now[2] - pA)
+                rows[1, n - 1] = per_mm * A_B * (now[3] - pB)
             else:
                 v = (now[1] - memory[4]) / dt
             rows[0, n] = 6e-3 * A_A * v
@@ -294,14 +298,14 @@ def axis_rows(
             for line in range(2):
                 if line == 0:
                     V, before, after = geometry[3] + 1e-4 * A_A * x, pA, now[2]
-                    rows[0, n - 3] = -PER_LEAKAGE * drop
+                    rows[0, n - 4] = -PER_LEAKAGE * drop
                 else:
                     V, before, after = geometry[4] + 1e-4 * A_B * (stroke - x), pB, now[3]
-                    rows[1, n - 3] = PER_LEAKAGE * drop
+                    rows[1, n - 4] = PER_LEAKAGE * drop
                 taken = 60.0 * V * (after - before) / dt
                 square = (before + ATMOSPHERE_BAR) * (after + ATMOSPHERE_BAR)  # exact for air
-                rows[line, n - 4] = -PER_COMPLIANCE * taken
-                rows[line, n - 2] = -PER_AIR * taken * ATMOSPHERE_BAR / square
+                rows[line, n - 5] = -PER_COMPLIANCE * taken
+                rows[line, n - 3] = -PER_AIR * taken * ATMOSPHERE_BAR / square
             speeds[i, 0] = v
             speeds[i, 1] = _speed_by_map(rows, theta, places, A_A, A_B)
             counts[0] += 1
