@@ -11,8 +11,10 @@ import pytest
 from support.structured_text import FunctionBlock
 from valvemap.errors import ConfigurationError
 from valvemap.model.axis import AxisGeometry, AxisRegression
+from valvemap.model.axis_basis import leakage_share
 from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_inverse import axis_table, invert, line_weights
+from valvemap.model.kernels.axis_rows import COMMON
 from valvemap.storage.axis_tables import axis_block, checksum, write_axis_table
 from valvemap.storage.lookup_tables import literal
 from valvemap.vocabulary.edges import EDGES
@@ -38,7 +40,7 @@ def table():
     regression = AxisRegression(GEOMETRY, play_percent=2.0)
     size = len(regression.initial_state().b)
     theta, covariance = np.zeros(size), np.eye(size)
-    theta[-3], theta[-2] = 1.1, 0.5
+    theta[-COMMON], theta[1 - COMMON] = 1.1, 0.5  # 1/β and c
     return axis_table(TrueFit(regression, theta, covariance, 0.1, 1.0, 0.0, 0.0))
 
 
@@ -125,6 +127,17 @@ def test_the_function_block_computes_the_inverse(table):
     found = run(v=math.nan, pA=50.0, pB=50.0, pS=180.0, pT=2.0)
     assert found["u"] == pytest.approx(answer.U[-1], abs=1e-9)  # keeps its value
     assert found["status"] == InverseStatus.NOT_FINITE
+
+
+def test_the_function_block_leaks_as_oil_of_its_temperature_does(table):
+    run = FunctionBlock(axis_block(table, "Axis", 7))
+    columns = demands(40, seed=3)
+    for T in (-10.0, 65.0, math.nan):
+        leaking = replace(table, leakage=leakage_share(T) * table.leakage)
+        answer = invert(leaking, *columns)
+        rows = zip(*columns, strict=True)
+        found = [run(v=v, pA=a, pB=b, pS=s, pT=t, T=T)["u"] for v, a, b, s, t in rows]
+        assert np.max(np.abs(np.array(found) - answer.U)) < 1e-9, T
 
 
 def test_the_checksum_is_of_the_literals_in_the_block(table):

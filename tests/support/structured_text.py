@@ -35,6 +35,8 @@ class FunctionBlock:
                 for name in [name for name in names if name not in self.arrays]:
                     kind = str(item.init.spec.type)
                     self.types[name], self.values[name] = kind, 0 if kind == "INT" else 0.0
+                    if item.init.value is not None:
+                        self._assign(name, self._value(item.init.value))
                     if isinstance(section, st.InputDeclarations):
                         self.inputs.add(name)
 
@@ -123,7 +125,7 @@ class FunctionBlock:
         return values[index]
 
 
-_FUNCTIONS = {"SQRT": math.sqrt, "ABS": abs}
+_FUNCTIONS = {"SQRT": math.sqrt, "ABS": abs, "EXP": math.exp, "LN": math.log}
 _LOGIC = {"AND": operator.and_, "OR": operator.or_}
 _SUMS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 _ORDERS = {"=": operator.eq, "<>": operator.ne, "<": operator.lt, "<=": operator.le}

@@ -1,5 +1,6 @@
 """The edges of an axis as a function block of IEC 61131-3, with version and checksum."""
 
+import math
 import zlib
 from pathlib import Path
 from typing import Final
@@ -7,14 +8,20 @@ from typing import Final
 import numpy as np
 
 from valvemap.errors import ConfigurationError
+from valvemap.model.axis_basis import WALTHER
 from valvemap.model.axis_inverse import HALVES, AxisTable
-from valvemap.model.kernels.axis_rows import ROOT
+from valvemap.model.kernels.axis_rows import KELVIN, ROOT, WALTHER_SHIFT
 from valvemap.owned_files import write_whole
 from valvemap.storage.lookup_tables import FINITE, STATUSES, c_numbers, in_a_comment, literal
 from valvemap.vocabulary.edges import EDGES
 
 _SUFFIX: Final = ".st"
 _DIGITS: Final = 12  # of a literal
+_LN_10, _HIGH, _FALL = (
+    float(literal(x)) for x in (math.log(10.0), math.log(10.0) * WALTHER[0], WALTHER[1])
+)
+_AT_40: Final = math.exp(_LN_10 * math.exp(_HIGH - _FALL * math.log(40.0 + KELVIN))) - WALTHER_SHIFT
+"""mm²/s; viscosity of the oil at 40 °C, as `leakage_share` has it, by the block's own literals."""
 
 
 def write_axis_table(file: Path, table: AxisTable, title: str, version: int) -> None:
@@ -39,7 +46,7 @@ def checksum(table: AxisTable) -> int:
 
 
 def axis_block(table: AxisTable, title: str, version: int) -> str:
-    """Return the function block: inputs v, pA, pB, pS, pT; outputs U, Status, Version, Crc.
+    """Return the function block: inputs v, pA, pB, pS, pT, T; outputs U, Status, Version, Crc.
 
     It computes what :func:`~valvemap.model.axis_inverse.invert` computes at mid-stroke.
     """
@@ -59,8 +66,10 @@ def axis_block(table: AxisTable, title: str, version: int) -> str:
     return f"""(* {in_a_comment(title)}
 
    Signal U in % that gives a cylinder the speed v in mm/s (above 0: extends) at the pressures of
-   its lines, of supply and tank, in bar. Version {version}, CRC {checksum(table)} over the literals
-   of Y, KPA, KAT, KPB, KBT, DPA, DAT, DPB, DBT, of the last known positions and of the leakage.
+   its lines, of supply and tank, in bar, and at the oil's temperature T in °C, which changes the
+   leakage: an input that is not wired has the 40 °C of the table. Version {version}, CRC
+   {checksum(table)} over the literals of Y, KPA, KAT, KPB, KBT, DPA, DAT, DPB, DBT, of the last
+   known positions and of the leakage.
    U is the middle of the loop of {literal(table.play_percent)} %: add half of it while U rises,
    subtract half of it while U falls.
 
@@ -73,6 +82,7 @@ VAR_INPUT
     pB : LREAL;
     pS : LREAL;
     pT : LREAL;
+    T : LREAL := 40.0;
 END_VAR
 VAR_OUTPUT
     U : LREAL;
@@ -82,6 +92,7 @@ VAR_OUTPUT
 END_VAR
 VAR
 {arrays}
+    thin : LREAL;
     gap : LREAL;
     wanted : LREAL;
     need : LREAL;
@@ -109,7 +120,13 @@ IF NOT ((v >= -{FINITE}) AND (v <= {FINITE}) AND (pA >= -{FINITE}) AND (pA <= {F
     AND (pT >= -{FINITE}) AND (pT <= {FINITE})) THEN
     Status := {STATUSES["NOT_FINITE"]};
 ELSE
-    gap := {literal(table.leakage)} * (pA - pB);
+    thin := 1.0;
+    IF (T > -50.0) AND (T < 200.0) THEN
+        thin := {literal(_AT_40)}
+            / (EXP({literal(_LN_10)} * EXP({literal(_HIGH)}
+            - {literal(_FALL)} * LN(T + {literal(KELVIN)}))) - {literal(WALTHER_SHIFT)});
+    END_IF;
+    gap := {literal(table.leakage)} * thin * (pA - pB);
     wanted := {literal(g.A_A / V_A)} * ({literal(6e-3 * g.A_A)} * v + gap)
         + {literal(g.A_B / V_B)} * ({literal(6e-3 * g.A_B)} * v + gap);
     IF wanted >= 0.0 THEN
