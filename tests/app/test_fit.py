@@ -268,7 +268,7 @@ def test_a_mistake_is_named_with_what_is_allowed(name):
         ({"units": "bar"}, r"units is 'bar'; texts by signal are allowed: units=\{'p1': '…'\}"),
         ({"columns": ["t", "U"]}, r"columns is \['t', 'U'\]; texts by signal are allowed"),
         ({"columns": {"volt": "U"}}, r"not 'volt'; is columns=\{'U': 'volt'\} meant\?"),
-        ({"units": {"p3": "bar"}}, r"units\['p3'\]: U, p1, p2, Q, T are allowed"),
+        ({"units": {"p3": "bar"}}, r"units\['p3'\]: t, U, p1, p2, Q, T are allowed"),
         ({"columns": {"u": "x"}}, r"columns\['u'\]: U, p1, .* valve, quality are allowed"),
         ({"columns": {"U": "signal"}}, r"column 'signal' .* is missing; found 't,U,p1"),
         ({"valve": "V7"}, r"valve V7 is not there; allowed is Valvistor"),

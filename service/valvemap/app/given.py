@@ -2,13 +2,17 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.pipeline.units import QUANTITY_OF, UNITS, Measure, Unit, unit_of
+from valvemap.plant.answers import parse_answers
+from valvemap.plant.roles import Role
 from valvemap.storage.layout import Layout
 from valvemap.storage.table_recordings import ALLOWED, is_table
+from valvemap.storage.time_units import TIME_UNITS
 from valvemap.vocabulary.signals import MEASURED
 
 OTHERS: Final = ("t", "valve", "quality")  # columns that are no signals
@@ -49,17 +53,20 @@ def layout_of(units: Mapping[str, str] | None, columns: Mapping[str, str] | None
         if a signal or unit is unknown, or the unit is not one of the signal; names the allowed
         ones.
     """
-    units = _checked(units, "units", MEASURED, "p1")
+    units = _checked(units, "units", ("t", *MEASURED), "p1")
     columns = _checked(columns, "columns", (*MEASURED, *OTHERS), "U")
     signals = {
         name: Measure(
             column=columns.get(name),
             unit=None if name not in units else _unit(name, units[name]),
         )
+        if ".." not in units.get(name, "")
+        else replace(_span(name, units[name]), column=columns.get(name))
         for name in MEASURED
     }
     time, valve, quality = (columns.get(name) for name in OTHERS)
-    return Layout(signals=signals, time=time, valve=valve, quality=quality)
+    seconds = _seconds(units["t"]) if "t" in units else None
+    return Layout(signals=signals, time=time, valve=valve, quality=quality, seconds=seconds)
 
 
 def _checked(given: object, what: str, allowed: tuple[str, ...], example: str) -> dict[str, str]:
@@ -77,6 +84,19 @@ def _checked(given: object, what: str, allowed: tuple[str, ...], example: str) -
         turned = f"; is {what}={{{text!r}: {name!r}}} meant?" if text in allowed else ""
         raise ConfigurationError(f"{what}[{name!r}]: {known} are allowed, not {name!r}{turned}")
     return dict(given)
+
+
+def _seconds(text: str) -> float:
+    if text not in TIME_UNITS or not text:
+        known = ", ".join(filter(None, TIME_UNITS))
+        raise ConfigurationError(f"units['t'] is {text!r}; {known} are allowed")
+    return TIME_UNITS[text]
+
+
+def _span(signal: str, text: str) -> Measure:
+    """Return raw numbers and their values, ``0..10:0..100%``, as ``--scale`` has them."""
+    given = parse_answers((), (f"{signal}={text}",))
+    return given[""].scales[Role(signal)].measure
 
 
 def _unit(signal: str, text: str) -> Unit:

@@ -11,12 +11,13 @@ from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.edges import Splitter, gathered
 from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.storage.layout import Layout
+from valvemap.storage.layout import Layout, Part
 from valvemap.storage.recordings import read_recording
 
 MOST_SPLIT: Final = 1 << 20  # samples of an edge that wait for the same rows of its line
 T = TypeVar("T")
 Progress = Callable[[Path, float], None]
+UnitCheck = Callable[[Path, str, Samples, Part], None]
 
 
 def read_batches(
@@ -24,12 +25,23 @@ def read_batches(
     layout: Layout,
     progress: Progress,
     turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
+    check: UnitCheck = lambda _file, _valve, _samples, _part: None,
 ) -> Iterator[tuple[str, Samples]]:
-    """Yield name and samples of each batch; ``turn`` may read ahead."""
-    file = name_of(recording)
+    """Yield name and samples of each batch; ``turn`` may read ahead.
+
+    ``check`` is called with a valve's first samples of the recording, and its columns, unless
+    these were recognised by foreign headings.
+    """
+    file, checked = name_of(recording), set[str]()
     with read_recording(recording, layout=layout) as batches:
         progress(file, 0.0)
         for name, samples in turn(batches):
+            if name not in checked and len(samples):
+                checked.add(name)
+                own = [part for part in batches.parts if part.valve in (None, name)]
+                for part in own[:1]:
+                    if not part.recognised:
+                        check(file, name, samples, part)
             yield name, samples
             progress(file, batches.fraction)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,14 @@ from valvemap.app.build import build_layout, build_plans
 from valvemap.app.given import layout_of, recordings_in
 from valvemap.app.learnt_valve import BEST_FIT, LearntValve
 from valvemap.app.map_checks import MapCheck, check_maps, summed, verified_maps
-from valvemap.app.recording_batches import FlowSplitting, Progress, one_ahead, read_batches
+from valvemap.app.recorded_units import check_units
+from valvemap.app.recording_batches import (
+    FlowSplitting,
+    Progress,
+    UnitCheck,
+    one_ahead,
+    read_batches,
+)
 from valvemap.config.loading import check_has_valves
 from valvemap.config.models import Config
 from valvemap.config.valves import ValveConfig
@@ -26,7 +34,7 @@ from valvemap.pipeline.recommendation import NOT_YET, Recommendation
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan
 from valvemap.plant.reading import Given
-from valvemap.storage.layout import Layout
+from valvemap.storage.layout import Layout, Part
 from valvemap.vocabulary.edges import edges_of
 from valvemap.vocabulary.findings import Finding
 
@@ -149,8 +157,9 @@ def replay(
     valves: dict[str, LearntValve] = {}
     found = dict[str, None]()
     splitter = FlowSplitting(plans or {})
+    check = _unit_check(plans, insist=insist)
     for recording in recordings_in(recordings):
-        for name, samples in read_batches(recording, layout, progress, turn):
+        for name, samples in read_batches(recording, layout, progress, turn, check):
             found[name] = None
             if plans and name not in plans:
                 continue
@@ -225,6 +234,18 @@ def _is_chosen(plan: ValvePlan, only: Collection[str] | None) -> bool:
     return any(
         name in only for name in (plan.part.valve, *(f"{plan.part.valve}.{e}" for e in edges))
     )
+
+
+def _unit_check(plans: Mapping[str, ValvePlan] | None, *, insist: bool) -> UnitCheck:
+    """Return a check of the units of each valve that has one edge and a meter of its own."""
+
+    def check(file: Path, name: str, samples: Samples, part: Part) -> None:
+        plan = None if plans is None else plans.get(name)
+        is_single = plan is not None and plan.part is None and not plan.meter and not plan.insist
+        if not insist and (plans is None or is_single):
+            check_units(file, name, samples, part, configured=plans is not None)
+
+    return check
 
 
 def _none_of(

@@ -217,6 +217,16 @@ def scaling_of(
     return Scaling(float(gain), float(offset))
 
 
+def unit_with(scaling: Scaling, quantity: Quantity) -> Unit | None:
+    """Return the unit of a quantity that has this scaling; None if it is one of raw numbers.
+
+    >>> unit_with(scaling_of(unit_of("psi")), Quantity.PRESSURE).symbol
+    'psi'
+    """
+    own = (unit for unit in UNITS if unit.quantity is quantity)
+    return next((unit for unit in own if scaling_of(unit) == scaling), None)
+
+
 @dataclass(frozen=True)
 class Measure:
     """Unit and scaling of one signal.

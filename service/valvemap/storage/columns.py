@@ -24,6 +24,7 @@ NANOSECONDS_FROM = 10**15
 ALLOWED_TIME = (
     "an ISO 8601 time, an integer >= 1e15 (UTC ns) or seconds, between the years 1678 and 2261"
 )
+_IN_MS_HINT = "; for milliseconds since 1970, name the column t [ms] (units={'t': 'ms'} in Python)"
 ALLOWED_DATE = "a date in which day and month can be told apart: write 2026-12-31T08:00:00"
 ALLOWED_NUMBER = "a number, nan or an empty cell"
 _MISSING = frozenset({"", "na", "n/a", "#n/a", "null", "none", "-"})  # as other programs write it
@@ -35,13 +36,16 @@ _EXACT_SECONDS = 1e6  # below, doubles still resolve 1 ns
 _EXACT_INTEGERS = 2.0**53  # below, doubles are exact integers
 _NANO = 9  # decimals of a second in ns
 _SMALLEST, _LARGEST = -(2**63) + 1, 2**63 - 1  # -2**63 is NaT elsewhere
+LATEST_S = _LARGEST // 10**9  # since 1970
+_IN_MS = (1e11, 1e14)  # since 1970: of the years 1973 to 5138
 
 
 class CellError(Exception):
     """One cell of a column cannot be read; rows count from 0 within the batch."""
 
     def __init__(self, row: int, column: str, value: object, allowed: str) -> None:
-        super().__init__(f"{column} is {_shortened(value)}, allowed is {allowed}")
+        hint = _IN_MS_HINT if column == "t" and _may_be_ms(value) else ""
+        super().__init__(f"{column} is {_shortened(value)}, allowed is {allowed}{hint}")
         self.row = row
 
 
@@ -259,6 +263,13 @@ def _refuse_times(bad: NDArray[np.bool_], values: Floats | NDArray[np.int64]) ->
     if bad.any():
         row = int(np.argmax(bad))
         raise CellError(row, "t", values[row], ALLOWED_TIME)
+
+
+def _may_be_ms(value: object) -> bool:
+    try:
+        return _IN_MS[0] <= abs(float(str(value))) < _IN_MS[1]
+    except ValueError:
+        return False
 
 
 def _shortened(value: object) -> str:

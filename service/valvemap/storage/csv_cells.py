@@ -64,7 +64,14 @@ def scaled_times(values: Floats, cells: Any, seconds: float) -> Times:  # noqa: 
     if not np.isfinite(values).all():
         row = int(np.argmax(~np.isfinite(values)))
         raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)
-    return np.rint(values * (seconds * 1e9)).astype(np.int64)
+    beyond = np.abs(values) * seconds >= columns.LATEST_S
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)
+    whole, unit = np.trunc(values), round(seconds * 1e9)
+    return np.asarray(
+        whole.astype(np.int64) * unit + np.rint((values - whole) * unit).astype(np.int64)
+    )
 
 
 def times_of_text(cells: Sequence[str], separator: str, dates: DateForm) -> Times:

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Final, NamedTuple
 
 from valvemap.plant.unit_texts import is_of_others, known_unit
-from valvemap.storage.headings import TIME_UNITS
+from valvemap.storage.time_units import TIME_UNITS
 
 SEPARATORS: Final = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 _BRACKETS: Final = "[]() "

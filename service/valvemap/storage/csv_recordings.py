@@ -24,7 +24,7 @@ from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import Cells, TextCells, with_points
 from valvemap.storage.csv_headings import SEPARATORS, cells_of, headings_of, is_number
 from valvemap.storage.dates import DateForm, date_form
-from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
+from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
     Columns,
     Layout,
@@ -34,6 +34,7 @@ from valvemap.storage.layout import (
     with_p2,
 )
 from valvemap.storage.long_format import LongColumns, LongRows, long_columns
+from valvemap.storage.time_units import seconds_per_unit
 from valvemap.vocabulary.signals import MEASURED
 
 if TYPE_CHECKING:
@@ -100,6 +101,11 @@ class CsvReader:
         with suppress(OSError, ValueError):  # a thread that reads ahead may close it meanwhile
             return min(self._raw.tell() / self._size, 1.0)
         return 1.0
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Columns of each valve."""
+        return self._columns.parts
 
     def close(self) -> None:
         """Close the file."""
@@ -275,7 +281,7 @@ class CsvReader:
         if problem is not None:
             raise problem
         for valve, samples in long.samples(self._rows):
-            self.ignored = long.ignored
+            self.ignored, self._columns = long.ignored, Columns(long.parts, None, None, ())
             yield valve, samples
 
     def _reader(self, lines: Iterable[str]) -> Any:  # noqa: ANN401 - the class has no public name

@@ -22,24 +22,17 @@ from valvemap.plant.grouping import Group, group
 from valvemap.plant.names import tokens
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import Role
+from valvemap.plant.scales import Scale
 from valvemap.plant.unit_texts import split_unit
 from valvemap.plant.verdict import Verdict, judge
 from valvemap.storage.layout import DEFAULT_VALVE, Columns, Layout, Part
+from valvemap.storage.time_units import seconds_per_unit
 
 _TIMES: Final = """
 time timestamp datetime date zeit zeitstempel datum uhrzeit temps horodatage tiempo fecha hora tempo
 ora 时间 时刻 日期 ts
 """
 _TIME_WORDS: Final = frozenset(_TIMES.split())
-TIME_UNITS: Final = {
-    "": 1.0,
-    "s": 1.0,
-    "sec": 1.0,
-    "ms": 1e-3,
-    "min": 60.0,
-    "h": 3600.0,
-    "us": 1e-6,
-}
 _PLAIN: Final = {name.casefold(): name for name in ("U", "p1", "p2", "Q", "T", "dp")}
 _COUNTS_FROM: Final = 1_000.0  # whole numbers beyond it may be raw counts
 _INTEGER_TYPES: Final = (2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1)
@@ -69,12 +62,6 @@ def time_column(headings: Sequence[str], numeric: Sequence[bool]) -> int | None:
         if _TIME_WORDS & set(tokens(name)):
             return number
     return 0 if numeric and not numeric[0] else None
-
-
-def seconds_per_unit(heading: str) -> float:
-    """Return the seconds of one unit of a time column: 0.001 for ``Zeit [ms]``."""
-    _, _, unit = split_unit(heading)
-    return TIME_UNITS.get(unit.casefold(), 1.0)
 
 
 def recognise(begins: Beginning, layout: Layout, refusal: RecordingError) -> Columns:
@@ -136,7 +123,13 @@ def _named(groups: Sequence[Group], layout: Layout) -> list[Group]:
 
 
 def _given(one: Group, layout: Layout) -> Given:
-    return of_valve(layout.given, one.name)
+    given = of_valve(layout.given, one.name)
+    stated = {
+        Role(signal): Scale(replace(measure, column=None), 0.0, "as stated")
+        for signal, measure in layout.signals.items()
+        if measure.unit is not None or measure.raw is not None
+    }
+    return replace(given, scales={**stated, **given.scales})
 
 
 def _part(valve: str, reading: Reading, begins: Beginning) -> Part:
@@ -146,7 +139,7 @@ def _part(valve: str, reading: Reading, begins: Beginning) -> Part:
         scaling = reading.scales[role].measure.scaling(str(role))
         numbers[name] = (list(begins.headings).index(node.node), scaling)
     factor = seconds_per_unit(begins.headings[begins.time])
-    return Part(valve, begins.time, numbers, seconds=factor)
+    return Part(valve, begins.time, numbers, seconds=factor, recognised=True)
 
 
 def _question(begins: Beginning, verdict: Verdict) -> Iterator[str]:

@@ -18,7 +18,10 @@ from valvemap.pipeline.units import (
     Unit,
     unit_of,
 )
+from valvemap.plant.answers import of_valve
 from valvemap.plant.reading import Given
+from valvemap.plant.roles import Role
+from valvemap.storage.time_units import seconds_per_unit
 from valvemap.vocabulary import signals
 from valvemap.vocabulary.signals import MEASURED
 
@@ -57,7 +60,8 @@ class Layout:
 
     ``time``, ``valve`` and ``quality`` are column names; None: the default names. ``signals`` are
     those of all valves without ``valves``. ``header`` are the headings of a file that has none;
-    ``given`` answers questions about foreign headings, by valve.
+    ``given`` answers questions about columns and their units, by valve; ``seconds`` is the unit of
+    the times, if it is stated (None: as the heading says).
     """
 
     valves: tuple[ValveLayout, ...] = ()
@@ -67,6 +71,7 @@ class Layout:
     signals: Mapping[str, Measure] = field(default_factory=dict)
     header: tuple[str, ...] | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
+    seconds: float | None = None
 
     @property
     def recognises(self) -> bool:
@@ -85,7 +90,8 @@ class Part:
 
     ``valve`` is None if the valve column names the valve of each row; with ``selects``, only the
     rows that name this valve are used. ``seconds`` is the unit of the times. Without a column of
-    p2, p1 is the pressure drop, and p2 is 0.
+    p2, p1 is the pressure drop, and p2 is 0. ``in_heading`` are the signals whose unit the heading
+    states; ``recognised``: by foreign headings, and so judged already.
     """
 
     valve: str | None
@@ -93,6 +99,8 @@ class Part:
     numbers: Mapping[str, tuple[int, Scaling]]
     selects: bool = False
     seconds: float = 1.0
+    in_heading: frozenset[str] = frozenset()
+    recognised: bool = False
 
 
 @dataclass(frozen=True)
@@ -186,8 +194,9 @@ class _Finder:
 
     def _part(self, own: ValveLayout, valve: str | None, *, selects: bool = False) -> Part:
         found: dict[str, int | None] = {"t": self._time()}
+        given = of_valve(self._layout.given, own.valve)
         for signal in MEASURED:
-            column = own.signals.get(signal, Measure()).column
+            column = given.nodes.get(Role(signal), own.signals.get(signal, Measure()).column)
             field = f"signals.{signal}.column of valve {own.valve}"
             named = self._named(column, field)
             found[signal] = named if named is not None else self._standard(signal, found["t"])
@@ -204,7 +213,15 @@ class _Finder:
         }
         t = found["t"]
         assert t is not None  # noqa: S101 - it is required
-        return Part(DEFAULT_VALVE if valve == "" else valve, t, numbers, selects)
+        seconds = self._layout.seconds
+        return Part(
+            DEFAULT_VALVE if valve == "" else valve,
+            t,
+            numbers,
+            selects,
+            seconds_per_unit(self._header[t]) if seconds is None else seconds,
+            frozenset(s for s, (n, _) in numbers.items() if self._headings[n][1] is not None),
+        )
 
     def _missing(self, missing: Sequence[str]) -> str:
         return (
@@ -272,6 +289,9 @@ class _Finder:
         return names.index(name)
 
     def _scaling(self, own: ValveLayout, signal: str, number: int) -> Scaling:
+        answer = of_valve(self._layout.given, own.valve).scales.get(Role(signal))
+        if answer is not None:
+            return answer.measure.scaling(signal)
         given = own.signals.get(signal, Measure())
         text = self._headings[number][1]
         written = None if text is None else unit_of(text)

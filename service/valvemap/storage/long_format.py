@@ -17,6 +17,7 @@ from valvemap.storage.layout import (
     Columns,
     Layout,
     MissingColumnError,
+    Part,
     find_columns,
     with_p2,
 )
@@ -64,7 +65,8 @@ def long_columns(
 class LongRows:
     """The values of a recording in long format, collected before they are sorted by time.
 
-    ``ignored`` are the signals that belong to no valve, once the samples have been taken.
+    ``ignored`` are the signals that belong to no valve, ``parts`` the columns of each valve, once
+    the samples have been taken.
     """
 
     def __init__(self, path: Path, layout: Layout) -> None:
@@ -73,6 +75,7 @@ class LongRows:
         self._parts: list[tuple[Times, NDArray[np.intp], Floats]] = []
         self._rows = 0
         self.ignored: tuple[str, ...] = ()
+        self.parts: tuple[Part, ...] = ()
 
     def add(self, times: Times, names: Sequence[str], values: Floats) -> None:
         """Add N values with their times and the names of their signals.
@@ -101,7 +104,7 @@ class LongRows:
         times, tags, values = (np.concatenate(x) for x in zip(*self._parts, strict=True))
         t, table = pivot(times, tags, values, len(self._known))
         found = self._columns(t, table)
-        self.ignored = found.ignored
+        self.ignored, self.parts = found.ignored, found.parts
         for part in found.parts:
             own = {
                 name: scaling(table[:, column - 1])
@@ -147,6 +150,11 @@ class LongReader:
     def fraction(self) -> float:
         """The fraction read, 0 to 1."""
         return min(self._done / self._total, 1.0) if self._total else 1.0
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Columns of each valve."""
+        return self._long.parts
 
     def chunks(self) -> Iterator[tuple[str, Samples]]:
         """Yield (valve, samples), chunk by chunk."""

@@ -12,7 +12,7 @@ from valvemap.errors import NoRecording, RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
-from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
+from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
     DEFAULT_VALVE,
     Columns,
@@ -23,6 +23,7 @@ from valvemap.storage.layout import (
     with_p2,
 )
 from valvemap.storage.long_format import LongColumns, LongReader, LongRows, long_columns
+from valvemap.storage.time_units import seconds_per_unit
 from valvemap.vocabulary.signals import MEASURED
 
 try:
@@ -72,6 +73,11 @@ class ArrowReader:
     def fraction(self) -> float:
         """The fraction read, 0 to 1."""
         return min(self._done / self._total, 1.0) if self._total else 1.0
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Columns of each valve."""
+        return self._columns.parts
 
     def chunks(self) -> Iterator[tuple[str, Samples]]:
         """Yield (valve, samples), batch by batch."""

@@ -41,7 +41,7 @@ from valvemap.errors import NoRecording, RecordingError, StorageError
 from valvemap.model.samples import Samples
 from valvemap.storage.closing import Closing
 from valvemap.storage.csv_recordings import PACKINGS, CsvReader, csv_header, csv_rows, packed
-from valvemap.storage.layout import Layout
+from valvemap.storage.layout import Layout, Part
 from valvemap.storage.table_recordings import TableReader
 
 _PART = re.compile(r"(\.\d+)?\.part$", re.IGNORECASE)
@@ -90,6 +90,8 @@ class RecordingReader(Closing, Iterator[tuple[str, Samples]]):
         The file, or the type of the data frame.
     ignored : tuple of str
         Unknown columns of the file.
+    parts : tuple of Part
+        Columns of each valve; of a file in long format once its first samples are there.
     """
 
     def __init__(self, recording: object, chunk_rows: int, layout: Layout) -> None:
@@ -107,6 +109,11 @@ class RecordingReader(Closing, Iterator[tuple[str, Samples]]):
     def fraction(self) -> float:
         """The fraction of the file read, 0 to 1, for a progress bar."""
         return self._source.fraction
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Columns of each valve."""
+        return self._source.parts
 
     def close(self) -> None:
         """Close the file; iteration ends."""
@@ -134,6 +141,9 @@ class _Source(Protocol):
 
     @property
     def fraction(self) -> float: ...
+
+    @property
+    def parts(self) -> tuple[Part, ...]: ...
 
     def chunks(self) -> Iterator[tuple[str, Samples]]: ...
 

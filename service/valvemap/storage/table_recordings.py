@@ -16,7 +16,7 @@ from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import scaled_times
-from valvemap.storage.headings import Beginning, recognise, seconds_per_unit, time_column
+from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
     DEFAULT_VALVE,
     Columns,
@@ -26,6 +26,7 @@ from valvemap.storage.layout import (
     find_columns,
     with_p2,
 )
+from valvemap.storage.time_units import seconds_per_unit
 
 ALLOWED: Final = (
     "a path, a data frame (pandas, polars, pyarrow), a dict of arrays by column, or a list of these"
@@ -63,6 +64,11 @@ class TableReader:
     def fraction(self) -> float:
         """The fraction read, 0 to 1."""
         return self._done / self._rows if self._rows else 1.0
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Columns of each valve."""
+        return self._columns.parts
 
     def close(self) -> None:
         """Nothing is open."""

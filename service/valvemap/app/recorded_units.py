@@ -1,0 +1,174 @@
+"""Units of a recording, judged as `connect` judges those of a server: by values and orifice law.
+
+Columns named ``U,p1,p2,Q`` are what their names say; in question is their unit. Foreign headings
+are judged when they are recognised.
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from valvemap.errors import RecordingError
+from valvemap.model.samples import Floats, Samples
+from valvemap.pipeline.units import QUANTITY_OF, Measure, inside, unit_with
+from valvemap.plant.answers import parse_answers
+from valvemap.plant.candidates import Candidate
+from valvemap.plant.grouping import Group
+from valvemap.plant.questions import Option
+from valvemap.plant.reading import Given, Record
+from valvemap.plant.roles import Role
+from valvemap.plant.scales import Scale
+from valvemap.plant.verdict import judge
+from valvemap.storage.layout import Part
+from valvemap.vocabulary.statuses import Quality
+
+ROWS: Final = 600  # samples that are judged
+STEP_S: Final = 0.05  # s; they are at least so far apart
+_NS_OF_1973: Final = 10**17
+_SHORTEST_STEP: Final = 100_000  # ns; a shorter one is no sampling period of a valve's signals
+_FEW: Final = 10  # samples; of fewer, the times tell nothing
+_LABELLED: Final = "as labelled"
+
+
+def check_units(
+    file: Path, valve: str, samples: Samples, part: Part, *, configured: bool = False
+) -> None:
+    """Check the units, and the times, of a valve's first samples.
+
+    Parameters
+    ----------
+    file, valve, samples
+        Recording, valve, and its first samples.
+    part
+        The valve's columns, whose units are judged.
+    configured
+        Whether a configuration states the units; the remedy is in its words then.
+
+    Raises
+    ------
+    RecordingError
+        if the values contradict a unit; names the likelier one, and how to state it.
+    """
+    _check_times(file, valve, samples)
+    some, step_s = _most_moving(samples)
+    stated = {signal: scaling for signal, (_, scaling) in part.numbers.items() if signal != "T"}
+    candidates, values, given = [], {}, Given()
+    for signal, scaling in stated.items():
+        role = Role.DP if signal == "p1" and "p2" not in part.numbers else Role(signal)
+        unit = unit_with(scaling, QUANTITY_OF[signal])
+        known = getattr(some, signal)
+        candidates.append(Candidate(role, (role,), unit))
+        values[str(role)] = known if unit is None else (known - scaling.offset) / scaling.gain
+        scales = given.scales
+        if unit is None:  # raw numbers: settled
+            own = Scale(Measure(unit=inside(QUANTITY_OF[signal])), 0.0, "as stated")
+            scales = {**scales, role: own}
+        given = Given({**given.nodes, role: str(role)}, scales)
+    verdict = judge(Group(valve, tuple(candidates)), Record(values, step_s), given)
+    options = () if verdict.question is None else verdict.question.options
+    others = [option for option in options if not option.text.startswith(_LABELLED)]
+    if not others:
+        return
+    likeliest = max(others, key=lambda one: (one.probability, " instead of " in one.text))
+    is_sure = verdict.reading is not None and bool(verdict.reading.mistake)
+    wanted = _scales(likeliest, part)
+    raise RecordingError(
+        f"{file}: valve {valve}: {_claim(likeliest, is_sure=is_sure)} "
+        f"({_as_stated(options, wanted, some)}): {_remedy(wanted, part, configured=configured)}; "
+        "--insist (insist=True in Python) learns from it all the same"
+    )
+
+
+def _most_moving(samples: Samples) -> tuple[Samples, float]:
+    """Return the consecutive samples in which U and √Δp move most, and their step, s."""
+    steps = np.diff(samples.t)
+    step_s = float(np.median(steps[steps > 0])) * 1e-9 if (steps > 0).any() else STEP_S
+    stride = max(1, round(STEP_S / step_s))
+    thinned = samples[::stride]
+    good = thinned.quality != Quality.BAD
+    drive = np.where(good, thinned.U * np.sqrt(np.abs(thinned.dp)), np.nan)
+    starts = range(0, max(len(thinned) - ROWS, 0) + 1, max(ROWS // 2, 1))
+    moves = [_spread(drive[start : start + ROWS]) for start in starts]
+    start = starts[int(np.argmax(moves))]
+    chosen = thinned[start : start + ROWS]
+    return chosen[chosen.quality != Quality.BAD], step_s * stride
+
+
+def _spread(values: Floats) -> float:
+    good = values[np.isfinite(values)]
+    return float(good.std()) if len(good) else 0.0
+
+
+def _check_times(file: Path, valve: str, samples: Samples) -> None:
+    """Refuse times that are all equal, and microseconds since 1970 taken for nanoseconds."""
+    if len(samples) < _FEW:
+        return
+    step = float(np.median(np.diff(samples.t)))
+    if (samples.t == samples.t[0]).all():
+        raise RecordingError(
+            f"{file}: valve {valve}: all times are equal, and t must rise; where no times were "
+            "recorded, let t be the number of the row times the sampling period, in s; "
+            "--insist (insist=True in Python) learns from it all the same"
+        )
+    if 10**15 <= samples.t[0] < _NS_OF_1973 and 0.0 < step < _SHORTEST_STEP:
+        raise RecordingError(
+            f"{file}: valve {valve}: as ns since 1970 the times are {step * 1e-3:.3g} µs apart; "
+            "for microseconds since 1970, name the column t [us] (units={'t': 'us'} in Python)"
+        )
+
+
+def _claim(option: Option, *, is_sure: bool) -> str:
+    mistake = option.text.partition(":")[0]
+    return mistake if is_sure else f"it may be that {mistake}"
+
+
+def _as_stated(options: tuple[Option, ...], wanted: Iterable[str], samples: Samples) -> str:
+    """Return what the signals in question are as stated, and what speaks against it."""
+    spans = [_span(name, getattr(samples, name)) for name in wanted]
+    labelled = [one.consequence for one in options if one.text.startswith(_LABELLED)]
+    against = [part.removeprefix("but ") for one in labelled for part in one.split(", ")
+               if part.startswith("but ")]  # fmt: skip
+    return f"as stated, {', '.join((*spans, *against))}"
+
+
+def _span(signal: str, values: Floats) -> str:
+    good = values[np.isfinite(values)]
+    return f"{signal} is {good.min():.3g} … {good.max():.3g} {QUANTITY_OF[signal].value}"
+
+
+def _remedy(wanted: Mapping[str, str], part: Part, *, configured: bool) -> str:
+    """Return how to state units, or raw numbers and their values, by signal."""
+    if configured:
+        return f"{', '.join(map(_fields, wanted.items()))} in the configuration says so"
+    typed = " ".join(f"--scale {name}={text}" for name, text in wanted.items())
+    in_heading = [name for name in wanted if name in part.in_heading]
+    if in_heading:
+        headings = ", ".join(f"{name} [{wanted[name]}]" for name in in_heading)
+        return f"{typed} says so, or the heading {headings}"
+    return f"{typed} (units={wanted} in Python) says so"
+
+
+def _fields(pair: tuple[str, str]) -> str:
+    """Return the configuration's fields of a scale such as ``bar`` or ``0..10:0..100%``."""
+    signal, text = pair
+    measure = parse_answers((), (f"{signal}={text}",))[""].scales[Role(signal)].measure
+    if measure.raw is None or measure.scaled is None:
+        return f'signals.{signal}.unit = "{text}"'
+    raw, scaled = ([f"{x:g}" for x in ends] for ends in (measure.raw, measure.scaled))
+    return f"signals.{signal}.raw = [{', '.join(raw)}] and range = [{', '.join(scaled)}]"
+
+
+def _scales(option: Option, part: Part) -> Mapping[str, str]:
+    """Return the scales of an option's answers by signal, without those that the columns have."""
+    found = {}
+    for answer in option.answers:
+        if not answer.startswith("--scale="):
+            continue
+        name, _, text = answer.partition(".")[2].partition("=")
+        signal = "p1" if name == Role.DP else name
+        unit = unit_with(part.numbers[signal][1], QUANTITY_OF[signal])
+        if unit is not None and text != unit.symbol:
+            found[signal] = text
+    return found

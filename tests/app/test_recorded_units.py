@@ -1,0 +1,106 @@
+"""Units that a recording's values contradict are refused; the remedy that is named works."""
+
+import ast
+import re
+import shlex
+
+import numpy as np
+import pytest
+
+import valvemap
+from valvemap.app.replay import replay
+from valvemap.config.models import Config
+from valvemap.errors import RecordingError
+from valvemap.plant.answers import parse_answers
+
+N = 800
+START = 1_767_225_600 * 10**9
+
+
+def rows(**changed):
+    rng = np.random.default_rng(3)
+    t = 0.05 * np.arange(N)
+    U, p2 = 50 + 45 * np.sin(0.8 * t), 60 + 40 * np.sin(0.37 * t)
+    Q = 0.04 * U * np.sqrt(190 - p2) + rng.normal(0, 0.1, N)
+    plain = {"t": START + 50_000_000 * np.arange(N), "U": U, "p1": 190 + 0 * t, "p2": p2, "Q": Q}
+    return plain | changed
+
+
+def fitted(table, **options):
+    return valvemap.fit(table, estimator="RLS", **options)
+
+
+def refusal(table, **options):
+    with pytest.raises(RecordingError) as error:
+        fitted(table, **options)
+    said = str(error.value)
+    assert "\n" not in said
+    return said
+
+
+@pytest.mark.parametrize(
+    ("values", "units", "words"),
+    [
+        ({}, {"p1": "Pa", "p2": "Pa"}, "p1 and p2 are in bar instead of Pa"),
+        ({}, {"p1": "Pa"}, "p1 is in bar instead of Pa"),
+        ({}, {"p1": "kPa", "p2": "kPa"}, "p1 and p2 are in bar instead of kPa"),
+        ({}, {"p2": "MPa"}, "p2 is in bar instead of MPa"),
+        ({}, {"Q": "l/s"}, "Q is in l/min instead of l/s"),
+        ({"p1": 19.0 + np.zeros(N), "p2": rows()["p2"] / 10}, {"p1": "bar", "p2": "MPa"}, "p1 is"),
+        ({"U": rows()["U"] / 100}, {}, "U is in 1 instead of %"),
+        ({"U": rows()["U"]}, {"U": "ratio"}, "U is in % instead of 1"),
+    ],
+)
+def test_a_contradicted_unit_is_refused_and_its_remedy_works(values, units, words):
+    table = rows(**values)
+    said = refusal(table, units=units)
+    assert words in said
+    remedy = ast.literal_eval(re.search(r"units=(\{.*?\})", said)[1])
+    found = fitted(table, units=units | remedy)
+    np.testing.assert_allclose(found.predict(50, 100), fitted(rows()).predict(50, 100), rtol=1e-4)
+    typed = re.search(r"(--scale .*?) \(units", said)[1]
+    answers = [text for text in shlex.split(typed) if text != "--scale"]
+    report = replay(table, units=units, estimators=["RLS"], given=parse_answers((), answers))
+    assert report["Valvistor"]["RLS"].lane.count == N
+    if "U" not in units:  # a U of 5,000 % teaches nothing
+        assert fitted(table, units=units, insist=True).valve == "Valvistor"
+
+
+def test_the_remedy_of_a_heading_and_of_a_configuration_are_their_own():
+    table = {"p1 [Pa]" if name == "p1" else name: x for name, x in rows().items()}
+    assert "--scale p1=bar says so, or the heading p1 [bar]" in refusal(table)
+    signals = {"p1": {"unit": "Pa"}, "p2": {"unit": "Pa"}}
+    config = Config(valves=[{"name": "Valvistor", "signals": signals}])
+    wanted = 'signals.p1.unit = "bar", signals.p2.unit = "bar" in the configuration'
+    assert wanted in refusal(rows(), config=config)
+
+
+def test_what_is_plausible_is_learnt():
+    psi = rows(p1=rows()["p1"] * 14.503773773, p2=rows()["p2"] * 14.503773773)
+    fitted(psi, units={"p1": "psi", "p2": "psi"})
+    closed = rows(U=np.zeros(N), Q=np.random.default_rng(1).normal(0, 0.1, N))
+    fitted(closed)
+    fitted(rows(U=rows()["U"] / 10), units={"U": "0..10:0..100%"})
+
+
+@pytest.mark.parametrize(("unit", "ns"), [("ms", 10**6), ("us", 10**3)])
+def test_epochs_in_other_units_are_refused_and_their_remedies_work(unit, ns, tmp_path):
+    table = rows(t=rows()["t"] // ns)
+    said = refusal(table)
+    assert f"name the column t [{unit}] (units={{'t': '{unit}'}} in Python)" in said
+    wanted = fitted(rows())
+    headed = {f"t [{unit}]" if name == "t" else name: x for name, x in table.items()}
+    file = tmp_path / "r.csv"
+    text = [
+        ",".join(headed),
+        *(",".join(map(str, row)) for row in zip(*headed.values(), strict=True)),
+    ]
+    file.write_text("\n".join(text))
+    for found in (fitted(table, units={"t": unit}), fitted(headed), fitted(file)):
+        assert found.t == wanted.t
+
+
+def test_times_that_are_all_equal_are_refused():
+    table = rows(t=np.full(N, START))
+    assert "all times are equal" in refusal(table)
+    assert fitted(table | {"t": np.arange(N) * 0.05}).t == 39_950_000_000
