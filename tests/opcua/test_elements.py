@@ -1,9 +1,11 @@
 """Elements of arrays are signals: of servers that know index ranges, and of those that do not."""
 
 import asyncio
+import struct
 from contextlib import asynccontextmanager
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from asyncua import Server, ua
 
@@ -13,6 +15,9 @@ from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.elements import ARRAY as ARRAY_KIND
+from valvemap.opcua_source.elements import NO_ARRAYS, NO_NUMBER, Arrays, Element, with_elements
+from valvemap.pipeline.data_changes import DataChanges
 
 pytestmark = pytest.mark.waits
 
@@ -92,3 +97,53 @@ def test_an_element_is_no_command_and_its_index_is_a_number():
         replace(NODES, required_U=f"index=0;{ARRAY}")
     with pytest.raises(ConfigurationError, match=r"index=<number>; for an element of an array"):
         replace(NODES, Q=f"index=x;{ARRAY}")
+
+
+@pytest.mark.parametrize("served", [whole_arrays, single_elements])
+async def test_an_array_is_one_monitored_item_for_all_its_signals(served):
+    second = ValveNodes("V2", f"index=2;{ARRAY}", f"index=0;{ARRAY}", f"index=1;{ARRAY}", FLOW)
+    async with served() as url:
+        settings = SourceSettings(url, publishing_interval_ms=50.0)
+        source = OpcUaSource(settings, [NODES, second])
+        await source.connect()
+        items = source._subscription.items
+        assert len(items) == 5
+        assert len({item.number for item in items}) == len({item.handle for item in items}) == 2
+        found = await until(source, {0: 62.5, 1: 170.5, 2: 40.25, 3: 30.0, 6: -1.0, 7: 170.5})
+        assert found[9] == 30.0
+        await source._subscription.monitor_again(items[0].node)
+        numbers = [item.number for item in source._subscription.items]
+        assert len(set(numbers)) == 3  # the array is kept for the others, and asked once more
+        await until(source, {0: 62.5})
+        await source.close()
+
+
+async def until(source, wanted):
+    """The newest value of each item, once those wanted have come."""
+    found = {}
+    async with asyncio.timeout(20):
+        while not wanted.items() <= found.items():
+            changes = await source.receive()
+            found |= dict(zip(changes.item.tolist(), changes.value.tolist(), strict=True))
+    return found
+
+
+def test_a_change_of_an_array_is_one_of_each_element():
+    data = bytes([0x8B]) + struct.pack("<i3d", 3, 1.5, 2.5, 3.5)
+    changes = DataChanges(
+        np.array([7, 4, 7], np.int32),
+        np.array([9.0, np.nan, np.nan]),
+        np.array([0, 0, 0x80000000], np.uint32),
+        np.array([5, 6, 7]),
+    )
+    kind = np.array([11, ARRAY_KIND, 0], np.uint8)
+    arrays = Arrays(data, np.array([1]), np.array([0]))
+    wanted = {4: [Element(4, 2), Element(9, 0), Element(2, 3)]}
+    found, kinds = with_elements(changes, kind, arrays, wanted)
+    assert found.item.tolist() == [7, 4, 9, 2, 7]
+    assert found.value[:3].tolist() == [9.0, 3.5, 1.5]
+    assert kinds.tolist() == [11, 11, 11, NO_NUMBER, 0]
+    assert found.source_time.tolist() == [5, 6, 6, 6, 7]
+    lost, _ = with_elements(changes[1:2], kind[1:2], NO_ARRAYS, wanted)
+    assert np.isnan(lost.value).all()
+    assert lost.item.tolist() == [4, 9, 2]

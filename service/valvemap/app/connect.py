@@ -12,7 +12,6 @@ from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
-from valvemap.opcua_source.elements import parted
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
@@ -105,18 +104,17 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
     groups = [with_answers(one, numbers, wanted) for one in groups]
     skipped += _left_over(numbers, groups)
     groups = [one for one in groups if one.name not in wanted.skip]
-    values, refused, left_out = await _watch(settings, groups, watch_s)
+    values, refused = await _watch(settings, groups, watch_s)
     verdicts, watched = [], {}
     for one in groups:
         if one.name in refused:
             continue
-        one = _monitored(one, values)  # noqa: PLW2901 - from here on the same valve
         given = of_valve(wanted.given, one.name, assume=wanted.assume)
         given = replace(given, ports=one.name in wanted.ports)
         verdict = judge(one, record_of(values, one), given, wanted.rating)
         verdicts.append(verdict)
         watched[one.name] = _statistics(verdict, values, watch_s)
-    return Found(tuple(verdicts), watched, (*skipped, *left_out, *refused.values()))
+    return Found(tuple(verdicts), watched, (*skipped, *refused.values()))
 
 
 def with_answers(one: Group, numbers: Sequence[Candidate], wanted: Wanted) -> Group:
@@ -231,31 +229,20 @@ def _statistics(
 
 async def _watch(
     settings: SourceSettings, groups: Sequence[Group], watch_s: float
-) -> tuple[dict[str, DataChanges], dict[str, str], list[str]]:
-    """Monitor all variables; return changes by node, refused valves, and what is left out.
-
-    A server may permit fewer items of one node than an array has elements: if it takes all
-    variables but these, they are left out.
-    """
+) -> tuple[dict[str, DataChanges], dict[str, str]]:
+    """Monitor all variables; return their changes by node, and refused valves with the reason."""
     lots, refused = _lots_of(groups)
-    left_out: list[str] = []
     if not lots:
-        return {}, refused, left_out
+        return {}, refused
     try:
         changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
-    except SourceRejected as error:
-        whole, _ = _lots_of(groups, elements=False)
-        is_fewer = whole != lots and bool(_all(whole))
-        if is_fewer and await _rejection(settings, _all(whole)) is None:
-            left_out.append(f"elements of arrays are left out: {printable(str(error))}")
-            lots = whole
-        else:
-            refused |= await _refused_of(settings, lots)
-            lots = {name: own for name, own in lots.items() if name not in refused}
-            if not lots:
-                raise
+    except SourceRejected:
+        refused |= await _refused_of(settings, lots)
+        lots = {name: own for name, own in lots.items() if name not in refused}
+        if not lots:
+            raise
         changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
-    return _by_node(changes, _all(lots)), refused, left_out
+    return _by_node(changes, _all(lots)), refused
 
 
 async def _rejection(settings: SourceSettings, lots: Sequence[ValveNodes]) -> SourceRejected | None:
@@ -279,37 +266,23 @@ async def _refused_of(
     }
 
 
-def _monitored(one: Group, values: Mapping[str, DataChanges]) -> Group:
-    """Return a valve without the elements of arrays that could not be monitored."""
-    own, shared = (
-        tuple(node for node in nodes if node.node in values or not _is_element(node))
-        for nodes in (one.own, one.shared)
-    )
-    return replace(one, own=own, shared=shared)
-
-
-def _is_element(one: Candidate) -> bool:
-    return parted(one.node)[0] is not None
-
-
 def _lots_of(
-    groups: Sequence[Group], *, elements: bool = True
+    groups: Sequence[Group],
 ) -> tuple[dict[str, list[ValveNodes]], dict[str, str]]:
     """Return the lots of each valve, and the valves whose nodes cannot be read."""
     lots: dict[str, list[ValveNodes]] = {}
     refused: dict[str, str] = {}
     for one in groups:
         try:
-            lots[one.name] = list(_lots(one, elements=elements))
+            lots[one.name] = list(_lots(one))
         except ConfigurationError as error:
             refused[one.name] = f"{printable(one.name)}: {printable(str(error))}"
     return lots, refused
 
 
-def _lots(one: Group, *, elements: bool) -> Iterator[ValveNodes]:
+def _lots(one: Group) -> Iterator[ValveNodes]:
     """Yield a valve's variables in lots as the source client reads them, without scaling."""
-    watched = [node for node in one.watched if elements or not _is_element(node)]
-    nodes = [node.node for node in watched[:_MOST_OF_A_VALVE]]
+    nodes = [node.node for node in one.watched[:_MOST_OF_A_VALVE]]
     for start in range(0, len(nodes), _PER_LOT):
         lot = nodes[start : start + _PER_LOT]
         U, p1, p2, Q = (*lot, *[lot[-1]] * 3)[:4]

@@ -11,7 +11,7 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from valvemap.opcua_source.elements import ARRAY, Arrays, with_elements
+from valvemap.opcua_source.elements import ARRAY, Arrays, Element, with_elements
 from valvemap.opcua_source.records import Records, read_records
 from valvemap.opcua_source.timestamps import ns_from_ticks
 from valvemap.opcua_source.wire import DecodeError, Reader
@@ -170,7 +170,7 @@ def decode_history_response(
             changes = batch.changes
             if element is not None and len(batch.places):
                 arrays = Arrays(data, np.flatnonzero(batch.kind == ARRAY), batch.places)
-                changes, _ = with_elements(changes, batch.kind, arrays, {0: element})
+                changes, _ = with_elements(changes, batch.kind, arrays, {0: (Element(0, element),)})
         pieces.append(HistoryPiece(status, point, replace(changes, item=_all(item, changes))))
     return pieces
 

@@ -9,6 +9,7 @@ from asyncua import ua
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, status_name
 from valvemap.opcua_client.requests import in_chunks, operation_limits
+from valvemap.opcua_source.elements import of_one_array
 from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.vocabulary.signals import PER_VALVE
 
@@ -22,7 +23,7 @@ class Item:
     """A monitored item: its node, its id at the server and the revised queue size.
 
     ``handle`` is the client handle of its changes; ``sampling_ms`` the revised sampling interval
-    (0: unknown).
+    (0: unknown). Elements of one array share id and handle.
     """
 
     node: MonitoredNode
@@ -37,6 +38,8 @@ async def create_items(
 ) -> tuple[Item, ...]:
     """Monitor every sample of every node; the keys are the client handles.
 
+    Elements of one array are one monitored item at the server, under the handle of the first.
+
     Raises
     ------
     SourceRejected
@@ -44,9 +47,11 @@ async def create_items(
     UaError
     """
     settings = connection.settings
+    handles = {node.item: handle for handle, node in nodes.items()}
+    groups = of_one_array(nodes.values())
 
     async def create(
-        chunk: Sequence[tuple[int, MonitoredNode]],
+        chunk: Sequence[Sequence[MonitoredNode]],
     ) -> list[ua.MonitoredItemCreateResult]:
         return await connection.session.create_monitored_items(
             ua.CreateMonitoredItemsParameters(
@@ -55,24 +60,26 @@ async def create_items(
                 ItemsToCreate=[
                     ua.MonitoredItemCreateRequest(
                         ItemToMonitor=ua.ReadValueId(
-                            NodeId=node.node,
+                            NodeId=own[0].node,
                             AttributeId=ua.AttributeIds.Value,
-                            IndexRange=node.index_range,
+                            IndexRange=own[0].index_range if len(own) == 1 else None,
                         ),
                         MonitoringMode=ua.MonitoringMode.Reporting,
-                        RequestedParameters=_parameters(handle, connection, settings.queue_size),
+                        RequestedParameters=_parameters(
+                            handles[own[0].item], connection, settings.queue_size
+                        ),
                     )
-                    for handle, node in chunk
+                    for own in chunk
                 ],
             )
         )
 
     limit = (await operation_limits(connection)).items_per_call
-    created = await in_chunks(list(nodes.items()), min(limit, _ITEMS_AT_ONCE), create)
-    for node, result in zip(nodes.values(), created, strict=True):
+    created = await in_chunks(groups, min(limit, _ITEMS_AT_ONCE), create)
+    for own, result in zip(groups, created, strict=True):
         if result.StatusCode.value >> 30:
             raise SourceRejected(
-                f"{node.label} cannot be subscribed to at {settings.url}: "
+                f"{own[0].label} cannot be subscribed to at {settings.url}: "
                 f"{status_name(result.StatusCode.value)}"
             )
     slowest_ms = max(result.RevisedSamplingInterval for result in created)
@@ -88,10 +95,11 @@ async def create_items(
             node,
             result.MonitoredItemId,
             result.RevisedQueueSize,
-            handle,
+            handles[own[0].item],
             result.RevisedSamplingInterval,
         )
-        for (handle, node), result in zip(nodes.items(), created, strict=True)
+        for own, result in zip(groups, created, strict=True)
+        for node in own
     )
     _check_queues(connection, items, settings.queue_size)
     return items
@@ -111,7 +119,7 @@ async def delete_items(connection: Connection, subscription: int, numbers: Seque
         )
 
     limit = (await operation_limits(connection)).items_per_call
-    await in_chunks(numbers, min(limit, _ITEMS_AT_ONCE), delete)
+    await in_chunks(list(dict.fromkeys(numbers)), min(limit, _ITEMS_AT_ONCE), delete)
 
 
 async def enlarge_queues(
@@ -139,10 +147,15 @@ async def enlarge_queues(
         )
 
     limit = (await operation_limits(connection)).items_per_call
-    results = await in_chunks(items, min(limit, _ITEMS_AT_ONCE), modify)
+    by_number = {item.number: item for item in items}
+    results = await in_chunks(list(by_number.values()), min(limit, _ITEMS_AT_ONCE), modify)
+    sizes = {
+        number: result.RevisedQueueSize
+        for number, result in zip(by_number, results, strict=True)
+        if not result.StatusCode.value >> 30
+    }
     enlarged = tuple(
-        item if result.StatusCode.value >> 30 else replace(item, queue_size=result.RevisedQueueSize)
-        for item, result in zip(items, results, strict=True)
+        replace(item, queue_size=sizes.get(item.number, item.queue_size)) for item in items
     )
     _check_queues(connection, enlarged, size)
     return enlarged

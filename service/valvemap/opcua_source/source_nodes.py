@@ -158,7 +158,7 @@ class MonitoredNode:
 
     @property
     def index_range(self) -> str | None:
-        """The element in requests (Part 4, 7.27)."""
+        """The element in requests for it alone (Part 4, 7.27)."""
         return None if self.element is None else str(self.element)
 
 

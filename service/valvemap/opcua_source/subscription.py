@@ -28,7 +28,7 @@ from valvemap.opcua_source.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
-from valvemap.opcua_source.elements import ARRAY, with_elements
+from valvemap.opcua_source.elements import ARRAY, NO_ARRAYS, Element, of_one_array, with_elements
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import Item, create_items, delete_items, enlarge_queues
 from valvemap.opcua_source.source_nodes import MonitoredNode
@@ -124,7 +124,7 @@ class Subscription:
         self._created = created
         self._items: tuple[Item, ...] = ()
         self._item_of_handle: NDArray[np.int32] | None = None  # None: they are equal
-        self._elements: dict[int, int] = {}  # by item whose value is an array
+        self._elements: dict[int, list[Element]] = {}  # by item under which an array's changes come
         self._asked = 0
         self._tidies = False
         self._kept_back: deque[int] | None = None  # messages not committed yet
@@ -203,11 +203,18 @@ class Subscription:
         self._items = tuple(items)
         self._item_of_handle = _items_by_handle(self._items)
         self._elements.clear()
-        self.expect([item.node for item in items])
+        by_handle: dict[int, list[MonitoredNode]] = {}
+        for item in items:
+            by_handle.setdefault(item.handle, []).append(item.node)
+        for nodes in by_handle.values():
+            self.expect(nodes)
 
     def expect(self, nodes: Iterable[MonitoredNode]) -> None:
         """Note which elements of arrays the changes of these nodes hold, before they come."""
-        self._elements |= {node.item: node.element for node in nodes if node.element is not None}
+        for own in of_one_array(nodes):
+            elements = [Element(n.item, n.element) for n in own if n.element is not None]
+            if elements:
+                self._elements[own[0].item] = elements
 
     async def change_items(self, nodes: Sequence[MonitoredNode], surplus: Sequence[int]) -> None:
         """Monitor exactly these nodes: create missing items and delete the surplus ones.
@@ -220,8 +227,8 @@ class Subscription:
         handle = max((item.handle for item in self._items), default=-1) + 1
         missing = [node for node in nodes if node.item not in watched]
         with self._connection.errors("changing the subscription"):
-            if surplus:
-                await delete_items(self._connection, self._id, surplus)
+            if unused := set(surplus) - {item.number for item in self._items}:
+                await delete_items(self._connection, self._id, sorted(unused))
             if missing:
                 self.expect(missing)
                 by_handle = dict(enumerate(missing, handle))
@@ -230,6 +237,8 @@ class Subscription:
 
     async def monitor_again(self, node: MonitoredNode) -> None:
         """Delete the monitored item of a node, if there is one, and create it again.
+
+        That of an array with other signals is kept for these.
 
         Raises
         ------
@@ -240,9 +249,10 @@ class Subscription:
         own = [item for item in self._items if item.node.item == node.item]
         others = [item for item in self._items if item.node.item != node.item]
         handle = max((item.handle for item in self._items), default=-1) + 1
-        handle = own[0].handle if own else handle
+        numbers = {item.number for item in own} - {item.number for item in others}
+        handle = own[0].handle if numbers else handle
         with self._connection.errors("monitoring a node again"):
-            await delete_items(self._connection, self._id, [item.number for item in own])
+            await delete_items(self._connection, self._id, sorted(numbers))
             self.watch(others)
             self.expect([node])
             self.watch((*others, *await create_items(self._connection, self._id, {handle: node})))
@@ -476,8 +486,9 @@ class Subscription:
             item = np.where(known, table[np.where(known, changes.item, 0)], np.int32(-1))
             changes = replace(changes, item=item)
         kind = message.kind
-        if message.arrays is not None and self._elements:
-            changes, kind = with_elements(changes, kind, message.arrays, self._elements)
+        if self._elements and len(changes):
+            arrays = message.arrays or NO_ARRAYS
+            changes, kind = with_elements(changes, kind, arrays, self._elements)
         self._tally.undecodable += int(np.count_nonzero(kind >= ARRAY))
         return self._table.note(changes, kind, self._clock.monotonic())
 
@@ -513,7 +524,7 @@ def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
     if all(item.handle == item.node.item for item in items):
         return None
     table = np.full(1 + max(item.handle for item in items), -1, np.int32)
-    for item in items:
+    for item in reversed(items):  # of elements of one array, the first
         table[item.handle] = item.node.item
     return table
 
