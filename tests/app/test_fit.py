@@ -301,7 +301,7 @@ def test_replay_verifies_on_a_table(folder):
 
 
 def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_path):
-    n = 20_000
+    n = 20_000  # of two million rows: `python -m benchmarks.fit_speed`
     rng = np.random.default_rng(0)
     U, dp = rng.uniform(0, 100, n), rng.uniform(5, 200, n)
     Q = 0.1 * U * np.sqrt(dp) + 0.2 * rng.normal(size=n)
@@ -316,7 +316,7 @@ def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_
         return time.process_time() - started
 
     asked = [(valvemap.replay, "csv"), (valvemap.replay, "parquet"), (valvemap.fit, "parquet")]
-    in_turn = [[seconds(*one) for one in asked] for _ in range(3)]  # a machine's pace changes
+    in_turn = [[seconds(*one) for one in asked] for _ in range(2)]  # a machine's pace changes
     from_csv, from_parquet, fit = np.min(in_turn, axis=0)
     assert fit <= 1.3 * from_parquet
     assert from_csv <= 1.3 * from_parquet
