@@ -1,6 +1,5 @@
 """FMI 2.0 units: FMPy, a simulator of another make, validates and runs them."""
 
-import ctypes
 import shutil
 import zipfile
 from itertools import product
@@ -8,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from support.fmi_runner import INPUTS, Running
 from valvemap.errors import StorageError
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
@@ -52,63 +52,6 @@ def unit(request, tmp_path_factory):
     file = tmp_path_factory.mktemp("unit") / "valve.fmu"
     assert write_unit(file, tables, f'V1 by "{request.param}" <&>') == "linux64"
     return file, tables, estimator, state, support
-
-
-NAMES = ("Q", "Q_lower", "Q_upper", "U_required", "U_lower", "U_upper", "error_Q")
-
-
-class Running:
-    """An instance of the unit; ``at`` evaluates it at many points."""
-
-    def __init__(self, file):
-        from fmpy import extract, read_model_description
-        from fmpy.fmi2 import FMU2Slave
-
-        self.described = read_model_description(str(file))
-        self.folder = extract(str(file))
-        self.references = {v.name: v.valueReference for v in self.described.modelVariables}
-        self.slave = FMU2Slave(
-            guid=self.described.guid,
-            unzipDirectory=self.folder,
-            modelIdentifier=self.described.coSimulation.modelIdentifier,
-            instanceName="valve",
-        )
-        self.slave.instantiate()
-        self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
-
-    def at(self, **inputs):
-        """Outputs as arrays, by the unit's own functions without FMPy's cost of a call."""
-        given = np.broadcast_arrays(*(np.atleast_1d(inputs.get(k, 1.0)) for k in INPUTS))
-        rows = np.ascontiguousarray(np.column_stack(given).astype(np.float64))
-        library, component = self.slave.dll, self.slave.component
-        names = [name for name in NAMES if name != "error_Q"]
-        out, status = np.empty((len(rows), len(names))), np.empty((len(rows), 2), np.int32)
-        set_real, get_real, get_integer = (
-            getattr(library, f"fmi2{name}") for name in ("SetReal", "GetReal", "GetInteger")
-        )
-        into, real, integer = (
-            (ctypes.c_uint * len(names))(*(self.references[name] for name in names))
-            for names in (INPUTS, names, ("Q_status", "U_status"))
-        )
-        for k in range(len(rows)):
-            assert set_real(component, into, 3, rows[k].ctypes.data_as(DOUBLES)) == 0
-            assert get_real(component, real, len(names), out[k].ctypes.data_as(DOUBLES)) == 0
-            assert get_integer(component, integer, 2, status[k].ctypes.data_as(INTEGERS)) == 0
-        return dict(zip(names, out.T, strict=True)) | {
-            "Q_status": status[:, 0],
-            "U_status": status[:, 1],
-        }
-
-    def close(self):
-        self.slave.terminate()
-        self.slave.freeInstance()
-        shutil.rmtree(self.folder)
-
-
-INPUTS = ("U", "Q_demand", "dp")
-DOUBLES, INTEGERS = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
 
 
 @pytest.fixture

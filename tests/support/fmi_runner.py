@@ -1,0 +1,60 @@
+"""Runs an FMI 2.0 unit by FMPy, and by its own functions at many points."""
+
+import ctypes
+import shutil
+
+import numpy as np
+
+INPUTS = ("U", "Q_demand", "dp")
+DOUBLES, INTEGERS = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
+NAMES = ("Q", "Q_lower", "Q_upper", "U_required", "U_lower", "U_upper", "error_Q")
+
+
+class Running:
+    """An instance of the unit; ``at`` evaluates it at many points."""
+
+    def __init__(self, file):
+        from fmpy import extract, read_model_description
+        from fmpy.fmi2 import FMU2Slave
+
+        self.described = read_model_description(str(file))
+        self.folder = extract(str(file))
+        self.references = {v.name: v.valueReference for v in self.described.modelVariables}
+        self.slave = FMU2Slave(
+            guid=self.described.guid,
+            unzipDirectory=self.folder,
+            modelIdentifier=self.described.coSimulation.modelIdentifier,
+            instanceName="valve",
+        )
+        self.slave.instantiate()
+        self.slave.setupExperiment(startTime=0.0)
+        self.slave.enterInitializationMode()
+        self.slave.exitInitializationMode()
+
+    def at(self, **inputs):
+        """Outputs as arrays, by the unit's own functions without FMPy's cost of a call."""
+        given = np.broadcast_arrays(*(np.atleast_1d(inputs.get(k, 1.0)) for k in INPUTS))
+        rows = np.ascontiguousarray(np.column_stack(given).astype(np.float64))
+        library, component = self.slave.dll, self.slave.component
+        names = [name for name in NAMES if name != "error_Q"]
+        out, status = np.empty((len(rows), len(names))), np.empty((len(rows), 2), np.int32)
+        set_real, get_real, get_integer = (
+            getattr(library, f"fmi2{name}") for name in ("SetReal", "GetReal", "GetInteger")
+        )
+        into, real, integer = (
+            (ctypes.c_uint * len(names))(*(self.references[name] for name in names))
+            for names in (INPUTS, names, ("Q_status", "U_status"))
+        )
+        for k in range(len(rows)):
+            assert set_real(component, into, 3, rows[k].ctypes.data_as(DOUBLES)) == 0
+            assert get_real(component, real, len(names), out[k].ctypes.data_as(DOUBLES)) == 0
+            assert get_integer(component, integer, 2, status[k].ctypes.data_as(INTEGERS)) == 0
+        return dict(zip(names, out.T, strict=True)) | {
+            "Q_status": status[:, 0],
+            "U_status": status[:, 1],
+        }
+
+    def close(self):
+        self.slave.terminate()
+        self.slave.freeInstance()
+        shutil.rmtree(self.folder)
