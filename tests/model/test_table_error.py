@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from valvemap.model import table_error
 from valvemap.model.flow_map import FlowMap
+from valvemap.model.flow_table import flow_table
 from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap, LinearMapState
 from valvemap.model.lookup_table import lookup_table, place
@@ -195,3 +197,33 @@ def test_a_map_that_has_learnt_nothing_has_no_pieces():
     for estimator in (FlowMap(), RbfNetwork()):
         state = estimator.initial_state()
         assert MapPieces.of(estimator, state, (5.0, 200.0), 40.0) is None
+
+
+@pytest.mark.parametrize(
+    ("seed", "points", "boxes", "n"),
+    [
+        (1, (6, 4), 3_000, 4_000),
+        *(pytest.param(k, (13, 9), 200_000, POINTS, marks=pytest.mark.soak) for k in range(6)),
+    ],
+)
+def test_a_table_for_spreadsheets_is_certified_where_the_map_falls_with_U(
+    seed, points, boxes, n, monkeypatch
+):
+    monkeypatch.setattr(table_error, "MOST", boxes)
+    rng = np.random.default_rng(seed)
+    structure = TensorSpline.uniform(6, 4)
+    U, s = np.meshgrid(np.linspace(0, 100, 9), np.linspace(0, 14.2, 7), indexing="ij")
+    theta = (0.05 * U * s + rng.normal(0, 4.0, U.shape) * s / 14.2 + rng.normal(0, 2.0)).ravel()
+    valve, state = LinearMap(structure), LinearMapState(theta, np.zeros((63, 63)))
+    table = flow_table(valve, state, lookup_table(valve, state, points=points))
+    assert table.certified
+    Q, dp = rng.uniform(table.Q[0], table.Q[-1], n), rng.uniform(table.dp[0], table.dp[-1], n)
+    rise = rng.uniform(0, 1, n // 2) ** 3
+    ends = [valve.predict(state, np.full(n, u), dp, np.full(n, 40.0))[0] for u in (0.0, 100.0)]
+    Q[: n // 2] = np.clip((ends[0][: n // 2] + rise - 0.3), table.Q[0], table.Q[-1])
+    mine, exact = table.interpolate(Q, dp), invert(valve, state, Q, dp, table.T)
+    known = np.isfinite(mine) & np.isfinite(exact.U)
+    assert known.mean() > 0.5
+    assert np.abs(mine - exact.U)[known].max() <= table.error_U
+    flows = (valve.predict(state, x[known], dp[known], 0 * x[known])[0] for x in (mine, exact.U))
+    assert np.abs(np.subtract(*flows)).max() <= table.error_Q

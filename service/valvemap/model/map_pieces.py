@@ -211,6 +211,11 @@ class MapPieces:
         return np.asarray(np.select([above, below], [first, second], np.minimum(first, second)))
 
     @cached_property
+    def most(self) -> Floats:
+        """Upper bound of dQ/dU on each rectangle, (n_U, n_s)."""
+        return np.asarray(np.maximum(self.parts[0].slopes[1], self.parts[-1].slopes[1]))
+
+    @cached_property
     def fine(self) -> "MapPieces":
         """The map on rectangles divided along both axes, where its least slopes are sharper."""
         parts = -(-FINE // (len(self.U) - 1))
@@ -252,11 +257,20 @@ class MapPieces:
 
     def least_slopes(self, low_s: Floats, high_s: Floats) -> Floats:
         """Lower bounds of dQ/dU along U over N ranges of s, (N, n_U)."""
-        j, last = _place(self.s, low_s)[0], _place(self.s, high_s, side="left")[0]
-        least = self.least[:, j]
-        for across in range(1, int((last - j).max(initial=0)) + 1):
-            least = np.minimum(least, self.least[:, np.minimum(j + across, last)])
-        return np.ascontiguousarray(least.T)
+        return -_largest_over(-self.least, self.s, low_s, high_s)
+
+    def may_rise(self, low_s: Floats, high_s: Floats) -> NDArray[np.bool_]:
+        """Whether the map may rise with U on each rectangle over N ranges of s, (N, n_U)."""
+        return np.asarray(_largest_over(self.most, self.s, low_s, high_s) >= 0.0)
+
+
+def _largest_over(values: Floats, s: Floats, low_s: Floats, high_s: Floats) -> Floats:
+    """Return the largest of values by rectangle (n_U, n_s) over N ranges of s, (N, n_U)."""
+    j, last = _place(s, low_s)[0], _place(s, high_s, side="left")[0]
+    largest = values[:, j]
+    for across in range(1, int((last - j).max(initial=0)) + 1):
+        largest = np.maximum(largest, values[:, np.minimum(j + across, last)])
+    return np.ascontiguousarray(largest.T)
 
 
 def _form(estimator: Any, state: Any, T: float) -> MapForm | None:  # noqa: ANN401 - any

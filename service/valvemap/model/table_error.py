@@ -13,10 +13,13 @@ with the largest second derivatives over the box, which follow from those of the
 (:class:`~valvemap.model.map_pieces.MapPieces`). Where a slope of the map jumps, the mean value
 theorem does: |F(c)| + a·max|F_u| + b·max|F_v|. Boxes whose bound is too large are split.
 
-The error in U follows from it. With C(U) = ∫ min dQ̂/dU dU over the box's pressure drops, no U
-delivers Q before C first reaches C(U) - |F|, and one does before C next reaches C(U) + |F|. Where
-the map falls with U, the least slope of a whole rectangle is far below the map's: boxes that matter
-are bounded again by the slopes on parts of the rectangles.
+The error in U follows from it. The exact U is the smallest on a rising branch of the map (for a
+demand below its least flow, 0). With C(U) = ∫ min dQ̂/dU dU over the box's pressure drops, no U
+delivers Q before C first reaches C(U) - F, if F > 0, and one does before C next reaches C(U) - F,
+if F < 0; the ends of F over a box are its value at the centre, plus and minus the rest of the
+bound. Rectangles on which the map only falls hold no such U. Where the map falls with U, the least
+slope of a whole rectangle is far below the map's: boxes that matter are bounded again by the slopes
+on parts of the rectangles.
 """
 
 from dataclasses import dataclass
@@ -152,7 +155,8 @@ def _bounds(boxes: _Boxes, pieces: MapPieces, tolerance_U: float) -> tuple[Float
     middle, by_s, _ = c.s(v)
     Q, in_U, in_s = pieces.at(c.U00 + by_u * u + by_v * v + twist * u * v, middle)
     r, span = c.r + c.dr * u, c.span + c.dspan * v
-    F = np.abs(Q - (c.low + c.dlow * v + r * span))
+    signed = Q - (c.low + c.dlow * v + r * span)
+    F = np.abs(signed)
     U_u, U_v = by_u + twist * ends_v, by_v + twist * ends_u  # at both ends
     Q_u, Q_v = c.dr * (c.span + c.dspan * ends_v), c.dlow + (c.r + c.dr * ends_u) * c.dspan
     F_u = np.abs(in_U * (by_u + twist * v) - c.dr * span)
@@ -171,10 +175,12 @@ def _bounds(boxes: _Boxes, pieces: MapPieces, tolerance_U: float) -> tuple[Float
     bounds = bounds + pieces.slack
     if not np.isfinite(tolerance_U):
         return bounds, F, 0.0 * F
-    error_U = _error_in_U(pieces, low_U, high_U, s, bounds)
+    reach = bounds - F  # by which F may differ from that at the centre
+    ends_F = signed - reach, signed + reach
+    error_U = _error_in_U(pieces, low_U, high_U, s, ends_F)
     rough = np.flatnonzero(error_U > tolerance_U)
     for rows in np.split(rough, range(ROWS, len(rough), ROWS)):
-        part = low_U[rows], high_U[rows], s[:, rows], bounds[rows]
+        part = low_U[rows], high_U[rows], s[:, rows], (ends_F[0][rows], ends_F[1][rows])
         error_U[rows] = _error_in_U(pieces.fine, *part)
     corners = (
         c.low
@@ -219,11 +225,15 @@ def _largest(x: Floats, y: Floats) -> Floats:
     return np.asarray(np.maximum(np.abs(x[0] - high), np.abs(x[1] - low)))
 
 
-def _error_in_U(pieces: MapPieces, low_U: Floats, high_U: Floats, s: Floats, F: Floats) -> Floats:
+def _error_in_U(
+    pieces: MapPieces, low_U: Floats, high_U: Floats, s: Floats, F: tuple[Floats, Floats]
+) -> Floats:
+    """Return bounds of the error in U of boxes, from the ends of each box's F."""
+    too_little, too_much = np.maximum(-F[0], 0.0), np.maximum(F[1], 0.0)
     slopes = pieces.least_slopes(s[0], s[1])
     risen = np.cumsum(slopes * np.diff(pieces.U), axis=1)
-    C = np.concatenate([np.zeros((len(F), 1)), risen], axis=1)
-    rows = np.arange(len(F))
+    C = np.concatenate([np.zeros((len(low_U), 1)), risen], axis=1)
+    rows = np.arange(len(low_U))
 
     def place(U: Floats) -> Indices:
         found = np.searchsorted(pieces.U, U, side="right") - 1
@@ -243,5 +253,23 @@ def _error_in_U(pieces: MapPieces, low_U: Floats, high_U: Floats, s: Floats, F: 
         inside = np.isfinite(within) & (i > 0)
         return np.asarray(np.where(inside, np.clip(within, pieces.U[j], pieces.U[i]), pieces.U[i]))
 
-    most = first(at(high_U) + F, high_U) - low_U
-    return np.maximum(most, high_U - first(at(low_U) - F, 0.0 * low_U))
+    def first_rise(level: Floats) -> Floats:
+        """First U from 0 on where C may have reached a level on a rising branch, or below reach."""
+        begins, ends = C[:, :-1], C[:, 1:]
+        may = pieces.may_rise(s[0], s[1])
+        open_ = (pieces.U >= 0.0) & (low_U[:, None] >= pieces.U)
+        dip = np.where(open_, C, np.inf).min(axis=1)
+        zero = place(np.zeros(1))[0]  # U = 0 answers a demand below the least flow
+        may[:, zero] |= (lowest_C - dip <= too_much) & (begins[:, zero] >= level)
+        reached = (np.maximum(begins, ends) >= level[:, None]) & may & (pieces.U[1:] > 0.0)
+        i = np.where(reached.any(axis=1), reached.argmax(axis=1), len(pieces.U) - 2)
+        with np.errstate(all="ignore"):
+            within = pieces.U[i] + (level - C[rows, i]) / slopes[rows, i]
+        at_once = (begins[rows, i] >= level) | ~np.isfinite(within)
+        return np.maximum(np.where(at_once, pieces.U[i], within), 0.0)
+
+    inside = (pieces.U[:-1] < high_U[:, None]) & (pieces.U[1:] > low_U[:, None])
+    falls = np.minimum(np.where(inside, slopes, 0.0).min(axis=1), 0.0) * (high_U - low_U)
+    lowest_C, highest_C = at(low_U) + falls, at(high_U) - falls
+    most = first(highest_C + too_little, high_U) - low_U
+    return np.maximum(most, high_U - first_rise(lowest_C - too_much))
