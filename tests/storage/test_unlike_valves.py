@@ -20,7 +20,7 @@ from valvemap.storage.fmi_units import write_unit
 from valvemap.storage.lookup_tables import as_structured_text
 from valvemap.vocabulary.statuses import InverseStatus
 
-pytestmark = pytest.mark.compiler
+pytestmark = [pytest.mark.compiler, pytest.mark.timeout(1200)]  # a million points
 
 N, POINTS, T = 4_000, 1_000_000, 45.0
 OF_TABLE = 300  # points at which the Structured Text is interpreted

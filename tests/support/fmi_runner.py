@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 
 INPUTS = ("U", "Q_demand", "dp")
-DOUBLES, INTEGERS = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
 NAMES = ("Q", "Q_lower", "Q_upper", "U_required", "U_lower", "U_upper", "error_Q")
 
 
@@ -45,10 +44,17 @@ class Running:
             (ctypes.c_uint * len(names))(*(self.references[name] for name in names))
             for names in (INPUTS, names, ("Q_status", "U_status"))
         )
-        for k in range(len(rows)):
-            assert set_real(component, into, 3, rows[k].ctypes.data_as(DOUBLES)) == 0
-            assert get_real(component, real, len(names), out[k].ctypes.data_as(DOUBLES)) == 0
-            assert get_integer(component, integer, 2, status[k].ctypes.data_as(INTEGERS)) == 0
+        inputs_at, outputs_at, statuses_at = (
+            (kind * n).from_address
+            for kind, n in ((ctypes.c_double, 3), (ctypes.c_double, len(names)), (ctypes.c_int, 2))
+        )
+        strides = [x.strides[0] for x in (rows, out, status)]
+        at, to, said = (x.ctypes.data for x in (rows, out, status))
+        for _ in range(len(rows)):
+            assert set_real(component, into, 3, inputs_at(at)) == 0
+            assert get_real(component, real, len(names), outputs_at(to)) == 0
+            assert get_integer(component, integer, 2, statuses_at(said)) == 0
+            at, to, said = (x + n for x, n in zip((at, to, said), strides, strict=True))
         return dict(zip(names, out.T, strict=True)) | {
             "Q_status": status[:, 0],
             "U_status": status[:, 1],
