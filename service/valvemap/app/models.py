@@ -42,7 +42,9 @@ def fit(
         of arrays by column, or a list of these, in the order of time. Columns are t, U, p1, p2, Q
         and optionally T, valve, quality; see :func:`valvemap.read_recording`.
     units
-        Units that differ from %, bar, l/min, °C, by signal: ``{"p1": "psi", "Q": "gpm"}``.
+        Units that differ from %, bar, l/min, °C, by signal: ``{"p1": "psi", "Q": "gpm"}``; raw
+        numbers and their values: ``{"U": "4..20:0..100%"}``; of times that are not in s:
+        ``{"t": "ms"}``. Units that the values contradict are refused.
     columns
         Columns with other names, by signal: ``{"t": "Time", "U": "Control signal"}``.
     U_range
