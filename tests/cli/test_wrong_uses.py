@@ -149,7 +149,7 @@ NOT_TO_BE_DONE = uses(
     ("replay thousands.csv", ["thousands.csv, line 2", "U is '1.000.5'", "a number"]),
     ("replay dates.csv", ["dates.csv, line 2", "03/04/2026", "write 2026-12-31T08:00:00"]),
     ("replay swapped.csv", ["swapped.csv", "p1 is below p2 in 100 %", "swapped?", "--insist"]),
-    ("replay pascal.csv", ["is it Pa? signals.p1.unit", "--insist"]),
+    ("replay pascal.csv", ["p1 and p2 are in Pa instead of bar", "--insist"]),
     ("replay backwards.csv", ["the times run backwards", "sort the rows by t"]),
     ("replay all_bad.csv", ["nothing was learnt from 60 samples: bad status 60"]),
     ("replay ok.csv --config two.toml", ["whose rows are these?", "a column valve"]),

@@ -66,10 +66,11 @@ def check_units(
             own = Scale(Measure(unit=inside(QUANTITY_OF[signal])), 0.0, "as stated")
             scales = {**scales, role: own}
         given = Given({**given.nodes, role: str(role)}, scales)
-    verdict = judge(Group(valve, tuple(candidates)), Record(values, step_s), given)
+    group = Group(valve, tuple(candidates))
+    verdict = judge(group, Record(values, step_s), given)
     options = () if verdict.question is None else verdict.question.options
     others = [option for option in options if not option.text.startswith(_LABELLED)]
-    if not others:
+    if not others or _are_swapped(group, values, step_s, given):
         return
     likeliest = max(others, key=lambda one: (one.probability, " instead of " in one.text))
     is_sure = verdict.reading is not None and bool(verdict.reading.mistake)
@@ -94,6 +95,14 @@ def _most_moving(samples: Samples) -> tuple[Samples, float]:
     start = starts[int(np.argmax(moves))]
     chosen = thinned[start : start + ROWS]
     return chosen[chosen.quality != Quality.BAD], step_s * stride
+
+
+def _are_swapped(group: Group, values: Mapping[str, Floats], step_s: float, given: Given) -> bool:
+    """Whether the pressures, swapped, are plausible in their units: `Plausibility` refuses them."""
+    if not {"p1", "p2"} <= set(values):
+        return False
+    swapped = {**values, "p1": values["p2"], "p2": values["p1"]}
+    return judge(group, Record(swapped, step_s), given).question is None
 
 
 def _spread(values: Floats) -> float:
