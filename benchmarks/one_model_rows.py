@@ -205,6 +205,14 @@ def held_back(name, which, every, seed, N=20_000):
     return Row(c.samples_of(U, dp, Q), (N,), (valve,))
 
 
+def held_all(name, how, causes, seed, N=20_000):
+    """Signals that are published at periods of their own, or a command that moves in steps."""
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    U, dp, Q = how(valve, U, dp, c.white(seed, N))
+    return Row(c.samples_of(U, dp, Q), (N,), (valve,), causes=frozenset(causes))
+
+
 def poppet(U, dp):
     """A poppet whose dead band falls with the pressure drop: 14 % at none, 6 % at 200 bar."""
     lap = 6.0 + 8.0 * np.exp(-dp / 60.0)
@@ -488,6 +496,34 @@ SHOWN: Final = {
 }
 
 
+HELD: Final = {
+    "U held 7, p 10 samples": (
+        lambda valve, U, dp, e: (held(U, 7), held(dp, 10), valve(U, dp) + e),
+        set(),
+    ),
+    "Q held 10 samples": (
+        lambda valve, U, dp, e: (U, dp, held(valve(U, dp) + e, 10)),
+        set(),
+    ),
+    "U held 10 samples, dead time of U .15 s": (
+        lambda valve, U, dp, e: (held(U, 10), dp, valve(late(U, 15), dp) + e),
+        {FindingCode.DEAD_TIME},
+    ),
+    "U held 10 samples, averaging .4 s": (
+        lambda valve, U, dp, e: (held(U, 10), dp, averaged(valve(U, dp), 40) + e),
+        {FindingCode.AVERAGING},
+    ),
+    "U in steps of 10 samples, not held": (
+        lambda valve, U, dp, e: (held(U, 10), dp, valve(held(U, 10), dp) + e),
+        set(),
+    ),
+    "U in steps of 10 samples, not held, lag of U .05 s": (
+        lambda valve, U, dp, e: (held(U, 10), dp, valve(lagging(held(U, 10), 0.05), dp) + e),
+        {FindingCode.LAG_U},
+    ),
+}
+
+
 def worn_near_closed(U, dp):
     """5 l/min more at 100 bar where the valve is closed, none from 15 % on."""
     return c.worn_edge(U, dp)
@@ -555,6 +591,11 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
         f"{which} held {every} samples, {name}": partial(held_back, name, which, every)
         for which in ("U", "p", "U and p")
         for every in (5, 10)
+        for name in ("ordinary", "S-shape")
+    },
+    **{
+        f"{what}, {name}": partial(held_all, name, how, causes)
+        for what, (how, causes) in HELD.items()
         for name in ("ordinary", "S-shape")
     },
     **{

@@ -180,9 +180,22 @@ def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
                     rest = at[other] - value * AGE[k] / AGE[other]
                     if at[other] and rest > 0.0:
                         yield with_value(tried, other, rest)
+    yield from _held(evidence, at)
     if not at[paths.TOP]:
         for share in rules.SHARES_TOP:
             yield with_value(at, paths.TOP, float(np.quantile(evidence.Q, share)))
+
+
+def _held(evidence: Evidence, at: Floats) -> Iterator[Floats]:
+    """Return the parameters with a signal that is held more; what is held is old by itself."""
+    for k, period in evidence.periods.items():
+        if period and not at[k]:
+            tried = with_value(at, k, period)
+            yield tried
+            older = 0.5 * period if k != paths.HELD_Q else -0.5 * period
+            for lag in AGE:
+                if at[lag]:
+                    yield with_value(tried, lag, max(at[lag] + older / AGE[lag], 0.0))
 
 
 def _is_distinct(evidence: Evidence, k: int, value: float) -> bool:

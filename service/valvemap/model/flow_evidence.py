@@ -8,6 +8,7 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valvemap.model.kernels import flow_evidence
 from valvemap.model.kernels import flow_path as paths
@@ -21,7 +22,7 @@ SLOWEST: Final = dict.fromkeys(
     (0.0, 2.0 * rules.LONGEST_LAG),
 )
 ABRUPT: Final = (paths.STICK, paths.TOP)  # the residual is no smooth function of these
-FIXED: Final = (paths.NEWS, paths.LEAST)
+FIXED: Final = (paths.NEWS, paths.LEAST, paths.HELD_U, paths.HELD_P, paths.HELD_Q)
 DAMPED: Final = (0.0, 0.1, 10.0)  # of JᵀJ's diagonal; tried in turn until a step helps
 
 
@@ -57,6 +58,12 @@ class Evidence:
         flow_evidence.counted(rows, self._used)
         square = float(np.einsum("i,i->", self.Q, self.Q)) / max(len(rows), 1)
         self._floor = rules.MISFIT**2 * square  # no coarse map is nearer to a valve
+        self.periods = {
+            paths.HELD_U: period(rows[:, paths.STEP], rows[:, paths.LEFT_U]),
+            paths.HELD_P: period(rows[:, paths.STEP], rows[:, paths.LEFT_DP]),
+            paths.HELD_Q: period(rows[:, paths.STEP], rows[:, paths.LEFT_Q]),
+        }
+        self._joined: dict[tuple[float, float], Floats] = {(0.0, 0.0): rows}
         self._known: dict[tuple[float, ...], Left] = {}
         self._noises: dict[tuple[float, ...], Noise] = {}
         self._in_phase = True  # where no operator is needed, none has a phase to be searched for
@@ -88,11 +95,19 @@ class Evidence:
         ridge = rules.RIDGE if near is None else 1.0
         residual, out = np.empty(len(self.rows)), np.empty(3)
         flow_evidence.leftover(
-            self._axis, self._top, self.rows, self._used, given, ridge, self._in_phase, b, residual,
-            out,
+            self._axis, self._top, self._rows(given), self._used, given, ridge, self._in_phase, b,
+            residual, out,
         )  # fmt: skip
         square, many, phase = map(float, out)
         return b, Left(square, many, phase, residual)
+
+    def _rows(self, given: Floats) -> Floats:
+        """Rows with the signals as they were, where some are held."""
+        held = float(given[paths.HELD_U]), float(given[paths.HELD_P])
+        if held not in self._joined:
+            self._joined[held] = self.rows.copy()
+            flow_evidence.joined(self.rows, *held, self._joined[held])
+        return self._joined[held]
 
     def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Floats) -> None:
         """Fill the map's coefficients with those of the coarse map."""
@@ -132,8 +147,33 @@ class Evidence:
         return 0.5 * rows * math.log(other / one) if one > 0.0 and other > 0.0 else 0.0
 
 
+def period(steps: Floats, x: Floats) -> float:
+    """How long each value is held of a signal that comes more rarely than others, s; 0: it is not.
+
+    A value may rest for several periods, but hardly for less than one.
+    """
+    moments = np.cumsum(steps)[1:][np.diff(x) != 0.0]
+    spans = np.diff(moments)
+    if len(spans) < rules.FEWEST_HELD:
+        return 0.0
+    short = spans[spans <= rules.LATEST_VALUE * np.quantile(spans, rules.SHORT_SPANS)]
+    held = float(np.mean(short))
+    is_longer = held > rules.HELD_STEPS * float(np.median(steps))
+    return held if is_longer and held <= rules.LONGEST_HELD else 0.0
+
+
+def new_readings(rows: Floats) -> NDArray[np.bool_]:
+    """Rows (N,) in which the meter shows a new reading: all, unless it is held."""
+    new = np.ones(len(rows), np.bool_)
+    if period(rows[:, paths.STEP], rows[:, paths.LEFT_Q]) > 0.0:
+        new[1:] = np.diff(rows[:, paths.LEFT_Q]) != 0.0
+    return new
+
+
 def noise_of(Q: Floats) -> float:
     """Standard deviation of white noise in readings, from their second differences."""
+    new = np.flatnonzero(np.diff(Q)) + 1
+    Q = Q[new] if 2 * len(new) < len(Q) else Q  # a meter that repeats its readings
     bends = np.abs(Q[2:] - 2.0 * Q[1:-1] + Q[:-2])
     return float(rules.MEDIAN_TO_STD * np.median(bends) / math.sqrt(6.0)) if len(bends) else 0.0
 

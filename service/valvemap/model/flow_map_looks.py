@@ -112,7 +112,8 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
         path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
         path[flow_path.PHASE] = evidence.of(found).phase
         state.precision[:] = of_found
-        if (found == given)[: flow_path.TOP].all():
+        held = slice(flow_path.HELD_U, flow_path.PARAMETERS)
+        if (found == given)[: flow_path.TOP].all() and (found == given)[held].all():
             _empty_bounds(state, both)
         else:
             _replay(state, both, T, longest)
@@ -196,7 +197,9 @@ def _watch(state: FlowMapState, both: Both) -> None:
     """Weigh whether the meter has a least flow, by the samples since the last time."""
     path, counters = state.path, state.counters
     seen = int(counters[flow_memory.ROWS_SEEN] - counters[flow_memory.WATCHED])
-    rows = _rows(state)[-seen:] if seen > 0 else np.empty((0, flow_path.COLUMNS))
+    rows = _rows(state)
+    new = flow_evidence.new_readings(rows)
+    rows = rows[-seen:][new[-seen:]] if seen > 0 else np.empty((0, flow_path.COLUMNS))
     counters[flow_memory.WATCHED] = counters[flow_memory.ROWS_SEEN]
     Q = rows[:, flow_path.LEFT_Q]
     if len(Q) < rules.SEEN_BELOW:
@@ -232,6 +235,7 @@ def _differ(found: Floats, given: Floats, of_found: Floats, of_given: Floats) ->
     """Whether the map would be another one: other operators, or parameters beyond doubt."""
     there = np.arange(flow_path.PARAMETERS) != flow_path.NEWS  # changes nothing of the map
     ks = [int(k) for k in np.flatnonzero(there & (found > 0.0) & (given > 0.0))]
+    ks = [k for k in ks if k < flow_path.OF_MAP]
     if ((found > 0.0) != (given > 0.0))[there].any():
         return True
     off, square = (found - given)[ks], 0.0

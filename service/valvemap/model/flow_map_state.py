@@ -62,7 +62,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 6  # 5: no wear; 4: noise of one colour; 3: nothing nameless
+    state_version: ClassVar[int] = 7  # 6: nothing held; 5: no wear; 4: noise of one colour
 
     cells: NDArray[np.float32]
     theta: Floats
@@ -87,11 +87,17 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 5: edges wore as a whole; 4: noise was AR(1), without a white part; 3: nothing
-        nameless was looked for.
+        Version 6: no signal was held; 5: edges wore as a whole; 4: noise was AR(1), without a white
+        part; 3: nothing nameless was looked for.
         """
-        if version not in ("3", "4", "5"):
+        if version not in ("3", "4", "5", "6"):
             return {}
+        held, first = flow_path.PARAMETERS - flow_path.OF_MAP, flow_path.OF_MAP
+        arrays["path"] = np.insert(arrays["path"], [first] * held + [2 * first] * held, 0.0)
+        arrays["precision"] = np.pad(arrays["precision"], (0, held))
+        arrays["counters"] = np.append(arrays["counters"], [0])
+        if version == "6":
+            return arrays
         arrays["wear"] = np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS))
         flow_wear.begin(arrays["wear"])
         arrays["recent"] = np.ascontiguousarray(arrays["recent"][:, : flow_path.COLUMNS])

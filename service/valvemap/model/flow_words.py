@@ -30,6 +30,9 @@ OPERATORS: Final = {
     paths.TOP: "meter ends at {:.3g} l/min",
     paths.LEAST: "meter dead below {:.2g} l/min",
     paths.NEWS: "U reacts to noise",
+    paths.HELD_U: "U comes every {:.2g} s",
+    paths.HELD_P: "pressures come every {:.2g} s",
+    paths.HELD_Q: "Q comes every {:.2g} s",
 }
 
 

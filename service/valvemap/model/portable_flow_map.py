@@ -72,7 +72,7 @@ class GaussianMap:
             moving=state.now.copy(),
             scalars=state.scalars[list(SCALARS)],
             temperatures=state.scalars[list(TEMPERATURES)],
-            operators=state.path[: paths.PARAMETERS].copy(),
+            operators=state.path[: paths.OF_MAP].copy(),
             play=state.play[[plays.HALF, plays.SLOPES]],
         )
 
@@ -92,7 +92,7 @@ class GaussianMap:
             wanted[:] = given
         blank.scalars[list(SCALARS)] = self.scalars
         blank.scalars[list(TEMPERATURES)] = self.temperatures
-        blank.path[: paths.PARAMETERS] = self.operators
+        blank.path[: paths.OF_MAP] = self.operators
         blank.play[[plays.HALF, plays.SLOPES]] = self.play
         blank.counters[memory.FITTED] = 1
         return blank

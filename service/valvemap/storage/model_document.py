@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from valvemap.model.kernels import lack_of_fit
-from valvemap.model.kernels.flow_path import PARAMETERS
+from valvemap.model.kernels.flow_path import OF_MAP
 from valvemap.model.kernels.support import PLACES_OF_CELL, T_LOW
 from valvemap.model.linear_map import LinearParameters
 from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
@@ -124,7 +124,7 @@ class GaussianSection(_Section):
     moving: tuple[Rows, Rows]
     scalars: Numbers = Field(min_length=len(SCALARS), max_length=len(SCALARS))
     temperatures: tuple[float | None, float | None]
-    operators: Numbers = Field(min_length=PARAMETERS, max_length=PARAMETERS)
+    operators: Numbers = Field(min_length=OF_MAP, max_length=OF_MAP)
     play: tuple[float, float]
 
     @model_validator(mode="after")

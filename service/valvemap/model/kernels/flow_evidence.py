@@ -46,7 +46,7 @@ def leftover(
     for phase in rules.PHASES:  # where friction held the spool at first is not known
         X = np.zeros((N, K))
         _regressors(axis, top, rows, given, phase, X, t, base, work)
-        X = _filtered(X, t, base, given)
+        X = _filtered(X, rows, t, base, given)
         other[:], last[2] = prior, phase
         _fit(X, rows, used, given, ridge, other, left, last)
         if last[0] < out[0]:
@@ -63,6 +63,16 @@ def counted(rows: Floats, used: np.ndarray) -> None:
         step = rows[i, paths.STEP]
         since = 0.0 if i == 0 or step >= rules.GAP else since + step
         used[i] = i % rules.EVERY == 0 and since >= rules.LONGEST_LAG
+
+
+@kernel
+def joined(rows: Floats, held_U: float, held_p: float, out: Floats) -> None:
+    """Fill ``out``, a copy of the rows, with U and pressures on their way from value to value."""
+    for i in range(len(rows)):
+        known, ahead = i + 1, len(rows) - 1 - i
+        out[i, paths.LEFT_U] = paths.between(rows, i, known, ahead, paths.LEFT_U, held_U)[0]
+        out[i, paths.LEFT_DP] = paths.between(rows, i, known, ahead, paths.LEFT_DP, held_p)[0]
+        out[i, paths.LEFT_P1] = paths.between(rows, i, known, ahead, paths.LEFT_P1, held_p)[0]
 
 
 def terms_of(axis: Axis) -> int:
@@ -142,7 +152,7 @@ def _expected(rows: Floats, i: int) -> float:
 
 
 @maker
-def _filtered(X: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
+def _filtered(X: Floats, rows: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
     """Regressors as the meter shows them."""
     N, K = X.shape
     if given[paths.DEAD_Q] > 0.0:
@@ -181,6 +191,10 @@ def _filtered(X: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
                 keep = math.exp(-(t[i] - t[i - 1]) / given[paths.LAG_Q])
                 for k in range(K):
                     X[i, k] += keep * (X[i - 1, k] - X[i, k])
+    if given[paths.HELD_Q] > 0.0:
+        for i in range(N):
+            if base[i] != i and rows[i, paths.LEFT_Q] == rows[i - 1, paths.LEFT_Q]:
+                X[i] = X[i - 1]
     return X
 
 

@@ -22,7 +22,8 @@ CALM = 24  # samples until which what moves is found again, and is no news
 RESTARTED = 25  # samples when the map began again, those that it then learnt once more included
 WANDERED = 26  # ns; of the last stay that something without a name explained
 PAIR_CELL, PAIR_TIME = 27, 28  # of the stay that is to be compared
-COUNTERS = 29
+LEARNT = 29  # rows of `recent` that were learnt; the others wait for signals that are held
+COUNTERS = 30
 
 A_CHANGE, A_GUESS = 1, 2  # one that was called; one that flows at new places refute
 

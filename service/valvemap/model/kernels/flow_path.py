@@ -5,6 +5,10 @@
 
 Each operator has one parameter, 0 where there is none. Which are there is decided by evidence, see
 `flow_evidence`.
+
+A signal may be published more rarely than others, and held between. U or Δp is then on its way from
+one value to the next, along a straight line: a sample waits for the next value (`between`). Of Q a
+new reading counts only.
 """
 
 import math
@@ -22,7 +26,9 @@ DEAD_Q, AVERAGE, LAG_Q = 7, 8, 9  # s
 TOP, LEAST = 10, 11  # l/min
 NEWS = 12  # 1 where Q goes with the news in U from sample to sample: U reacts to noise
 PAST = 0.5  # of NEWS where the news is what the samples before did not tell, without those behind
-PARAMETERS = 13
+OF_MAP = 13  # parameters up to here belong to a map; the others to the signals it is learnt from
+HELD_U, HELD_P, HELD_Q = 13, 14, 15  # s; period of a signal that is published more rarely
+PARAMETERS = 16
 
 # Places in `path` behind the parameters.
 GAINS = PARAMETERS  # log likelihood by which each is needed
@@ -40,6 +46,53 @@ PLACES = PHASE + 1
 STEP, LEFT_U, LEFT_DP, LEFT_P1, LEFT_Q = 0, 1, 2, 3, 4  # s since the row before, as measured
 SPOOL = 5  # %; behind the operators
 COLUMNS = 6
+
+
+@inner
+def waits(path: Floats) -> float:
+    """How long a sample waits for the next values of signals that are held, s."""
+    return float(rules.LATEST_VALUE * max(path[HELD_U], path[HELD_P]))
+
+
+@inner
+def between(
+    rows: Singles | Floats, row: int, known: int, ahead: int, column: int, period: float
+) -> tuple[float, float]:
+    """A signal at ``row``, on its way between two values, and its standard deviation.
+
+    The second comes a ``period`` after the first, or somewhat later; a signal that rests longer
+    begins to move a period before. One that turns at a value may turn beside it as well.
+    ``known`` rows up to ``row`` and ``ahead`` rows behind it are known; ``rows`` is a ring.
+    """
+    value = float(rows[row, column])
+    if period <= 0.0:
+        return value, 0.0
+    longest, at, left = rules.LATEST_VALUE * period, row, 0.0
+    after = value
+    for _ in range(ahead):
+        at = at + 1 if at + 1 < len(rows) else 0
+        left += float(rows[at, STEP])
+        if left > longest:
+            break
+        after = float(rows[at, column])
+        if after != value:
+            break
+    if after == value:
+        return value, 0.0
+    at, age, before, span = row, 0.0, value, 0.0
+    for _ in range(known - 1):
+        step = float(rows[at, STEP])
+        at = at - 1 if at > 0 else len(rows) - 1
+        before = float(rows[at, column])
+        if before != value or age + left > longest:
+            span = age + left
+            break
+        age += step
+    if not 0.0 < span <= longest:
+        span, before = period, value
+    share = max(1.0 - left / span, 0.0)
+    off = 2.0 * share * (1.0 - share) * abs(after - 2.0 * value + before)
+    return value + share * (after - value), off
 
 
 @inner
@@ -81,16 +134,17 @@ def spool(U: float, step: float, fresh: bool, path: Floats) -> float:  # noqa: F
 
 
 @inner
-def late(recent: Singles, newest: int, known: int, path: Floats) -> float:
+def late(recent: Singles, newest: int, known: int, ahead: int, path: Floats) -> float:
     """U as it was a dead time ago, the oldest one where the rows do not reach so far."""
-    age, row = 0.0, newest
-    for _ in range(known - 1):
+    age, row, back = 0.0, newest, 0
+    for i in range(known - 1):
         step = float(recent[row, STEP])
         if age + 0.5 * step > path[DEAD_U] or step >= rules.GAP:
             break
         age += step
+        back = i + 1
         row = row - 1 if row > 0 else len(recent) - 1
-    return float(recent[row, LEFT_U])
+    return between(recent, row, known - back, ahead + back, LEFT_U, path[HELD_U])[0]
 
 
 @inner
@@ -134,11 +188,12 @@ def forward(flow: float, side: int, s: float, least: float) -> float:
 @inner
 def metered(
     axis_U: Axis, axis_s: Axis, theta: Floats, least: float, recent: Singles, newest: int,
-    known: int, path: Floats, work: Floats, out: Floats,
+    known: int, ahead: int, path: Floats, work: Floats, out: Floats,
 ) -> bool:  # fmt: skip
     """Means over what the meter shows now; False: not enough is known.
 
-    ``newest`` is the row of the last sample, ``known`` the number of rows. ``out`` becomes the mean
+    ``newest`` is the row of the sample, ``known`` the number of rows up to it, ``ahead`` of those
+    behind it. ``out`` becomes the mean
     of spool and root; of the flow, less that at the mean place; of the squared difference; the
     variances of spool and root. Flows are those of the map ``theta``, see `forward`, at the mean
     places of parts of equal weight.
@@ -150,7 +205,9 @@ def metered(
     for k in range(known):
         step = float(recent[row, STEP])
         weight = _share(age + step, path) - _share(age, path)
-        root = effective(float(recent[row, LEFT_DP]), float(recent[row, LEFT_P1]), path)
+        dp, _ = between(recent, row, known - k, ahead + k, LEFT_DP, path[HELD_P])
+        p1, _ = between(recent, row, known - k, ahead + k, LEFT_P1, path[HELD_P])
+        root = effective(dp, p1, path)
         root = min(max(root, axis_s.breaks[0]), axis_s.breaks[-1])
         spool = float(recent[row, SPOOL])
         total += weight

@@ -34,7 +34,9 @@ from valvemap.model.kernels.flow_memory import (
     FITTED,
     FLOW,
     LAST_TIME,
+    LEARNT,
     NEXT_FIT,
+    PLACE_S,
     PLACE_U,
     ROWS_SEEN,
     SAMPLES,
@@ -99,14 +101,86 @@ def _learn(
     i: int, batch: Batch, axis_U: Axis, axis_s: Axis, memory: Memory, room: Room
 ) -> int:  # fmt: skip
     """Predict one sample, then learn from it; give its status."""
-    scalars, counters, at, path = memory.scalars, memory.counters, room.at, memory.path
-    Q = batch.Q[i]
+    counters, path, recent = memory.counters, memory.path, memory.recent
     s = paths.effective(batch.dp[i], batch.p1[i], path)
-    _, is_beyond_U = clipped(axis_U, batch.U[i])
-    r, is_beyond_s = clipped(axis_s, s)
-    is_beyond = is_beyond_U or is_beyond_s
-    behind = memory.play[plays.SPOOL] if is_beyond else _follow(i, batch, memory)
-    u, _ = clipped(axis_U, behind)
+    if clipped(axis_U, batch.U[i])[1] or clipped(axis_s, s)[1]:
+        _predict(i, memory.play[plays.SPOOL], s, batch, axis_U, axis_s, memory, room)
+        return _EXTRAPOLATING
+    row, step = _keep(i, batch, memory)
+    if paths.waits(path) == 0.0:
+        U, dp, p1, Q = batch.U[i], batch.dp[i], batch.p1[i], batch.Q[i]
+        return _learn_row(i, row, U, dp, p1, Q, step, batch, axis_U, axis_s, memory, room)
+    while _is_due(memory):
+        row = counters[LEARNT] % len(recent)
+        U, _ = _between(row, paths.LEFT_U, path[paths.HELD_U], memory)
+        dp, _ = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
+        p1, _ = _between(row, paths.LEFT_P1, path[paths.HELD_P], memory)
+        Q, step = float(recent[row, paths.LEFT_Q]), float(recent[row, paths.STEP])
+        _learn_row(i, row, U, dp, p1, Q, step, batch, axis_U, axis_s, memory, room)
+        counters[LEARNT] += 1
+    return _predict(i, batch.U[i], s, batch, axis_U, axis_s, memory, room)
+
+
+@inner
+def _predict(
+    i: int, u: float, s: float, batch: Batch, axis_U: Axis, axis_s: Axis, memory: Memory,
+    room: Room,
+) -> int:  # fmt: skip
+    """Predict a sample that is not learnt now; give its status."""
+    u, r, at = clipped(axis_U, u)[0], clipped(axis_s, s)[0], room.at
+    side = 0 if u >= 0.0 else 1
+    if not memory.counters[FITTED]:
+        return _WARMING_UP
+    place(axis_U, memory, side, u, r, at)
+    look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room)
+    batch.predicted[i] = paths.shown(at[FLOW], memory.path)
+    batch.residual[i] = batch.Q[i] - batch.predicted[i]
+    known = at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]
+    return _OK if known else _WARMING_UP
+
+
+@inner
+def _between(row: int, column: int, period: float, memory: Memory) -> tuple[float, float]:
+    """A signal at a row that is kept, and its standard deviation."""
+    recent, ahead = memory.recent, _ahead(row, memory)
+    known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
+    return paths.between(recent, row, known, ahead, column, period)
+
+
+@inner
+def _ahead(row: int, memory: Memory) -> int:
+    """How many rows were seen since ``row``."""
+    newest = (memory.counters[ROWS_SEEN] - 1) % len(memory.recent)
+    return int((newest - row) % len(memory.recent))
+
+
+@inner
+def _is_due(memory: Memory) -> bool:
+    """Whether the oldest row that is not learnt has waited long enough, or must not wait longer."""
+    counters, recent, age = memory.counters, memory.recent, 0.0
+    if counters[LEARNT] >= counters[ROWS_SEEN]:
+        return False
+    at = counters[LEARNT] % len(recent)
+    if counters[ROWS_SEEN] - counters[LEARNT] >= len(recent):
+        return True
+    for _ in range(_ahead(at, memory)):
+        at = at + 1 if at + 1 < len(recent) else 0
+        age += float(recent[at, paths.STEP])
+        if age >= paths.waits(memory.path):
+            return True
+    return False
+
+
+@inner
+def _learn_row(
+    i: int, row: int, U: float, dp: float, p1: float, Q: float, step: float, batch: Batch,
+    axis_U: Axis, axis_s: Axis, memory: Memory, room: Room,
+) -> int:  # fmt: skip
+    """Predict and learn from a row as its signals were; give its status."""
+    scalars, counters, at, path = memory.scalars, memory.counters, room.at, memory.path
+    recent = memory.recent
+    r, _ = clipped(axis_s, paths.effective(dp, p1, path))
+    u, _ = clipped(axis_U, _follow(row, U, step, memory))
     known, side = False, 0 if u >= 0.0 else 1
     place(axis_U, memory, side, u, r, at)
     if counters[USED] == 0:
@@ -114,8 +188,9 @@ def _learn(
         scalars[fits.NOW_T] = scalars[fits.STAY_T] = scalars[fits.STAY_T + 1] = math.nan
     at[WARM], beyond = 0.0, 0.0  # flow that the meter shows beyond that of the place
     bent, own = 0.0, 1.0  # variance of that; of what the sample says, the share on its own cell
-    if not is_beyond and paths.filters(path):
-        if not _metered(axis_U, axis_s, u, memory, room):
+    loose = 0.0  # variance of the flow by that of signals that are held
+    if paths.filters(path):
+        if not _metered(axis_U, axis_s, row, u, memory, room):
             return _WARMING_UP
         u, r, beyond = room.means[0], room.means[1], room.means[2]
         own = _own(axis_U, axis_s, room.means)
@@ -125,16 +200,18 @@ def _learn(
         look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room)
         bent = min(room.means[3], at[SURE]) if beyond != 0.0 else 0.0
         bent += (rules.BENT_BY_LAGS * beyond) ** 2
-        at[SURE] += bent
-        at[TOTAL] += bent
+        if paths.waits(path) > 0.0:
+            loose = _loose(row, dp, p1, axis_U, axis_s, memory, room)
+        at[SURE] += bent + loose
+        at[TOTAL] += bent + loose
     if counters[FITTED]:
         batch.predicted[i] = paths.shown(at[FLOW] + beyond, path)
         batch.residual[i] = Q - batch.predicted[i]
         known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
-    if is_beyond:
-        return _EXTRAPOLATING
     if abs(batch.T[i]) < rules.HUGE:
         scalars[fits.NOW_T] = batch.T[i]
+    if path[paths.HELD_Q] > 0.0 and recent[row, paths.LEFT_Q] == recent[row - 1, paths.LEFT_Q]:
+        return _OK if known else _WARMING_UP  # no new reading
     if paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path):
         counters[USED] += 1
         counters[CENSORED] += 1
@@ -165,7 +242,7 @@ def _learn(
             doubt *= noises.spreads(scalars, 1.0)
             plays.weigh(memory.play, path[paths.LAGGED], residual, slope, doubt)
         distance = apart(axis_U, axis_s, memory.cells[number], number, at)
-        if bent <= rules.STEADY_FILTER * scalars[fits.VARIANCE]:
+        if bent + loose <= rules.STEADY_FILTER * scalars[fits.VARIANCE]:
             note_stay(number, side, batch.t[i], residual, weight, distance, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
             end_stay(axis_U, axis_s, memory, room)
@@ -176,7 +253,7 @@ def _learn(
     way += abs(r - scalars[fits.LAST_S]) / (rules.WAY_S * axis_s.breaks[-1])
     worth = 1.0 / noises.spreads(scalars, math.exp(-way))
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
-        shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent)
+        shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent + loose)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own
     deposit(
         memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
@@ -202,9 +279,9 @@ def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
 
 
 @inner
-def _follow(i: int, batch: Batch, memory: Memory) -> float:
-    """Keep a sample as measured; give where the spool is."""
-    counters, path, play, recent = memory.counters, memory.path, memory.play, memory.recent
+def _keep(i: int, batch: Batch, memory: Memory) -> tuple[int, float]:
+    """Keep a sample as measured; give its row and the time since the one before."""
+    counters, path, recent = memory.counters, memory.path, memory.recent
     newest = counters[ROWS_SEEN] % len(recent)
     step = 1e-9 * float(batch.t[i] - counters[LAST_TIME])
     fresh = path[paths.SEEN] == 0.0 or not 0.0 <= step < rules.GAP
@@ -215,24 +292,44 @@ def _follow(i: int, batch: Batch, memory: Memory) -> float:
     counters[ROWS_SEEN] += 1
     counters[LAST_TIME] = batch.t[i]
     path[paths.SEEN] = 1.0
-    U = batch.U[i]
-    if path[paths.DEAD_U] > 0.0:
-        U = paths.late(recent, newest, min(counters[ROWS_SEEN], len(recent)), path)
-    return plays.follow(play, paths.spool(U, step, fresh, path))
+    return newest, rules.GAP if fresh else step
 
 
 @inner
-def _metered(axis_U: Axis, axis_s: Axis, u: float, memory: Memory, room: Room) -> bool:
+def _follow(row: int, U: float, step: float, memory: Memory) -> float:
+    """Move the spool; give where it is."""
+    path, recent = memory.path, memory.recent
+    if path[paths.DEAD_U] > 0.0:
+        ahead = _ahead(row, memory)
+        known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
+        U = paths.late(recent, row, known, ahead, path)
+    return plays.follow(memory.play, paths.spool(U, step, step >= rules.GAP, path))
+
+
+@inner
+def _metered(axis_U: Axis, axis_s: Axis, row: int, u: float, memory: Memory, room: Room) -> bool:
     """Fill `room.means`; False: the last samples do not tell what the meter shows."""
-    counters, recent = memory.counters, memory.recent
-    newest = (counters[ROWS_SEEN] - 1) % len(recent)
-    recent[newest, paths.SPOOL] = u
-    known = min(counters[ROWS_SEEN], len(recent))
-    least = memory.scalars[fits.LEAST]
+    recent, ahead, least = memory.recent, _ahead(row, memory), memory.scalars[fits.LEAST]
+    recent[row, paths.SPOOL] = u
+    known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
     return paths.metered(
-        axis_U, axis_s, memory.theta, least, recent, newest, known, memory.path, room.work,
+        axis_U, axis_s, memory.theta, least, recent, row, known, ahead, memory.path, room.work,
         room.means,
     )  # fmt: skip
+
+
+@inner
+def _loose(
+    row: int, dp: float, p1: float, axis_U: Axis, axis_s: Axis, memory: Memory, room: Room
+) -> float:  # fmt: skip
+    """Variance of the flow by that of signals that are on their way to their next value."""
+    path, at = memory.path, room.at
+    _, of_U = _between(row, paths.LEFT_U, path[paths.HELD_U], memory)
+    _, of_dp = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
+    u = clipped(axis_U, at[PLACE_U] + of_U)[0]
+    s = clipped(axis_s, paths.effective(dp + math.copysign(of_dp, dp), p1, path))[0]
+    flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    return float((surface(axis_U, axis_s, memory.theta, u, s, room.work) - flow) ** 2)
 
 
 @inner

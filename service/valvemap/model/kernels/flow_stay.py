@@ -36,6 +36,7 @@ from valvemap.model.kernels.flow_memory import (
     FITTED,
     KNOWN_COUNT,
     KNOWN_OFF,
+    LEARNT,
     NEXT_FIT,
     NEXT_START,
     OF,
@@ -101,7 +102,7 @@ def begin_replay(memory: Memory, rows: int, T: float) -> None:
     counters[NEXT_FIT] = counters[USED] + rules.FIRST_FIT
     counters[NEXT_START] = rules.SECOND_START
     counters[ROWS_SEEN] = counters[SKIPPED] = counters[STAYS] = counters[CLOCK] = 0
-    counters[CLOCK + 1] = 0
+    counters[CLOCK + 1] = counters[LEARNT] = 0
     memory.scalars[fits.FIRST_T] = T
     memory.scalars[fits.SURPRISE] = memory.scalars[fits.STAYS_SEEN] = 0.0
     memory.scalars[fits.PAIR_PRODUCT : fits.PAIRS + 1] = 0.0
