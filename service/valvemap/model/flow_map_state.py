@@ -95,15 +95,15 @@ class FlowMapState(State):
         held, first = flow_path.PARAMETERS - flow_path.OF_MAP, flow_path.OF_MAP
         arrays["path"] = np.insert(arrays["path"], [first] * held + [2 * first] * held, 0.0)
         arrays["precision"] = np.pad(arrays["precision"], (0, held))
-        arrays["counters"] = np.append(arrays["counters"], [0])
+        sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
+        for name, size in (sizes | {"path": flow_path.PLACES, "stay": flow_memory.STAY}).items():
+            arrays[name] = np.pad(arrays[name][:size], (0, max(size - len(arrays[name]), 0)))
+        arrays["scalars"][flow_fit.LEARNT_T] = arrays["scalars"][flow_fit.NOW_T]
         if version == "6":
             return arrays
         arrays["wear"] = np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS))
         flow_wear.begin(arrays["wear"])
         arrays["recent"] = np.ascontiguousarray(arrays["recent"][:, : flow_path.COLUMNS])
-        sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
-        for name, size in (sizes | {"path": flow_path.PLACES, "stay": flow_memory.STAY}).items():
-            arrays[name] = np.pad(arrays[name][:size], (0, max(size - len(arrays[name]), 0)))
         if version == "5":
             return arrays
         if version == "3":
@@ -123,7 +123,8 @@ class FlowMapState(State):
         positive = [flow_cells.COUNT, flow_cells.WORTH, flow_cells.VAR_U, flow_cells.VAR_S]
         positive += [flow_cells.REFUSALS]
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
-        of_oil = [flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.STAY_T, flow_fit.STAY_T + 1]
+        of_oil = [flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.LEARNT_T]
+        of_oil += [flow_fit.STAY_T, flow_fit.STAY_T + 1]
         scalars.within(-1e9, 1e9, of_oil).or_nan(of_oil)
         likely = every, flow_wear.NODES, flow_wear.CHANCE
         columns = [flow_wear.P_LEVEL, flow_wear.P_RATE, flow_wear.GROWN, flow_wear.OWN]

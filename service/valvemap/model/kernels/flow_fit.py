@@ -46,7 +46,8 @@ SLOW = 31  # the noise's slow part, as a share of σ²
 AFTER, AFTER_WEIGHT = 32, 33  # products of errors two samples apart, and their number
 ERROR_BEFORE = 34  # error of the sample before the last one
 REFUTED = 35  # log likelihood against the map by the first samples of cells
-SCALARS = 36
+LEARNT_T = 36  # °C; mean over what the cells know
+SCALARS = 37
 
 
 @inner

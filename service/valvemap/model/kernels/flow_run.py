@@ -252,6 +252,9 @@ def _learn_row(
     way = abs(u - scalars[fits.LAST_U]) / rules.WAY_U
     way += abs(r - scalars[fits.LAST_S]) / (rules.WAY_S * axis_s.breaks[-1])
     worth = 1.0 / noises.spreads(scalars, math.exp(-way))
+    if abs(batch.T[i]) < rules.HUGE:
+        learnt = min(counters[USED] - counters[BEGAN] + 1.0, batch.longest * len(memory.cells))
+        scalars[fits.LEARNT_T] += (batch.T[i] - scalars[fits.LEARNT_T]) / learnt
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
         shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent + loose)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own

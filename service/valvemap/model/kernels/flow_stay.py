@@ -19,6 +19,7 @@ from valvemap.model.kernels.flow_cells import (
     REFUSALS,
 )
 from valvemap.model.kernels.flow_drift import Drift
+from valvemap.model.kernels.flow_look import by_temperature, viscosity
 from valvemap.model.kernels.flow_memory import (
     ALARMED,
     APART,
@@ -34,6 +35,7 @@ from valvemap.model.kernels.flow_memory import (
     CHANGES,
     CLOCK,
     FITTED,
+    FLOWS,
     KNOWN_COUNT,
     KNOWN_OFF,
     LEARNT,
@@ -56,6 +58,7 @@ from valvemap.model.kernels.flow_memory import (
     SURE,
     USED,
     WANDERED,
+    WARM,
     Memory,
     Room,
 )
@@ -190,7 +193,8 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         warm = 0.0
         for k in range(drifts.RATES, drifts.STATES):
             warm += by[k] * drift.now[0, k]
-        noise += (rules.WARM_DOUBT * warm) ** 2
+        learnt = _warm_at(scalars[fits.LEARNT_T], axis_s, drift, memory, room)
+        noise += (rules.WARM_DOUBT * max(abs(warm), abs(warm - learnt))) ** 2
         is_mature = counters[USED] - counters[BEGAN] >= rules.MATURE
         young = not is_mature and scalars[fits.STAYS_SEEN] < rules.STAY_MEMORY
         young = young or counters[USED] < counters[CALM]
@@ -206,6 +210,23 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         _note_change(drift, side, now, off, by, memory)
         _note_wear(axis_U, axis_s, drift, side, dt, off, by, variance, young, memory, room)
     stay[:KNOWN_COUNT] = 0.0
+
+
+@inner
+def _warm_at(
+    T: float, axis_s: Axis, drift: Drift, memory: Memory, room: Room
+) -> float:  # fmt: skip
+    """Flow due to temperature of the stay that ends, had it been at T; 0 where T is not known."""
+    at, warm, place_s, total = room.at, room.at[WARM], room.at[PLACE_S], 0.0
+    for k in range(drifts.RATES, drifts.STATES):
+        at[FLOWS + k] = at[OF + k]
+    at[PLACE_S] = memory.cells[memory.counters[STAY_CELL], MEAN_S]
+    by_temperature(axis_s, memory, memory.stay[BY + drifts.GAIN], viscosity(memory, T), at)
+    for k in range(drifts.RATES, drifts.STATES):
+        total += at[OF + k] * drift.now[0, k]
+        at[OF + k] = at[FLOWS + k]
+    at[WARM], at[PLACE_S] = warm, place_s
+    return total
 
 
 @inner
