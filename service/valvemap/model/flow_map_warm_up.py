@@ -3,7 +3,7 @@
 import numpy as np
 
 from valvemap.model import flow_map_looks
-from valvemap.model.flow_evidence import Evidence
+from valvemap.model.flow_evidence import Evidence, with_value
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_looks import memory_of
 from valvemap.model.flow_map_state import FlowMapState, axes
@@ -37,6 +37,7 @@ def look() -> None:
     evidence = Evidence(*both, np.ones((ROWS, flow_path.COLUMNS)))
     evidence.whitened(evidence.of(given).residual, evidence.noise(given))
     evidence.fill(given, *both, _blank().theta)
+    evidence.of(with_value(given, flow_path.HELD_U, 1.0))
 
 
 def begin_again() -> None:
