@@ -64,7 +64,7 @@ python -m benchmarks.honest_maps --seeds 40      # measures what stands here, an
 σ = 0.4 l/min of noise at 100 Hz; valves and circumstances are those of
 `benchmarks/circumstances.py`, seeds from {first} on, which no test uses. *Inside* is within 5 % of
 U and 5 bar of three samples at least. A cell is met where its figure is within the bar; where
-fewer seeds were measured than the bar asks for, that stands beside, and the verdict is one *so far*:
+fewer seeds were measured than the bar asks for, that stands beside, and the verdict is *so far*:
 a coverage of three seeds is known to some .07. ± is the standard error over
 seeds. `{code}` is the state of `service/valvemap/model` that was measured; a cell with another mark
 is of an earlier one.
