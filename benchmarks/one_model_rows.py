@@ -237,6 +237,31 @@ def damaged(name, seed, at=10_000, size=-0.1):
     return Row(samples, (at + 250, N), (now, now), causes=causes, changed=at)
 
 
+def disturbed(name, how, seed, N=20_000):
+    """A meter that fails four times: ``how(Q, first)`` writes what it shows from then on."""
+    row = plain(name, "cycle", N, seed)
+    Q = row.samples.Q.copy()
+    for first in (5_000, 9_000, 13_000, 17_000):
+        how(Q, first)
+    return replace(row, samples=replace(row.samples, Q=Q))
+
+
+def shows_nothing(Q, first, samples=200):
+    """A meter that shows no flow for a while."""
+    Q[first : first + samples] = 0.0
+
+
+def shows_nothing_long(Q, first):
+    """The same for a minute, once."""
+    if first == 9_000:
+        shows_nothing(Q, first, 6_000)
+
+
+def shows_the_last(Q, first, samples=300):
+    """A meter that repeats its last reading for a while."""
+    Q[first : first + samples] = Q[first - 1]
+
+
 def behind(U, width):
     """A spool behind a play of ``width`` %."""
     spool, p = np.empty(len(U)), U[0]
@@ -562,6 +587,12 @@ HIDDEN: Final = {
 }
 
 
+FAILING: Final = {
+    "meter shows nothing for 2 s": shows_nothing,
+    "meter shows nothing for 60 s": shows_nothing_long,
+    "meter repeats a reading for 3 s": shows_the_last,
+}
+
 ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
     **{
         f"{name}, {kind}, {N}": partial(plain, name, kind, N)
@@ -603,6 +634,16 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
         for kind in ("scattered", "cycle")
     },
     "-10 %, ordinary, cycle": partial(damaged, "ordinary"),
+    **{
+        f"{size:+.0%}, {name}, cycle": partial(damaged, name, size=size)
+        for size in (-0.6, 0.6)
+        for name in ("ordinary", "S-shape")
+    },
+    **{
+        f"{what}, {name}": partial(disturbed, name, how)
+        for what, how in FAILING.items()
+        for name in ("ordinary", "S-shape")
+    },
     **{f"oil 20-60-20 °C, asked at {T}": partial(warmed, float(T)) for T in (22, 30, 40, 50, 60)},
     **{
         f"play {width} %, {name}, cycle, 20000": partial(slack, name, width)

@@ -62,7 +62,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 7  # 6: nothing held; 5: no wear; 4: noise of one colour
+    state_version: ClassVar[int] = 7  # 6: nothing held or blocked; 5: no wear; 4: one colour
 
     cells: NDArray[np.float32]
     theta: Floats

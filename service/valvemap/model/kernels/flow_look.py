@@ -109,6 +109,16 @@ def _law(axis_s: Axis, memory: Memory, side: int, T: float, at: Floats) -> float
 
 
 @inner
+def _in_common(scalars: Floats) -> float:
+    """Variance that errors of different cells have in common: something nameless moves the flow."""
+    pairs, square = scalars[fits.PAIRS], scalars[fits.PAIR_SQUARE]
+    shared = scalars[fits.PAIR_PRODUCT] / max(square, 1e-300)
+    if shared * shared * pairs <= rules.SURE**2:
+        return 0.0
+    return float(max(scalars[fits.PAIR_PRODUCT] / max(pairs, 1.0), 0.0))
+
+
+@inner
 def viscosity(memory: Memory, T: float) -> float:
     """How much thicker the oil is than at the first sample, as a share; 0 where T is not known."""
     first = memory.scalars[fits.FIRST_T]
@@ -124,7 +134,7 @@ def evaluate(
     room: Room,
 ) -> None:  # fmt: skip
     """Flow and its standard deviation at N points; NaN before the first fit."""
-    at = room.at
+    at, common = room.at, _in_common(memory.scalars)
     for i in range(len(U)):
         Q[i] = spread[i] = math.nan
         if not (memory.counters[FITTED] and math.isfinite(U[i] + dp[i])):
@@ -138,7 +148,7 @@ def evaluate(
         law = _law(axis_s, memory, side, T[i], at)
         worn = wears.variance_at(memory.wear, axis_U, axis_s, side, at[PLACE_U], at[PLACE_S])
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
-        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + worn + both * both)
+        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + worn + both * both + common)
 
 
 @lean_kernel

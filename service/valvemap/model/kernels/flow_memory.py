@@ -23,7 +23,8 @@ RESTARTED = 25  # samples when the map began again, those that it then learnt on
 WANDERED = 26  # ns; of the last stay that something without a name explained
 PAIR_CELL, PAIR_TIME = 27, 28  # of the stay that is to be compared
 LEARNT = 29  # rows of `recent` that were learnt; the others wait for signals that are held
-COUNTERS = 30
+BLOCKED = 30  # whether the last sample showed no flow where there surely was some
+COUNTERS = 31
 
 A_CHANGE, A_GUESS = 1, 2  # one that was called; one that flows at new places refute
 

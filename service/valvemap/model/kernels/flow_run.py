@@ -20,6 +20,7 @@ from valvemap.model.kernels.flow_cells import (
     MEAN_S,
     MEAN_U,
     REFUSALS,
+    Cells,
     cell_of,
     deposit,
 )
@@ -29,6 +30,7 @@ from valvemap.model.kernels.flow_memory import (
     A_GUESS,
     ALARMED,
     BEGAN,
+    BLOCKED,
     CENSORED,
     DOUBTED,
     FITTED,
@@ -212,13 +214,17 @@ def _learn_row(
         scalars[fits.NOW_T] = batch.T[i]
     if path[paths.HELD_Q] > 0.0 and recent[row, paths.LEFT_Q] == recent[row - 1, paths.LEFT_Q]:
         return _OK if known else _WARMING_UP  # no new reading
-    if paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path):
+    number = cell_of(axis_U, axis_s, at[PLACE_U], r)
+    is_censored = paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path)
+    if counters[FITTED]:
+        counters[BLOCKED] = _shows_nothing(Q, at, memory.cells[number], memory)
+        is_censored = is_censored or _repeats(row, batch.residual[i], at, memory)
+    if is_censored or counters[BLOCKED]:
         counters[USED] += 1
         counters[CENSORED] += 1
         return _OK if known else _WARMING_UP
     Q -= beyond
     gain = 1.0 + memory.now[side, 0, drifts.GAIN]
-    number = cell_of(axis_U, axis_s, at[PLACE_U], r)
     weight = 1.0
     if counters[FITTED]:
         residual = batch.residual[i]
@@ -258,12 +264,42 @@ def _learn_row(
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
         shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent + loose)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own
+    weight *= min(gain * gain, 1.0)  # of what was Q / gain at first, the noise is σ / gain
+    if gain <= rules.LEAST_GAIN:
+        weight, gain = 0.0, 1.0
     deposit(
         memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
     )
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
     return _OK if known else _WARMING_UP
+
+
+@inner
+def _shows_nothing(Q: float, at: Floats, cell: Cells, memory: Memory) -> bool:
+    """Whether the meter shows no flow where it showed some: it, or the valve, is blocked.
+
+    Such samples, and those of no flow that follow, tell nothing of the map.
+    """
+    scalars = memory.scalars
+    most, noise = rules.LEAST_NOISES**2 * scalars[fits.VARIANCE], scalars[fits.VARIANCE]
+    if most <= Q * Q:
+        return False
+    if memory.counters[BLOCKED]:
+        return True
+    least = max(rules.BLOCKED_FROM**2 * scalars[fits.SCALE], rules.CLEAR * (at[TOTAL] + noise))
+    is_mature = memory.counters[USED] - memory.counters[BEGAN] >= rules.MATURE
+    shown = min(at[FLOW] * at[FLOW], float(cell[MEAN_Q]) ** 2 if cell[COUNT] > 0.0 else math.inf)
+    return bool((is_mature or cell[COUNT] >= rules.FEW) and shown > least)
+
+
+@inner
+def _repeats(row: int, residual: float, at: Floats, memory: Memory) -> bool:
+    """Whether the meter repeats its last reading while the flow surely is another one."""
+    recent = memory.recent
+    doubt = at[TOTAL] + memory.scalars[fits.VARIANCE]
+    is_new = recent[row, paths.LEFT_Q] != recent[row - 1, paths.LEFT_Q]
+    return bool(not is_new and residual * residual > rules.CLEAR * doubt)
 
 
 @inner

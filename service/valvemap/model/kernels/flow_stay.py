@@ -169,7 +169,9 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         noise = max(noise, rules.STAY_BEHIND_FILTER * scalars[fits.VARIANCE])
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
         cell = memory.cells[counters[STAY_CELL]]
-        cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
+        is_refused = counters[SKIPPED] and many > 0.0
+        if not is_refused or counters[STAYS] == 1:  # a visit counts once: it may be a change
+            cell[REFUSALS] = cell[REFUSALS] + 1.0 if is_refused else 0.0
     if many > 0.0 and stay[KNOWN_COUNT] >= rules.VISITED and not paths.filters(memory.path):
         _note_pair(noise + scalars[fits.VARIANCE] / stay[KNOWN_COUNT], memory)
     is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE] or stay[KNOWN_COUNT] >= rules.SURE_CELL

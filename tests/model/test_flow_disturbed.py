@@ -1,0 +1,42 @@
+"""Changes larger than any expected, and meters that fail for a while."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from benchmarks.one_model import measured
+from benchmarks.one_model_rows import (
+    damaged,
+    disturbed,
+    shows_nothing,
+    shows_nothing_long,
+    shows_the_last,
+)
+from valvemap.model.flow_map import FlowMap
+
+
+@pytest.mark.parametrize("size", [-0.6, 0.6])
+def test_a_change_of_any_size_is_found_and_named(size):
+    figures = measured(FlowMap(), damaged("ordinary", 31, size=size))
+    assert figures["delay"][0] < 100
+    assert figures["rmse"][1] < 0.5
+    assert figures["named"][1] == 1.0
+    assert figures["misnamed"][1] == 0.0
+
+
+@pytest.mark.parametrize("how", [shows_nothing, shows_nothing_long, shows_the_last])
+def test_a_meter_that_fails_for_a_while_leaves_the_map_as_it_was(how):
+    figures = measured(FlowMap(), disturbed("ordinary", how, 32))
+    assert figures["rmse"][0] < 0.6
+    assert figures["held"][0] > 0.85
+
+
+def test_no_flow_is_learnt_where_little_flows_beside_it():
+    """A valve that is nearly closed may well pass nothing: those samples count."""
+    row = disturbed("dead band", partial(shows_nothing, samples=0), 33)
+    flow_map = FlowMap()
+    state, _ = flow_map.update(flow_map.initial_state(), row.samples)
+    assert int(flow_map.censored(state)) == 0
+    closed = flow_map.predict(state, np.array([2.0]), np.array([100.0]), np.array([40.0]))
+    assert abs(closed[0][0]) < 0.4
