@@ -68,7 +68,7 @@ async def test_a_spool_is_found_and_its_slowing_down_is_named(
             await check_values(seen, 8.0)
             assert FindingCode.DYNAMICS_CHANGE not in await seen.value("Diagnostics.FindingCodes")
             await slow_down(rig_url(port))
-            async with asyncio.timeout(120):
+            async with asyncio.timeout(240):
                 await seen.until(
                     "Diagnostics.FindingCodes", lambda codes: FindingCode.DYNAMICS_CHANGE in codes
                 )

@@ -107,7 +107,7 @@ def test_counts_are_asked_with_commands_that_write_their_raw_range(installed, tm
 @pytest.mark.waits
 def test_a_valve_of_four_ports_is_asked_for_its_edges(installed, tmp_path, capsys):
     def both(t):
-        return 80 * np.sin(1.3 * t)
+        return 80 * np.sin(2.6 * t)  # both directions within 2.4 s
 
     def pA(t):
         return 90 + 20 * np.sin(0.8 * t)
