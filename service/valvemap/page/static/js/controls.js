@@ -27,9 +27,11 @@ export function writer(label, { of = null, command, does, idle = "Nothing to do 
       if (button.disabled !== (why !== "")) button.disabled = why !== "";
       if (button.title !== why) button.title = why;
     },
+    /** A click that comes before the service has told the right is not lost: the service refuses what it does not permit. */
     act() {
+      const why = control.why(), wanted = command();
       control.update();
-      if (!button.disabled) does(command());
+      if (!why || (wanted && user.isAsking(wanted) && why === user.mayNot(wanted))) does(wanted);
     },
   };
   controls.add(control);

@@ -47,11 +47,13 @@ class User extends EventTarget {
 
   /** Why the user may not carry out a command; "" where the service would let them. */
   mayNot(command) {
-    const about = JSON.stringify(Object.entries(command).filter(([name, value]) => typeof value === "string" && !BESIDE.includes(name)));
-    const right = this.#rights.get(about);
+    const about = aboutOf(command), right = this.#rights.get(about);
     if (right === undefined) this.#askFor(about, command);
     return right === true ? "" : right === false ? `${this.name} may not do this: log in as a user with the role Operator.` : `Asking whether ${this.name} may do this …`;
   }
+
+  /** Whether the service has not told yet if it would let the user. */
+  isAsking(command) { return typeof this.#rights.get(aboutOf(command)) !== "boolean"; }
 
   /** Ask anew what the user may, as after the service was away. */
   forgetRights() { this.#rights.clear(); }
@@ -78,6 +80,9 @@ class User extends EventTarget {
     this.dispatchEvent(new Event("change"));
   }
 }
+
+/** What a command is about: of its other values nothing changes who may. */
+const aboutOf = (command) => JSON.stringify(Object.entries(command).filter(([name, value]) => typeof value === "string" && !BESIDE.includes(name)));
 
 async function post(path, body) {
   try {
