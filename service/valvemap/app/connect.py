@@ -282,7 +282,7 @@ def _lots_of(
 
 def _lots(one: Group) -> Iterator[ValveNodes]:
     """Yield a valve's variables in lots as the source client reads them, without scaling."""
-    nodes = [node.node for node in one.watched[:_MOST_OF_A_VALVE]]
+    nodes = [candidate.node for candidate in one.watched[:_MOST_OF_A_VALVE]]
     for start in range(0, len(nodes), _PER_LOT):
         lot = nodes[start : start + _PER_LOT]
         U, p1, p2, Q = (*lot, *[lot[-1]] * 3)[:4]

@@ -102,7 +102,6 @@ class ForceReference:
             one = replace(
                 cls.nothing(), geometry=geometry, period_s=period_s, transition=1e-3 * transition
             )
-            state = ForceState.initial()
             for _ in range(_ROUNDS):
                 state = one.update(ForceState.initial(), samples, speed)
                 if state.squares[2] < _LEAST_ROWS:

@@ -140,14 +140,8 @@ class FlowMapState(State):
             flow_memory.PAIR_TIME,
         ]
         counters.any_time(times)
-        counters.within(
-            0,
-            1,
-            [
-                *(flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED),
-                flow_memory.ALARMED,
-            ],
-        )
+        flags = [flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED]
+        counters.within(0, 1, [*flags, flow_memory.ALARMED, flow_memory.BLOCKED])
         counters.within(0, flow_memory.A_GUESS, [flow_memory.DOUBTED])
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),

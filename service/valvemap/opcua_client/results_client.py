@@ -176,11 +176,8 @@ class ResultsClient:
         ------
         SourceLost, SourceRejected
         """
-        connection = self._connected()
         wanted = (ua.AttributeIds.DataType, ua.AttributeIds.ValueRank)
-        nodes = [self._node(id_) for id_ in ids]
-        with connection.errors("reading types"):
-            answers = await read_attributes(connection, nodes, wanted)
+        answers = await self._attributes(ids, wanted, "reading types")
         return [_type_name(kind, rank, self._index) for kind, rank in answers]
 
     async def engineering(self, ids: Sequence[str]) -> list[Engineering]:
@@ -317,11 +314,8 @@ class ResultsClient:
         ------
         SourceLost, SourceRejected
         """
-        connection = self._connected()
         wanted = (ua.AttributeIds.UserAccessLevel, ua.AttributeIds.UserExecutable)
-        nodes = [self._node(id_) for id_ in ids]
-        with connection.errors("reading the user's rights"):
-            answers = await read_attributes(connection, nodes, wanted)
+        answers = await self._attributes(ids, wanted, "reading the user's rights")
         return [_is_permitted(level, executable) for level, executable in answers]
 
     async def courses(
@@ -434,6 +428,13 @@ class ResultsClient:
 
     def _not_connected(self) -> SourceLost:
         return SourceLost(f"{self.url}: not connected")
+
+    async def _attributes(
+        self, ids: Sequence[str], wanted: Sequence[ua.AttributeIds], doing: str
+    ) -> list[list[ua.DataValue]]:
+        connection = self._connected()
+        with connection.errors(doing):
+            return await read_attributes(connection, [self._node(id_) for id_ in ids], wanted)
 
     def _node(self, id_: str | int) -> ua.NodeId:
         return ua.NodeId(id_, self._index if isinstance(id_, str) else 0)

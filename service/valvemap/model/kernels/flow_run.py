@@ -212,13 +212,15 @@ def _learn_row(
         known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
     if abs(batch.T[i]) < rules.HUGE:
         scalars[fits.NOW_T] = batch.T[i]
-    if path[paths.HELD_Q] > 0.0 and recent[row, paths.LEFT_Q] == recent[row - 1, paths.LEFT_Q]:
-        return _OK if known else _WARMING_UP  # no new reading
+    is_new = recent[row, paths.LEFT_Q] != recent[row - 1, paths.LEFT_Q]
+    if path[paths.HELD_Q] > 0.0 and not is_new:
+        return _OK if known else _WARMING_UP
     number = cell_of(axis_U, axis_s, at[PLACE_U], r)
     is_censored = paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path)
     if counters[FITTED]:
         counters[BLOCKED] = _shows_nothing(Q, at, memory.cells[number], memory)
-        is_censored = is_censored or _repeats(row, batch.residual[i], at, memory)
+        repeats = not is_new and _is_surprising(batch.residual[i], at, scalars)
+        is_censored = is_censored or repeats
     if is_censored or counters[BLOCKED]:
         counters[USED] += 1
         counters[CENSORED] += 1
@@ -281,25 +283,26 @@ def _shows_nothing(Q: float, at: Floats, cell: Cells, memory: Memory) -> bool:
 
     Such samples, and those of no flow that follow, tell nothing of the map.
     """
-    scalars = memory.scalars
-    most, noise = rules.LEAST_NOISES**2 * scalars[fits.VARIANCE], scalars[fits.VARIANCE]
-    if most <= Q * Q:
+    scalars, counters = memory.scalars, memory.counters
+    if Q * Q >= rules.LEAST_NOISES**2 * scalars[fits.VARIANCE]:  # noqa: SIM300
         return False
-    if memory.counters[BLOCKED]:
+    if counters[BLOCKED]:
         return True
-    least = max(rules.BLOCKED_FROM**2 * scalars[fits.SCALE], rules.CLEAR * (at[TOTAL] + noise))
-    is_mature = memory.counters[USED] - memory.counters[BEGAN] >= rules.MATURE
-    shown = min(at[FLOW] * at[FLOW], float(cell[MEAN_Q]) ** 2 if cell[COUNT] > 0.0 else math.inf)
-    return bool((is_mature or cell[COUNT] >= rules.FEW) and shown > least)
+    is_mature = counters[USED] - counters[BEGAN] >= rules.MATURE
+    if not (is_mature or cell[COUNT] >= rules.FEW):
+        return False
+    shown = abs(at[FLOW])
+    if cell[COUNT] > 0.0:
+        shown = min(shown, abs(float(cell[MEAN_Q])))
+    least = rules.BLOCKED_FROM * math.sqrt(scalars[fits.SCALE])
+    return bool(shown > least and _is_surprising(shown, at, scalars))
 
 
 @inner
-def _repeats(row: int, residual: float, at: Floats, memory: Memory) -> bool:
-    """Whether the meter repeats its last reading while the flow surely is another one."""
-    recent = memory.recent
-    doubt = at[TOTAL] + memory.scalars[fits.VARIANCE]
-    is_new = recent[row, paths.LEFT_Q] != recent[row - 1, paths.LEFT_Q]
-    return bool(not is_new and residual * residual > rules.CLEAR * doubt)
+def _is_surprising(residual: float, at: Floats, scalars: Floats) -> bool:
+    """Whether neither noise nor doubt about the map explains a residual."""
+    doubt = at[TOTAL] + scalars[fits.VARIANCE]
+    return bool(residual * residual > rules.CLEAR * doubt)
 
 
 @inner
