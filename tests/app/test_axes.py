@@ -10,6 +10,7 @@ from pydantic import SecretStr
 
 from guarded_opcua import Role
 from guarded_opcua.security.users import UserStore
+from support.press import SCENARIO
 from support.processes import free_port, rig_url
 from support.served import PASSWORD, serving
 from valvemap.app.axes import axes_file, plan_of
@@ -47,19 +48,6 @@ heartbeat = "nsu=urn:valvemap:rig;s=Axis.Heartbeat"
 range_percent = [-40, 40]
 slew_percent_per_s = 200
 fallback = "hand_back"
-"""
-SCENARIO = """
-name = "press"
-
-valves = []
-[[machines]]
-name = "Axis"
-measures = "position"
-[machines.valve]
-leakage_l_min_bar = 0.0
-play_percent = 2.0
-[machines.controller]
-lead = "external"
 """
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from asyncua import Client, ua
 
+from support.press import SCENARIO
 from support.processes import free_port, program, rig_url, service_url
 from support.served import PASSWORD, Seen
 from valvemap.app.axes import axes_file, plan_of
@@ -36,22 +37,12 @@ pytestmark = [pytest.mark.soak, pytest.mark.waits]
 SLEW = 200.0  # %/s
 WITHIN_S = 0.5
 BLOCK_S = 0.1  # of the rig: U may be noticed to be safe so much later
-SCENARIO = """
-name = "press"
-valves = []
-[[machines]]
-name = "Axis"
-measures = "position"
-[machines.valve]
-leakage_l_min_bar = 0.0
-play_percent = 2.0
+AT_REST = """
+k_p_percent_mm = 0.0
+k_i_percent_mm_s = 0.0
 [machines.load]
 moves_N = 0.0
 sine_N = 0.0
-[machines.controller]
-lead = "external"
-k_p_percent_mm = 0.0
-k_i_percent_mm_s = 0.0
 """
 CONFIG = """
 valves = []
@@ -160,7 +151,7 @@ async def test_u_is_safe_within_half_a_second_and_never_beyond_its_slew(
 ):
     file, rig_port, service_port = written
     scenario = tmp_path / "press-scenario.toml"
-    scenario.write_text(SCENARIO)
+    scenario.write_text(SCENARIO + AT_REST)
     path = {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = sys.executable, "-m", "support.axis_service", str(file)
     with (

@@ -22,6 +22,7 @@ from guarded_opcua import (
     ensure_certificate,
 )
 from guarded_opcua.security.certificates import trust
+from support.plant_server import plant_settings
 from support.proxy import Proxy
 from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
 from valvemap.opcua_client.transport import BoundedClient
@@ -110,21 +111,10 @@ async def plant_on(settings, password=""):
     return Plant(server, variables, password)
 
 
-def open_settings(**more):
-    return ServerSettings(
-        url="opc.tcp://127.0.0.1:0/plant/",
-        application_uri="urn:test:plant",
-        application_name="plant",
-        namespace_uri="urn:plant",
-        none_on_loopback=True,
-        **more,
-    )
-
-
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served():
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    plant = await plant_on(open_settings(users=users), password)
+    plant = await plant_on(plant_settings(users=users), password)
     async with plant.server:
         yield plant
 
@@ -362,7 +352,7 @@ async def test_another_kind_of_server_is_a_loss_in_bounded_time(answer):
 
 
 async def test_a_server_that_ends_is_a_loss_after_the_last_changes():
-    plant = await plant_on(open_settings())
+    plant = await plant_on(plant_settings())
     await plant.server.start()
     source = OpcUaSource(anonymous(plant.settings), [replace(NODES, required_U=None)])
     await source.connect()
@@ -492,7 +482,7 @@ async def test_a_full_buffer_holds_the_server_back_and_the_rest_comes_later(plan
 
 
 async def test_items_are_created_in_as_many_calls_as_the_server_wants():
-    plant = await plant_on(open_settings(limits=Limits(operations=7)))
+    plant = await plant_on(plant_settings(limits=Limits(operations=7)))
     valves = [replace(NODES, valve=f"V{k}", required_U=None) for k in range(5)]
     async with plant.server:
         source = OpcUaSource(anonymous(plant.settings), valves)

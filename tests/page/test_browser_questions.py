@@ -58,9 +58,7 @@ async def asked(browser, shown):
 async def test_how_long_has_p2_been_frozen_and_what_to_check(browser):
     shown = plant()
     async with asked(browser, shown) as (page, keys, _):
-        await keys.press("a")
-        detail = page.locator(".alarm-detail")
-        await detail.locator("dd", has_text="p2 was constant").wait_for()
+        detail = await frozen_alarm(page, keys)
         minutes = round((time.time_ns() - shown.alarms[0].t) / 60 / S)
         told = await detail.inner_text()
         assert f"{minutes} min" in told
@@ -163,9 +161,7 @@ async def test_which_edge_passes_the_flow_and_how_much_leaks(browser):
 async def test_what_happened_when_and_what_now(browser):
     shown = plant()
     async with asked(browser, shown) as (page, keys, _):
-        await keys.press("a")
-        detail = page.locator(".alarm-detail")
-        await detail.locator("dd", has_text="p2 was constant").wait_for()
+        detail = await frozen_alarm(page, keys)
         told, (frozen,) = await detail.inner_text(), shown.alarms
         measured, _, cause = frozen.text.rstrip(".").partition(" It may be: ")
         for said in (measured, *cause.split("; "), "Check the named sensor"):
@@ -199,6 +195,14 @@ async def test_what_is_missing_for_a_map_and_which_point_is_next(browser):
         await keys.press("4")
         await page.locator("p", has_text="U 80 % at Δp 150 bar").wait_for()
         await page.locator("li[data-done=false]", has_text="7 signals or samples").wait_for()
+
+
+async def frozen_alarm(page, keys):
+    """Open the alarms by keyboard; the one of p2 is chosen."""
+    await keys.press("a")
+    detail = page.locator(".alarm-detail")
+    await detail.locator("dd", has_text="p2 was constant").wait_for()
+    return detail
 
 
 async def time_of_day(page, t):
