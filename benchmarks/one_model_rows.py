@@ -238,7 +238,7 @@ def damaged(name, seed, at=10_000, size=-0.1):
 
 
 def disturbed(name, how, seed, N=20_000):
-    """A meter that fails four times: ``how(Q, first)`` writes what it shows from then on."""
+    """A meter that fails four times: ``how(Q, first)`` writes its readings from then on."""
     row = plain(name, "cycle", N, seed)
     Q = row.samples.Q.copy()
     for first in (5_000, 9_000, 13_000, 17_000):

@@ -14,7 +14,7 @@ END = "<!-- End of the tables of alarms -->"
 
 _HEAD = """\
 Every valve has {of_valve} alarms, the service {of_service}, and `valvemap fleet serve` {of_fleet}
-more. An axis has {of_axis} of its own.
+more. An axis has {of_axis} others.
 An alarm is raised when its quantity is above the limit for the delay; `Certificate` below it.
 A quantity that is a number of things, or 0 or 1, has the limit 0.5, so the alarm is raised from 1.
 The limit is configured in the unit of the table: `limit = 3600` of `Unexcited` is an hour."""
