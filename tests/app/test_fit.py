@@ -300,6 +300,7 @@ def test_replay_verifies_on_a_table(folder):
     assert report["Valvistor"]["Auto"].verify.n == N
 
 
+@pytest.mark.alone
 def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_path):
     n = 20_000  # of two million rows: `python -m benchmarks.fit_speed`
     rng = np.random.default_rng(0)
@@ -310,13 +311,16 @@ def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_
         with RecordingWriter(tmp_path / f"r.{form}") as recording:
             recording.append("V", samples)
 
+    def missed(from_csv, from_parquet, fit):
+        return max(from_csv, fit) / from_parquet if max(from_csv, fit) > 1.3 * from_parquet else 0
+
     def seconds(run, form):
         started = time.process_time()
         run(tmp_path / f"r.{form}")
         return time.process_time() - started
 
     asked = [(valvemap.replay, "csv"), (valvemap.replay, "parquet"), (valvemap.fit, "parquet")]
-    in_turn = [[seconds(*one) for one in asked] for _ in range(2)]  # a machine's pace changes
-    from_csv, from_parquet, fit = np.min(in_turn, axis=0)
-    assert fit <= 1.3 * from_parquet
-    assert from_csv <= 1.3 * from_parquet
+    in_turn = [[seconds(*one) for one in asked]]  # least of several turns: a machine's pace changes
+    while len(in_turn) < 8 and missed(*np.min(in_turn, axis=0)):
+        in_turn.append([seconds(*one) for one in asked])
+    assert not missed(*np.min(in_turn, axis=0))
