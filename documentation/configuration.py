@@ -15,7 +15,7 @@ A TOML file: `valvemap connect` writes one for a server, `valvemap init` one to 
 check-config FILE` checks it. Every field of a section can be set in the environment instead:
 `VALVEMAP_<SECTION>__<FIELD>`, such as `VALVEMAP_SOURCE__URL=opc.tcp://plc:4840`. What is left out
 has the default; *needed* has none. An unknown name, or a value beyond its bounds, is an error that
-names file, field, value and what is allowed.
+names file, field, value and what is allowed. No number is beyond ± 1e12.
 """
 _KINDS = {"string": "text", "integer": "whole number", "number": "number", "null": "none"}
 _BOUNDS = (
@@ -24,6 +24,7 @@ _BOUNDS = (
     ("maximum", "≤"),
     ("exclusiveMaximum", "<"),
 )
+_ANY = 1e12  # what bounds every number is not repeated in each row
 
 
 def configuration_page() -> str:
@@ -99,7 +100,8 @@ def _allowed(field: Schema) -> str:
         case {"type": "object", "propertyNames": {"enum": names}, "additionalProperties": value}:
             text = f"table of {', '.join(f'`{name}`' for name in names)}: {_allowed(value)}"
         case {"type": kind}:
-            bounds = ", ".join(f"{sign} {field[b]:,.15g}" for b, sign in _BOUNDS if b in field)
+            stated = {b: sign for b, sign in _BOUNDS if b in field and abs(field[b]) < _ANY}
+            bounds = ", ".join(f"{sign} {field[b]:,.15g}" for b, sign in stated.items())
             like = f"like `{field['pattern']}`" if "pattern" in field else ""
             text = " ".join(part for part in (_KINDS[kind], bounds, like) if part)
         case _:

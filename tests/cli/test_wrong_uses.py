@@ -124,7 +124,7 @@ ASKED_WRONGLY = uses(
     ("check-config flow.toml", ["p1.unit = 'gpm' is a unit of flow; a unit of pressure"]),
     ("check-config ma.toml", ["signals.U", "raw = [4, 20] and range = [0, 100]"]),
     ("check-config half.toml", ["raw is given without range", "range = [0, 100]"]),
-    ("check-config point.toml", ["signals.U.raw", "the two numbers must differ, not [4.0, 4.0]"]),
+    ("check-config point.toml", ["signals.U.raw = [4, 4]: the two must differ"]),
     ("check-config command.toml", ["signals.required_U", 'unit = "%"']),
     ("check-config number.toml", ["valves = 3", "a list is needed"]),
     ("check-config word.toml", ["source.queue_size = 'many'", "valid integer"]),

@@ -44,7 +44,7 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         ("[topics]\npartitions = 0\n", "topics.partitions = 0: input should be greater than"),
         ("[topic]\n", "topic: there is no such field; is topics meant?"),
         ("[broker]\nuser = 'x'\n", "broker: user and password_file belong together"),
-        ("[broker]\naddresses = []\n", "broker.addresses: "),
+        ("[broker]\naddresses = []\n", "broker.addresses = []: "),
         ("[broker]\naddresses = ['k:1', 'k']\n", "broker.addresses[1] = 'k': "),
         (
             "[broker]\nuser = 'x'\npassword_file = 'p'\nmechanism = 'PLAIN'\n",

@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from valvemap.config.sections import Section
+from valvemap.config.sections import NotNegative, Section
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import RULES, SERVICE_RULES, Alarm
 from valvemap.vocabulary.service_alarms import ServiceAlarm
@@ -13,11 +13,11 @@ from valvemap.vocabulary.service_alarms import ServiceAlarm
 class AlarmConfig(Section):
     """One alarm; omitted fields have their defaults."""
 
-    limit: float | None = Field(
-        None, ge=0.0, description="the alarm becomes active above this value; in the alarm's unit"
+    limit: NotNegative | None = Field(
+        None, description="the alarm becomes active above this value; in the alarm's unit"
     )
-    hysteresis: float | None = Field(
-        None, ge=0.0, description="the alarm becomes inactive below the limit minus this"
+    hysteresis: NotNegative | None = Field(
+        None, description="the alarm becomes inactive below the limit minus this"
     )
     delay_s: float | None = Field(
         None, ge=0.0, le=2_592_000.0, description="time for which the limit must be exceeded"

@@ -1,17 +1,11 @@
 """The section of a valve's commissioning: what `valvemap commission` may do to the plant."""
 
-from typing import Annotated, Final, Self
+from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from valvemap.config.sections import Section
+from valvemap.config.sections import Positive, Range, Section, rising
 
-Range = tuple[float, float]
-
-_RANGES: Final = (
-    *("range_percent", "load_range_bar"),
-    *("p1_range_bar", "p2_range_bar", "Q_range_l_min"),
-)
 Percent = Annotated[float, Field(ge=-100.0, le=100.0)]
 Load = Annotated[float, Field(ge=0.0, le=1_000.0)]
 
@@ -24,7 +18,7 @@ class CommissionConfig(Section):
     written as well, and retreats towards ``safe_load_bar``.
     """
 
-    range_percent: tuple[Percent, Percent] | None = Field(
+    range_percent: Annotated[tuple[Percent, Percent], AfterValidator(rising)] | None = Field(
         None, description="lowest and highest U that is written; none = U_range_percent"
     )
     slew_percent_per_s: float = Field(
@@ -33,7 +27,7 @@ class CommissionConfig(Section):
     safe_percent: Percent | None = Field(
         None, description="U that the valve returns to; none: the permitted U nearest to 0"
     )
-    load_range_bar: tuple[Load, Load] | None = Field(
+    load_range_bar: Annotated[tuple[Load, Load], AfterValidator(rising)] | None = Field(
         None, description="lowest and highest set point of the load, needed with nodes.load"
     )
     load_slew_bar_per_s: float = Field(
@@ -52,8 +46,8 @@ class CommissionConfig(Section):
     p1_range_bar: Range | None = Field(None, description="p1 beyond which U retreats; none: any")
     p2_range_bar: Range | None = Field(None, description="p2 beyond which U retreats; none: any")
     Q_range_l_min: Range | None = Field(None, description="Q beyond which U retreats; none: any")
-    p_most_bar: float | None = Field(
-        None, gt=0.0, description="pressure above which the run ends; none: any"
+    p_most_bar: Positive | None = Field(
+        None, description="pressure above which the run ends; none: any"
     )
     max_age_s: float = Field(
         0.15, ge=0.05, le=5.0, description="age of the newest sample above which the run pauses"
@@ -71,10 +65,6 @@ class CommissionConfig(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        for name in _RANGES:
-            bounds = getattr(self, name)
-            if bounds is not None and not bounds[0] < bounds[1]:
-                raise ValueError(f"{name} = {list(bounds)}: the first must be below the second")
         if self.sweep_s > self.most_s:
             raise ValueError(
                 f"sweep_s = {self.sweep_s:g}: must not exceed most_s = {self.most_s:g}"

@@ -48,7 +48,10 @@ class SourceConfig(Section):
     )
     timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for a response")
     startup_timeout_s: float = Field(
-        10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"
+        10.0,
+        ge=0.0,
+        le=2_592_000.0,
+        description="wait this long for the source at start; 0 = for ever",
     )
 
 

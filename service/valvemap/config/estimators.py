@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, assert_never, get_a
 
 from pydantic import BaseModel, Field, ValidationInfo, field_validator
 
-from valvemap.config.sections import Section
+from valvemap.config.sections import Range, Section
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
@@ -27,7 +27,6 @@ Name = Annotated[
     Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$", description="its name in each node id"),
 ]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
-Range = tuple[float, float]
 DEFAULT_LAM = 0.998
 
 

@@ -3,9 +3,9 @@
 from collections.abc import Collection
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from valvemap.config.sections import Section
+from valvemap.config.sections import Section, rising
 from valvemap.pipeline.units import Scaling
 
 Percent = Annotated[float, Field(ge=0.0, le=100.0)]
@@ -19,7 +19,7 @@ class FeedForwardConfig(Section):
     within reach, range and certainty; otherwise the fallback acts.
     """
 
-    range_percent: tuple[Percent, Percent] = Field(
+    range_percent: Annotated[tuple[Percent, Percent], AfterValidator(rising)] = Field(
         (0.0, 100.0), description="lowest and highest U that is ever written"
     )
     slew_percent_per_s: float = Field(
@@ -44,8 +44,6 @@ class FeedForwardConfig(Section):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         low, high = self.range_percent
-        if not low < high:
-            raise ValueError(f"range_percent = {[low, high]}: the first must be below the second")
         if self.fallback == "ramp" and not low <= self.fallback_percent <= high:
             raise ValueError(
                 f"fallback_percent = {self.fallback_percent:g}: must be within range_percent = "
@@ -57,7 +55,7 @@ class FeedForwardConfig(Section):
 class AxisFeedForwardConfig(FeedForwardConfig):
     """The same of an axis: U has both signs."""
 
-    range_percent: tuple[SignedPercent, SignedPercent] = Field(
+    range_percent: Annotated[tuple[SignedPercent, SignedPercent], AfterValidator(rising)] = Field(
         (-100.0, 100.0), description="lowest and highest U that is ever written"
     )
     fallback_percent: SignedPercent = Field(0.0, description="U that the ramp goes to")

@@ -181,5 +181,7 @@ def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) ->
     value = details["input"]
     if isinstance(value, str):
         value = _LOG_IN.sub("//***@", value)
-    shown = f" = {value!r}" if isinstance(value, str | int | float | bool) else ""
+    single = value if isinstance(value, list | tuple) else [value]
+    is_shown = all(isinstance(one, str | int | float | bool) for one in single)
+    shown = f" = {value!r:.200}" if is_shown else ""
     return f"{where}: {field}{shown}: {message}"

@@ -5,11 +5,9 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from valvemap.config.sections import Section, per_signal
+from valvemap.config.sections import Number, Positive, Seconds, Section, per_signal
 from valvemap.pipeline.quality_gate import SignalLimits
 from valvemap.vocabulary.signals import Measured, Signal
-
-Range = tuple[float, float]
 
 
 class AlignmentConfig(Section):
@@ -34,7 +32,7 @@ class AlignmentConfig(Section):
     max_pending: int = Field(
         4_096, ge=16, le=1_000_000, description="most waiting samples of a valve"
     )
-    hold_s: dict[Measured, float] = Field(
+    hold_s: dict[Measured, Seconds] = Field(
         default_factory=dict,
         description="time for which a signal's last value is held; none = found at the start",
     )
@@ -56,16 +54,14 @@ class AlignmentConfig(Section):
 class LimitsConfig(Section):
     """Limits of one signal in its unit; an omitted limit is not checked."""
 
-    low: float | None = Field(None, description="lowest accepted value")
-    high: float | None = Field(None, description="highest accepted value")
+    low: Number | None = Field(None, description="lowest accepted value")
+    high: Number | None = Field(None, description="highest accepted value")
     frozen_s: float | None = Field(
-        None, gt=0.0, description="longest time that the value may be constant"
+        None, gt=0.0, le=1e9, description="longest time that the value may be constant"
     )
-    max_rate_per_s: float | None = Field(
-        None, gt=0.0, description="fastest accepted change, per second"
-    )
-    spike: float | None = Field(
-        None, gt=0.0, description="largest distance from the median of the last five values"
+    max_rate_per_s: Positive | None = Field(None, description="fastest accepted change, per second")
+    spike: Positive | None = Field(
+        None, description="largest distance from the median of the last five values"
     )
 
     @model_validator(mode="after")

@@ -1,12 +1,36 @@
 """Base classes of configuration sections and files."""
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, create_model
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from valvemap.vocabulary.signals import SENSORS, Signal
+
+NARROWEST = 1e-6
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]  # beyond it, 64 bits do not hold a reading
+Positive = Annotated[Number, Field(gt=0.0)]
+NotNegative = Annotated[Number, Field(ge=0.0)]
+Seconds = Annotated[float, Field(ge=0.0, le=1e9)]  # 31 years; in ns they fit 64 bits
+
+
+def rising(bounds: tuple[float, float]) -> tuple[float, float]:
+    """Return the two ends of a range, or raise ValueError."""
+    if not bounds[1] - bounds[0] >= NARROWEST:
+        raise ValueError(f"the first must be below the second, by {NARROWEST:g} at least")
+    return bounds
+
+
+def differing(values: tuple[float, float]) -> tuple[float, float]:
+    """Return two values that give a scale, or raise ValueError."""
+    if not abs(values[1] - values[0]) >= NARROWEST:
+        raise ValueError(f"the two must differ, by {NARROWEST:g} at least")
+    return values
+
+
+Range = Annotated[tuple[Number, Number], AfterValidator(rising)]
+TwoValues = Annotated[tuple[Number, Number], AfterValidator(differing)]
 
 
 class Section(BaseModel):

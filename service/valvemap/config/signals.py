@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, field_validator, model_validator
 
-from valvemap.config.sections import Section, per_signal
+from valvemap.config.sections import NotNegative, Section, TwoValues, per_signal
 from valvemap.pipeline.units import (
     QUANTITY_OF,
     SYMBOLS,
@@ -15,22 +15,21 @@ from valvemap.pipeline.units import (
     unit_of,
 )
 
-Range = tuple[float, float]
-
 
 class SignalConfig(Section):
     """One signal; omitted fields are as in the table of recordings: %, bar, l/min, °C."""
 
     column: str | None = Field(None, min_length=1, description="its column in recordings")
     unit: str | None = Field(None, description=f"one of {', '.join(SYMBOLS)}")
-    raw: Range | None = Field(
+    raw: TwoValues | None = Field(
         None,
         description="two raw values as received, e.g. [4, 20] for mA; range gives their meaning",
     )
-    range: Range | None = Field(None, description="the two values that the raw ones mean, in unit")
-
-    accuracy: float = Field(
-        0.0, ge=0.0, description="limit ± of the sensor's own error, in unit; 0: none is stated"
+    range: TwoValues | None = Field(
+        None, description="the two values that the raw ones mean, in unit"
+    )
+    accuracy: NotNegative = Field(
+        0.0, description="limit ± of the sensor's own error, in unit; 0: none is stated"
     )
 
     @field_validator("unit")
@@ -39,13 +38,6 @@ class SignalConfig(Section):
         if text is not None and unit_of(text) is None:
             raise ValueError(f"allowed is one of {', '.join(SYMBOLS)}")
         return text
-
-    @field_validator("raw", "range")
-    @classmethod
-    def _is_a_span(cls, bounds: Range | None) -> Range | None:
-        if bounds is not None and bounds[0] == bounds[1]:
-            raise ValueError(f"the two numbers must differ, not {list(bounds)}")
-        return bounds
 
     @model_validator(mode="after")
     def _raw_means_something(self) -> Self:

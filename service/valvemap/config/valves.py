@@ -11,8 +11,8 @@ from valvemap.config.feed_forward import FeedForwardConfig, check_command_unit, 
 from valvemap.config.nameplate import IdentificationConfig
 from valvemap.config.names import RESERVED_ESTIMATORS, Name, check_not_reserved, check_unique
 from valvemap.config.ports import PortsConfig, check_each_once, node_id
-from valvemap.config.samples import GateConfig, Range
-from valvemap.config.sections import Section, per_signal
+from valvemap.config.samples import GateConfig
+from valvemap.config.sections import Range, Section, per_signal
 from valvemap.config.signals import SignalsConfig
 from valvemap.model.extrapolation import ONE_EDGE
 from valvemap.vocabulary.edges import Edge
@@ -149,13 +149,6 @@ class ValveConfig(Section):
             return {**given, "nodes": NodesConfig.of_rig(given["name"])}
         return given
 
-    @field_validator("U_range_percent", "dp_range_bar", "Q_range_l_min")
-    @classmethod
-    def _low_below_high(cls, bounds: Range) -> Range:
-        if not bounds[0] < bounds[1]:
-            raise ValueError(f"the first number must be below the second, not {list(bounds)}")
-        return bounds
-
     @field_validator("U_range_percent")
     @classmethod
     def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
@@ -165,7 +158,7 @@ class ValveConfig(Section):
             return bounds  # each of its edges has one sign of U
         if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
             raise ValueError(
-                f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
+                f"more than {', '.join(unable)} can describe; "
                 f"with them {ONE_EDGE[0]:g} … {ONE_EDGE[1]:g} is allowed, any range with "
                 f"estimators of the kind {' or '.join(_OF_ANY_RANGE)} alone"
             )

@@ -73,7 +73,9 @@ class TopicsConfig(Section):
 class CatalogueConfig(Section):
     """Which valves there are: the service's configuration of each site, under one version."""
 
-    version: int = Field(1, ge=1, description="raise it with every change of a site's valves")
+    version: int = Field(
+        1, ge=1, le=2_147_483_647, description="raise it with every change of a site's valves"
+    )
     sites: dict[Name, Path] = Field(
         default_factory=dict, description="site: its configuration, seen from this file's folder"
     )
