@@ -121,6 +121,10 @@ class Timing:
             held[number] = found is not None and bool((found.comes == Comes.HELD).any())
         return held
 
+    def may_rest(self, valves: Times) -> bool:
+        """Whether the silence of all these valves is no loss, also while nothing is found yet."""
+        return all(self.valves[valve].may_rest for valve in valves.tolist())
+
     def found_by(self, names: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Return the detected timing, by valve name, of valves without a common timestamp."""
         return {

@@ -234,6 +234,16 @@ class ValveTiming:
         return int(self._scans.lacking.sum() + self._scans.moved.sum())
 
     @property
+    def may_rest(self) -> bool:
+        """Whether silence is no loss: signals come on change, or it is not known yet how.
+
+        Each has sent a value: else one is missing.
+        """
+        if self.stands == ALIKE or (self.newest[self._there] == NEVER).any():
+            return False
+        return self.found is None or bool((self.found.comes == Comes.HELD).any())
+
+    @property
     def newest(self) -> Times:
         """Source time of each signal's newest value, (6,), UTC ns; NEVER before the first."""
         newest = self._scans.seen.copy()

@@ -259,6 +259,11 @@ class LiveAxes:
         name = self.axes[number].plan.name
         log.error("axis failed", axis=name, why=str(error), exc_info=error)
 
+    def _may_rest(self, number: int) -> bool:
+        """Whether an axis' silence is no loss: a source that sends on change alone says nothing."""
+        rows = np.arange(LINES * number, LINES * (number + 1))
+        return bool(self._connected[rows].all()) and self._arrivals.timing.may_rest(rows)
+
     def _age_s(self, number: int) -> float | None:
         """Age of the newest sample, by its arrival and by the clocks; None: nothing may be led."""
         first = LINES * number
@@ -286,10 +291,11 @@ class LiveAxes:
         if number in self._failed:
             sentence = self._failed[number]
             found = replace(found, status=AxisStatus.FAILED, sentence=sentence, is_stale=True)
-        elif now - self._heard_at[number] > self._stale_after_s:
+        heard_at, rests = float(self._heard_at[number]), self._may_rest(number)
+        if now - heard_at > self._stale_after_s and not (rests and np.isfinite(heard_at)):
             found = replace(found, is_stale=True)
         alarms = self.axes[number].alarms
-        silent_s = now - max(self._began_at, float(self._heard_at[number]))
+        silent_s = 0.0 if rests else now - max(self._began_at, heard_at)
         alarms.judge(found, self._clock.now(), silent_s)
         found = replace(found, alarms=alarms.reports())
         return found if not found.is_stale else replace(found, required=RequiredU())
