@@ -11,10 +11,10 @@ import pytest
 from support.structured_text import FunctionBlock
 from valvemap.errors import ConfigurationError
 from valvemap.model.axis import AxisGeometry, AxisRegression
-from valvemap.model.axis_basis import leakage_share
+from valvemap.model.axis_basis import COMMON, leakage_share
 from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_inverse import axis_table, invert, line_weights
-from valvemap.model.kernels.axis_rows import COMMON
+from valvemap.model.kernels.axis_rows import COMPLIANCE, LEAKAGE
 from valvemap.storage.axis_tables import axis_block, checksum, write_axis_table
 from valvemap.storage.lookup_tables import literal
 from valvemap.vocabulary.edges import EDGES
@@ -40,7 +40,7 @@ def table():
     regression = AxisRegression(GEOMETRY, play_percent=2.0)
     size = len(regression.initial_state().b)
     theta, covariance = np.zeros(size), np.eye(size)
-    theta[-COMMON], theta[1 - COMMON] = 1.1, 0.5  # 1/β and c
+    theta[COMMON + COMPLIANCE], theta[COMMON + LEAKAGE] = 1.1, 0.5
     return axis_table(TrueFit(regression, theta, covariance, 0.1, 1.0, 0.0, 0.0))
 
 

@@ -14,7 +14,8 @@ from valvemap.vocabulary.edges import EDGES
 BREAKS: Final = np.array([0.0, *range(2, 14, 2), *range(15, 31, 3), *range(35, 101, 5)])
 """Breaks of the spool's position, %: fine where the edges open."""
 KNOTS: Final = len(BREAKS) + 2  # spline functions, and the departure from √Δp
-SIZE: Final = len(EDGES) * KNOTS + kernel.COMMON
+COMMON: Final = len(EDGES) * KNOTS  # where the columns begin that no edge has
+SIZE: Final = COMMON + kernel.COMMON
 
 
 def leakage_share(T: float) -> float:
@@ -78,8 +79,8 @@ WALTHER: Final = _walther(46.0, 6.8)  # mm²/s; ISO VG 46 with a viscosity index
 SPLINE: Final = spline_axis(BREAKS)
 PLACES: Final = np.array(
     [
-        [*range(2 * KNOTS), *range(SIZE - kernel.COMMON, SIZE)],
-        [*range(2 * KNOTS, 4 * KNOTS), *range(SIZE - kernel.COMMON, SIZE)],
+        [*range(2 * KNOTS), *range(COMMON, SIZE)],
+        [*range(2 * KNOTS, 4 * KNOTS), *range(COMMON, SIZE)],
     ],
     dtype=np.int64,
 )

@@ -30,10 +30,10 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from valvemap.model.axis import AxisState
-from valvemap.model.axis_basis import KNOTS, SIZE
+from valvemap.model.axis_basis import COMMON, KNOTS, SIZE
 from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_force import ForceReference, ForceState
-from valvemap.model.kernels.axis_rows import COMMON, PER_LEAKAGE
+from valvemap.model.kernels.axis_rows import AIR, COMPLIANCE, LEAKAGE, PER_LEAKAGE
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.findings import Finding, FindingCode
@@ -124,7 +124,7 @@ class Reference:
         common[-2, -2], common[-1, -1] = _DRIFT_ZERO, _DRIFT_PLACE
         drift = np.column_stack([_DRIFT_GAIN * _gains(found.theta), common])
         bends = [part for edge in EDGES for part in (found.bends(edge), [0.0])]
-        corners = _CORNER * np.concatenate([*bends, np.zeros(COMMON)])
+        corners = _CORNER * np.concatenate([*bends, np.zeros(SIZE - COMMON)])
         P = found.covariance + drift @ drift.T + np.diag(corners**2 + _SIZE_OF_NOTHING**2)
         precision = np.asarray(np.linalg.inv(P), np.float64)
         return cls(found.theta, precision, found.residual_std**2, found.together, force)
@@ -207,7 +207,7 @@ def _weighed(reference: Reference, window: WindowSums, mean: Floats, spread: Flo
 
 def _another(theta: Floats, K: Floats, u: Floats, left: float, n: float) -> float:
     """Return the log evidence of *another*."""
-    S = np.column_stack([*_columns(theta).values(), np.diag(_ANY * theta)[:, :-COMMON]])
+    S = np.column_stack([*_columns(theta).values(), np.diag(_ANY * theta)[:, :COMMON]])
     S = S[:, S.any(axis=0)]
     B, v = np.eye(S.shape[1]) + S.T @ K @ S, S.T @ u
     less = max(left - float(v @ np.linalg.solve(B, v)), 0.0)
@@ -237,11 +237,10 @@ def _gains(theta: Floats) -> Floats:
 
 def _common(theta: Floats, leakage: float, least: float, compliance: float, air: float) -> Floats:
     """Return the directions of leakage, 1/β and air, (n, 5), with these sizes; the last are 0."""
-    found = np.zeros((SIZE, COMMON))
-    at = SIZE - COMMON
-    found[at + 1, 0] = math.hypot(leakage * theta[at + 1], least)
-    found[at, 1] = compliance * theta[at]
-    found[at + 2, 2] = air
+    found, k = np.zeros((SIZE, SIZE - COMMON)), COMMON
+    found[k + LEAKAGE, 0] = math.hypot(leakage * theta[k + LEAKAGE], least)
+    found[k + COMPLIANCE, 1] = compliance * theta[k + COMPLIANCE]
+    found[k + AIR, 2] = air
     return found
 
 
@@ -260,7 +259,7 @@ def _columns(theta: Floats) -> dict[int, Floats]:
 
 
 def _unit(code: FindingCode, theta: Floats) -> float:
-    c = float(theta[SIZE - COMMON + 1])
+    c = float(theta[COMMON + LEAKAGE])
     if code is FindingCode.AIR:
         return _AIR
     if code is FindingCode.LEAKAGE_CHANGE:

@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from valvemap.model.axis import AxisRegression, AxisState
-from valvemap.model.axis_basis import KNOTS, SIZE, SPLINE, columns, edge_regressors, moved_edge
+from valvemap.model.axis_basis import (
+    COMMON,
+    KNOTS,
+    SIZE,
+    SPLINE,
+    columns,
+    edge_regressors,
+    moved_edge,
+)
 from valvemap.model.kernels import axis_rows as kernel
 from valvemap.model.kernels import flow_drift
 from valvemap.model.samples import Floats
@@ -71,23 +79,23 @@ class AxisFit:
     @property
     def bulk_modulus(self) -> tuple[float, float]:
         """β and its standard deviation, GPa."""
-        inverse, std = self._common(0)
+        inverse, std = self._common(kernel.COMPLIANCE)
         assumed = _ASSUMED if self.regression.has_place else _PLACE
         return 1.0 / inverse, math.hypot(std / inverse**2, assumed / inverse)
 
     @property
     def leakage(self) -> tuple[float, float]:
         """Leakage c at 40 °C (without T: as it is) and its standard deviation, l/min/bar."""
-        value, std = self._common(1)
+        value, std = self._common(kernel.LEAKAGE)
         return kernel.PER_LEAKAGE * value, kernel.PER_LEAKAGE * math.hypot(std, _ASSUMED * value)
 
     @property
     def air(self) -> tuple[float, float]:
         """Free air at atmospheric pressure and its standard deviation, %."""
-        return self._common(2)
+        return self._common(kernel.AIR)
 
     def _common(self, number: int) -> tuple[float, float]:
-        place = SIZE - kernel.COMMON + number
+        place = COMMON + number
         return float(self.theta[place]), math.sqrt(self.covariance[place, place])
 
 
@@ -105,7 +113,7 @@ def fit(regression: AxisRegression, state: AxisState) -> AxisFit:
     if regression.has_place:
         return best
     flows = _SCALE * best.theta
-    flows[-2] = 0.0  # the zero is no flow
+    flows[COMMON + kernel.ZERO] = 0.0  # the zero is no flow
     return replace(best, covariance=best.covariance + np.outer(flows, flows))
 
 
@@ -223,7 +231,7 @@ def _prior(slope: float) -> Floats:
         P[own, own] += _COEFFICIENT_SIZE**-2
         P[at + KNOTS - 1, at + KNOTS - 1] = _DEPARTURE_SIZE**-2
     sizes = np.array([_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE, _ZERO_SIZE, _PLACE_SIZE])
-    common = np.arange(SIZE - kernel.COMMON, SIZE)
+    common = np.arange(COMMON, SIZE)
     P[common, common] = sizes**-2.0
     return P
 

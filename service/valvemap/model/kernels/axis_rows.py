@@ -25,7 +25,8 @@ from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Codes, Floats, Times
 
 PARTS: Final = 4  # parts of an interval; a spool of 100 Hz then moves by a quarter of its way
-COMMON: Final = 5  # 1/β, c, air, zero, place
+COMMON: Final = 5  # columns after those of the edges:
+COMPLIANCE, LEAKAGE, AIR, ZERO, PLACE = range(COMMON)
 ATMOSPHERE_BAR: Final = 1.013
 PER_COMPLIANCE: Final = 1e-4  # 1/bar; unit of the coefficient 1/β: 1 is 1 GPa
 PER_LEAKAGE: Final = 1e-2  # l/min/bar; unit of the coefficient c
@@ -207,7 +208,8 @@ def axis_rows(
         Out: the piston's speed over the interval (N, 2), mm/s: as measured, and as it is by the
         coefficients. NaN where the interval is left out.
     """
-    n, knots = len(b), len(breaks) + 2  # m + 2 functions on m intervals, and the departure
+    n, common = len(b), len(b) - COMMON
+    knots = len(breaks) + 2  # m + 2 functions on m intervals, and the departure
     half = settings[1]
     share, forget, stride = settings[8], settings[9], int(settings[15])
     A_A, A_B, stroke = geometry[0], geometry[1], geometry[2]
@@ -287,10 +289,10 @@ def axis_rows(
             drop = 0.5 * (pA + now[2] - pB - now[3]) * (memory[12] if memory[12] > 0.0 else 1.0)
             v = 0.5 * (memory[14] + signals[i, 7])
             if math.isfinite(v):
-                rows[0, n - 2], rows[1, n - 2] = 6e-3 * A_A, -6e-3 * A_B
+                rows[0, common + ZERO], rows[1, common + ZERO] = 6e-3 * A_A, -6e-3 * A_B
                 per_mm = 6e-3 * PER_COMPLIANCE / dt  # l/min a cm² and bar
-                rows[0, n - 1] = -per_mm * A_A * (now[2] - pA)
-                rows[1, n - 1] = per_mm * A_B * (now[3] - pB)
+                rows[0, common + PLACE] = -per_mm * A_A * (now[2] - pA)
+                rows[1, common + PLACE] = per_mm * A_B * (now[3] - pB)
             else:
                 v = (now[1] - memory[4]) / dt
             rows[0, n] = 6e-3 * A_A * v
@@ -298,14 +300,14 @@ def axis_rows(
             for line in range(2):
                 if line == 0:
                     V, before, after = geometry[3] + 1e-4 * A_A * x, pA, now[2]
-                    rows[0, n - 4] = -PER_LEAKAGE * drop
+                    rows[0, common + LEAKAGE] = -PER_LEAKAGE * drop
                 else:
                     V, before, after = geometry[4] + 1e-4 * A_B * (stroke - x), pB, now[3]
-                    rows[1, n - 4] = PER_LEAKAGE * drop
+                    rows[1, common + LEAKAGE] = PER_LEAKAGE * drop
                 taken = 60.0 * V * (after - before) / dt
                 square = (before + ATMOSPHERE_BAR) * (after + ATMOSPHERE_BAR)  # exact for air
-                rows[line, n - 5] = -PER_COMPLIANCE * taken
-                rows[line, n - 3] = -PER_AIR * taken * ATMOSPHERE_BAR / square
+                rows[line, common + COMPLIANCE] = -PER_COMPLIANCE * taken
+                rows[line, common + AIR] = -PER_AIR * taken * ATMOSPHERE_BAR / square
             speeds[i, 0] = v
             speeds[i, 1] = _speed_by_map(rows, theta, places, A_A, A_B)
             counts[0] += 1
