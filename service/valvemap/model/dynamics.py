@@ -26,9 +26,7 @@ TRAVERSES: Final = (
 EARLY: Final = 1.5  # periods by which flow may seem to precede U: one is that of the sampling
 UNSURE: Final = 0.3  # relative standard deviation above which f or ζ is not determined
 UNSURE_S: Final = 0.02  # s; the same for times
-TINY: Final = 1e-300  # instead of a variance of 0
 COLOUR_S: Final = 0.1  # s; over which residuals of a misfit hang together
-COLOURS_S: Final = (0.1, 1.0, 5.0)  # s; the same, where it is asked whether there are dynamics
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ def _judged(grid: Grid, p: Point) -> Dynamics:
     r, S, theta = fit.residual(grid, p)
     noise2 = S / max(len(r) - fit.COLUMNS - fit.FREE, 1)
     P = _covariance(fit.jacobian(grid, p.free, r), r, noise2, grid.period)
-    flat = fit.FLAT * noise2 * _colour(r, grid)
+    flat = fit.FLAT * noise2 * fit.colour(r, grid.period)
     has_slew = math.sqrt(P[2, 2]) < UNSURE and S_unlimited - S > flat
     if not has_slew:
         p, free = unlimited, [0, 1, 3, 4]
@@ -174,7 +172,11 @@ def _judged(grid: Grid, p: Point) -> Dynamics:
     step = max(step, 0.1 * float(np.ptp(grid.U)))
     gain = fit.static_residual(grid) - S
     follows = p.dead + 1.96e-3 * std[3] > -EARLY * grid.period
-    lags = follows and gain > fit.FLAT * noise2 * _colour(r, grid) and p.f < fit.SEEN / grid.period
+    lags = (
+        follows
+        and gain > fit.FLAT * noise2 * fit.colour(r, grid.period)
+        and p.f < fit.SEEN / grid.period
+    )
     f = _quantity(p.f, p.f * std[0], known=lags and std[0] < UNSURE and p.f < 0.9 * fit.FASTEST)
     zeta = _quantity(p.zeta, p.zeta * std[1], known=f.status is Status.OK and std[1] < UNSURE)
     return Dynamics(
@@ -208,18 +210,8 @@ def _covariance(J: Floats, r: Floats, noise2: float, period: float) -> Floats:
         across = g[k:].T @ g[:-k]
         middle += (1.0 - k / many) * (across + across.T)
     white, coloured = noise2 * inverse, inverse @ middle @ inverse
-    wider = np.sqrt(np.maximum(coloured.diagonal() / np.maximum(white.diagonal(), TINY), 1.0))
+    wider = np.sqrt(np.maximum(coloured.diagonal() / np.maximum(white.diagonal(), fit.TINY), 1.0))
     return np.asarray(white * np.outer(wider, wider), np.float64)
-
-
-def _colour(r: Floats, grid: Grid) -> float:
-    """Return by how much neighbours add to the variance of a mean of residuals, 1 at least."""
-    worst, whole = 1.0, max(float(r @ r), TINY)
-    for seconds in COLOURS_S:
-        many = max(round(seconds / grid.period), 1)
-        means = np.add.reduceat(r, np.arange(0, len(r), many))
-        worst = max(worst, float(means @ means) / whole)
-    return worst
 
 
 def _quantity(value: float, std: float, *, known: bool) -> Quantity:

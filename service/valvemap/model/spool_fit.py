@@ -30,9 +30,18 @@ STARTS_HZ: Final = (4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 100.0)
 STARTS_LAG_S: Final = (0.003, 0.012, 0.035)
 STARTS_SLEW: Final = (math.inf, 0.5, 0.25, 0.12)  # of the fastest that a full step reaches
 FASTEST_STEP: Final = 240.0  # %/s per Hz of f: a full step of a spool without a limit
+STARTS_DELAY_S: Final = tuple(0.003 * 1.7**k for k in range(12))  # up to 1 s
+OF_DELAY: Final = {
+    "spool": (0.1, 0.25, 0.5, 1.0),
+    "dead": (0.0, 0.15, 0.5),
+    "lag": (0.0, 0.15, 0.5, 1.0),
+}
 START_S: Final = 8.0  # s of samples on which starts are compared
 KEPT: Final = 4  # starts that are continued
+COLOURS_S: Final = (0.1, 1.0, 5.0)  # s; over which residuals of a misfit hang together
+DOUBTED: Final = 2.0  # colour of a residual that is not noise alone: other starts may end lower
 FLAT: Final = 8.0  # 2·log likelihood, below which a parameter is not excited
+TINY: Final = 1e-300  # instead of a variance of 0
 NO_SLEW: Final = 1e6  # %/s; no limit
 ITERATIONS: Final = 15
 DONE: Final = 1e-5  # relative decrease of the sum of squares
@@ -93,7 +102,11 @@ class Grid:
 
 
 def best_point(samples: Samples, period: float) -> tuple[Grid, Point]:
-    """Search for the best point; return it with the samples on their grid of ``period`` s."""
+    """Search for the best point; return it with the samples on their grid of ``period`` s.
+
+    A search may end where it is best only nearby. Its residual is then coloured, and a second one
+    begins at shares of the whole delay between U and Q.
+    """
     grid = _gridded(samples, period)
     short = _busiest(grid, START_S)
     starts = [
@@ -103,13 +116,53 @@ def best_point(samples: Samples, period: float) -> tuple[Grid, Point]:
         for slew in STARTS_SLEW
     ]  # fmt: skip
     best = sorted(starts, key=lambda p: residual(short, p)[1])[:KEPT]
-    point, _ = min((descend(short, p) for p in best), key=lambda end: end[1])
+    found = _descended(grid, short, best)
+    r, S, _ = residual(*found)
+    if colour(r, period) < DOUBTED:
+        return found
+    other = _descended(grid, short, _of_delay(short))
+    return other if residual(*other)[1] < S else found
+
+
+def _descended(grid: Grid, short: Grid, starts: list[Point]) -> tuple[Grid, Point]:
+    """Return the end of the best of these starts, and U between the samples."""
+    point, _ = min((descend(short, p) for p in starts), key=lambda end: end[1])
     point, S = descend(grid, point)
     as_lines = replace(grid, hold=Hold.LINE)
-    line, S_line = descend(as_lines, replace(point, dead=point.dead + 0.5 * period))
+    line, S_line = descend(as_lines, replace(point, dead=point.dead + 0.5 * grid.period))
     if S_line * math.exp(FLAT / len(grid.t)) < S:
-        point, grid = line, as_lines
+        return as_lines, line
     return grid, point
+
+
+def _of_delay(short: Grid) -> list[Point]:
+    """Return the best start of each share that the spool may have in the delay.
+
+    The whole delay is that of the best lag alone; a spool's is 2ζ/ω.
+    """
+    quick = Point(min(SEEN / short.period, FASTEST), 0.7, NO_SLEW, 0.0, 0.0)
+    delay = min(STARTS_DELAY_S, key=lambda lag: residual(short, replace(quick, lag=lag))[1])
+    best = []
+    for share in OF_DELAY["spool"]:
+        f = min(max(0.7 / (math.pi * share * delay), SLOWEST), quick.f)
+        starts = [
+            Point(f, 0.7, min(slew * FASTEST_STEP * f, NO_SLEW), dead * delay, lag * delay)
+            for dead in OF_DELAY["dead"]
+            for lag in OF_DELAY["lag"]
+            for slew in STARTS_SLEW
+        ]
+        best.append(min(starts, key=lambda p: residual(short, p)[1]))
+    return best
+
+
+def colour(r: Floats, period: float) -> float:
+    """Return by how much neighbours add to the variance of a mean of residuals, 1 at least."""
+    worst, whole = 1.0, max(float(r @ r), TINY)
+    for seconds in COLOURS_S:
+        many = max(round(seconds / period), 1)
+        means = np.add.reduceat(r, np.arange(0, len(r), many))
+        worst = max(worst, float(means @ means) / whole)
+    return worst
 
 
 def _gridded(samples: Samples, period: float) -> Grid:
