@@ -104,3 +104,49 @@ def test_times_that_are_all_equal_are_refused():
     table = rows(t=np.full(N, START))
     assert "all times are equal" in refusal(table)
     assert fitted(table | {"t": np.arange(N) * 0.05}).t == 39_950_000_000
+
+
+def test_units_as_likely_as_the_likeliest_are_named_beside_it_and_work():
+    psi = rows(p1=rows()["p1"] * 14.503773773, p2=rows()["p2"] * 14.503773773)
+    said = refusal(psi)
+    assert "it may be that p1 and p2 are in kPa instead of bar" in said
+    named = [ast.literal_eval(found) for found in re.findall(r"units=(\{.*?\})", said)]
+    assert {"p1": "psi", "p2": "psi"} in named
+    for units in named:
+        fitted(psi, units=units)
+
+
+def test_no_unit_is_proposed_where_none_explains_the_flow():
+    half = np.where(np.arange(N) < N // 2, 1.0, 14.503773773)
+    said = refusal(rows(p1=rows()["p1"] * half, p2=rows()["p2"] * half))
+    assert "the orifice law explains" in said
+    assert "units=" not in said
+
+
+@pytest.mark.parametrize(("signal", "number"), [("U", 0.0), ("p1", -999.0), ("Q", 0.0)])
+def test_a_number_that_stands_for_no_reading_is_refused_and_the_remedy_works(signal, number):
+    gone = np.random.default_rng(5).random(N) < 0.03
+    values = rows()[signal]
+    said = refusal(rows(**{signal: np.where(gone, number, values)}))
+    assert f"{signal} is {number:g} in {gone.sum()} samples of {N}" in said
+    found = fitted(rows(**{signal: np.where(gone, np.nan, values)}))
+    assert found.predict(50, 100) == pytest.approx(fitted(rows()).predict(50, 100), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("symbol", "span", "U"),
+    [
+        ("V", "0..10:0..100%", lambda U: U / 10),
+        ("mA", "4..20:0..100%", lambda U: 4 + 0.16 * U),
+    ],
+)
+def test_a_command_that_fills_a_span_of_volts_or_mA_is_asked_for_its_unit(symbol, span, U):
+    whole = np.clip(50 + 55 * np.sin(0.8 * 0.05 * np.arange(N)), 0, 100)
+    Q = 0.04 * whole * np.sqrt(190 - rows()["p2"]) + np.random.default_rng(3).normal(0, 0.1, N)
+    table = rows(U=U(whole), Q=Q)
+    said = refusal(table)
+    assert f"in {symbol}, --scale U={span}" in said
+    wanted = fitted(rows(U=whole, Q=Q)).predict(50, 100)
+    assert fitted(table, units={"U": span}).predict(50, 100) == pytest.approx(wanted)
+    fitted(table, units={"U": "%"})
+    fitted({"U [%]" if name == "U" else name: x for name, x in table.items()})

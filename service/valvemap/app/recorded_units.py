@@ -16,12 +16,14 @@ from valvemap.pipeline.units import QUANTITY_OF, Measure, inside, unit_with
 from valvemap.plant.answers import parse_answers
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.grouping import Group
+from valvemap.plant.no_readings import no_readings
 from valvemap.plant.questions import Option
 from valvemap.plant.reading import Given, Record
 from valvemap.plant.roles import Role
 from valvemap.plant.scales import Scale
 from valvemap.plant.verdict import judge
 from valvemap.storage.layout import Part
+from valvemap.vocabulary.signals import REQUIRED
 from valvemap.vocabulary.statuses import Quality
 
 ROWS: Final = 600  # samples that are judged
@@ -30,6 +32,12 @@ _NS_OF_1973: Final = 10**17
 _SHORTEST_STEP: Final = 100_000  # ns; a shorter one is no sampling period of a valve's signals
 _FEW: Final = 10  # samples; of fewer, the times tell nothing
 _LABELLED: Final = "as labelled"
+_EXPLAINS: Final = 0.5  # of Q, by the orifice law; where it explains less, no unit is the remedy
+_LIKELY: Final = 0.2  # of the likeliest unit's probability: one that is named beside it
+_MOST_NAMED: Final = 3  # units beside the likeliest
+_SPANS: Final = ((0.0, 10.0, "V"), (4.0, 20.0, "mA"), (-10.0, 10.0, "V"))  # of commands
+_FILLED: Final = 0.05  # of a span: U comes so near to its ends
+_INSIST: Final = "--insist (insist=True in Python) learns from it all the same"
 
 
 def check_units(
@@ -52,6 +60,11 @@ def check_units(
         if the values contradict a unit; names the likelier one, and how to state it.
     """
     _check_times(file, valve, samples)
+    _check_readings(file, valve, samples)
+    if part.recognised:
+        return
+    if not configured and "U" not in part.stated:
+        _check_span(file, valve, samples)
     some, step_s = _most_moving(samples)
     stated = {signal: scaling for signal, (_, scaling) in part.numbers.items() if signal != "T"}
     candidates, values, given = [], {}, Given()
@@ -72,14 +85,40 @@ def check_units(
     others = [option for option in options if not option.text.startswith(_LABELLED)]
     if not others or _are_swapped(group, values, step_s, given):
         return
-    likeliest = max(others, key=lambda one: (one.probability, " instead of " in one.text))
-    is_sure = verdict.reading is not None and bool(verdict.reading.mistake)
-    wanted = _scales(likeliest, part)
-    raise RecordingError(
-        f"{file}: valve {valve}: {_claim(likeliest, is_sure=is_sure)} "
-        f"({_as_stated(options, wanted, some)}): {_remedy(wanted, part, configured=configured)}; "
-        "--insist (insist=True in Python) learns from it all the same"
+    labelled = next((one for one in options if one not in others), others[0])
+    remedies = [one for one in others if _is_remedy(one, labelled)]
+    as_stated = _as_stated(part, labelled, remedies, some)
+    if not remedies:
+        raise RecordingError(
+            f"{file}: valve {valve}: the values contradict the units ({as_stated}), the orifice "
+            f"law explains {100 * labelled.explained:.0f} % of Q, and not more in other "
+            "units: are they the columns of this valve, of one time, in one unit throughout? "
+            + _INSIST
+        )
+    likeliest = max(remedies, key=lambda one: (one.probability, " instead of " in one.text))
+    beside = [
+        one
+        for one in remedies
+        if one is not likeliest and one.probability >= _LIKELY * likeliest.probability
+    ]
+    is_sure = verdict.reading is not None and bool(verdict.reading.mistake) and not beside
+    said = _remedy(_scales(likeliest, part), part, configured=configured)
+    said += "".join(
+        f"; or {_mistake(one)}: {_remedy(_scales(one, part), part, configured=configured)}"
+        for one in beside[:_MOST_NAMED]
     )
+    raise RecordingError(
+        f"{file}: valve {valve}: {_claim(likeliest, is_sure=is_sure)} ({as_stated}): {said}; "
+        + _INSIST
+    )
+
+
+def _is_remedy(other: Option, labelled: Option) -> bool:
+    """Whether another reading is plausible itself: Q follows, and a contradiction is gone."""
+    if other.explained < _EXPLAINS:
+        return False
+    told_apart = not labelled.against or not set(labelled.against) <= set(other.against)
+    return told_apart or other.probability > labelled.probability
 
 
 def _most_moving(samples: Samples) -> tuple[Samples, float]:
@@ -110,6 +149,36 @@ def _spread(values: Floats) -> float:
     return float(good.std()) if len(good) else 0.0
 
 
+def _check_readings(file: Path, valve: str, samples: Samples) -> None:
+    """Refuse numbers that stand for no reading."""
+    found = no_readings({name: getattr(samples, name) for name in REQUIRED})
+    if found:
+        numbers = ", ".join(f"{x.signal} is {x.number:g} in {x.samples:,} samples" for x in found)
+        raise RecordingError(
+            f"{file}: valve {valve}: {numbers} of {len(samples):,}, one or two at a time while the "
+            "other signals go on: do these numbers stand for no reading? Leave their cells empty "
+            f"(NaN in Python); {_INSIST}"
+        )
+
+
+def _check_span(file: Path, valve: str, samples: Samples) -> None:
+    """Refuse U that fills a span of volts or mA, where nothing states its unit."""
+    good = samples.U[np.isfinite(samples.U)]
+    if len(good) < _FEW:
+        return
+    least, most = float(good.min()), float(good.max())
+    for low, high, symbol in _SPANS:
+        slack = _FILLED * (high - low)
+        if abs(least - low) <= slack and abs(most - high) <= slack:
+            ends = "-100..100" if low < 0.0 else "0..100"
+            span = f"{low:g}..{high:g}:{ends}%"
+            raise RecordingError(
+                f"{file}: valve {valve}: U is {least:.3g} … {most:.3g}, and nothing states its "
+                f"unit: in {symbol}, --scale U={span} (units={{'U': '{span}'}} in Python) says so; "
+                f"in %, --scale U=% (units={{'U': '%'}} in Python); {_INSIST}"
+            )
+
+
 def _check_times(file: Path, valve: str, samples: Samples) -> None:
     """Refuse times that are all equal, and microseconds since 1970 taken for nanoseconds."""
     if len(samples) < _FEW:
@@ -118,8 +187,7 @@ def _check_times(file: Path, valve: str, samples: Samples) -> None:
     if (samples.t == samples.t[0]).all():
         raise RecordingError(
             f"{file}: valve {valve}: all times are equal, and t must rise; where no times were "
-            "recorded, let t be the number of the row times the sampling period, in s; "
-            "--insist (insist=True in Python) learns from it all the same"
+            "recorded, let t be the number of the row times the sampling period, in s; " + _INSIST
         )
     if 10**15 <= samples.t[0] < _NS_OF_1973 and 0.0 < step < _SHORTEST_STEP:
         raise RecordingError(
@@ -128,18 +196,19 @@ def _check_times(file: Path, valve: str, samples: Samples) -> None:
         )
 
 
+def _mistake(option: Option) -> str:
+    return option.text.partition(":")[0]
+
+
 def _claim(option: Option, *, is_sure: bool) -> str:
-    mistake = option.text.partition(":")[0]
-    return mistake if is_sure else f"it may be that {mistake}"
+    return _mistake(option) if is_sure else f"it may be that {_mistake(option)}"
 
 
-def _as_stated(options: tuple[Option, ...], wanted: Iterable[str], samples: Samples) -> str:
+def _as_stated(part: Part, labelled: Option, remedies: Iterable[Option], samples: Samples) -> str:
     """Return what the signals in question are as stated, and what speaks against it."""
-    spans = [_span(name, getattr(samples, name)) for name in wanted]
-    labelled = [one.consequence for one in options if one.text.startswith(_LABELLED)]
-    against = [part.removeprefix("but ") for one in labelled for part in one.split(", ")
-               if part.startswith("but ")]  # fmt: skip
-    return f"as stated, {', '.join((*spans, *against))}"
+    wanted = dict.fromkeys(name for one in remedies for name in _scales(one, part))
+    spans = [_span(name, getattr(samples, name)) for name in wanted or REQUIRED]
+    return f"as stated, {', '.join((*spans, *labelled.against))}"
 
 
 def _span(signal: str, values: Floats) -> str:

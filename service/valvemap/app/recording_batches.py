@@ -29,8 +29,7 @@ def read_batches(
 ) -> Iterator[tuple[str, Samples]]:
     """Yield name and samples of each batch; ``turn`` may read ahead.
 
-    ``check`` is called with a valve's first samples of the recording, and its columns, unless
-    these were recognised by foreign headings.
+    ``check`` is called with a valve's first samples of the recording, and its columns.
     """
     file, checked = name_of(recording), set[str]()
     with read_recording(recording, layout=layout) as batches:
@@ -40,8 +39,7 @@ def read_batches(
                 checked.add(name)
                 own = [part for part in batches.parts if part.valve in (None, name)]
                 for part in own[:1]:
-                    if not part.recognised:
-                        check(file, name, samples, part)
+                    check(file, name, samples, part)
             yield name, samples
             progress(file, batches.fraction)
 

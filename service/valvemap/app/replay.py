@@ -300,7 +300,13 @@ def refuse_if_nothing_was_learnt(report: Report) -> None:
         if all(r.lane.count == 0 for r in estimators.values()):
             why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
             why = why or "they are too few"
-            empty.append(f"{valve}: nothing was learnt from {r.samples} samples: {why}")
+            said = f"{valve}: nothing was learnt from {r.samples} samples: {why}"
+            if r.rejected.get("not_finite", 0) >= r.samples > 0:
+                said += (
+                    " (no row has all of U, p1, p2 and Q: as rows of time, tag and value, each tag "
+                    "keeps its last value)"
+                )
+            empty.append(said)
     if empty:
         raise RecordingError("; ".join(empty))
 

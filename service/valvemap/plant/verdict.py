@@ -97,7 +97,7 @@ def _question(
     differing = _differing(options)
     what = ", ".join(differing) or "its signals"
     left = 1.0 - sum(r.probability for r in found)
-    against = [name for name, nats in best.contradictions.items() if nats < _CLEAR]
+    against = _against(best)
     foreign = [
         f"{role} in {printable(best.nodes[role].symbol)!r}, which is no unit of a {noun}"
         for role in differing
@@ -128,6 +128,10 @@ def _question(
     return Question(about, tuple(_option(valve, r, differing or list(r.nodes)) for r in options))
 
 
+def _against(reading: Reading) -> tuple[str, ...]:
+    return tuple(name for name, nats in reading.contradictions.items() if nats < _CLEAR)
+
+
 def _others(options: Iterable[Reading]) -> str:
     return ", ".join(dict.fromkeys(name for r in options for name in r.beside))
 
@@ -156,7 +160,12 @@ def _option(valve: str, reading: Reading, differing: Sequence[Role]) -> Option:
     shown = [_shown(role, reading) for role in differing if role in reading.nodes]
     answers = [a for role in reading.nodes for a in _answers(valve, role, reading)]
     return Option(
-        f"{text}: {', '.join(shown)}", consequence_of(reading), tuple(answers), reading.probability
+        f"{text}: {', '.join(shown)}",
+        consequence_of(reading),
+        tuple(answers),
+        reading.probability,
+        reading.fit.explained,
+        _against(reading),
     )
 
 
@@ -187,7 +196,7 @@ def consequence_of(reading: Reading) -> str:
         said.append(f"Q/√dp up to {evidence.coefficient(values):.3g} l/min/√bar")
     if reading.fit.moves:
         said.append(f"the orifice law explains {100 * reading.fit.explained:.0f} % of Q")
-    said += [f"but {name}" for name, nats in reading.contradictions.items() if nats < _CLEAR]
+    said += [f"but {name}" for name in _against(reading)]
     return ", ".join(said) or "no values were seen"
 
 

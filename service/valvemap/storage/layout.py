@@ -91,7 +91,8 @@ class Part:
     ``valve`` is None if the valve column names the valve of each row; with ``selects``, only the
     rows that name this valve are used. ``seconds`` is the unit of the times. Without a column of
     p2, p1 is the pressure drop, and p2 is 0. ``in_heading`` are the signals whose unit the heading
-    states; ``recognised``: by foreign headings, and so judged already.
+    states, ``stated`` those whose unit is stated anywhere; ``recognised``: by foreign headings, and
+    so judged already.
     """
 
     valve: str | None
@@ -100,6 +101,7 @@ class Part:
     selects: bool = False
     seconds: float = 1.0
     in_heading: frozenset[str] = frozenset()
+    stated: frozenset[str] = frozenset()
     recognised: bool = False
 
 
@@ -214,13 +216,20 @@ class _Finder:
         t = found["t"]
         assert t is not None  # noqa: S101 - it is required
         seconds = self._layout.seconds
+        in_heading = frozenset(s for s, (n, _) in numbers.items() if self._headings[n][1])
+        elsewhere = {
+            signal
+            for signal, measure in own.signals.items()
+            if measure.unit is not None or measure.raw is not None
+        }
         return Part(
             DEFAULT_VALVE if valve == "" else valve,
             t,
             numbers,
             selects,
             seconds_per_unit(self._header[t]) if seconds is None else seconds,
-            frozenset(s for s, (n, _) in numbers.items() if self._headings[n][1] is not None),
+            in_heading,
+            in_heading | elsewhere | {str(role) for role in given.scales},
         )
 
     def _missing(self, missing: Sequence[str]) -> str:
