@@ -198,8 +198,8 @@ HEADER = "t,U,p1,p2,Q\n"
             "r.csv, line 1: column U, p1 is missing",
         ),
         (
-            "t;U;p1;p2;Q\n0;1.000,5;2;3;4\n",
-            "r.csv, line 2: U is '1.000.5', allowed is a number",
+            "t;U;p1;p2;Q\n0;1.00,5;2;3;4\n",
+            "r.csv, line 2: U is '1.00.5', allowed is a number",
         ),
         (
             "t,U,p1,p2,Q,quality\n0,1,2,3,4,192\n",

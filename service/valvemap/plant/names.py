@@ -17,8 +17,13 @@ _KKS_CONCEPTS: Final[Mapping[str, Concept]] = {
     "CG": Concept.OPENING,
 }
 _SHORTEST_INSIDE, _SHORTEST_AT_AN_END = 5, 4  # letters of a word found inside a compound
-_WORD = re.compile(r"[a-z0-9]+|[\u4e00-\u9fff]+")
-_WHOLE = re.compile(r"[pqut][12]|[a-z]+|[\u4e00-\u9fff]+|\d+")
+UNSPACED: Final = "\u3040-\u30ff\u4e00-\u9fff\uac00-\ud7a3"
+"""Letters of Japanese, Chinese and Korean, which stand together as one word."""
+_CYRILLIC: Final = "\u0400-\u04ff"
+_WORD = re.compile(rf"[a-z0-9]+|[{UNSPACED}]+|[{_CYRILLIC}]+")
+_WHOLE = re.compile(rf"[pqut][12]|[a-z]+|[{UNSPACED}]+|[{_CYRILLIC}]+|\d+")
+_IS_UNSPACED = re.compile(f"[{UNSPACED}]")
+_STROKED: Final = str.maketrans("łøđı", "lodi")  # letters that no accent is taken off
 _PIECE = re.compile(r"p[12](?!\d)|[a-z]+|\d+")
 
 
@@ -30,10 +35,8 @@ def tokens(text: str) -> list[str]:
     """
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[Δ∆])", " ", unicodedata.normalize("NFKC", text))
     plain = parted.replace("Δ", " delta ").replace("∆", " delta ")
-    plain = unicodedata.normalize("NFKD", plain.casefold().replace("ß", "ss"))
-    plain = "".join(letter for letter in plain if not unicodedata.combining(letter))
     found: list[str] = []
-    for word in _WORD.findall(plain):
+    for word in _WORD.findall(_without_accents(plain.casefold())):
         found += [word] if _WHOLE.fullmatch(word) else _PIECE.findall(word)
     return found
 
@@ -100,6 +103,13 @@ def _meanings(words: Sequence[str]) -> Iterator[tuple[int, Concept, float]]:
         yield from ((place, concept, certainty) for concept, certainty in _of_word(word).items())
 
 
+def _without_accents(text: str) -> str:
+    """Return a text without the marks of its letters; syllables of Korean stay whole."""
+    parts = unicodedata.normalize("NFKD", text.replace("ß", "ss").translate(_STROKED))
+    kept = "".join(letter for letter in parts if not unicodedata.combining(letter))
+    return unicodedata.normalize("NFC", kept)
+
+
 @cache
 def _of_word(word: str) -> Mapping[Concept, float]:
     if word in COMPACT:
@@ -126,7 +136,7 @@ def _ends(word: str, concept: Concept) -> bool:
 
 
 def _holds(word: str, known: str) -> bool:
-    if "\u4e00" <= known[:1] <= "\u9fff":
+    if _IS_UNSPACED.match(known) is not None:
         return known in word
     inside = len(known) >= _SHORTEST_INSIDE and known in word
     at_an_end = len(known) >= _SHORTEST_AT_AN_END and word.startswith(known)
@@ -135,6 +145,6 @@ def _holds(word: str, known: str) -> bool:
 
 
 _KNOWN: Final = {
-    concept: frozenset(word for words in languages.values() for word in words.split())
+    concept: frozenset(_without_accents(" ".join(languages.values())).split())
     for concept, languages in WORDS.items()
 }

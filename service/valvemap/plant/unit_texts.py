@@ -31,6 +31,12 @@ _ALSO: Final = {
     "摄氏度": "°C",
     "kg/cm2": "kgf/cm²",
     "us_gpm": "gpm",
+    "л/мин": "l/min",
+    "м3/ч": "m³/h",
+    "бар": "bar",
+    "мпа": "MPa",
+    "кпа": "kPa",
+    "l/dak": "l/min",
     "percent": "%",
     "proz": "%",
 }

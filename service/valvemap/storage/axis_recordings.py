@@ -13,7 +13,7 @@ from typing import Final
 from valvemap.errors import NoRecording, RecordingError
 from valvemap.model.axis import AxisSamples
 from valvemap.storage.columns import CellError
-from valvemap.storage.csv_cells import TextCells
+from valvemap.storage.csv_cells import TextCells, TextForm
 from valvemap.storage.csv_recordings import PACKINGS, text_of
 from valvemap.storage.dates import date_form
 
@@ -54,7 +54,8 @@ def read_axes(path: Path) -> Mapping[str, AxisSamples]:
         )
     if not rows:
         raise RecordingError(f"{path} holds no samples")
-    cells = TextCells(rows, separator, date_form([row[places["t"]] for row in rows[:64]]))
+    dates = date_form([row[places["t"]] for row in rows[:64]])
+    cells = TextCells(rows, TextForm(separator, dates))
     try:
         t = cells.times(places["t"])
         values = {name: cells.numbers(places[name], name) for name in SIGNALS if name in places}

@@ -27,7 +27,27 @@ ALLOWED_TIME = (
 _IN_MS_HINT = "; for milliseconds since 1970, name the column t [ms] (units={'t': 'ms'} in Python)"
 ALLOWED_DATE = "a date in which day and month can be told apart: write 2026-12-31T08:00:00"
 ALLOWED_NUMBER = "a number, nan or an empty cell"
-_MISSING = frozenset({"", "na", "n/a", "#n/a", "null", "none", "-"})  # as other programs write it
+_MISSING = frozenset(  # as other programs write it, historians and spreadsheets among them
+    {
+        "",
+        "na",
+        "n/a",
+        "n.a.",
+        "#n/a",
+        "null",
+        "none",
+        "nil",
+        "-",
+        "--",
+        "---",
+        "?",
+        "bad",
+        "invalid",
+    }
+    | {"bad input", "bad quality", "no data", "no value", "nodata", "not available", "i/o timeout"}
+    | {"comm fail", "comm error", "shutdown", "out of service", "error", "#value!", "#div/0!"}
+    | {"#ref!", "#num!", "over range", "under range", "overflow", "underflow"}
+)
 ALLOWED_QUALITY = "0, 1, 2, Good, Uncertain, Bad or an OPC UA status code"
 ALLOWED_VALVE = "a name"
 

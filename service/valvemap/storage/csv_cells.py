@@ -1,15 +1,17 @@
 """The cells of some lines of a CSV file, by column: as text, or parsed by Arrow."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.storage import columns
+from valvemap.storage.clock_times import Clock
 from valvemap.storage.columns import CellError
 from valvemap.storage.dates import DateForm
+from valvemap.storage.digit_groups import ungrouped
 
 
 class Cells(Protocol):
@@ -24,17 +26,36 @@ class Cells(Protocol):
     def names(self, place: int) -> tuple[list[str], NDArray[np.intp]]: ...  # noqa: D102
 
 
+class TextForm(NamedTuple):
+    """How a file writes times and numbers.
+
+    ``grouping`` is the mark between groups of digits; ``days`` are the places of dates and of times
+    of day, where these are two columns; ``clock`` reads times of day where there are no dates.
+    """
+
+    separator: str = ","
+    dates: DateForm = DateForm()
+    grouping: str = ""
+    days: tuple[int, int] | None = None
+    clock: Clock | None = None
+
+
 class TextCells:
     """Cells as text; a decimal comma is accepted unless the comma separates columns."""
 
-    def __init__(self, rows: Sequence[Sequence[str]], separator: str, dates: DateForm) -> None:
-        self._columns = list(zip(*rows, strict=True))
-        self._separator = separator
-        self._dates = dates
+    def __init__(self, rows: Sequence[Sequence[str]], form: TextForm) -> None:
+        self._columns: list[Sequence[str]] = list(zip(*rows, strict=True))
+        if form.days is not None:
+            day, clock = form.days
+            pairs = zip(self._columns[day], self._columns[clock], strict=True)
+            joined = [f"{x.strip()} {y.strip()}" for x, y in pairs]
+            self._columns[day] = self._columns[clock] = joined
+        self._form = form
+        self._separator = form.separator
 
     def numbers(self, place: int, name: str) -> Floats:
         """Numbers; an empty cell is NaN."""
-        cells = self._columns[place]
+        cells = ungrouped(self._columns[place], self._form.grouping, name)
         if self._separator != ",":
             return columns.numbers(with_points(cells), name)
         try:
@@ -48,7 +69,10 @@ class TextCells:
         """UTC ns; ``seconds`` is the unit of numbers."""
         if seconds != 1.0:
             return scaled_times(self.numbers(place, "t"), self._columns[place], seconds)
-        return times_of_text(self._columns[place], self._separator, self._dates)
+        if self._form.clock is not None:
+            return self._form.clock.times(self._columns[place])
+        cells = ungrouped(self._columns[place], self._form.grouping, "t")
+        return times_of_text(cells, self._separator, self._form.dates)
 
     def qualities(self, place: int) -> Codes:
         """Qualities."""

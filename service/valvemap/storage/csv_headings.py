@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import Final, NamedTuple
 
 from valvemap.plant.unit_texts import is_of_others, known_unit
+from valvemap.storage.digit_groups import is_grouped
 from valvemap.storage.time_units import TIME_UNITS
 
 SEPARATORS: Final = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
@@ -61,11 +62,11 @@ def cells_of(line: str, separator: str) -> list[str]:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a point or a comma."""
+    """Whether a cell is a number, with a point or a comma, and digits in groups or not."""
     try:
         float(cell.replace(",", "."))
     except ValueError:
-        return False
+        return is_grouped(cell)
     return "_" not in cell  # which `float` takes, and `columns.numbers` refuses
 
 

@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 from valvemap.errors import NoRecording, RecordingError, ValvemapError
 from valvemap.model.samples import Codes, Samples
 from valvemap.storage import columns
+from valvemap.storage.clock_times import Clock, day_and_clock, is_clock
 from valvemap.storage.columns import CellError
-from valvemap.storage.csv_cells import Cells, TextCells, with_points
+from valvemap.storage.csv_cells import Cells, TextCells, TextForm
 from valvemap.storage.csv_headings import SEPARATORS, cells_of, headings_of, is_number
-from valvemap.storage.dates import DateForm, date_form
+from valvemap.storage.dates import date_form
+from valvemap.storage.digit_groups import grouping_of
 from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
     Columns,
@@ -48,6 +50,8 @@ _PEEKED = 64  # lines used to detect the date format
 _RECOGNISED = 3_000  # lines used to recognise foreign headings
 _PEEK = 65_536  # bytes
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x81\x8d\x8f\x90\x9d]")
+_MAGICS = {b"\x1f\x8b": ".csv.gz", b"\xfd7zXZ\x00": ".csv.xz"}
+_MAGIC = 6  # bytes of the longest
 _WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # by the byte order mark
 _DAMAGE = (EOFError, zlib.error, lzma.LZMAError, gzip.BadGzipFile, csv.Error)
 
@@ -73,8 +77,9 @@ class CsvReader:
         with _Faults(path, lambda: 0):
             self._raw = path.open("rb")
             self._size = os.fstat(self._raw.fileno()).st_size
-        unpacked = io.BufferedReader(cast("io.RawIOBase", _unpacked(self._raw, packing)), _PEEK)
         try:
+            packing = _packing(path, self._raw.peek(_MAGIC)[:_MAGIC], packing)
+            unpacked = io.BufferedReader(cast("io.RawIOBase", _unpacked(self._raw, packing)), _PEEK)
             with _Faults(path, lambda: 0):
                 encoding = _encoding(unpacked.peek(_PEEK))
             self._text = io.TextIOWrapper(unpacked, encoding=encoding, newline="")
@@ -92,7 +97,7 @@ class CsvReader:
         self._skipped = skipped
         self._lines = chain(peeked, self._text)
         place = self._columns.parts[0].t if self._long is None else self._long.time
-        self._dates = self._date_form(peeked[:_PEEKED], place)
+        self._form = self._form_of(self._rows_of(peeked[:_PEEKED]), place)
         self._arrow = self._parser(peeked[:_PEEKED])
 
     @property
@@ -147,20 +152,18 @@ class CsvReader:
     def _recognised(self, rows: Rows, numeric: Sequence[bool], refusal: RecordingError) -> Columns:
         """Return the columns recognised by headings and first rows; else raise ``refusal``."""
         time = time_column(self._header, numeric)
-        cells = list(zip(*rows, strict=True))
-        if time is None or not cells:
+        if time is None or not rows:
             raise refusal
-        numbers = {
-            place: columns.numbers(with_points(cells[place]), self._header[place])
-            for place, is_number in enumerate(numeric)
-            if is_number and place != time
-        }
-        self._dates = date_form(cells[time][:_PEEKED])
+        texts = TextCells(rows, self._form_of(rows[:_PEEKED], time))
         try:
-            texts = TextCells(rows, self._separator, self._dates)
             times = texts.times(time, seconds_per_unit(self._header[time]))
         except CellError:
             raise refusal from None
+        numbers = {
+            place: texts.numbers(place, self._header[place])
+            for place, is_number in enumerate(numeric)
+            if is_number and place != time
+        }
         begins = Beginning(self._path, self._header, numbers, time, times)
         return recognise(begins, self._layout, refusal)
 
@@ -188,12 +191,16 @@ class CsvReader:
             )
         return separator, list(layout.header), number, lines
 
-    def _date_form(self, peeked: Sequence[str], place: int) -> DateForm:
-        """Return the date format, detected from the first times."""
-        rows = csv.reader(peeked, delimiter=self._separator, skipinitialspace=True)
-        with suppress(csv.Error):
-            return date_form([row[place] for row in rows if place < len(row)])
-        return DateForm()
+    def _form_of(self, rows: Rows, time: int) -> TextForm:
+        """Return how the file writes times and numbers, detected from its first rows."""
+        grouping = grouping_of(cell for row in rows for cell in row)
+        days = day_and_clock(rows, time)
+        cells = [row[time] for row in rows]
+        if days is not None:
+            cells = [f"{row[days[0]]} {row[days[1]]}" for row in rows]
+        has_clock = days is None and bool(cells) and all(map(is_clock, cells))
+        clock = Clock() if has_clock else None
+        return TextForm(self._separator, date_form(cells), grouping, days, clock)
 
     def chunks(self) -> Iterator[tuple[str, Samples]]:
         """Yield (valve, samples), chunk by chunk.
@@ -271,7 +278,7 @@ class CsvReader:
             lines, rows = self._without_blank_lines(lines, rows)
             if not rows:
                 continue
-            cells = TextCells(rows, self._separator, self._dates)
+            cells = TextCells(rows, self._form)
             try:
                 t = cells.times(place.time, unit)
                 values = cells.numbers(place.value, self._header[place.value])
@@ -311,7 +318,7 @@ class CsvReader:
         if not rows:
             return []
         try:
-            return list(self._blocks(TextCells(rows, self._separator, self._dates)))
+            return list(self._blocks(TextCells(rows, self._form)))
         except CellError as error:
             raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
 
@@ -346,7 +353,8 @@ class CsvReader:
     def _parser(self, peeked: Sequence[str]) -> "ArrowParser | None":
         """Return Arrow's parser for the file, if it reads its first lines."""
         found = self._columns
-        if self._long is not None or find_spec("pyarrow") is None:
+        two_columns = self._form.days is not None or self._form.clock is not None
+        if self._long is not None or two_columns or find_spec("pyarrow") is None:
             return None
         from valvemap.storage.arrow_csv import ArrowParser  # noqa: PLC0415 - an extra, and large
 
@@ -356,7 +364,7 @@ class CsvReader:
             peeked,
             len(self._header),
             self._separator,
-            self._dates,
+            self._form.dates,
             numbers=places | scaled,
             texts={place for place in (found.valve, found.quality) if place is not None},
             times={part.t for part in found.parts} - scaled,
@@ -388,7 +396,8 @@ class _Faults:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, UnicodeDecodeError):
             raise RecordingError(
-                f"{self._path} is not a recording: no UTF-8 text behind line {self._line()}"
+                f"{self._path} is not a recording: no UTF-8 text behind line {self._line()}; save "
+                "it as CSV UTF-8"
             ) from None
         if isinstance(error, _DAMAGE):
             raise RecordingError(
@@ -455,6 +464,15 @@ def _unpacked(raw: BinaryIO, packing: str) -> IO[bytes]:
             return lzma.LZMAFile(raw)
         case _:
             return raw
+
+
+def _packing(path: Path, beginning: bytes, named: str) -> str:
+    """Return how a file is packed: as its name says, else by its first bytes."""
+    if beginning.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
+        raise NoRecording(f"{path} is a workbook or an archive: save the sheet as CSV")
+    if named != ".csv":
+        return named
+    return next((form for magic, form in _MAGICS.items() if beginning.startswith(magic)), named)
 
 
 def _raising(problem: RecordingError) -> Iterator[str]:

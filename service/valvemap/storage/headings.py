@@ -30,9 +30,9 @@ from valvemap.storage.time_units import seconds_per_unit
 
 _TIMES: Final = """
 time timestamp datetime date zeit zeitstempel datum uhrzeit temps horodatage tiempo fecha hora tempo
-ora 时间 时刻 日期 ts
+ora 时间 时刻 日期 czas tijd tid cas zaman tarih saat время дата 時刻 時間 日時 시간 시각 일시 ts
 """
-_TIME_WORDS: Final = frozenset(_TIMES.split())
+_TIME_WORDS: Final = frozenset(word for name in _TIMES.split() for word in tokens(name))
 _PLAIN: Final = {name.casefold(): name for name in ("U", "p1", "p2", "Q", "T", "dp")}
 _COUNTS_FROM: Final = 1_000.0  # whole numbers beyond it may be raw counts
 _INTEGER_TYPES: Final = (2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1)

@@ -24,9 +24,10 @@ without one the units above apply. Other names, units and raw ranges are configu
 
 An empty cell and ``nan`` are missing numbers: valid data, which the quality gate judges. CSV is
 UTF-8, UTF-16 or cp1252, with the separator of its header: comma, semicolon, tab or bar. A comma in
-a number is the decimal comma (German locale); digit grouping is not supported. Dates may have a
-spreadsheet's format, 31.12.2026 13:45:10,5 or 12/31/2026 1:45:10 PM or days since 1900, if day and
-month are unambiguous.
+a number is the decimal comma (German locale), unless the file's other numbers show that it groups
+digits: 1.234,5 and 1,234.5, 1 234,5 and 1'234.5 are numbers. Dates may have a spreadsheet's format,
+31.12.2026 13:45:10,5 or 12/31/2026 1:45:10 PM or days since 1900, if day and month are unambiguous.
+Dates and times of day may be two columns; times of day alone begin at the first midnight.
 """
 
 import os

@@ -177,7 +177,15 @@ def _frame(given: object) -> Any:  # noqa: ANN401 - narwhals' frame of any libra
     nw = _narwhals()
     if nw is None:
         return None
-    frame = nw.from_native(given, pass_through=True)
+    try:
+        frame = nw.from_native(given, pass_through=True)
+    except nw.exceptions.DuplicateError:
+        names = [str(name) for name in getattr(given, "columns", ())]
+        twice = ", ".join(dict.fromkeys(name for name in names if names.count(name) > 1))
+        kind = type(given).__name__
+        raise RecordingError(
+            f"{kind}: column {twice} stands there twice: rename or drop one"
+        ) from None
     if isinstance(frame, nw.LazyFrame):
         return frame.collect()
     return frame if isinstance(frame, nw.DataFrame) else None
@@ -192,6 +200,12 @@ def _columns_of(table: object, name: str) -> dict[str, object]:
         if frame is None or nw is None:
             hint = "" if nw else "; data frames need narwhals: pip install 'valvemap[dataframes]'"
             raise RecordingError(f"a {name} is no recording; {ALLOWED} is allowed{hint}")
+        others = [key for key in frame.columns if not isinstance(key, str)]
+        if others:
+            raise RecordingError(
+                f"{name}: column {others[0]!r} has no text as its name: name the columns, such as "
+                "df.columns = ['t', 'U', 'p1', 'p2', 'Q']"
+            )
         found = {key: frame[key] for key in frame.columns}
         index = nw.maybe_get_index(frame)
         if index is not None and "t" not in found and isinstance(index.to_numpy()[:0], np.ndarray):
