@@ -16,7 +16,7 @@ marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test waits peers conformance hardened lint format soak bench report simulate reference figures docs sbom wheel release verify-release lock clean
+.PHONY: install demo test works waits peers conformance hardened lint format soak bench report simulate reference figures docs sbom wheel release verify-release lock clean
 
 install: $(RUNTIME)
 
@@ -25,11 +25,16 @@ demo: $(RUNTIME)
 
 test: $(DEV)
 	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or waits or $(PEERS))"
-	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint waits
+	$(MAKE) --no-print-directory --jobs 3 --output-sync=target works lint waits
 	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))" $(call marked,alone)
 
-# Tests that mostly wait: while they do, there is time for something else.
+# Tests that compute. They are nice: tests that wait find the processor free when they need it, and
+# these use it meanwhile.
+works: $(DEV)
+	nice -n 10 $(BIN)/python -m pytest -n 2 --dist worksteal \
+	    -m "not (soak or alone or waits or $(PEERS))"
+
+# Tests that mostly wait, for connections to end or samples to come.
 waits: $(DEV)
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or alone or $(PEERS))" $(call marked,waits)
 
