@@ -59,16 +59,25 @@ def test_demands_on_the_command_line_are_shown_in_a_table(folder, capsys):
     assert "ABOVE_REACH" in shown
 
 
-@pytest.mark.parametrize("estimator", ["RBF", "RLS"])
-def test_a_demand_where_nothing_was_measured_is_called_extrapolating(estimator, tmp_path, capsys):
+@pytest.fixture(scope="module")
+def partial(tmp_path_factory):
+    """The models of a recording of a part of the map."""
     rng = np.random.default_rng(1)
     U, dp = rng.uniform(5, 40, 1500), rng.uniform(5, 60, 1500)
     Q = 9.0 * np.tanh(U / 45.0) * np.sqrt(dp) + 0.2 * rng.normal(size=1500)
     lines = [f"{k / 100},{U[k]},200,{200 - dp[k]},{Q[k]},40" for k in range(1500)]
-    plant, models = tmp_path / "part.csv", tmp_path / "models"
+    folder = tmp_path_factory.mktemp("partial")
+    plant, models = folder / "part.csv", folder / "models"
     plant.write_text("\n".join(["t,U,p1,p2,Q,T", *lines]) + "\n", encoding="utf-8")
     assert run(["replay", str(plant), "--save", str(models)]) == 0
-    model, out = str(models / f"Valvistor.{estimator}.json"), tmp_path / "answers.csv"
+    return models
+
+
+@pytest.mark.parametrize("estimator", ["RBF", "RLS"])
+def test_a_demand_where_nothing_was_measured_is_called_extrapolating(
+    estimator, partial, tmp_path, capsys
+):
+    model, out = str(partial / f"Valvistor.{estimator}.json"), tmp_path / "answers.csv"
     asked = ["invert", model, "--Q", "20,45", "--dp", "30"]
     assert run([*asked, "--to", str(out)]) == 0
     inside, outside = answers(out)
@@ -77,7 +86,7 @@ def test_a_demand_where_nothing_was_measured_is_called_extrapolating(estimator, 
     assert run([*asked, "--T", "60", "--to", str(out), "--force"]) == 0
     assert answers(out)[0]["status"] == "EXTRAPOLATING"
     capsys.readouterr()
-    assert run(["export", model, "--to", str(tmp_path / "t.csv"), "--dp-max", "150"]) == 0
+    assert run(["export", model, "--to", str(tmp_path / "t.c"), "--dp-max", "150"]) == 0
     assert "% of the points are extrapolated, and marked so" in capsys.readouterr().out
 
 

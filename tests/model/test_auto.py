@@ -112,7 +112,11 @@ def test_the_map_of_valves_unlike_eq_7_is_found_to_half_the_noise(valve, data, p
 
 
 @pytest.mark.parametrize(
-    "data", [pytest.param("structured", marks=missed("median .75 σ, worst 4.8 σ")), "scattered"]
+    "data",
+    [
+        pytest.param("structured", marks=[missed("median .75 σ, worst 4.8 σ"), pytest.mark.soak]),
+        "scattered",
+    ],
 )
 def test_the_map_of_the_rigs_valve_is_found_to_half_the_noise(data):
     excitation = Structured(levels_percent=UP, sweep_s=6.0) if data == "structured" else Scattered()

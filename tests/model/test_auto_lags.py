@@ -63,15 +63,16 @@ def error_inside(auto, state, samples):
     return np.sqrt(np.mean((Q - valve(U, dp)[inside]) ** 2)) / SIGMA
 
 
+LAGS = (*((0.0, tau) for tau in (0.0, 0.05, 0.2, 0.3)), (0.1, 0.0), (0.05, 0.05))  # of U, of Q
+
+
 @pytest.mark.parametrize(
-    ("tau_U", "tau_Q"),
+    ("tau_U", "tau_Q", "seeds"),
     [
-        *((0.0, tau) for tau in (0.0, 0.05, 0.2, 0.3)),
-        (0.1, 0.0),
-        (0.05, 0.05),
+        *((*lags, (3,)) for lags in ((0.0, 0.0), (0.0, 0.3), (0.05, 0.05))),
+        *(pytest.param(*lags, (3, 4), marks=pytest.mark.soak) for lags in LAGS),
     ],
 )
-@pytest.mark.parametrize("seeds", [(3,), pytest.param((3, 4), marks=pytest.mark.soak)])
 def test_lags_are_found_and_the_map_is_good_and_without_a_loop(tau_U, tau_Q, seeds):
     errors = []
     for seed in seeds:

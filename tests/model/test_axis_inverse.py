@@ -110,10 +110,11 @@ def test_the_metering_edge_is_the_one_with_the_drop(table):
     assert [EDGES[k] for k in starved.edge] == ["BT", "PA"]
 
 
-def test_the_function_block_computes_the_inverse(table):
+@pytest.mark.parametrize("points", [2_000, pytest.param(10_000, marks=pytest.mark.soak)])
+def test_the_function_block_computes_the_inverse(table, points):
     """As blark reads it, and by the standard's rules (`support/structured_text.py`)."""
     run = FunctionBlock(axis_block(table, "Axis (* by *) valvemap", 7))
-    columns = demands(10_000, seed=2)
+    columns = demands(points, seed=2)
     answer = invert(table, *columns)
     answers = [
         run(v=v, pA=pA, pB=pB, pS=pS, pT=pT).copy()

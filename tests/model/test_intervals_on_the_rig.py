@@ -25,8 +25,8 @@ from valvemap.pipeline.valve_state import fresh_lane, lane_from_bytes, lane_to_b
         ("RML, default", "cycle"),
         ("RBF", "structured"),
         ("spline, λ = 1", "scattered"),
-        ("spline, λ = 1", "structured"),
-        ("spline, λ = 1", "cycle"),
+        pytest.param("spline, λ = 1", "structured", marks=pytest.mark.soak),
+        pytest.param("spline, λ = 1", "cycle", marks=pytest.mark.soak),
         ("RBF", "scattered"),
     ],
 )

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 
@@ -115,12 +116,23 @@ def swept(X, y):
 """
 
 
-@pytest.fixture
-def kinds(tmp_path):
+@pytest.fixture(scope="module")
+def kinds(tmp_path_factory):
     """Environment in which a module has kernels of every kind."""
-    (tmp_path / "kernels_of_every_kind.py").write_text(KINDS)
-    paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
+    folder = tmp_path_factory.mktemp("kinds")
+    (folder / "kernels_of_every_kind.py").write_text(KINDS)
+    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
     return {"PYTHONPATH": os.pathsep.join(paths)}
+
+
+@pytest.fixture(scope="module")
+def asked(kinds, tmp_path_factory):
+    """What each fit prints with shortcuts, and an empty cache."""
+    return cache(
+        lambda fitted: run(
+            BITS, fitted, "ask", **kinds, NUMBA_CACHE_DIR=str(tmp_path_factory.mktemp("asked"))
+        )
+    )
 
 
 def run(source, *arguments, **environment):
@@ -152,9 +164,8 @@ SLOW = pytest.param("likelihood", marks=pytest.mark.minor)  # compiles for half 
 
 
 @pytest.mark.parametrize("fitted", ["kinds", SLOW, pytest.param("squares", marks=pytest.mark.soak)])
-def test_results_have_the_same_bits_with_and_without_shortcuts(fitted, kinds, tmp_path):
-    apart = [kinds | {"NUMBA_CACHE_DIR": str(tmp_path / name)} for name in ("a", "b")]
-    same_bits(run(BITS, fitted, **apart[0]), run(BITS, fitted, "ask", **apart[1]))
+def test_results_have_the_same_bits_with_and_without_shortcuts(fitted, kinds, asked, tmp_path):
+    same_bits(run(BITS, fitted, **kinds, NUMBA_CACHE_DIR=str(tmp_path)), asked(fitted))
 
 
 def test_a_cached_fit_has_the_same_bits_with_and_without_shortcuts():
@@ -171,11 +182,11 @@ def same_bits(plain, quick):
 
 
 @pytest.mark.parametrize("fitted", ["kinds", SLOW])
-def test_an_unknown_numba_is_left_to_itself_and_one_line_says_so(fitted, kinds):
+def test_an_unknown_numba_is_left_to_itself_and_one_line_says_so(fitted, kinds, asked):
     unknown = "import valvemap.numba_version as v; v.TESTED = ('0.1', '0.2')\n"
     kernels = "from valvemap.model.kernels import plain_numba, rules\n"
     private = "import sys; assert not any(m.endswith('.tested_numba') for m in sys.modules)\n"
-    plain = run(BITS, fitted, "ask", **kinds)
+    plain = asked(fitted)
     other = run(unknown + BITS + kernels + private, fitted, "ask", **kinds)
     assert other.returncode == 0, other.stderr
     assert other.stdout.split("\n", 1)[1] == plain.stdout.split("\n", 1)[1]
