@@ -74,7 +74,7 @@ async def line(served: tuple[NumberedServer, str], fault: str, seconds: float) -
     """A line that is cut, flaps or stalls."""
     plant, _ = served
     async with watching(served, named=True) as (proxy, source, collector):
-        await until(lambda: min(i.queue_size for i in source._subscription._items) > 1_000)  # noqa: SLF001
+        await until(lambda: min(i.queue_size for i in source._subscription.watched.items) > 1_000)  # noqa: SLF001
         if fault == "cut":
             await proxy.cut_for(seconds)
         elif fault == "flapping":

@@ -106,13 +106,13 @@ async def test_an_array_is_one_monitored_item_for_all_its_signals(served):
         settings = SourceSettings(url, publishing_interval_ms=50.0)
         source = OpcUaSource(settings, [NODES, second])
         await source.connect()
-        items = source._subscription.items
+        items = source._subscription.watched.items
         assert len(items) == 5
         assert len({item.number for item in items}) == len({item.handle for item in items}) == 2
         found = await until(source, {0: 62.5, 1: 170.5, 2: 40.25, 3: 30.0, 6: -1.0, 7: 170.5})
         assert found[9] == 30.0
-        await source._subscription.monitor_again(items[0].node)
-        numbers = [item.number for item in source._subscription.items]
+        await source._subscription.watched.monitor_again(items[0].node)
+        numbers = [item.number for item in source._subscription.watched.items]
         assert len(set(numbers)) == 3  # the array is kept for the others, and asked once more
         await until(source, {0: 62.5})
         await source.close()

@@ -73,7 +73,9 @@ async def test_a_session_that_is_gone_leaves_its_subscription_to_the_same_user(s
 
 async def test_queues_hold_a_minute_of_what_comes(served):
     async with watching(served, rate_hz=150) as (_, source, _):
-        await until(lambda: min(i.queue_size for i in source._subscription._items) >= 60 * 150)
+        await until(
+            lambda: min(i.queue_size for i in source._subscription.watched.items) >= 60 * 150
+        )
 
 
 @pytest.mark.soak
@@ -81,7 +83,7 @@ async def test_queues_hold_a_minute_of_what_comes(served):
 @pytest.mark.parametrize("seconds", [5.0, 20.0, 45.0])
 async def test_long_cuts_cost_nothing(served, seconds):
     async with watching(served) as (proxy, source, collector):
-        await until(lambda: min(i.queue_size for i in source._subscription._items) > 1_000)
+        await until(lambda: min(i.queue_size for i in source._subscription.watched.items) > 1_000)
         await proxy.cut_for(seconds)
         back = time.monotonic()
         await until(lambda: collector.arrived[-1] > back)
@@ -93,7 +95,7 @@ async def test_long_cuts_cost_nothing(served, seconds):
 @pytest.mark.timeout(400)
 async def test_a_long_stall_costs_nothing(served):
     async with watching(served) as (proxy, source, collector):
-        await until(lambda: min(i.queue_size for i in source._subscription._items) > 1_000)
+        await until(lambda: min(i.queue_size for i in source._subscription.watched.items) > 1_000)
         proxy.stall()
         await asyncio.sleep(20.0)
         proxy.flow()

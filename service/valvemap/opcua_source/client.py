@@ -22,6 +22,7 @@ from valvemap.opcua_source.history import NEVER, Holes, Knowledge, SourceHistory
 from valvemap.opcua_source.item_watch import ItemWatch
 from valvemap.opcua_source.position import Mark, Position, position_from_bytes, position_to_bytes
 from valvemap.opcua_source.recall import recall
+from valvemap.opcua_source.received import Left, Part, Tally
 from valvemap.opcua_source.records import overflown
 from valvemap.opcua_source.source_clock import SourceClock
 from valvemap.opcua_source.source_nodes import (
@@ -35,7 +36,7 @@ from valvemap.opcua_source.source_nodes import (
 )
 from valvemap.opcua_source.source_units import Scales, check_units
 from valvemap.opcua_source.subscribing import LIFETIME_S, subscribe, take_over
-from valvemap.opcua_source.subscription import Left, Part, Subscription, Tally
+from valvemap.opcua_source.subscription import Subscription
 from valvemap.opcua_source.succession import Estate, divided
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.source_ports import SourceCounters
@@ -139,7 +140,7 @@ class OpcUaSource:
         self._source_clock.follow(connection)
         self._watch.start(connection, subscription)
         if self._history_s > 0.0:
-            self._history.over(connection, (item.node for item in subscription.items))
+            self._history.over(connection, (item.node for item in subscription.watched.items))
 
     async def receive(self) -> DataChanges:
         """Wait for data changes and return all received ones, in order and in our units.
@@ -226,7 +227,8 @@ class OpcUaSource:
         known = self._subscription or self._left
         if known is None or known.created.SubscriptionId != mark.subscription:
             return position_to_bytes(self._binding, mark, None, ())
-        return position_to_bytes(self._binding, mark, known.created, known.items)
+        items = known.items if isinstance(known, Left) else known.watched.items
+        return position_to_bytes(self._binding, mark, known.created, items)
 
     def resume_at(self, position: bytes) -> bool:
         """Resume at a stored position on the next connect, if the server has the subscription.
@@ -410,7 +412,7 @@ class OpcUaSource:
             if known:
                 subscription.start()
                 if checked is not None and surplus is not None:
-                    await subscription.change_items(checked.monitored, surplus)
+                    await subscription.watched.change(checked.monitored, surplus)
                     self._surplus = None
                 return subscription
         self._left = self._surplus = None

@@ -143,7 +143,7 @@ class ItemWatch:
             connection, [self._wanted[item] for item in chosen], self._namespaces, self._before
         )
         now = self._clock.monotonic()
-        items = {item.node.item: item for item in subscription.items}
+        items = {item.node.item: item for item in subscription.watched.items}
         for item, found in zip(chosen, looked, strict=True):
             before = self._looked.get(item)
             self._looked[item], self._looked_at[item] = found, now
@@ -174,7 +174,7 @@ class ItemWatch:
         if item not in items or moved or (returned and quiet) or again:
             node = MonitoredNode(item, found.node, wanted.label, found.type, wanted.element)
             try:
-                await subscription.monitor_again(node)
+                await subscription.watched.monitor_again(node)
             except SourceRejected as error:
                 self._looked[item] = Looked(found.node, str(error), ItemState.REFUSED)
                 return

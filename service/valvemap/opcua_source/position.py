@@ -10,8 +10,8 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from valvemap.opcua_source.monitored_items import Item
+from valvemap.opcua_source.received import Left
 from valvemap.opcua_source.source_nodes import MonitoredNode
-from valvemap.opcua_source.subscription import Left
 
 _FORMAT = 2
 _LARGEST = 2**32 - 1  # largest UInt32

@@ -9,13 +9,12 @@ from valvemap.clock import Clock
 from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import create_items
+from valvemap.opcua_source.received import Left, Tally
 from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.opcua_source.subscription import (
     LOST_KEEP_ALIVES,
     NOTIFICATIONS_PER_PUBLISH,
-    Left,
     Subscription,
-    Tally,
 )
 
 LIFETIME_S: Final = 120.0  # s; the server keeps a subscription at least as long without requests
@@ -59,13 +58,13 @@ async def subscribe(
     subscription = Subscription(connection, result, tally, clock, table)
     if hold_back:
         subscription.hold_back()
-    subscription.expect(nodes)
+    subscription.watched.expect(nodes)
     subscription.start()
     try:
         with connection.errors("subscribing"):
             by_handle = {node.item: node for node in nodes}
             items = await create_items(connection, result.SubscriptionId, by_handle)
-        subscription.watch(items)
+        subscription.watched.watch(items)
     except BaseException:
         await subscription.stop()
         raise

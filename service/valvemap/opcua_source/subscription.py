@@ -6,16 +6,10 @@ message is acknowledged with the next request.
 """
 
 import asyncio
-import math
 from collections import deque
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import chain, repeat
+from collections.abc import Sequence
 
-import numpy as np
 from asyncua import ua
-from numpy.typing import NDArray
 
 from guarded_opcua.logs import bounded_logger
 from valvemap.clock import Clock
@@ -28,85 +22,21 @@ from valvemap.opcua_source.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
-from valvemap.opcua_source.elements import ARRAY, NO_ARRAYS, Element, of_one_array, with_elements
 from valvemap.opcua_source.item_table import ItemTable
-from valvemap.opcua_source.monitored_items import Item, create_items, delete_items, enlarge_queues
-from valvemap.opcua_source.source_nodes import MonitoredNode
+from valvemap.opcua_source.received import Left, Part, Tally
+from valvemap.opcua_source.watched_items import WatchedItems
 from valvemap.opcua_source.wire import DecodeError
-from valvemap.pipeline.data_changes import DataChanges
 
 _log = bounded_logger(__name__)
 
 _STALL_S = 1.0  # a wait longer than its timeout by this: our process was stalled
 LOST_KEEP_ALIVES = 3
 _LONGEST_ANSWER_S = 1.5  # added to the missing keep-alives
-QUEUED_S = 60.0  # of samples that the server should queue during an outage
-_NOTICEABLY = 1.1  # smallest ratio of new to old queue size worth a request
-_MEASURE_S = 2.0
-_SPARE = 1.2  # margin of the queue size over the measured rate
-_MEASURE_AFTER_S = (2.0, 10.0, 60.0)  # … then repeated at the last interval
 _MAX_REPUBLISH = 100
 _MOST_KEPT_BACK = 10_000  # messages; more than a server retains
 NOTIFICATIONS_PER_PUBLISH = 100_000
 _MOST_CHANGES = 2 * NOTIFICATIONS_PER_PUBLISH  # some servers exceed the limit
 _GOOD_TRANSFERRED = 0x002D0000
-
-
-@dataclass
-class Tally:
-    """Counters over all connections."""
-
-    notifications: int = 0
-    publish_responses: int = 0
-    missing_messages: int = 0
-    overflows: int = 0
-    undecodable: int = 0
-    from_history: int = 0
-
-
-@dataclass(frozen=True)
-class Part:
-    """The changes of one message, its sequence number, and the losses before it.
-
-    ``behind_gap``: messages before it are missing. ``overflows``: changes with the Overflow bit.
-    """
-
-    changes: DataChanges
-    subscription: int
-    message: int
-    behind_gap: bool
-    overflows: int
-
-
-@dataclass(frozen=True)
-class Left:
-    """The state of a subscription that still exists at the server, without a connection.
-
-    Attributes
-    ----------
-    created
-        The server's response to CreateSubscription.
-    next_message
-        Sequence number of the next message; None before the first.
-    acknowledgements
-        Acknowledgements that were not sent.
-    buffer
-        Received changes that were not fetched.
-    items
-        The monitored items.
-    kept_back
-        Sequence numbers to acknowledge only after a commit; None: acknowledge at once.
-    behind_gap
-        Whether messages before the next one are missing.
-    """
-
-    created: ua.CreateSubscriptionResult
-    next_message: int | None
-    acknowledgements: tuple[ua.SubscriptionAcknowledgement, ...]
-    buffer: tuple[Part, ...]
-    items: tuple[Item, ...]
-    kept_back: tuple[int, ...] | None = None
-    behind_gap: bool = False
 
 
 class Subscription:
@@ -120,16 +50,11 @@ class Subscription:
         clock: Clock,
         table: ItemTable,
     ) -> None:
-        self._table = table
+        self.watched = WatchedItems(connection, created.SubscriptionId, tally, clock, table)
         self._created = created
-        self._items: tuple[Item, ...] = ()
-        self._item_of_handle: NDArray[np.int32] | None = None  # None: they are equal
-        self._elements: dict[int, list[Element]] = {}  # by item under which an array's changes come
-        self._asked = 0
         self._tidies = False
         self._kept_back: deque[int] | None = None  # messages not committed yet
         self._behind_gap = False
-        self._counted: NDArray[np.int64] | None = None  # changes by item, during a measurement
         self._connection = connection
         self._session = connection.session
         self._settings = connection.settings
@@ -161,7 +86,7 @@ class Subscription:
             self._next,
             tuple(self._acknowledgements),
             buffer,
-            self._items,
+            self.watched.items,
             None if self._kept_back is None else tuple(self._kept_back),
             self._behind_gap,
         )
@@ -170,7 +95,7 @@ class Subscription:
         """Start from the state of a previous connection."""
         self._next = left.next_message
         self._acknowledgements = list(left.acknowledgements)
-        self.watch(left.items)
+        self.watched.watch(left.items)
         self._tidies = True
         if left.kept_back is not None:
             self._kept_back = deque(left.kept_back, _MOST_KEPT_BACK)
@@ -185,11 +110,6 @@ class Subscription:
         """The server's response to CreateSubscription."""
         return self._created
 
-    @property
-    def items(self) -> tuple[Item, ...]:
-        """Its monitored items."""
-        return self._items
-
     def commit(self, subscription: int, message: int) -> None:
         """Acknowledge all messages up to ``message``."""
         if self._kept_back is None or subscription != self._id:
@@ -197,65 +117,6 @@ class Subscription:
         while self._kept_back and (message - self._kept_back[0]) % 2**32 < 2**31:
             number = self._kept_back.popleft()
             self._acknowledgements.append(_acknowledgement(self._id, number))
-
-    def watch(self, items: Sequence[Item]) -> None:
-        """Set the monitored items; their queues are adapted to their rates from now on."""
-        self._items = tuple(items)
-        self._item_of_handle = _items_by_handle(self._items)
-        self._elements.clear()
-        by_handle: dict[int, list[MonitoredNode]] = {}
-        for item in items:
-            by_handle.setdefault(item.handle, []).append(item.node)
-        for nodes in by_handle.values():
-            self.expect(nodes)
-
-    def expect(self, nodes: Iterable[MonitoredNode]) -> None:
-        """Note which elements of arrays the changes of these nodes hold, before they come."""
-        for own in of_one_array(nodes):
-            elements = [Element(n.item, n.element) for n in own if n.element is not None]
-            if elements:
-                self._elements[own[0].item] = elements
-
-    async def change_items(self, nodes: Sequence[MonitoredNode], surplus: Sequence[int]) -> None:
-        """Monitor exactly these nodes: create missing items and delete the surplus ones.
-
-        Raises
-        ------
-        SourceLost, SourceRejected
-        """
-        watched = {item.node.item for item in self._items}
-        handle = max((item.handle for item in self._items), default=-1) + 1
-        missing = [node for node in nodes if node.item not in watched]
-        with self._connection.errors("changing the subscription"):
-            if unused := set(surplus) - {item.number for item in self._items}:
-                await delete_items(self._connection, self._id, sorted(unused))
-            if missing:
-                self.expect(missing)
-                by_handle = dict(enumerate(missing, handle))
-                added = await create_items(self._connection, self._id, by_handle)
-                self.watch((*self._items, *added))
-
-    async def monitor_again(self, node: MonitoredNode) -> None:
-        """Delete the monitored item of a node, if there is one, and create it again.
-
-        That of an array with other signals is kept for these.
-
-        Raises
-        ------
-        SourceLost
-        SourceRejected
-            if the node cannot be monitored.
-        """
-        own = [item for item in self._items if item.node.item == node.item]
-        others = [item for item in self._items if item.node.item != node.item]
-        handle = max((item.handle for item in self._items), default=-1) + 1
-        numbers = {item.number for item in own} - {item.number for item in others}
-        handle = own[0].handle if numbers else handle
-        with self._connection.errors("monitoring a node again"):
-            await delete_items(self._connection, self._id, sorted(numbers))
-            self.watch(others)
-            self.expect([node])
-            self.watch((*others, *await create_items(self._connection, self._id, {handle: node})))
 
     @property
     def waits(self) -> bool:
@@ -289,7 +150,7 @@ class Subscription:
 
     def start(self) -> None:
         """Send the first publish requests."""
-        self._publishers.add(asyncio.create_task(self._adapt_queues()))
+        self._publishers.add(asyncio.create_task(self.watched.adapt_queues()))
         for _ in range(self._settings.publish_requests):
             self._publishers.add(asyncio.create_task(self._publish_until_it_fails()))
 
@@ -456,7 +317,7 @@ class Subscription:
             self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def _keep(self, message: Message) -> None:
-        changes = self._of_items(message)
+        changes = self.watched.changes_of(message)
         if not len(changes):
             return
         if len(changes) > _MOST_CHANGES:
@@ -465,10 +326,7 @@ class Subscription:
             )
         self._tally.notifications += len(changes)
         self._tally.overflows += message.overflows
-        if self._counted is not None:
-            self._counted += np.bincount(
-                np.clip(changes.item, 0, len(self._counted) - 1), minlength=len(self._counted)
-            )
+        self.watched.count(changes)
         number = message.sequence_number
         part = Part(changes, self._id, number, self._behind_gap, message.overflows)
         self._behind_gap = False
@@ -478,55 +336,9 @@ class Subscription:
             self._room.clear()
         self._arrived.set()
 
-    def _of_items(self, message: Message) -> DataChanges:
-        """Return the changes with known handles, numbered by item instead of handle."""
-        changes, table = message.changes, self._item_of_handle
-        if table is not None and len(changes):
-            known = (changes.item >= 0) & (changes.item < len(table))
-            item = np.where(known, table[np.where(known, changes.item, 0)], np.int32(-1))
-            changes = replace(changes, item=item)
-        kind = message.kind
-        if self._elements and len(changes):
-            arrays = message.arrays or NO_ARRAYS
-            changes, kind = with_elements(changes, kind, arrays, self._elements)
-        self._tally.undecodable += int(np.count_nonzero(kind >= ARRAY))
-        return self._table.note(changes, kind, self._clock.monotonic())
-
-    async def _adapt_queues(self) -> None:
-        """Measure the rate of changes and enlarge queues to hold one minute of them."""
-        for pause_s in chain(_MEASURE_AFTER_S, repeat(_MEASURE_AFTER_S[-1])):
-            await asyncio.sleep(pause_s - _MEASURE_S)
-            if not self._items:
-                continue
-            self._counted = np.zeros(1 + max(item.node.item for item in self._items), np.int64)
-            began = self._clock.monotonic()
-            await asyncio.sleep(_MEASURE_S)
-            passed, counted = self._clock.monotonic() - began, self._counted
-            self._counted = None
-            wanted = math.ceil(_SPARE * QUEUED_S * int(counted.max()) / passed)
-            with suppress(SourceError):  # publishing reports it, too
-                await self._have_queues_of(wanted)
-
-    async def _have_queues_of(self, size: int) -> None:
-        if size <= _NOTICEABLY * max(self._settings.queue_size, self._asked):
-            return
-        self._asked = size
-        with self._connection.errors("enlarging queues"):
-            self._items = await enlarge_queues(self._connection, self._id, self._items, size)
-        _log.info("%s: queues of %d values asked for", self._settings.url, size)
-
     def _fail(self, error: SourceError) -> None:
         self._failure = self._failure or error
         self._arrived.set()
-
-
-def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
-    if all(item.handle == item.node.item for item in items):
-        return None
-    table = np.full(1 + max(item.handle for item in items), -1, np.int32)
-    for item in reversed(items):  # of elements of one array, the first
-        table[item.handle] = item.node.item
-    return table
 
 
 def _acknowledgement(subscription: int, number: int) -> ua.SubscriptionAcknowledgement:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from valvemap.opcua_client.connection import Ticket
 from valvemap.opcua_source.history import Knowledge
+from valvemap.opcua_source.received import Left, Part, Tally
 from valvemap.opcua_source.source_nodes import ValveNodes
-from valvemap.opcua_source.subscription import Left, Part, Tally
 from valvemap.vocabulary.signals import PER_VALVE
 
 
