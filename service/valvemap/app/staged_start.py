@@ -96,7 +96,7 @@ async def _follow(compiled: Compilation, live: LiveService) -> None:
     """Publish the progress."""
     while True:
         done, of = compiled.parts
-        live.start_state = StartState(
+        live.health.start_state = StartState(
             f"compiling: {done} of {of} parts done; estimators that need compiled code wait",
             100.0 * done / max(of, 1),
         )

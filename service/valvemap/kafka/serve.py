@@ -39,8 +39,8 @@ from valvemap.pipeline.results import AlarmChange, Results
 from valvemap.pipeline.store_ports import PastStore
 from valvemap.runtime.backoff import backoff
 from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
-from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S
 from valvemap.runtime.past import PastKeeper
+from valvemap.runtime.service_health import DAY_NS, EVERY_S
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.statuses import Quality
 
@@ -299,7 +299,7 @@ class Show:
                     reader.commit()
         if now < self._health_due:
             return
-        self._health_due = now + HEALTH_EVERY_S
+        self._health_due = now + EVERY_S
         self._note_alarms(now, utc)
         newest = self.mirror.newest
         age = np.where(newest > 0, np.maximum((utc - newest) * 1e-9, 0.0), np.nan)

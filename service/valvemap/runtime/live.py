@@ -19,9 +19,8 @@ from valvemap.pipeline.feedforward import Situation
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
-from valvemap.pipeline.result_ports import COMPLETE, Health, PastCounters, ResultSink
-from valvemap.pipeline.results import AlarmReport, Results
-from valvemap.pipeline.sample_clocks import SampleClocks
+from valvemap.pipeline.result_ports import COMPLETE, ResultSink
+from valvemap.pipeline.results import Results
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore, KeptElsewhere
 from valvemap.runtime.dynamics import LiveDynamics
@@ -31,6 +30,8 @@ from valvemap.runtime.led_valves import LedValves
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.publishing_turns import PublishingTurns
 from valvemap.runtime.restoring import REMEDY, by_reason, restore
+from valvemap.runtime.sample_ages import SampleAges
+from valvemap.runtime.service_health import ServiceHealth
 from valvemap.runtime.state_keeper import POSITION, StateKeeper
 
 OLD = 2.0  # times `stale_after_s`; a sample older than this makes results Bad
@@ -41,9 +42,7 @@ FIRST_AT_ONCE = 3_000  # changes; size of the first piece, before the pace is me
 QUICKER = 0.05  # weight of a piece that is quicker than the estimated pace: fits come in bursts
 LAST_S = 0.3  # s; after a request to end, how long incoming changes are still estimated
 MAPS_IN_ONE_GO = 10  # inverse tables computed per refresh: 25 ms
-HEALTH_EVERY_S = 0.5  # s; interval at which the service's health is published
 LONGEST_TICK_S = 0.5  # s; a longer tick is a stall of this process and is cut to this
-DAY_NS = 86_400_000_000_000
 FAREWELL_S = 4.2  # s; longest shutdown: some service managers kill after 5 s
 
 log = structlog.get_logger(__name__)
@@ -118,34 +117,32 @@ class LiveService:
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # implausible, and logged
         self._old = np.zeros(len(identification.plans), np.bool_)
-        self._health_due = now
         self._remarks: Mapping[int, tuple[str, ...]] = {}  # as published
-        self._worked_s, self._worked_since = 0.0, now
         self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # estimated pace
         if identification.journal is not None:
             self._changes_per_s = FEWEST_AT_ONCE / LEARN_S  # its kernels run interpreted
         self._is_whole = asyncio.Event()
-        self.start_state = COMPLETE
         self._end_by = math.inf
-        self._refused = 0
         self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
         self._samples_wait = False
         self.keeper = StateKeeper(
             identification, source, store, clock, settings.checkpoint_interval_s
         )
-        self._kept_elsewhere: KeptElsewhere | None = None
+        self._ages = SampleAges(len(identification.plans), source, clock)
+        self.health = ServiceHealth(
+            identification, source, sink, store, self.keeper, past, clock, self._ages
+        )
+        self.health.certificate_until_ns = settings.certificate_until_ns
         self._map_due = now + settings.map_interval_s
         self._under_way = False
         self._connected = np.zeros(len(identification.plans), np.bool_)
-        self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
-        self._clocks = SampleClocks(len(identification.plans))
         self._newest_U = np.full(len(identification.plans), np.nan)
         led = LedValves(identification, self._situation, self._note_new)
         self._feed_forward = FeedForwardWriter(led, len(identification.plans), source, clock)
 
     def note_states_elsewhere(self, kept: KeptElsewhere) -> None:
         """Include the states of another keeper in the alarm Checkpoint and the counters."""
-        self._kept_elsewhere = kept
+        self.health.kept_elsewhere = kept
 
     async def complete(self, whole: Identification) -> None:
         """Let ``whole`` repeat all calls of the preview so far, and replace it."""
@@ -154,7 +151,7 @@ class LiveService:
         while calls := journal.take_new():
             await asyncio.to_thread(whole.repeat, calls)
         self.identification.take_over(whole)  # nothing was awaited since the last call
-        self.start_state = COMPLETE
+        self.health.start_state = COMPLETE
         self._is_whole.set()
         self._note_new(range(len(self._lost)))
 
@@ -174,7 +171,7 @@ class LiveService:
         if lost_place:
             refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
         self.identification.was_away()
-        self._refused = len({*refused, *self._store.damaged})
+        self.health.states_refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # no sample has arrived yet
         if refused:
             log.warning(
@@ -192,7 +189,7 @@ class LiveService:
         self._source_started[own] = source_started
         if source_started and ((before != 0) & (before != source_started)).any():
             log.warning("source restarted")
-            self._clocks.forget(own)
+            self._ages.forget_clock(own)
             await self._use(self.identification.begin_source_anew(own), own)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
@@ -216,9 +213,9 @@ class LiveService:
                 await asyncio.sleep(0.0)
             self._samples_wait = len(rest) > 0
             await self._use(samples, own)
-            self._worked_s += self._clock.monotonic() - began
+            self.health.worked_s += self._clock.monotonic() - began
             if len(rest):
-                await self._doubt_old(self._ages())
+                await self._doubt_old(self._ages.of())
                 await self._show_health(self._clock.monotonic())
                 await asyncio.sleep(0.0)
         self.keeper.mark = self._source.mark
@@ -254,12 +251,9 @@ class LiveService:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
         self._held_s[members] = 0.0
-        newest = samples.samples.t[stops - 1]
-        self._newest[members] = newest
-        if len(members):
-            self._clocks.note(members, newest, self._clock.monotonic(), self._offset_s())
+        self._ages.note(members, samples.samples.t[stops - 1])
         self._newest_U[members] = samples.samples.U[stops - 1]
-        ages = self._ages()
+        ages = self._ages.of()
         steady = ~self.identification.holds()[members]
         self._lost[members] = steady & (ages[members] > OLD * self._settings.stale_after_s)
         self._old[members] = steady & (ages[members] > self._settings.stale_after_s)
@@ -320,12 +314,12 @@ class LiveService:
 
     async def _doubt(self, now: float) -> None:
         """Mark valves as lost, overdue or old whose newest sample has aged past its limit."""
-        ages, limit = self._ages(), self._settings.stale_after_s
+        ages, limit = self._ages.of(), self._settings.stale_after_s
         silent = self.identification.holds() & self._connected  # on-change signals at rest
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         silent_now = np.flatnonzero(stale)
         if len(silent_now):
-            source_now = self._source_now()[silent_now]
+            source_now = self._ages.source_now()[silent_now]
             self._note_new(self.identification.say_overdue(silent_now, source_now))
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         await self._doubt_old(ages)
@@ -339,66 +333,8 @@ class LiveService:
             await self._sink.doubt(old)
             self._note_new(old.tolist())
 
-    def _ages(self, valves: slice = slice(None)) -> Floats:
-        """Age of each valve's newest sample by the source's clock, s; NaN: no sample yet."""
-        newest = self._newest[valves]
-        ages = np.maximum((self._source_now()[valves] - newest) * 1e-9, 0.0)
-        return np.where(newest > 0, ages, np.nan)
-
-    def _source_now(self) -> Times:
-        """Current time of each valve's source, UTC ns."""
-        self._clocks.note_offset(self._offset_s())
-        ahead = self._source.clock_offset_s + self._clocks.correction_s
-        return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
-
-    def _offset_s(self) -> Floats:
-        """Offset of each valve's source against our monotonic time, s."""
-        ours = self._clock.now() * 1e-9 - self._clock.monotonic()
-        return np.add(self._source.clock_offset_s, ours, out=np.empty(self._newest.shape))
-
     async def _show_health(self, now: float) -> None:
-        if now < self._health_due:
-            return
-        self._health_due = now + HEALTH_EVERY_S
-        elsewhere = self._kept_elsewhere
-        other_s = math.nan if elsewhere is None else elsewhere.age_s(now)
-        alarms = self._watch_service(now, other_s)
-        known_s = other_s if math.isfinite(other_s) else math.nan
-        age_s = float(np.fmax(now - self.keeper.kept_at, known_s))
-        failures = self.keeper.failures + (0 if elsewhere is None else elsewhere.failures)
-        await self._sink.show_health(
-            Health(
-                age_s=self._ages(),
-                waiting=self.identification.arrivals.pending(),
-                source=self._source.counters,
-                source_states=self._source.states,
-                checkpoint_age_s=age_s,
-                checkpoint_failures=failures,
-                checkpoints_refused=self._refused,
-                checkpoint_bytes=self._store.size,
-                history=PastCounters() if self._past is None else self._past.counters,
-                alarms=alarms,
-                start=self.start_state,
-            )
-        )
-
-    def _watch_service(self, now: float, other_s: float) -> Sequence[AlarmReport]:
-        """Watch the service; ``other_s`` is the age of states kept elsewhere, NaN: there are none.
-
-        The keeper's own age is 0 without valves.
-        """
-        passed, worked = now - self._worked_since, self._worked_s
-        self._worked_s, self._worked_since = 0.0, now
-        until, utc = self._settings.certificate_until_ns, self._clock.now()
-        share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
-        age_s, self.keeper.file_lost = self.keeper.age_s(now), False
-        return self.identification.watch_service(
-            utc,
-            checkpoint_age_s=float(np.fmax(age_s, other_s)),
-            days_left=(until - utc) / DAY_NS if until else math.nan,
-            load=1.0 if self._to_publish.late else share,
-            history_waits_s=math.nan if self._past is None else self._past.waits_s(now),
-        )
+        await self.health.show_if_due(now, late=self._to_publish.late)
 
     async def _wait_no_longer(self, now: float) -> None:
         """Flush the reorder buffer of valves whose samples have waited longer than `reorder_s`.
@@ -531,7 +467,7 @@ class LiveService:
 
     def _soon_old(self) -> NDArray[np.bool_]:
         """Mask (M,) of valves whose newest sample will be too old before the next publication."""
-        then = self._ages() + self._to_publish.round_s
+        then = self._ages.of() + self._to_publish.round_s
         return (then > self._settings.stale_after_s) & ~self.identification.holds()
 
     def _situation(self, valve: int) -> Situation:
@@ -540,7 +476,7 @@ class LiveService:
         if not (armed and connected):
             return Situation(armed, connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
-        behind = float(self._ages(slice(valve, valve + 1))[0])
+        behind = float(self._ages.of(slice(valve, valve + 1))[0])
         answer, status = self.identification.answers.required(valve)
         return Situation(
             armed=armed,

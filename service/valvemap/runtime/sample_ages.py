@@ -1,0 +1,44 @@
+"""Ages of the valves' newest samples by the clocks of their sources."""
+
+import numpy as np
+
+from valvemap.clock import Clock
+from valvemap.model.samples import Floats, Times
+from valvemap.pipeline.sample_clocks import SampleClocks
+from valvemap.pipeline.source_ports import AllSources
+
+
+class SampleAges:
+    """Times of the newest samples of M valves, against the present time of their sources."""
+
+    def __init__(self, M: int, source: AllSources, clock: Clock) -> None:
+        self._newest = np.zeros(M, np.int64)  # sample's time, UTC ns; 0: no sample yet
+        self._clocks = SampleClocks(M)
+        self._source, self._clock = source, clock
+
+    def note(self, members: Times, newest: Times) -> None:
+        """Note the times of the newest samples of some valves, UTC ns."""
+        self._newest[members] = newest
+        if len(members):
+            self._clocks.note(members, newest, self._clock.monotonic(), self._offset_s())
+
+    def forget_clock(self, valves: Times) -> None:
+        """Forget the course of a clock: the source of these valves was restarted."""
+        self._clocks.forget(valves)
+
+    def of(self, valves: slice = slice(None)) -> Floats:
+        """Age of each valve's newest sample by the source's clock, s; NaN: no sample yet."""
+        newest = self._newest[valves]
+        ages = np.maximum((self.source_now()[valves] - newest) * 1e-9, 0.0)
+        return np.where(newest > 0, ages, np.nan)
+
+    def source_now(self) -> Times:
+        """Current time of each valve's source, UTC ns."""
+        self._clocks.note_offset(self._offset_s())
+        ahead = self._source.clock_offset_s + self._clocks.correction_s
+        return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
+
+    def _offset_s(self) -> Floats:
+        """Offset of each valve's source against our monotonic time, s."""
+        ours = self._clock.now() * 1e-9 - self._clock.monotonic()
+        return np.add(self._source.clock_offset_s, ours, out=np.empty(self._newest.shape))
