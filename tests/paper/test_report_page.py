@@ -10,6 +10,7 @@ import pytest
 from paper.motion import Motion
 from paper.page import figure_text
 from paper.picture import MOST, numbers
+from paper.source_types import FORMS, TIMES, SourceTypes
 from valvemap.cli import run
 
 SETS = 2
@@ -23,12 +24,15 @@ ERRORS = {
     }.items()
 }
 
+TYPES = SourceTypes({time: dict.fromkeys(FORMS, 1.0) for time in TIMES}, dict.fromkeys(FORMS, 1.0))
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("new") / "reports"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Motion, "measured", lambda *_: Motion(ERRORS))
+        patch.setattr(SourceTypes, "measured", lambda *_: TYPES)
         assert run(["report", "--out", str(folder), "--sets", str(SETS), "--rate", "2"]) == 0
     return folder
 
