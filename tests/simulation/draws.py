@@ -20,7 +20,8 @@ class SourceCase:
     without a server, by how much its clock is set): sessions, queues, messages and history are
     gone, and the running number begins at 0. ``skipped`` are the times whose next sample the
     source numbers and does not take, ``gone`` (start, stop, valve, signal) the nodes that were
-    deleted and created again.
+    deleted and created again, ``retyped`` (start, stop, valve, signal, type) those of another type
+    for a while.
     """
 
     valves: tuple[int, ...]
@@ -41,6 +42,7 @@ class SourceCase:
     restarts: tuple[tuple[float, float, float], ...]
     skipped: tuple[float, ...] = ()
     gone: tuple[tuple[float, float, int, int], ...] = ()
+    retyped: tuple[tuple[float, float, int, int, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,12 @@ class Case:
 
 def draw(seed):
     """Draw a case. Each kind of trouble is absent from many cases, so that it is seen alone."""
+    case, rng = draw_operators(seed), random.Random(f"{seed} types")
+    return replace(case, sources=tuple(_retyped(rng, source) for source in case.sources))
+
+
+def draw_operators(seed):
+    """The plant with its faults, people, commands, and nodes that are deleted and created again."""
     case, rng = draw_people(seed), random.Random(f"{seed} operators")
     quiet_from = SIMULATED_S - CALM_S
     return replace(
@@ -157,6 +165,8 @@ EDITS: Final = (
 )
 CALLS: Final = ("demand", "predict", "invert", "freeze and resume", "unknown", "not finite")
 COMMANDS: Final = ("reset", "forget more", "forget nothing", "freeze", "resume")
+TYPES: Final = ("Float", "Int16", "String")
+_RETYPED: Final = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.T)
 _DELETED: Final = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.SEQUENCE)
 _ENDS: Final = ("kill", "kill", "power", "stop")
 
@@ -214,6 +224,25 @@ def _coinciding(rng, source, quiet_from):
         skipped=skipped,
         gone=tuple((at, at + away, valve, signal) for at, away, valve, signal in gone),
     )
+
+
+def _retyped(rng, source):
+    """Draw nodes whose type changes, some of them at a cut or a restart, as by a new program."""
+    found = _spread(
+        rng,
+        SIMULATED_S - CALM_S - 5.0,
+        (0, 0, 1, 2),
+        lambda: (
+            rng.uniform(0.5, 12.0),
+            rng.choice(source.valves),
+            rng.choice(_RETYPED),
+            rng.choice(TYPES),
+        ),
+    )
+    moments = [at for at, *_ in (*source.cuts, *source.restarts)]
+    if moments and rng.random() < 0.5:
+        found = tuple((rng.choice(moments), *rest) for _, *rest in found)
+    return replace(source, retyped=tuple((at, at + by, *rest) for at, by, *rest in found))
 
 
 def _step(rng):

@@ -77,6 +77,8 @@ class Server:
             columns = (U, np.full(n, 200.0), 200.0 - dp, Q, T, numbers)
             self.values[valve] = np.stack(columns, axis=1)
             self.bad[valve] = noise.random(n) < case.bad
+        for first, stop, valve, signal, kind in case.retyped:
+            self._change_type((self.at > first) & (self.at <= stop), valve, signal, kind)
         self.excused = {valve: set() for valve in case.valves}  # samples that it may have lost
         self.acknowledged = {valve: set() for valve in case.valves}
         self._subscriptions = {}
@@ -88,6 +90,18 @@ class Server:
         self._oldest = 0  # sample of the history
         self._sampled = 0
         self.longest = 0  # queue of a subscription
+
+    def _change_type(self, rows, valve, signal, kind):
+        """Give some samples of a node another type; values that are no numbers do not arrive."""
+        match kind:
+            case "Float":
+                self.values[valve][rows, signal] = self.values[valve][rows, signal].astype("f4")
+            case "Int16":
+                self.values[valve][rows, signal] = np.rint(self.values[valve][rows, signal])
+            case "String":
+                self.gone[valve][rows, signal] = True
+            case _:
+                raise ValueError(kind)
 
     def ahead_s(self):
         return sum(by for when, by in self._steps if self._time.elapsed > when)

@@ -131,7 +131,7 @@ class World:
         self.published = Counter()  # rows for the history, of this life
         self.stored = Counter()  # rows of the history at the start of this life
         self.violations = []
-        self.counts = Counter()
+        self.counts = Counter(kind for part in case.sources for *_, kind in part.retyped)
         self.trace = hashlib.sha256()
         self.disturbed = 0.0  # end of the last stall
         self.all_saved = False  # whether the last life ended so
