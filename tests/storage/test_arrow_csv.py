@@ -115,7 +115,7 @@ def test_a_file_of_the_service_is_parsed_by_arrow_in_a_third_of_the_time(file, m
         return time.process_time() - started
 
     fast, slow = [], []
-    for _ in range(5):  # in turn: a machine's pace changes
+    for _ in range(3):  # in turn: a machine's pace changes
         fast.append(seconds())
         with monkeypatch.context() as without:
             without.setattr(ArrowParser, "of", lambda *_, **__: None)
