@@ -139,13 +139,27 @@ def test_the_certified_error_of_the_flow_holds_and_is_tight(name, n):
     assert largest <= forward.error <= 1.2 * largest + 2e-4
 
 
-@settings(max_examples=15)
-@given(
+any_polynomial_and_grid = given(
     st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5),
     st.tuples(st.integers(3, 12), st.integers(3, 12)),
     st.floats(0.5, 50.0),
 )
+
+
+@settings(max_examples=6)
+@any_polynomial_and_grid
 def test_it_holds_for_any_polynomial_and_any_grid(parts, points, dp_min):
+    holds(parts, points, dp_min)
+
+
+@pytest.mark.soak
+@settings(max_examples=50)
+@any_polynomial_and_grid
+def test_it_holds_for_fifty_polynomials_and_grids(parts, points, dp_min):
+    holds(parts, points, dp_min)
+
+
+def holds(parts, points, dp_min):
     theta = np.array([parts[0], parts[1] / 9, parts[2], 0.1 + parts[3] / 9, parts[4] / 9])
     valve, state = LinearMap(FiveTerms()), LinearMapState(theta, np.zeros((5, 5)))
     table = lookup_table(valve, state, dp_min=dp_min, points=points)
