@@ -193,9 +193,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=0, help="of the maps")
     parser.add_argument("--faults", type=int, default=0, help="runs with a fault")
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
+    parser.add_argument("--first", type=int, help="first seed, in place of these")
     parser.add_argument("--only", default="", help="columns of the maps: the first letters")
     wanted = parser.parse_args(arguments)
-    first = REPORT if wanted.report else 0
+    first = (REPORT if wanted.report else 0) if wanted.first is None else wanted.first
     if wanted.faults:
         faults(range(first, first + wanted.faults))
     if wanted.seeds:

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from benchmarks import circumstances as c
+from benchmarks.one_model_rows import behind
 from valvemap.model.dynamics import Dynamics, fit_dynamics
 from valvemap.model.samples import Samples
 from valvemap.pipeline.dynamics_reference import DynamicsReferences
@@ -52,11 +53,18 @@ def metered(Q, lag, many):
 
 
 def plant(
-    seed: int, rate: float, *, limited: bool, again: int = 0, slower: float = 1.0
+    seed: int,
+    rate: float,
+    *,
+    limited: bool,
+    again: int = 0,
+    slower: float = 1.0,
+    play: float = 0.0,
 ) -> tuple[Samples, dict[str, float], Any]:
     """Samples, the truth, and the static map.
 
     ``again`` gives other steps of the same plant, ``slower`` a share of its natural frequency.
+    ``play`` is between U and the spool, %.
     """
     rng = np.random.default_rng([seed, 23])
     f = float(rng.uniform(5.0, 25.0) if rate < 500 else rng.uniform(8.0, 60.0))
@@ -74,7 +82,7 @@ def plant(
         n = round(rng.uniform(0.15, 0.8) * rate)
         U[k : k + n] = rng.uniform(0.0, 100.0)
         k += n
-    fine = np.repeat(U, many)
+    fine = np.repeat(behind(U, play), many)
     late = round(dead * FINE_HZ)
     dead = late / FINE_HZ
     fine = np.concatenate([np.full(late, U[0]), fine[: len(fine) - late]])
@@ -99,9 +107,9 @@ def plant(
     return samples, truth, valve
 
 
-def row(seed: int, rate: float, *, limited: bool) -> dict[str, float]:
+def row(seed: int, rate: float, *, limited: bool, play: float = 0.0) -> dict[str, float]:
     """Errors of one plant."""
-    samples, truth, valve = plant(seed, rate, limited=limited)
+    samples, truth, valve = plant(seed, rate, limited=limited, play=play)
     began = time.process_time()
     found = fit_dynamics(samples)
     spent = time.process_time() - began
@@ -117,6 +125,7 @@ def row(seed: int, rate: float, *, limited: bool) -> dict[str, float]:
         "T90": found.T90,
     }
     out = {"map": error, "cpu": spent, "noise": found.noise / c.SIGMA}
+    out["play"] = found.play_percent - play
     for name, one in quantities.items():
         out[name] = one.value - truth[name]
         out[f"{name} rel"] = one.value / truth[name] - 1.0
@@ -163,22 +172,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
+    parser.add_argument("--first", type=int, help="first seed, in place of these")
+    parser.add_argument("--rate", type=float, help="of the samples, Hz, in place of 100 and 1,000")
+    parser.add_argument("--play", type=float, default=0.0, help="of the spool, %%")
     parser.add_argument("--each", action="store_true", help="print every seed")
     parser.add_argument("--changes", action="store_true", help="how often a change is found")
     parser.add_argument("--hours", type=int, default=0, help="hours of healthy valves")
     wanted = parser.parse_args(arguments)
-    first = REPORT if wanted.report else 0
+    first = (REPORT if wanted.report else 0) if wanted.first is None else wanted.first
     if wanted.hours:
         print(healthy(wanted.hours, first))
         return 0
     if wanted.changes:
         print(changes(range(first, first + wanted.seeds)))
         return 0
-    for rate in (100.0, 1000.0):
+    for rate in (100.0, 1000.0) if wanted.rate is None else (wanted.rate,):
         for limited in (True, False):
             rows = []
             for seed in range(first, first + wanted.seeds):
-                rows.append(row(seed, rate, limited=limited))
+                rows.append(row(seed, rate, limited=limited, play=wanted.play))
                 if wanted.each:
                     print({k: round(v, 4) for k, v in rows[-1].items()}, flush=True)
             at = {k: np.array([r[k] for r in rows]) for k in rows[0]}
@@ -196,6 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines.append(f"ζ within .05 {near:.2f} (RMS {c.rms(at['zeta']):.3f})")
             good = (np.abs(at["T90"]) <= 1e-3) | (np.abs(at["T90 rel"]) <= 0.03)
             lines.append(f"T90 {good.mean():.2f} (RMS {1e3 * c.rms(at['T90']):.2f} ms)")
+            lines.append(f"play RMS {c.rms(at['play']):.2f} %")
             lines.append(f"lag RMS {1e3 * c.rms(at['lag']):.2f} ms")
             names = ["f", "zeta", "dead", "lag", "T90", *(["slew"] if limited else [])]
             held = {name: at[f"{name} held"].mean() for name in names}

@@ -32,7 +32,7 @@ def recorded(file, seconds, rate=100.0):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dynamics")
-    recorded(folder / "steps.csv", 40.0)
+    recorded(folder / "steps.csv", 20.0)
     recorded(folder / "short.csv", 5.0)
     recorded(folder / "slow.csv", 60.0, rate=10.0)
     return folder

@@ -78,7 +78,7 @@ def test_the_sheet_stands_beside_a_saved_map(capsys):
 
 
 def test_recorded_steps_add_dynamics_step_response_and_bode_plot(folder, capsys):
-    recorded(folder / "steps.csv", 40.0)
+    recorded(folder / "steps.csv", 20.0)
     outputs = ["--out", "with.html", "--json", "with.json"]
     assert run(["sheet", "V1", "--from", "one.csv", "--dynamics", "steps.csv", *outputs]) == 0
     assert "NaturalFrequency" in capsys.readouterr().out

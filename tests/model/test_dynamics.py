@@ -5,25 +5,29 @@ import math
 import numpy as np
 import pytest
 
+from valvemap.model import spool_fit as fit
 from valvemap.model.dynamics import Dynamics, fit_dynamics
+from valvemap.model.kernels import dynamics as kernels
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Status
 
 FINE, F, ZETA, LAG, SIGMA = 100, 12.0, 0.7, 0.02, 0.1
 
 
-def stepped(seconds=12.0, rate=100, seed=0, lag=LAG):
+def stepped(seconds=12.0, rate=100, seed=0, lag=LAG, play=0.0):
     """Steps of U behind a spool without a slew limit, and a meter; flow 0.1·x·√Δp."""
     rng = np.random.default_rng(seed)
     N, h = round(seconds * rate), 1.0 / (rate * FINE)
     U = np.repeat(rng.uniform(5.0, 95.0, N // 25 + 1), 25)[:N]
     dp = 60.0 + 40.0 * np.sin(np.arange(N) / rate)
+    behind = np.empty(N)
+    kernels.behind(U, 0.5 * play, behind)
     w, x, v, y, Q = 2 * math.pi * F, U[0], 0.0, 0.1 * U[0] * math.sqrt(dp[0]), np.empty(N)
     for k in range(N):
         Q[k] = y
         for i in range(FINE):
             s = math.sqrt(60.0 + 40.0 * math.sin(k / rate + i * h))
-            v += h * (w * w * (U[k] - x) - 2 * ZETA * w * v)
+            v += h * (w * w * (behind[k] - x) - 2 * ZETA * w * v)
             x += h * v
             y += h / lag * (0.1 * x * s - y)
     Q += rng.normal(0.0, SIGMA, N)
@@ -48,11 +52,27 @@ def test_frequency_damping_and_meter_lag_are_found_within_their_intervals(found)
         assert abs(one.value - truth) < 4.0 * one.std + 0.01 * truth
 
 
+@pytest.mark.soak
 def test_a_slow_meter_is_not_taken_for_another_spool():
     found = fit_dynamics(stepped(10.0, lag=0.3))
     assert found.meter_lag.value == pytest.approx(0.3, rel=0.02)
     assert found.natural_frequency.value == pytest.approx(F, rel=0.15)
     assert found.noise < 1.1 * SIGMA
+
+
+def test_a_search_from_the_delay_begins_near_a_slow_meter():
+    starts = fit._of_delay(fit._gridded(stepped(10.0, lag=0.3), 0.01))
+    assert any(0.15 < p.lag < 0.45 and p.f > 5.0 for p in starts)
+
+
+def test_a_play_is_found_beside_the_spool():
+    grid = fit._gridded(stepped(10.0, play=4.0), 0.01)
+    without, _ = fit.descend(grid, fit.Point(F, ZETA, fit.NO_SLEW, 0.0, LAG))
+    assert abs(without.lag - LAG) > 0.002
+    _, p = fit._with_play(grid, without)
+    assert p.play == pytest.approx(4.0, abs=0.1)
+    assert p.f == pytest.approx(F, rel=0.02)
+    assert p.lag == pytest.approx(LAG, abs=0.001)
 
 
 def test_a_slew_limit_that_is_never_reached_is_not_excited(found):

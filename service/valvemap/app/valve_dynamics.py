@@ -42,6 +42,7 @@ def as_json(valve: str, file: Path, found: Dynamics) -> dict[str, Any]:
         },
         "step_percent": found.step_percent,
         "U_between_samples": found.hold.value,
+        "play_percent": found.play_percent,
         "residual_std": found.noise,
         "step_response": None if math.isnan(x[-1]) else {"t": t.tolist(), "x": x.tolist()},
         "frequency_response": None

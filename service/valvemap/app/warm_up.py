@@ -251,7 +251,7 @@ def _fit_dynamics() -> None:
     grid = spool_fit.Grid(
         few.T, few.U, few.p1, few.Q, 1e-2, 40, spool_fit.Hold.CONSTANT, (0.0, 5.0, 1.0)
     )
-    point = spool_fit.Point(10.0, 0.7, spool_fit.NO_SLEW, 0.0, 0.01)
+    point = spool_fit.Point(10.0, 0.7, spool_fit.NO_SLEW, 0.0, 0.01, 1.0)
     spool_fit.residual(grid, point)
     spool_fit.response(point, 1.0, 0.01)
 

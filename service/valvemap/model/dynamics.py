@@ -64,6 +64,8 @@ class Dynamics:
         Standard deviation of the residual, l/min.
     hold
         U between the samples.
+    play_percent
+        Play of the spool, where the flow tells one; else 0.
     """
 
     natural_frequency: Quantity
@@ -77,6 +79,7 @@ class Dynamics:
     hold: Hold
     theta: Floats
     axis: tuple[float, float, float]  # first knot and distance of knots, %; largest √Δp
+    play_percent: float = 0.0
 
     def flow(self, U: Floats, dp: Floats) -> Floats:
         """Static flow at (U, Δp), both (N,), l/min."""
@@ -155,18 +158,17 @@ def _longest_stretch(samples: Samples, period: float) -> Samples:
 
 def _judged(grid: Grid, p: Point) -> Dynamics:
     """Decide by profile likelihood which parameters are determined; give standard deviations."""
-    unlimited, S_unlimited = fit.descend(grid, replace(p, slew=fit.NO_SLEW), fixed=(2,))
+    unlimited, S_unlimited = fit.descend(grid, replace(p, slew=fit.NO_SLEW), fixed=(fit.SLEW,))
     r, S, theta = fit.residual(grid, p)
     noise2 = S / max(len(r) - fit.COLUMNS - fit.FREE, 1)
-    P = _covariance(fit.jacobian(grid, p.free, r), r, noise2, grid.period)
+    free = [j for j in range(fit.FREE) if j not in p.fixed]
+    P = _spread(grid, p, r, noise2, free)
     flat = fit.FLAT * noise2 * fit.colour(r, grid.period)
     has_slew = math.sqrt(P[2, 2]) < UNSURE and S_unlimited - S > flat
     if not has_slew:
-        p, free = unlimited, [0, 1, 3, 4]
+        p = unlimited
         r, S, theta = fit.residual(grid, p)
-        J = fit.jacobian(grid, p.free, r)[:, free]
-        P = np.zeros((fit.FREE, fit.FREE))
-        P[np.ix_(free, free)] = _covariance(J, r, noise2, grid.period)
+        P = _spread(grid, p, r, noise2, [j for j in free if j != fit.SLEW])
     std = np.sqrt(np.maximum(P.diagonal(), 0.0))
     step = float(np.abs(np.diff(grid.U)).max()) if grid.hold is Hold.CONSTANT else 0.0
     step = max(step, 0.1 * float(np.ptp(grid.U)))
@@ -191,7 +193,16 @@ def _judged(grid: Grid, p: Point) -> Dynamics:
         hold=grid.hold,
         theta=theta,
         axis=grid.axis,
+        play_percent=p.play,
     )
+
+
+def _spread(grid: Grid, p: Point, r: Floats, noise2: float, free: list[int]) -> Floats:
+    """Return the covariance of all numbers; those that are not free have none."""
+    P = np.zeros((fit.FREE, fit.FREE))
+    J = fit.jacobian(grid, p.free, r, free)
+    P[np.ix_(free, free)] = _covariance(J, r, noise2, grid.period)
+    return P
 
 
 def _covariance(J: Floats, r: Floats, noise2: float, period: float) -> Floats:

@@ -1,14 +1,16 @@
-"""Spool and meter behind a static map: the search for the five numbers of their motion. Pure.
+"""Spool and meter behind a static map: the search for the numbers of their motion. Pure.
 
-    x'' = ω²·(U(t - d) - x) - 2ζω·x',  |x'| ≤ slew,  τ·y' + y = g(x, Δp),  g = Σ θ_j·φ_j(x)·ψ_j(Δp)
+    x'' = ω²·(u(t - d) - x) - 2ζω·x',  |x'| ≤ slew,  τ·y' + y = g(x, Δp),  g = Σ θ_j·φ_j(x)·ψ_j(Δp)
 
-Nonlinear in ω = 2πf, ζ, slew, d and τ; the map is linear inside and eliminated by variable
-projection (Golub and Pereyra 1973, doi 10.1137/0710036). Between samples U is either constant, as a
-controller's output is, or a line, as a slow signal is. The wrong one biases f, and both fit nearly
-as well: a line is taken only if it is significantly better. Δp is a line.
+u is U behind a play. Nonlinear in ω = 2πf, ζ, slew, d, τ and the play; the map is linear inside
+and eliminated by variable projection (Golub and Pereyra 1973, doi 10.1137/0710036). Between samples
+U is either constant, as a controller's output is, or a line, as a slow signal is. The wrong one
+biases f, and both fit nearly as well: a line is taken only if it is significantly better. Δp is a
+line.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -18,7 +20,7 @@ import numpy as np
 from valvemap.model.kernels import dynamics as kernels
 from valvemap.model.samples import Floats, Samples
 
-FREE: Final = 5  # numbers of a point
+FREE: Final = 6  # numbers of a point
 STEP_S: Final = 2.5e-4  # s; of the integration
 PARTS: Final = 40  # intervals of the map's B-splines along U
 COLUMNS: Final = 3 * (PARTS + 2)  # of the map: B-splines times s, s·|s| and s³
@@ -45,8 +47,9 @@ TINY: Final = 1e-300  # instead of a variance of 0
 NO_SLEW: Final = 1e6  # %/s; no limit
 ITERATIONS: Final = 15
 DONE: Final = 1e-5  # relative decrease of the sum of squares
-MOVES: Final = (1e-3, 1e-3, 1e-3, 0.02, 0.25)  # of the free numbers, for their derivatives
-LAG: Final = 4  # the free number that ends at 0
+MOVES: Final = (1e-3, 1e-3, 1e-3, 0.02, 0.25, 0.02)  # of the free numbers, for their derivatives
+SLEW, LAG, PLAY = 2, 4, 5  # places among the free numbers; the last two end at 0
+PLAYS_PERCENT: Final = (0.5, 1.0, 2.0, 4.0, 8.0)  # at which a search begins
 
 
 class Hold(Enum):
@@ -58,19 +61,25 @@ class Hold(Enum):
 
 @dataclass(frozen=True)
 class Point:
-    """Nonlinear parameters: Hz, 1, %/s, s, s."""
+    """Nonlinear parameters: Hz, 1, %/s, s, s, %."""
 
     f: float
     zeta: float
     slew: float
     dead: float
     lag: float
+    play: float = 0.0
 
     @property
     def free(self) -> Floats:
-        """As free numbers (5,): logarithms of the first three, times in ms."""
+        """As free numbers (FREE,): logarithms of the first three, times in ms, the play."""
         logs = np.log([self.f, self.zeta, self.slew])
-        return np.array([*logs, 1e3 * self.dead, 1e3 * self.lag])
+        return np.array([*logs, 1e3 * self.dead, 1e3 * self.lag, self.play])
+
+    @property
+    def fixed(self) -> tuple[int, ...]:
+        """The free numbers that stay: without a play, the play."""
+        return () if self.play > 0.0 else (PLAY,)
 
     @classmethod
     def of(cls, x: Floats) -> "Point":
@@ -79,6 +88,7 @@ class Point:
         return cls(
             float(np.clip(f, SLOWEST, FASTEST)), float(np.clip(zeta, 0.05, 5.0)),
             float(np.clip(slew, 1.0, NO_SLEW)), 1e-3 * float(x[3]), 1e-3 * max(float(x[4]), 0.0),
+            max(float(x[PLAY]), 0.0),
         )  # fmt: skip
 
 
@@ -121,13 +131,33 @@ def best_point(samples: Samples, period: float) -> tuple[Grid, Point]:
     if colour(r, period) < DOUBTED:
         return found
     other = _descended(grid, short, _of_delay(short))
-    return other if residual(*other)[1] < S else found
+    if residual(*other)[1] < S:
+        found = other
+    return _with_play(*found)
+
+
+def _with_play(grid: Grid, p: Point) -> tuple[Grid, Point]:
+    """Return the best point with a play, if it is significantly better."""
+    r, S, _ = residual(grid, p)
+    starts = [replace(p, play=play) for play in PLAYS_PERCENT]
+    best = min(starts, key=lambda start: residual(grid, start)[1])
+    later = 0.5 * grid.period if grid.hold is Hold.LINE else 0.0
+    held = replace(grid, hold=Hold.CONSTANT)
+    found = _either_hold(held, replace(best, dead=best.dead - later))
+    colours = colour(r, grid.period)
+    significant = residual(*found)[1] * math.exp(FLAT * colours / len(r)) < S
+    return found if significant else (grid, p)
 
 
 def _descended(grid: Grid, short: Grid, starts: list[Point]) -> tuple[Grid, Point]:
     """Return the end of the best of these starts, and U between the samples."""
     point, _ = min((descend(short, p) for p in starts), key=lambda end: end[1])
-    point, S = descend(grid, point)
+    return _either_hold(grid, point)
+
+
+def _either_hold(grid: Grid, p: Point) -> tuple[Grid, Point]:
+    """Descend with a U that is constant between samples, and with lines; return the better."""
+    point, S = descend(grid, p)
     as_lines = replace(grid, hold=Hold.LINE)
     line, S_line = descend(as_lines, replace(point, dead=point.dead + 0.5 * grid.period))
     if S_line * math.exp(FLAT / len(grid.t)) < S:
@@ -195,22 +225,25 @@ def _columns(grid: Grid, p: Point) -> Floats:
     left = math.exp(-h / p.lag) if p.lag > 1e-5 else 0.0
     low, width, _ = grid.axis
     kernels.regressors(
-        _commands(grid, p.dead), grid.s, _transition(p, h), p.slew * h, left, low, width, PARTS,
+        _commands(grid, p), grid.s, _transition(p, h), p.slew * h, left, low, width, PARTS,
         grid.steps, X,
     )  # fmt: skip
     return X
 
 
-def _commands(grid: Grid, dead: float) -> Floats:
-    """Return the mean command of every step, after the dead time, %."""
+def _commands(grid: Grid, p: Point) -> Floats:
+    """Return the mean command of every step, after play and dead time, %."""
     n = (len(grid.t) - 1) * grid.steps
-    begin = np.arange(n) * grid.h - dead
+    begin, U = np.arange(n) * grid.h - p.dead, grid.U
+    if p.play > 0.0:
+        U = np.empty_like(grid.U)
+        kernels.behind(grid.U, 0.5 * p.play, U)
     if grid.hold is Hold.LINE:
-        return np.asarray(np.interp(begin + 0.5 * grid.h, grid.t, grid.U))
-    total = np.concatenate([[0.0], np.cumsum(grid.U[:-1]) * grid.period])  # ∫U, piecewise linear
+        return np.asarray(np.interp(begin + 0.5 * grid.h, grid.t, U))
+    total = np.concatenate([[0.0], np.cumsum(U[:-1]) * grid.period])  # ∫U, piecewise linear
     ends = np.concatenate([begin, begin[-1:] + grid.h])
-    before = np.minimum(ends - grid.t[0], 0.0) * grid.U[0]  # U was constant before the first sample
-    after = np.maximum(ends - grid.t[-1], 0.0) * grid.U[-1]
+    before = np.minimum(ends - grid.t[0], 0.0) * U[0]  # U was constant before the first sample
+    after = np.maximum(ends - grid.t[-1], 0.0) * U[-1]
     return np.asarray(np.diff(np.interp(ends, grid.t, total) + before + after) / grid.h)
 
 
@@ -260,23 +293,26 @@ def static_residual(grid: Grid) -> float:
     return _left(static_columns(grid.U, grid.s, grid.axis), grid.Q)[1]
 
 
-def jacobian(grid: Grid, x: Floats, r: Floats) -> Floats:
-    """Return the derivatives of the projected residual by finite differences, (N, 5)."""
-    J = np.empty((len(r), len(x)))
-    for j, size in enumerate(MOVES):
+def jacobian(grid: Grid, x: Floats, r: Floats, free: Sequence[int]) -> Floats:
+    """Return the derivatives of the projected residual by finite differences, (N, free)."""
+    J = np.empty((len(r), len(free)))
+    for column, j in enumerate(free):
         moved = x.copy()
-        moved[j] += size
-        J[:, j] = (residual(grid, Point.of(moved))[0] - r) / size
+        moved[j] += MOVES[j]
+        J[:, column] = (residual(grid, Point.of(moved))[0] - r) / MOVES[j]
     return J
 
 
 def descend(grid: Grid, p: Point, fixed: tuple[int, ...] = ()) -> tuple[Point, float]:
-    """Levenberg-Marquardt on the free numbers; return the point and its sum of squares."""
+    """Levenberg-Marquardt on the free numbers; return the point and its sum of squares.
+
+    A play of 0 stays.
+    """
     x, damping = p.free, 1e-2
     r, S, _ = residual(grid, p)
-    free = [j for j in range(len(x)) if j not in fixed]
+    free = [j for j in range(len(x)) if j not in (*fixed, *p.fixed)]
     for _ in range(ITERATIONS):
-        J = jacobian(grid, x, r)[:, free]
+        J = jacobian(grid, x, r, free)
         H, g = J.T @ J, J.T @ r
         scale = np.diag(H).copy() + 1e-12 * max(float(np.diag(H).max()), 1e-30)
         gained = 0.0

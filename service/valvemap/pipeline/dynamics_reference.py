@@ -118,4 +118,6 @@ def _in_words(found: Dynamics) -> str:
             parts.append(f"{quantity.name} {shown}{'' if unit == '1' else f' {unit}'}")
         else:
             parts.append(f"{quantity.name} not excited")
+    if found.play_percent > 0.0:
+        parts.append(f"play {found.play_percent:.2g} %")
     return f"{', '.join(parts)}; residual {found.noise:.2g} l/min."

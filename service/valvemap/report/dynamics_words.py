@@ -25,6 +25,8 @@ def notes_of(found: Dynamics) -> Iterator[str]:
     """Yield what belongs to the figures."""
     between = f"U between two samples: {found.hold.value}."
     yield f"Step of T90: {found.step_percent:.3g} % of U. {between}"
+    if found.play_percent > 0.0:
+        yield f"The spool has a play of {found.play_percent:.2g} % of U, or it sticks by so much."
     yield (
         f"The residual is {found.noise:.3g} l/min. If that is more than the flow meter's noise, "
         "the model misses something, and the figures with it."

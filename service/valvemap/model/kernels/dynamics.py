@@ -87,6 +87,15 @@ def regressors(
 
 
 @lean_kernel
+def behind(U: Floats, half: float, x: Floats) -> None:
+    """Write U behind a play of twice ``half`` into ``x``, %; both (N,)."""
+    at = U[0]
+    for k in range(len(U)):
+        at = min(max(at, U[k] - half), U[k] + half)
+        x[k] = at
+
+
+@lean_kernel
 def spool(U: Floats, P: Floats, slew: float, x: Floats) -> None:
     """Write the spool's position after each step into ``x``, from rest at 0."""
     at, v = 0.0, 0.0
