@@ -159,7 +159,6 @@ async def received(
         with RunFiles(recording, NAME) as files:
             kind = Leading if is_led else Listening
             run = kind(config, settings_of(config.valves[0]), files, clock=clock)
-            run.write_s *= slower
             state = await run.run()
         with read_recording(recording) as batches:
             samples = Samples.concatenate([samples for _, samples in batches])

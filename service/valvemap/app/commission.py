@@ -42,6 +42,7 @@ from valvemap.pipeline.commission_plan import Plan
 from valvemap.pipeline.commission_ports import CommissionResults
 from valvemap.pipeline.commission_state import Command, CommissionState, Seen, Settings
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.clock_timeout import within
 from valvemap.runtime.supervisor import supervise
 from valvemap.storage.commission_files import RunFiles
 from valvemap.vocabulary.statuses import Quality
@@ -51,7 +52,7 @@ PUBLISHED_MS: Final = 40.0  # longest publishing interval: samples must be young
 LEARN_S: Final = 1.0  # s between two fits of the map
 NOTE_S: Final = 1.0  # s between two lines of the audit record
 ASK_S: Final = 2.0  # s; timeout of the question to the service
-WRITE_S: Final = 0.3  # s; a write that takes longer is taken as lost
+WRITE_S: Final = 0.3  # s of the run's clock; a write that takes longer is taken as lost
 _ROLES: Final = {"U": REQUIRED_U, "load": LOAD, "heartbeat": HEARTBEAT}  # by field of Command
 _FIELDS: Final = ("most_s", "sweep_s", "period_s")
 
@@ -191,8 +192,6 @@ class CommissionRun:
         Who started it, for the audit record; None: the process's user.
     """
 
-    write_s = WRITE_S  # more where ``clock`` is slower than the machine's
-
     def __init__(
         self,
         config: Config,
@@ -315,8 +314,8 @@ class CommissionRun:
         given = {role: getattr(command, name) for name, role in _ROLES.items()}
         commands = {role: value for role, value in given.items() if value is not None}
         try:
-            async with asyncio.timeout(self.write_s):
-                refused = await self._source.write_commands(0, commands)
+            writing = self._source.write_commands(0, commands)
+            refused = await within(WRITE_S, self._clock, writing)
         except (SourceLost, TimeoutError) as error:  # it may have been taken, or not
             self._note(event="write lost", reason=str(error) or "no response")
             self.state = lost(self.state, self._clock.monotonic())
