@@ -169,3 +169,15 @@ async def test_a_service_that_answers_slowly_is_asked_for_little_at_once():
     clock, shown = AtNow(), Slow()
     await Trends(shown, clock).read(V1, NAMES, (NOW - 7 * 86_400 * S, NOW), 600 * S)
     assert all(span[1] - span[0] <= 120 * 600 * S for _, span, _ in shown.history)
+
+
+async def test_a_busy_machine_is_asked_as_few_questions_for_a_week():
+    class Busy(ShownService):  # a request waits for its turn, however much is asked
+        async def courses(self, asked, span, every_ns):
+            clock.advance(0.6)
+            return await super().courses(asked, span, every_ns)
+
+    clock, shown = AtNow(), Busy()
+    names = recorded(V1)[:6]
+    await Trends(shown, clock).read(V1, names, (NOW - 7 * 86_400 * S, NOW), 600 * S)
+    assert len(shown.history) <= 6

@@ -33,9 +33,10 @@ MOST_NAMES: Final = 16
 _TILE = 120  # intervals
 _MOST_TILES = 3_000  # 2 kB each
 _SETTLES_S = 20.0  # rows of the history may come so late
-_TOGETHER_S = 900.0  # longer tiles are read one variable at a time: no request takes long
+_TOGETHER_S = 900.0  # longer tiles are read some variables at a time: no request takes long
+_TOGETHER = 4  # variables of one request, once it is known to take no longer for them
 _MOST_AT_ONCE = MOST_INTERVALS // _TILE + 1  # longer tiles of one request
-_QUICK_S, _SLOW_S = 0.25, 1.0  # a request after which more, or single tiles, are read at once
+_SLOW_S = 1.0  # a request after which single tiles are read; after a shorter one, more at once
 _KINDS = ("Average", "Minimum", "Maximum")
 _DOUBT = len(_KINDS)  # row of a tile: 0 all values are Good, 1 some are, NaN none is
 _ROWS = _DOUBT + 1
@@ -196,7 +197,11 @@ class Trends:
         now, width = self._clock.now(), _TILE * step
         last = min(last, now // width)
         is_short = width <= _TOGETHER_S * 1e9
-        for some in [tuple(names)] if is_short else [(name,) for name in names]:
+        left = list(names)
+        while left:
+            quickly = self._at_once >= _MOST_AT_ONCE
+            together = len(left) if is_short else _TOGETHER if quickly else 1
+            some, left = left[:together], left[together:]
             index = first
             while index <= last:
                 missing = self._missing(valve, some, step, index)
@@ -221,14 +226,12 @@ class Trends:
         return [name for name in names if (valve, name, step, index) not in self._tiles]
 
     def _pace(self, took_s: float) -> None:
-        """Ask for more tiles at once if they come quickly.
+        """Ask for more tiles at once until a request takes long.
 
-        They do from summaries; a service that has just started reads all values instead.
+        From summaries it takes as long for many tiles as for one, also on a machine that is busy
+        with others; a service that has just started reads all values instead.
         """
-        if took_s > _SLOW_S:
-            self._at_once = 1
-        elif took_s < _QUICK_S:
-            self._at_once = min(2 * self._at_once, _MOST_AT_ONCE)
+        self._at_once = 1 if took_s > _SLOW_S else min(4 * self._at_once, _MOST_AT_ONCE)
 
     async def _read_tiles(
         self, valve: str, names: Sequence[str], first: int, span: tuple[int, int], step: int
