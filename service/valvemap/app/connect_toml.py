@@ -1,8 +1,12 @@
 """The configuration that `connect` writes: source, observed timing, valves."""
 
 from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
 
 from valvemap.app.connect import Found
+from valvemap.config.estimators import default_estimators
 from valvemap.config.ports import SIGNAL_OF
 from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_source.client import SourceSettings
@@ -14,6 +18,13 @@ from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.verdict import Verdict
 from valvemap.vocabulary.signals import MEASURED
 
+_OFFSET: Final = 2.0  # % of U; a sensor of a closed valve may show as much below 0
+_BOTH_WAYS: Final = tuple(
+    f'{{ name = "{one.name}", kind = "{one.kind}" }}'
+    for one in default_estimators()
+    if one.any_U_range
+)
+
 
 def configuration(found: Found, settings: SourceSettings, template: str) -> str:
     """Return the configuration (TOML) of the accepted valves, based on the one of ``init``."""
@@ -21,7 +32,7 @@ def configuration(found: Found, settings: SourceSettings, template: str) -> str:
     source = _of_source(settings)
     start, end = head.index("[source]"), head.index("[server]")
     lines = [head[:start] + source + head[end:] + _of_alignment(found)]
-    lines += [_of_valve(verdict) for verdict in found.accepted]
+    lines += [of_valve(verdict) for verdict in found.accepted]
     return "\n".join(lines)
 
 
@@ -55,12 +66,16 @@ def _of_alignment(found: Found) -> str:
     return "\n".join([*lines, ""])
 
 
-def _of_valve(verdict: Verdict) -> str:
+def of_valve(verdict: Verdict) -> str:
+    """Return the configuration of one accepted valve."""
     reading = verdict.reading
     assert reading is not None  # noqa: S101 - it is accepted
     lines = ["[[valves]]", f"name = {toml_string(verdict.valve)}"]
     if any(_contradictions(reading)):
         lines.append("insist = true # its units differ from those that the server states")
+    if not verdict.has_ports and verdict.least_U is None and _works_both_ways(reading):
+        lines.append("U_range_percent = [-100.0, 100.0] # U below 0 was seen")
+        lines.append(f"estimators = [{', '.join(_BOTH_WAYS)}]")
     section, names = "nodes", {role: str(role) for role in map(Role, (*MEASURED, "dp"))}
     if verdict.has_ports:
         section, names = "ports", dict(NAMES)
@@ -78,6 +93,13 @@ def _of_valve(verdict: Verdict) -> str:
     if verdict.least_U is not None:
         lines += ["", "[valves.gate.U]", f"low = {verdict.least_U:g} # one edge of four"]
     return "\n".join([*lines, ""])
+
+
+def _works_both_ways(reading: Reading) -> bool:
+    """Whether U is below 0 by more than a sensor's offset."""
+    U = reading.values.get(Role.U, np.zeros(0))
+    good = U[np.isfinite(U)]
+    return bool(len(good)) and float(good.min()) < -_OFFSET
 
 
 def _of_unit(role: Role, name: str, reading: Reading) -> Iterator[str]:
