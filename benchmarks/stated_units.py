@@ -1,7 +1,8 @@
 """How often `fit` and `replay` refuse units that are right, and accept ones that are wrong.
 
 ``python -m benchmarks.stated_units [--seeds FIRST LAST]`` draws valves of `benchmarks.connect`
-whose columns are named ``U,p1,p2,Q``: with right units, and with one that is wrong. A refusal's
+whose columns are named ``U,p1,p2,Q``: with right units, and with one that is wrong, without and
+with the name plate's flow, rounded to two digits. A refusal's
 remedy is obeyed: the units that it names are given, and the recording is judged again.
 """
 
@@ -21,6 +22,7 @@ from valvemap.app.recorded_units import check_units
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Samples
 from valvemap.pipeline.units import Measure, unit_of
+from valvemap.plant.evidence import RATED_DROP_BAR, Rating
 from valvemap.storage.layout import find_columns
 
 HELD_OUT: Final = (80_000, 80_060)
@@ -46,13 +48,15 @@ WRONG: Final[Mapping[str, Mapping[str, str]]] = {
 SIGNALS: Final = ("U", "p1", "p2", "Q")
 
 
-def judged(values: Mapping[str, np.ndarray], units: Mapping[str, str]) -> str:
+def judged(
+    values: Mapping[str, np.ndarray], units: Mapping[str, str], rating: Rating | None = None
+) -> str:
     """Return what is said of values in stated units; empty if they are accepted."""
     part = find_columns(["t", *SIGNALS], layout_of(dict(units), None), "drawn").parts[0]
     inner = {name: part.numbers[name][1](values[name]) for name in SIGNALS}
     t = 1_767_225_600 * 10**9 + np.arange(len(values["U"])) * round(STEP_S * 1e9)
     try:
-        check_units(Path("drawn"), "V", Samples.of(t=t, **inner), part)
+        check_units(Path("drawn"), "V", Samples.of(t=t, **inner), part, rating)
     except RecordingError as error:
         return str(error)
     return ""
@@ -67,10 +71,20 @@ def in_units(values: Mapping[str, np.ndarray], units: Mapping[str, str]) -> dict
     return found
 
 
-def remedied(values: Mapping[str, np.ndarray], units: Mapping[str, str], said: str) -> str:
+def remedied(
+    values: Mapping[str, np.ndarray], units: Mapping[str, str], rating: Rating | None, said: str
+) -> str:
     """Return what is said once the units that a refusal names are given."""
     named = re.search(r"units=(\{.*?\})", said)
-    return judged(values, {**units, **ast.literal_eval(named[1])}) if named else said
+    return judged(values, {**units, **ast.literal_eval(named[1])}, rating) if named else said
+
+
+def plate(values: Mapping[str, np.ndarray]) -> Rating:
+    """Return the name plate of a drawn valve: its flow at U = 100 %, two digits."""
+    opened = np.clip(values["U"], 5.0, None) / 100.0
+    k = values["Q"] / np.sqrt(np.maximum(values["p1"] - values["p2"], 1.0)) / opened**1.2
+    flow = float(np.quantile(k, 0.9)) * RATED_DROP_BAR**0.5
+    return Rating(flow_l_min=float(f"{flow:.1e}"))
 
 
 def main() -> None:
@@ -83,19 +97,23 @@ def main() -> None:
         drawn.append(signals(rng, EXCITATIONS[seed % len(EXCITATIONS)], STEP_S))
     print("| stated | recordings | accepted | refused | its remedy, obeyed, is accepted |")
     print("|---|---|---|---|---|")
-    for units in RIGHT:
-        told = [judged(in_units(one, units), units) for one in drawn]
-        accepted = sum(not said for said in told)
-        name = ", ".join(dict.fromkeys(units.values()))
-        print(f"| right: {name} | {len(told)} | {accepted} | {len(told) - accepted} | - |")
-    for name, units in WRONG.items():
-        found = Counter[str]()
-        for one in drawn:
-            said = judged(one, units)
-            found["refused" if said else "accepted"] += 1
-            found["works"] += bool(said) and not remedied(one, units, said)
-        counts = " | ".join(str(found[key]) for key in ("accepted", "refused", "works"))
-        print(f"| {name} | {len(drawn)} | {counts} |")
+    for of, plates in (("", [None] * len(drawn)), (", name plate", [plate(x) for x in drawn])):
+        pairs = list(zip(drawn, plates, strict=True))
+        for units in RIGHT:
+            told = [judged(in_units(one, units), units, rating) for one, rating in pairs]
+            accepted = sum(not said for said in told)
+            name = ", ".join(dict.fromkeys(units.values())) + of
+            print(f"| right: {name} | {len(told)} | {accepted} | {len(told) - accepted} | - |")
+        for name, units in WRONG.items():
+            if of and "Q" not in units:
+                continue
+            found = Counter[str]()
+            for one, rating in pairs:
+                said = judged(one, units, rating)
+                found["refused" if said else "accepted"] += 1
+                found["works"] += bool(said) and not remedied(one, units, rating, said)
+            counts = " | ".join(str(found[key]) for key in ("accepted", "refused", "works"))
+            print(f"| {name}{of} | {len(drawn)} | {counts} |")
 
 
 if __name__ == "__main__":

@@ -150,3 +150,14 @@ def test_a_command_that_fills_a_span_of_volts_or_mA_is_asked_for_its_unit(symbol
     assert fitted(table, units={"U": span}).predict(50, 100) == pytest.approx(wanted)
     fitted(table, units={"U": "%"})
     fitted({"U [%]" if name == "U" else name: x for name, x in table.items()})
+
+
+@pytest.mark.parametrize("stated", ["l/s", "m³/h"])
+def test_the_name_plate_contradicts_a_wrong_unit_of_flow_and_the_remedy_works(stated):
+    small = rows(Q=rows()["Q"] / 8)  # in any of these units it could be a valve's flow
+    plate = {"rated_flow": 3.0, "rated_drop": 35.0}
+    fitted(small, **plate)
+    said = refusal(small, units={"Q": stated}, **plate)
+    named = ast.literal_eval(re.search(r"units=(\{.*?\})", said)[1])
+    assert named == {"Q": "l/min"}
+    fitted(small, units=named, **plate)

@@ -10,6 +10,7 @@ import numpy as np
 from valvemap.app.flow_model import Model
 from valvemap.app.given import recordings_in
 from valvemap.errors import ConfigurationError, RecordingError, StorageError
+from valvemap.plant.evidence import RATED_DROP_BAR, Rating
 from valvemap.storage.models import is_model, load_model, save_model
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ def fit(
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
     U_range: tuple[float, float] | None = None,
+    rated_flow: float = 0.0,
+    rated_drop: float = RATED_DROP_BAR,
     valve: str | None = None,
     estimator: str | None = None,
     config: "Config | None" = None,
@@ -49,6 +52,9 @@ def fit(
         Columns with other names, by signal: ``{"t": "Time", "U": "Control signal"}``.
     U_range
         Range of U in %, if it is not (0, 100): (-100, 100) of a valve that works both ways.
+    rated_flow, rated_drop
+        Of the name plate: flow at U = 100 %, l/min (0: unknown), and its pressure drop, bar. A unit
+        of Q that they contradict is refused.
     valve, estimator
         Valve and estimator; by default a recording's only valve, and the recommended estimator
         (else Auto or the first). With an estimator, the others do not run.
@@ -94,6 +100,7 @@ def fit(
         units=units,
         columns=columns,
         U_range=U_range,
+        rating=Rating(flow_l_min=rated_flow, drop_bar=rated_drop),
     )
     where = given[0] if isinstance(given[0], Path) else type(given[0]).__name__
     valve = _chosen(where, "valve", valve, list(report))

@@ -15,6 +15,7 @@ from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.units import QUANTITY_OF, Measure, inside, unit_with
 from valvemap.plant.answers import parse_answers
 from valvemap.plant.candidates import Candidate
+from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.no_readings import no_readings
 from valvemap.plant.questions import Option
@@ -41,7 +42,13 @@ _INSIST: Final = "--insist (insist=True in Python) learns from it all the same"
 
 
 def check_units(
-    file: Path, valve: str, samples: Samples, part: Part, *, configured: bool = False
+    file: Path,
+    valve: str,
+    samples: Samples,
+    part: Part,
+    rating: Rating | None = None,
+    *,
+    configured: bool = False,
 ) -> None:
     """Check the units, and the times, of a valve's first samples.
 
@@ -51,6 +58,8 @@ def check_units(
         Recording, valve, and its first samples.
     part
         The valve's columns, whose units are judged.
+    rating
+        What the name plate states.
     configured
         Whether a configuration states the units; the remedy is in its words then.
 
@@ -80,7 +89,7 @@ def check_units(
             scales = {**scales, role: own}
         given = Given({**given.nodes, role: str(role)}, scales)
     group = Group(valve, tuple(candidates))
-    verdict = judge(group, Record(values, step_s), given)
+    verdict = judge(group, Record(values, step_s), given, rating)
     options = () if verdict.question is None else verdict.question.options
     others = [option for option in options if not option.text.startswith(_LABELLED)]
     if not others or _are_swapped(group, values, step_s, given):

@@ -33,6 +33,7 @@ from valvemap.pipeline.edges import LEAK
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan
+from valvemap.plant.evidence import Rating
 from valvemap.plant.reading import Given
 from valvemap.storage.layout import Layout, Part
 from valvemap.vocabulary.edges import edges_of
@@ -106,6 +107,7 @@ def replay(
     read_ahead: bool = True,
     header: tuple[str, ...] | None = None,
     given: Mapping[str, Given] | None = None,
+    rating: Rating | None = None,
 ) -> Report:
     """Run recordings through the pipeline, one after the other; files in constant memory.
 
@@ -138,6 +140,8 @@ def replay(
         busy.
     header, given
         Headings of files that have none, and answers about foreign headings.
+    rating
+        What the valve's name plate states; units that it contradicts are refused.
 
     Returns
     -------
@@ -152,12 +156,15 @@ def replay(
     if config is not None and U_range is not None:
         raise ConfigurationError("with a config, U_range is its valves.U_range_percent")
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
-    layout = replace(_layout(config, units, columns), header=header, given=given or {})
+    rating = rating or Rating()
+    layout = replace(
+        _layout(config, units, columns), header=header, given=given or {}, rating=rating
+    )
     turn = one_ahead if read_ahead else iter
     valves: dict[str, LearntValve] = {}
     found = dict[str, None]()
     splitter = FlowSplitting(plans or {})
-    check = _unit_check(plans, insist=insist)
+    check = _unit_check(plans, rating, insist=insist)
     for recording in recordings_in(recordings):
         for name, samples in read_batches(recording, layout, progress, turn, check):
             found[name] = None
@@ -236,14 +243,16 @@ def _is_chosen(plan: ValvePlan, only: Collection[str] | None) -> bool:
     )
 
 
-def _unit_check(plans: Mapping[str, ValvePlan] | None, *, insist: bool) -> UnitCheck:
+def _unit_check(
+    plans: Mapping[str, ValvePlan] | None, rating: Rating, *, insist: bool
+) -> UnitCheck:
     """Return a check of the units of each valve that has one edge and a meter of its own."""
 
     def check(file: Path, name: str, samples: Samples, part: Part) -> None:
         plan = None if plans is None else plans.get(name)
         is_single = plan is not None and plan.part is None and not plan.meter and not plan.insist
         if not insist and (plans is None or is_single):
-            check_units(file, name, samples, part, configured=plans is not None)
+            check_units(file, name, samples, part, rating, configured=plans is not None)
 
     return check
 

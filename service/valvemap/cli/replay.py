@@ -79,6 +79,12 @@ def replay(
             help="Answer: a unit, or raw numbers and values, such as 0..27648:0..250bar.",
         ),
     ] = None,
+    rated_flow: Annotated[
+        float, typer.Option(min=0.0, metavar="L_MIN", help="Of the name plate, to check Q.")
+    ] = 0.0,
+    rated_drop: Annotated[
+        float, typer.Option(min=0.1, metavar="BAR", help="Pressure drop of the rated flow.")
+    ] = 35.0,
     *,
     force: ForceOption = False,
     insist: Annotated[
@@ -91,6 +97,7 @@ def replay(
     from valvemap.app.replay import replay as run
     from valvemap.pipeline.row_tallies import RowTallies
     from valvemap.plant.answers import parse_answers
+    from valvemap.plant.evidence import Rating
     from valvemap.report.verification import verification_table
 
     loaded = None if config is None else load_config(config)
@@ -110,6 +117,7 @@ def replay(
             insist=insist,
             header=tuple(columns.split(",")) if columns else None,
             given=parse_answers(signal or (), scale or ()),
+            rating=Rating(flow_l_min=rated_flow, drop_bar=rated_drop),
         )
     console = terminal()
     report = {valve: _best_first(estimators) for valve, estimators in report.items()}

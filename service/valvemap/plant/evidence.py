@@ -61,13 +61,17 @@ _BACKWARDS: Final = log(0.03)  # that the pressure behind a valve is the higher 
 OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
 
 
+RATED_DROP_BAR: Final = 35.0
+"""Pressure drop per edge at which servo valves are rated."""
+
+
 @dataclass(frozen=True)
 class Rating:
     """What the name plate states: rated pressure, and rated flow at a pressure drop; 0: unknown."""
 
     pressure_bar: float = 0.0
     flow_l_min: float = 0.0
-    drop_bar: float = 35.0
+    drop_bar: float = RATED_DROP_BAR
 
 
 def of_range(values: Floats, bounds: tuple[float, float] | None, role: Role) -> float:

@@ -85,7 +85,7 @@ def recognise(begins: Beginning, layout: Layout, refusal: RecordingError) -> Col
         {begins.headings[number]: values for number, values in begins.numbers.items()},
         float(np.median(steps)) if len(steps) else 1.0,
     )
-    verdicts = [judge(one, record, _given(one, layout)) for one in groups]
+    verdicts = [judge(one, record, _given(one, layout), layout.rating) for one in groups]
     open_ = [verdict for verdict in verdicts if verdict.question is not None]
     if any(verdict.question is not None and not verdict.question.options for verdict in open_):
         raise refusal

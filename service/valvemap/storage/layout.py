@@ -19,6 +19,7 @@ from valvemap.pipeline.units import (
     unit_of,
 )
 from valvemap.plant.answers import of_valve
+from valvemap.plant.evidence import Rating
 from valvemap.plant.reading import Given
 from valvemap.plant.roles import Role
 from valvemap.storage.time_units import seconds_per_unit
@@ -61,7 +62,7 @@ class Layout:
     ``time``, ``valve`` and ``quality`` are column names; None: the default names. ``signals`` are
     those of all valves without ``valves``. ``header`` are the headings of a file that has none;
     ``given`` answers questions about columns and their units, by valve; ``seconds`` is the unit of
-    the times, if it is stated (None: as the heading says).
+    the times, if it is stated (None: as the heading says). ``rating`` is of the name plate.
     """
 
     valves: tuple[ValveLayout, ...] = ()
@@ -72,6 +73,7 @@ class Layout:
     header: tuple[str, ...] | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
     seconds: float | None = None
+    rating: Rating = field(default_factory=Rating)
 
     @property
     def recognises(self) -> bool:
