@@ -1,13 +1,16 @@
 """Numbers and times as spreadsheets, loggers and historians of any country write them."""
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from valvemap.app.given import layout_of
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Samples
+from valvemap.plant.answers import parse_answers
 from valvemap.storage.clock_times import Clock, day_and_clock, is_clock, is_day
 from valvemap.storage.digit_groups import grouping_of, ungrouped
 from valvemap.storage.recordings import read_recording
@@ -143,3 +146,15 @@ def test_columns_of_data_frames_need_names_of_their_own():
     pairs = pd.MultiIndex.from_tuples([("a", name) for name in ("t", "U", "p1", "p2", "Q")])
     with pytest.raises(RecordingError, match=r"column \('a', 't'\) has no text as its name"):
         read_recording(pd.DataFrame([[0, 1, 2, 3, 4]], columns=pairs))
+
+
+def test_a_missing_column_is_told_the_words_that_name_it(tmp_path):
+    text = "when,foo,p1,p2,Q\n0,1,2,3,4\n"
+    with pytest.raises(RecordingError) as error:
+        read(file(tmp_path, text))
+    assert "--signal U=HEADING" in str(error.value)
+    assert 'the times: [recording] time = "…"' in str(error.value)
+    layout = layout_of(None, {"t": "when"})
+    answers = replace(layout, given=parse_answers(["U=foo"], []))
+    (samples,) = [s for _, s in read_recording(file(tmp_path, text), layout=answers)]
+    assert samples.U[0] == 1.0

@@ -111,6 +111,7 @@ def test_what_is_not_determined_yet_is_not_saved(name, tmp_path):
         ("format", "other", r"format: Input should be 'valvemap-model', not 'other'"),
         ("units", {"U": "V"}, r"units are \{'U': 'V'\}; .* is allowed"),
         ("noise_std", "much", r"noise_std: .* not 'much'"),
+        ("noise_std", -1, r"noise_std: .*greater than or equal to 0, not -1"),
         ("extra", 1, r"extra: Extra inputs are not permitted"),
         ("map.theta", [1.0], r"map: theta has 1 numbers; 5 are allowed"),
         ("map.covariance", [[1.0]], r"map: covariance: 5 rows of 5 numbers are allowed"),

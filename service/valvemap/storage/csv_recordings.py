@@ -128,8 +128,9 @@ class CsvReader:
             refusal = missing
         if all(is_number(name) for name in self._header):
             names = ",".join(columns.COLUMNS[: len(self._header)])
+            said = str(refusal).partition("; for other names")[0]
             raise MissingColumnError(
-                f"{refusal}; where it has no headings, --columns={names} or similar names them"
+                f"{said}; where it has no headings, --columns={names} or similar names them"
             )
         with _Faults(self._path, lambda: 0):
             peeked = [*first, *islice(self._text, _RECOGNISED)]

@@ -235,11 +235,19 @@ class _Finder:
         )
 
     def _missing(self, missing: Sequence[str]) -> str:
+        signal = next((name for name in missing if name != "t"), None)
+        said = []
+        if signal is not None:
+            said.append(
+                f'--signal {signal}=HEADING, [valves.signals.{signal}] column = "…", or '
+                f'columns={{"{signal}": "…"}}'
+            )
+        if "t" in missing:
+            said.append('the times: [recording] time = "…", or columns={"t": "…"}')
         return (
             f"{self._where}: column {', '.join(missing)} is missing; the header must hold "
-            f"t,U,p1,p2,Q (and may hold T, valve, quality), found {','.join(self._header)[:60]!r}; "
-            'for other names: [valves.signals.U] column = "…" in a --config FILE, or '
-            'columns={"U": "…"} in Python'
+            f"t,U,p1,p2,Q (and may hold T, valve, quality), found {','.join(self._header)[:50]!r}; "
+            f"for other names: {'; '.join(said)}"
         )
 
     def _named(self, column: str | None, field: str) -> int | None:

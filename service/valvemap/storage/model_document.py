@@ -199,7 +199,7 @@ class ModelDocument(_Section):
     map: MapSection
     parameters: dict[str, float | None]
     std: dict[str, float | None]
-    noise_std: float | None
+    noise_std: Annotated[float, Field(ge=0.0)] | None
     temperature: float | None
     region: RegionSection
     support: SupportSection
