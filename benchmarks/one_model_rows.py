@@ -225,16 +225,27 @@ def of_poppet(kind, N, seed):
     return Row(c.samples_of(U, dp, poppet(U, dp) + c.white(seed, N)), (N,), (poppet,))
 
 
-def damaged(name, seed, at=10_000, size=-0.1):
+def damaged(name, seed, at=10_000, size=-0.1, after=(250, 8_000)):
     """-10 % of the flow, asked 250 and 8,000 samples later."""
-    N = at + 8_000
+    N = at + after[-1]
     U, dp = c.cycle(seed, N)
     valve = c.VALVES[name]
     Q = valve(U, dp) * (1.0 + size * (np.arange(N) >= at)) + c.white(seed, N)
     now = partial(_times, valve, 1.0 + size)
     causes = frozenset({FindingCode.GAIN_CHANGE})
     samples = c.samples_of(U, dp, Q)
-    return Row(samples, (at + 250, N), (now, now), causes=causes, changed=at)
+    ends = tuple(at + later for later in after)
+    return Row(samples, ends, (now,) * len(ends), causes=causes, changed=at)
+
+
+def widened(name, seed, at=10_000, after=(500, 2_000, 10_000)):
+    """A valve used in a tenth of its range, then in all of it."""
+    N, valve = at + after[-1], c.VALVES[name]
+    U, dp = c.cycle(seed, N)
+    narrow = np.arange(N) < at
+    U, dp = np.where(narrow, 40.0 + 0.1 * U, U), np.where(narrow, 90.0 + 0.1 * dp, dp)
+    samples = c.samples_of(U, dp, valve(U, dp) + c.white(seed, N))
+    return Row(samples, tuple(at + later for later in after), (valve,) * len(after))
 
 
 def disturbed(name, how, seed, N=20_000):
@@ -639,6 +650,7 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
         for size in (-0.6, 0.6)
         for name in ("ordinary", "S-shape")
     },
+    **{f"narrow, then wide, {name}": partial(widened, name) for name in ("ordinary", "S-shape")},
     **{
         f"{what}, {name}": partial(disturbed, name, how)
         for what, how in FAILING.items()

@@ -24,6 +24,12 @@ def test_a_change_of_any_size_is_found_and_named(size):
     assert figures["misnamed"][1] == 0.0
 
 
+def test_a_sudden_change_is_not_taken_for_wear_of_a_part():
+    figures = measured(FlowMap(), damaged("ordinary", 602, size=0.6, after=(2_000,)))
+    assert figures["rmse"][0] < 0.5
+    assert figures["misnamed"][0] == 0.0
+
+
 @pytest.mark.parametrize("how", [shows_nothing, shows_nothing_long, shows_the_last])
 def test_a_meter_that_fails_for_a_while_leaves_the_map_as_it_was(how):
     figures = measured(FlowMap(), disturbed("ordinary", how, 32))

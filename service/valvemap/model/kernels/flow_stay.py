@@ -246,7 +246,7 @@ def _note_wear(
         wears.drop(memory.wear, side)
     head[wears.SINCE] += dt
     head[wears.STAYS] += 1.0
-    if wears.is_due(head):
+    if moved < rules.OVER and wears.is_due(head):  # gain and edge are one value for all sums
         wears.settle(memory.wear, side, drift.now, math.sqrt(scalars[fits.SCALE]))
         of_part = head[wears.CHANCE] * (1.0 - drift.chance[drifts.MOVING])  # none of a whole edge
         if of_part > rules.WORTH_SAYING:
