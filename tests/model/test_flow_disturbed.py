@@ -30,6 +30,12 @@ def test_a_sudden_change_is_not_taken_for_wear_of_a_part():
     assert figures["misnamed"][0] == 0.0
 
 
+@pytest.mark.parametrize(("seed", "size"), [(601, 0.6), (603, -0.6)])
+def test_a_change_seen_at_small_flows_leaves_the_others_in_doubt(seed, size):
+    figures = measured(FlowMap(), damaged("S-shape", seed, size=size, after=(250,)))
+    assert figures["held"][0] > 0.9
+
+
 @pytest.mark.parametrize("how", [shows_nothing, shows_nothing_long, shows_the_last])
 def test_a_meter_that_fails_for_a_while_leaves_the_map_as_it_was(how):
     figures = measured(FlowMap(), disturbed("ordinary", how, 32))

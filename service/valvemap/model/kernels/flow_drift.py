@@ -110,11 +110,11 @@ def step(
         for k in range(STATES):
             S += by[k] * said[0, k]
         square = off * off / S
-        heavy = min(1.0, rules.MOST_STAY / math.sqrt(max(square, 1e-300)))
+        doubted = S + (off / rules.MOST_STAY) ** 2  # the map is a straight line nearby only
         for k in range(STATES):
-            x[k] += heavy * said[0, k] * off / S
+            x[k] += said[0, k] * off / doubted
             for j in range(STATES):
-                P[k, j] -= heavy * said[0, k] * said[0, j] / S
+                P[k, j] -= said[0, k] * said[0, j] / doubted
         if m < NAMED:
             surprise += drift.chance[m] * min(square, rules.MOST_STAY**2)
         log = -0.5 * (math.log(S) + min(square, rules.MOST_STAY**2))
@@ -210,7 +210,7 @@ def _advance(drift: Drift, dt: float) -> None:
                     P[k, j] = P[j, k] = 0.0
         if m == WANDERING:
             lost = 1.0 - math.exp(-2.0 * dt / rules.WANDERS_WITHIN)
-            P[0, 0] += lost * rules.JUMP_GAIN**2
+            P[0, 0] += lost * rules.NAMELESS_GAIN**2
             P[1, 1] += lost * rules.JUMP_EDGE**2
         if m == MOVING:
             keep = math.exp(-dt / rules.PERSISTENCE)
@@ -248,5 +248,5 @@ def _combine(drift: Drift) -> None:
             for j in range(STATES):
                 off = (x[m, k] - now[0, k]) * (x[m, j] - now[0, j])
                 now[1 + k, j] += chance[m] * (P[m, k, j] + off)
-    now[1 + GAIN, GAIN] += chance[WANDERING] * rules.JUMP_GAIN**2
+    now[1 + GAIN, GAIN] += chance[WANDERING] * rules.NAMELESS_GAIN**2
     now[1 + EDGE, EDGE] += chance[WANDERING] * rules.JUMP_EDGE**2

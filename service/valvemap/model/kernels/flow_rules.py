@@ -74,13 +74,13 @@ WANDER_GAIN: Final = 0.005  # 1/√h; random walk of the gain beside that
 WANDER_EDGE: Final = 0.1  # %/√h; random walk of the edge beside that
 PERSISTENCE: Final = 3600.0  # s; how long a rate lasts, about
 BETWEEN_DRIFTS: Final = 36_000.0  # s; how long nothing drifts, about
-JUMP_GAIN: Final = 0.1  # standard deviation of a sudden change of the gain
+JUMP_GAIN: Final = 0.3  # standard deviation of a sudden change of the gain: 60 % is unusual only
+NAMELESS_GAIN: Final = 0.1  # standard deviation of the gain while what has no name moves it
 LEAST_GAIN: Final = 0.02  # of the flow at first; where less is left, samples tell nothing
 BLOCKED_FROM: Final = 0.1  # of the flow; where none of it is shown, meter or valve are blocked
 JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
 AFTER_JUMP: Final = 10.0  # s; how long a sudden change is a hypothesis of its own, about
-WANDERS_WITHIN: Final = 20.0  # s; in which what is not named moves gain and edge as far as a
-# sudden change does, about
+WANDERS_WITHIN: Final = 20.0  # s; in which what is not named moves gain and edge that far, about
 WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estimated again
 WEAR_STAYS: Final = 256.0  # stays; after which it is at the latest
 WEAR_RECALLED: Final = 900.0  # s; how long ago a part of an edge was as it is, if it does not wear
