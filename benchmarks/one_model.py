@@ -20,6 +20,7 @@ import numpy as np
 
 from benchmarks import circumstances as c
 from benchmarks.one_model_rows import ROWS, Flow, Row, inside
+from benchmarks.one_model_sensors import SENSORS
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import FlowMapState
@@ -103,9 +104,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     wanted = parser.parse_args(arguments)
     first = REPORT if wanted.report else wanted.first
-    for name in (name for name in ROWS if wanted.only in name):
+    rows = {**ROWS, **SENSORS}
+    for name in (name for name in rows if wanted.only in name):
         seeds = range(first, first + wanted.seeds)
-        ours = [measured(_ours(ROWS[name](seed)), ROWS[name](seed)) for seed in seeds]
+        ours = [measured(_ours(rows[name](seed)), rows[name](seed)) for seed in seeds]
         for k in range(len(ours[0]["rmse"])):
             print(_line(name, k, ours), flush=True)
     return 0

@@ -5,6 +5,7 @@ from dataclasses import fields, make_dataclass
 import numpy as np
 import pytest
 
+from valvemap.model import drift_states
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.fleet import member, members, stack
 from valvemap.model.flow_map import FlowMap
@@ -175,14 +176,16 @@ def test_a_map_that_something_moves_is_no_surer_than_that():
     assert (np.abs(flow - valve(U, dp)) < 3.0 + 2.0 * std).all()
 
 
-@pytest.mark.parametrize("version", [3, 4, 5, 6])
+@pytest.mark.parametrize("version", [3, 4, 5, 6, 7])
 def test_a_state_of_before_keeps_all_that_was_learnt(version):
     state = learnt(lambda U, dp, t, e: valve(U, dp) + e)
     arrays = {field.name: getattr(state, field.name) for field in fields(state)}
+    _without_offsets(arrays)
     held = np.arange(flow_path.OF_MAP, flow_path.PARAMETERS)
-    arrays["path"] = np.delete(arrays["path"], [*held, *held + flow_path.PARAMETERS])
-    arrays["precision"] = arrays["precision"][: flow_path.OF_MAP, : flow_path.OF_MAP]
-    arrays["counters"] = arrays["counters"][: flow_memory.LEARNT]
+    if version < 7:
+        arrays["path"] = np.delete(arrays["path"], [*held, *held + flow_path.PARAMETERS])
+        arrays["precision"] = arrays["precision"][: flow_path.OF_MAP, : flow_path.OF_MAP]
+        arrays["counters"] = arrays["counters"][: flow_memory.LEARNT]
     if version < 6:
         del arrays["wear"]
         arrays["recent"] = np.pad(arrays["recent"], ((0, 0), (0, 1)))
@@ -191,7 +194,7 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
         arrays["path"] = arrays["path"][: flow_path.PHASE - 2 * len(held)]
     if version == 3:
         for name in ("x", "P", "chance"):
-            arrays[name] = arrays[name][:, : flow_drift.WANDERING]
+            arrays[name] = arrays[name][:, :4]
         arrays["counters"] = arrays["counters"][: flow_memory.WANDERED]
         arrays["scalars"] = arrays["scalars"][: flow_fit.PAIR_ERROR]
     older = make_dataclass(
@@ -202,8 +205,22 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
     at = np.full(3, 60.0), np.array([20.0, 80.0, 150.0]), np.full(3, 40.0)
     np.testing.assert_array_equal(FlowMap().predict(read, *at), FlowMap().predict(state, *at))
     older.state_version = 2
-    with pytest.raises(StateMismatchError, match="version 2, version 7 is needed"):
+    with pytest.raises(StateMismatchError, match="version 2, version 8 is needed"):
         FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
+
+
+def _without_offsets(arrays):
+    """Arrays of versions up to 7: neither offsets of sensors nor models of these."""
+    places = drift_states.OF_VALVE
+    models = np.delete(np.arange(flow_drift.MODELS), flow_drift.SENSING)
+    whole = [[drift_states.covariance(P, m) for m in models] for P in arrays["P"]]
+    arrays["P"] = np.array(whole)[..., places, :][..., places]
+    arrays["x"] = arrays["x"][:, models][..., places]
+    arrays["chance"] = arrays["chance"][:, models]
+    arrays["now"] = arrays["now"][:, [0, *(1 + places)]][..., places]
+    keep = np.arange(flow_memory.BEFORE).tolist() + [flow_memory.BEFORE + k for k in (0, 1, 4, 5)]
+    arrays["stay"] = arrays["stay"][keep]
+    arrays["scalars"] = arrays["scalars"][: flow_fit.ZERO_SCALE]
 
 
 @pytest.mark.parametrize(("white", "slow", "phi"), [(0.3, 0.3, 0.9), (0.1, 0.4, 0.95), (0.4, 0, 0)])

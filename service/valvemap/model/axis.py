@@ -211,8 +211,9 @@ class AxisRegression:
         """Return the state before the first sample."""
         n = len(EDGES)
         drift = (n, flow_drift.MODELS, flow_drift.STATES)
-        x, P, chance = np.zeros(drift), np.zeros((*drift, drift[-1])), np.zeros(drift[:2])
-        now = np.zeros((n, 1 + drift[-1], drift[-1]))
+        x, P = np.zeros(drift), np.zeros((n, flow_drift.PACKED))
+        chance = np.zeros(drift[:2])
+        now = np.zeros((n, 1 + flow_drift.SHOWN, flow_drift.SHOWN))
         for k in range(0, n, 2):
             pair = slice(k, k + 2)
             flow_drift.begin(x[pair], P[pair], chance[pair], now[pair])

@@ -191,7 +191,7 @@ def moved(found: AxisFit, state: AxisState) -> AxisFit:
         unmoved = found.theta[own]
         risen = (moved_edge(gain, shift + _SHIFT) - M[own, own]) @ unmoved / _SHIFT
         by = np.stack([unmoved, risen], axis=1)
-        levels = now[1 : 1 + flow_drift.LEVELS, : flow_drift.LEVELS]
+        levels = now[1 : 1 + flow_drift.OF_VALVE, : flow_drift.OF_VALVE]
         doubt[own, own] = by @ levels @ by.T
     return replace(found, theta=M @ found.theta, covariance=M @ found.covariance @ M.T + doubt)
 

@@ -6,7 +6,7 @@ or edge being the one: each rate z standard deviations away from none weighs exp
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Final
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model import flow_map_looks
+from valvemap.model.drift_states import covariance, drifting
 from valvemap.model.flow_map_looks import Both
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift as drifts
@@ -43,9 +44,17 @@ OPERATORS: Final = {  # code; sentence of its size
     paths.NEWS: (FindingCode.REACTING_U, "U goes with the noise of the flow in the same sample."),
     paths.LEAST: (FindingCode.METER_START, "The meter shows no flow below {:.3g} l/min."),
 }
-RATES: Final = (
-    (FindingCode.GAIN_DRIFT, 100.0, "%", "gain"),
-    (FindingCode.EDGE_DRIFT, 1.0, "% of U", "edge"),
+LEVELS: Final = (  # code of its drift; unit; name; what to do
+    (FindingCode.GAIN_DRIFT, "%", "gain", ""),
+    (FindingCode.EDGE_DRIFT, "% of U", "edge", ""),
+    (
+        *(FindingCode.FLOW_ZERO, "l/min", "zero of the flow meter"),
+        " The map is without it. Close the valve without Δp and compare the meter with 0.",
+    ),
+    (
+        *(FindingCode.PRESSURE_ZERO, "bar", "zero of Δp"),
+        " The map is without it. Relieve both lines and compare p1 and p2 with 0.",
+    ),
 )
 CHANGES: Final = (
     (FindingCode.GAIN_CHANGE, 100.0, "%", "gain"),
@@ -59,9 +68,11 @@ def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
         return ()
     nameless = float(hidden(state))
     explained = 1.0 - nameless  # what drift or a change explains leaves nothing nameless
-    found = [*_operators(state), *_pump(state), *_play(state), *_moving(state, explained)]
-    found += [*_wearing(state, both, explained)]
-    found += [*_changes(state, explained), *_compensator(state, both), *_misfit(state, nameless)]
+    found = [*_operators(state), *_pump(state), *_play(state)]
+    scales = 100.0, 1.0, float(state.scalars[fits.ZERO_SCALE]), float(both[1].breaks[-1] ** 2)
+    found += [*_moving(state, scales, explained), *_wearing(state, both, explained)]
+    found += [*_changes(state, explained), *_compensator(state, both)]
+    found += [*_misfit(state, nameless)]
     likely = (one for one in found if one.probability > rules.WORTH_SAYING)
     return tuple(sorted(likely, key=lambda one: (-one.probability, one.code)))
 
@@ -138,18 +149,20 @@ def _sides(state: FlowMapState) -> Iterator[tuple[int, str]]:
             yield side, name
 
 
-def _moving(state: FlowMapState, explained: float) -> Iterator[Finding]:
+def _moving(state: FlowMapState, scales: Sequence[float], explained: float) -> Iterator[Finding]:
     if state.counters[memory.USED] - state.counters[memory.BEGAN] < rules.SETTLED_MAP:
         return
     for side, name in _sides(state):
-        moving = explained * float(state.chance[side, drifts.MOVING])
-        x, P = state.x[side, drifts.MOVING], state.P[side, drifts.MOVING]
-        rates = x[drifts.LEVELS : drifts.RATES] * SECONDS_PER_HOUR
-        stds = np.sqrt(np.diagonal(P)[drifts.LEVELS : drifts.RATES]) * SECONDS_PER_HOUR
-        for k, (code, scale, unit, what) in enumerate(RATES):
+        moving = explained * float(drifting(state.chance[side]))
+        m = drifts.MOVING + int(np.argmax(state.chance[side, drifts.MOVING : drifts.SENSING + 1]))
+        x, P = state.x[side, m], covariance(state.P[side], m)
+        rates = x[drifts.RATES :] * SECONDS_PER_HOUR
+        stds = np.sqrt(np.diagonal(P)[drifts.RATES :]) * SECONDS_PER_HOUR
+        for k, (code, unit, what, advice) in enumerate(LEVELS):
+            scale = scales[k]
             share = float(_probability(0.5 * float(rates[k] / max(stds[k], 1e-12)) ** 2))
             size = f"{scale * rates[k]:+.3g} ± {scale * stds[k]:.2g} {unit} per hour"
-            yield Finding(code, moving * share, f"The {what} at {name} drifts by {size}.")
+            yield Finding(code, moving * share, f"The {what} at {name} drifts by {size}.{advice}")
 
 
 def _wearing(state: FlowMapState, both: Both, explained: float) -> Iterator[Finding]:
@@ -159,7 +172,7 @@ def _wearing(state: FlowMapState, both: Both, explained: float) -> Iterator[Find
         moved = nodes[:, wears.LEVEL] - nodes[:, wears.FORMER]
         k = int(np.argmax(moved**2 / np.maximum(nodes[:, wears.P_LEVEL], 1e-300)))
         share = explained * float(head[wears.CHANCE])
-        share *= 1.0 - float(state.chance[side, drifts.MOVING])  # that of a whole edge is no wear
+        share *= 1.0 - float(drifting(state.chance[side]))  # that of a whole edge is no wear
         U = abs(both[0].breaks[-1 if side == 0 else 0]) * k / (wears.NODES - 1)
         size = f"{moved[k]:+.2g} l/min at the largest Δp"
         when = f"within some {rules.WEAR_RECALLED / 60.0:.0f} minutes"

@@ -7,13 +7,19 @@ from typing import ClassVar, Final, Self
 
 import numpy as np
 
-from valvemap.model import flow_findings, flow_map_looks, flow_parameters, flow_pieces, flow_words
+from valvemap.model import (
+    drift_states,
+    flow_findings,
+    flow_map_looks,
+    flow_parameters,
+    flow_pieces,
+    flow_words,
+)
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.forgetting import check_lam, lam_of_memory
 from valvemap.model.kernels import (
-    flow_drift,
     flow_memory,
     flow_path,
     flow_play,
@@ -151,7 +157,7 @@ class FlowMap:
 
     def adaptation_many(self, states: FlowMapState) -> Codes:
         """`adaptation` of M models (M,): each where it is likelier than not, reaction first."""
-        moving = (states.chance[..., flow_drift.MOVING] > rules.WORTH_SAYING).any(axis=-1)
+        moving = (drift_states.drifting(states.chance) > rules.WORTH_SAYING).any(axis=-1)
         worn = states.wear[..., flow_wear.NODES, flow_wear.CHANCE]
         moving |= (worn > rules.WORTH_SAYING).any(axis=-1)
         young = states.counters[..., flow_memory.USED] < rules.SETTLED_MAP

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap.model import drift_states
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.kernels import (
@@ -62,7 +63,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 7  # 6: nothing held or blocked; 5: no wear; 4: one colour
+    state_version: ClassVar[int] = 8  # 7: no offsets; 6: nothing held or blocked; 5: no wear
 
     cells: NDArray[np.float32]
     theta: Floats
@@ -87,11 +88,28 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 6: no signal was held; 5: edges wore as a whole; 4: noise was AR(1), without a white
-        part; 3: nothing nameless was looked for.
+        Version 7: sensors had no offsets; 6: no signal was held; 5: edges wore as a whole; 4: noise
+        was AR(1), without a white part; 3: nothing nameless was looked for.
         """
-        if version not in ("3", "4", "5", "6"):
+        if version not in ("3", "4", "5", "6", "7"):
             return {}
+        if version == "3":
+            for name in ("x", "P"):
+                still = arrays[name][:, flow_drift.STILL]
+                arrays[name] = np.insert(arrays[name], 4, still, axis=1)
+            arrays["chance"] = np.insert(arrays["chance"], 4, 0.0, axis=1)
+        drift_states.upgrade(arrays)
+        places, counters, scalars = flow_memory.BEFORE, arrays["counters"], arrays["scalars"]
+        kind = counters[flow_memory.CHANGE_KIND]  # there were four named models, OTHER_GAIN was 2
+        level, side = kind % 4 - 2, kind // 4
+        counters[flow_memory.CHANGE_KIND] = (
+            flow_drift.OTHER_GAIN + level + side * flow_drift.NAMED if kind else 0
+        )
+        stay = np.pad(arrays["stay"], (0, max(places + 4 - len(arrays["stay"]), 0)))
+        arrays["stay"] = np.insert(stay[: places + 4], [places + 2] * 2 + [places + 4] * 2, 0.0)
+        arrays["scalars"] = np.pad(scalars, (0, flow_fit.SCALARS - len(scalars)))
+        if version == "7":
+            return arrays
         held, first = flow_path.PARAMETERS - flow_path.OF_MAP, flow_path.OF_MAP
         arrays["path"] = np.insert(arrays["path"], [first] * held + [2 * first] * held, 0.0)
         arrays["precision"] = np.pad(arrays["precision"], (0, held))
@@ -106,11 +124,6 @@ class FlowMapState(State):
         arrays["recent"] = np.ascontiguousarray(arrays["recent"][:, : flow_path.COLUMNS])
         if version == "5":
             return arrays
-        if version == "3":
-            for name in ("x", "P"):
-                still = arrays[name][:, flow_drift.STILL]
-                arrays[name] = np.insert(arrays[name], flow_drift.WANDERING, still, axis=1)
-            arrays["chance"] = np.insert(arrays["chance"], flow_drift.WANDERING, 0.0, axis=1)
         scalars = arrays["scalars"]
         scalars[flow_fit.SLOW] = scalars[flow_fit.COLOUR] > 0.0
         scalars[flow_fit.AFTER] = scalars[flow_fit.COLOUR] * scalars[flow_fit.NEXT]
@@ -190,9 +203,9 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         w=np.ones(n_U - 2),
         v=np.ones(n_s - 2),
         x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),
-        P=np.zeros((2, flow_drift.MODELS, flow_drift.STATES, flow_drift.STATES)),
+        P=np.zeros((2, flow_drift.PACKED)),
         chance=np.zeros((2, flow_drift.MODELS)),
-        now=np.zeros((2, 1 + flow_drift.STATES, flow_drift.STATES)),
+        now=np.zeros((2, 1 + flow_drift.SHOWN, flow_drift.SHOWN)),
         stay=np.zeros(flow_memory.STAY),
         wear=np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS)),
         play=np.zeros(flow_play.PLACES),

@@ -64,7 +64,7 @@ def parameters(state: FlowMapState, both: Both) -> tuple[Floats, Floats]:
 
 def rates(state: FlowMapState) -> tuple[Floats, Floats]:
     """Rates of gain (1/h) and edge (%/h), and their standard deviations, (2, 2): by side."""
-    places = slice(flow_drift.LEVELS, flow_drift.RATES)
+    places = slice(flow_drift.RATES, flow_drift.RATES + flow_drift.OF_VALVE)
     mean, covariance = state.now[:, 0, places], state.now[:, 1:][:, places, places]
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     return mean * SECONDS_PER_HOUR, np.sqrt(np.maximum(variance, 0.0)) * SECONDS_PER_HOUR

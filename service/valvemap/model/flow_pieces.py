@@ -75,7 +75,7 @@ def _poles(state: FlowMapState, top: float, T: float) -> list[tuple[float, float
     """Weight and distance from s = 0 of the poles of G that are there."""
     colder = float(state.scalars[flow_fit.FIRST_T]) - T
     nu = np.exp(np.clip(rules.THINNING * colder, -2.0, 2.0)) if np.isfinite(colder) else 1.0
-    root, rates = np.sqrt(nu) - 1.0, state.now[0, 0, flow_drift.RATES :]
+    root, rates = np.sqrt(nu) - 1.0, state.now[0, 0, flow_drift.LEVELS : flow_drift.RATES]
     weights = root * rates[1] + (nu - 1.0) * rates[2], root * rates[3]
     places = rules.LAMINAR * top, rules.CREEPING * top
     found = zip(weights, places, strict=True)

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from valvemap.model import drift_states
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
@@ -34,6 +35,7 @@ OPERATORS: Final = {
     paths.HELD_P: "pressures come every {:.2g} s",
     paths.HELD_Q: "Q comes every {:.2g} s",
 }
+LEVELS: Final = "gain", "edge", "zero of Q", "zero of Δp"
 
 
 def is_plain(state: FlowMapState) -> bool:
@@ -53,21 +55,23 @@ def describe(state: FlowMapState) -> str:
             parts.append(words.format(state.path[k]))
     if _by_temperature(state):
         parts.append("temperature")
-    if (state.chance[:, drifts.MOVING] > rules.WORTH_SAYING).any():
+    if (drift_states.drifting(state.chance) > rules.WORTH_SAYING).any():
         parts.append(f"{_moving(state)} drifts")
     return "; ".join(parts)
 
 
 def _by_temperature(state: FlowMapState) -> bool:
-    warm = np.arange(drifts.RATES, drifts.STATES)
+    warm = np.arange(drifts.LEVELS, drifts.RATES)
     mean, variance = state.now[:, 0, warm], state.now[:, 1 + warm, warm]
     return bool((mean**2 > rules.SURE**2 * variance).any() and (variance > 0.0).any())
 
 
 def _moving(state: FlowMapState) -> str:
     """Return what moves: the rate that is more standard deviations away from none."""
-    side = int(np.argmax(state.chance[:, drifts.MOVING]))
-    places = np.arange(drifts.LEVELS, drifts.RATES)
-    P = state.P[side, drifts.MOVING, places, places]
-    z = state.x[side, drifts.MOVING, places] ** 2 / np.maximum(P, 1e-300)
-    return ("gain", "edge")[int(np.argmax(z))]
+    drifting = state.chance[:, drifts.MOVING : drifts.SENSING + 1]
+    side, m = divmod(int(np.argmax(drifting)), drifting.shape[1])
+    m += drifts.MOVING
+    places = np.arange(drifts.RATES, drifts.STATES)
+    P = drift_states.covariance(state.P[side], m)[places, places]
+    z = state.x[side, m, places] ** 2 / np.maximum(P, 1e-300)
+    return LEVELS[int(np.argmax(z))]

@@ -5,6 +5,9 @@ from typing import Final, Self
 
 import numpy as np
 
+from valvemap.model import flow_map_looks
+from valvemap.model.drift_states import OF_VALVE
+from valvemap.model.fleet import copied
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
@@ -17,7 +20,8 @@ from valvemap.model.samples import Floats
 
 SCALARS: Final = fits.VARIANCE, fits.MISFIT, fits.SCALE, fits.PLAIN, fits.LEAST
 TEMPERATURES: Final = fits.FIRST_T, fits.NOW_T
-MOVING: Final = 2, 1 + drifts.STATES, drifts.STATES
+MOVING: Final = 2, 1 + len(OF_VALVE), len(OF_VALVE)
+_PLACES: Final = np.ix_(np.arange(2), np.append(0, 1 + OF_VALVE), OF_VALVE)
 
 
 @dataclass(frozen=True)
@@ -68,8 +72,9 @@ class GaussianMap:
                 state.std.astype(np.float64) ** 2
                 + state.doubt.astype(np.float64) ** 2
                 + _worn(state, U_range, dp_range)
+                + _unnoticed(state, U_range, dp_range)
             ),
-            moving=state.now.copy(),
+            moving=state.now[_PLACES],
             scalars=state.scalars[list(SCALARS)],
             temperatures=state.scalars[list(TEMPERATURES)],
             operators=state.path[: paths.OF_MAP].copy(),
@@ -85,17 +90,30 @@ class GaussianMap:
             if arrays do not have the sizes that the ranges ask for.
         """
         blank = empty(*axes(self.U_range, self.dp_range))
-        for name, wanted in (("theta", blank.theta), ("std", blank.std), ("moving", blank.now)):
+        moving = blank.now[_PLACES]
+        for name, wanted in (("theta", blank.theta), ("std", blank.std), ("moving", moving)):
             given = getattr(self, name)
             if given.shape != wanted.shape:
                 raise ValueError(f"{name}: {given.size} numbers; {wanted.size} are allowed")
             wanted[:] = given
+        blank.now[_PLACES] = moving
         blank.scalars[list(SCALARS)] = self.scalars
         blank.scalars[list(TEMPERATURES)] = self.temperatures
         blank.path[: paths.OF_MAP] = self.operators
         blank.play[[plays.HALF, plays.SLOPES]] = self.play
         blank.counters[memory.FITTED] = 1
         return blank
+
+
+def _unnoticed(state: FlowMapState, U_range: Range, dp_range: Range) -> Floats:
+    """Variance at the sites by drifts of sensors until they were noticed (n,)."""
+    both, without = axes(U_range, dp_range), copied(state)
+    without.chance[:, drifts.SENSING] = 0.0
+    U, s = (x.ravel() for x in np.meshgrid(both[0].sites, both[1].sites, indexing="ij"))
+    U, s = (np.clip(x, of.breaks[0], of.breaks[-1]) for x, of in zip((U, s), both, strict=True))
+    asked = U, s * np.abs(s), np.full(len(U), state.scalars[fits.NOW_T])
+    std, less = (flow_map_looks.predict(x, both, *asked)[1] for x in (state, without))
+    return np.asarray(std**2 - less**2)
 
 
 def _worn(state: FlowMapState, U_range: Range, dp_range: Range) -> Floats:

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from valvemap.model import drift_states
 from valvemap.model.axis import AxisRegression, AxisState
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.contents import Contents
@@ -62,6 +63,16 @@ def shape_of(one: AxisRegression) -> dict[str, Any]:
 @dataclass(frozen=True)
 class _Kept(KeptShape):
     """What is stored of an axis."""
+
+    state_version: ClassVar[int] = 3  # 2: sensors had no offsets
+
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Add the sensors' offsets."""
+        if version != "2":
+            return {}
+        drift_states.upgrade(arrays, "drift_")
+        return arrays
 
     last: Any
     memory: Any

@@ -53,6 +53,8 @@ class FindingCode(Described):
         "friction changed",
         "The piston moves with more or less dry friction than it did.",
     )
+    FLOW_ZERO = 26, "meter's zero moved", "The flow meter shows an offset that it did not have."
+    PRESSURE_ZERO = 27, "pressures' zero moved", "p1 - p2 has an offset that it did not have."
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,22 @@ def surface(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work:
 
 
 @inner
+def slope_s(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats) -> float:
+    """How the flow rises with s at one point."""
+    i, j = interval(axis_U, u), interval(axis_s, s)
+    n_s = len(axis_s.sites)
+    values(axis_U, i, u, 0.0, work[0])
+    slopes(axis_s, j, s, work[1])
+    total = 0.0
+    for a in range(3):
+        at, along = (i + a) * n_s + j, 0.0
+        for b in range(3):
+            along += work[1, b] * theta[at + b]
+        total += work[0, a] * along
+    return total
+
+
+@inner
 def slope_U(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats) -> float:
     """How the flow rises with U at one point."""
     i, j = interval(axis_U, u), interval(axis_s, s)

@@ -1,9 +1,14 @@
-"""What moves while the map stays: gain and edge, as competing models of a process in time.
+"""What moves while the map stays: levels, as competing models of a process in time.
 
-    Q = (1 + a(t))·g(U - e(t)·W(U), s),   W(U) = 1 - |U|/U_end: an edge shifts, full opening stays
+    Q = (1 + a(t))·g(U - e(t)·W(U), s(Δp - d(t))) + o(t),   W(U) = 1 - |U|/U_end
 
-    STILL            a, e are what they are
-    MOVING           their rates are processes of standard deviation RATE, time constant PERSISTENCE
+An edge shifts by e, full opening stays. Gain a and edge e are the valve's; o and d
+are the sensors': offsets of the flow and of Δp. `rules.LEVELS` has a row for each level.
+Rates of a and e grow from none: where a part of an edge wears, not all of it drifts.
+
+    STILL            levels are what they are
+    MOVING           rates of a and e are processes, time constant PERSISTENCE; both walk besides
+    SENSING          those of o and d as well
     OTHER_GAIN       a has changed by anything, not long ago
     OTHER_EDGE       e has
 
@@ -13,7 +18,7 @@ Beside them, with a probability of its own against all of them:
 
 An interacting multiple model filter (Blom & Bar-Shalom 1988) over stays: successive samples in one
 cell count as one observation, whose variance holds that of the map there. Each side of U = 0 has
-filters of its own. States are a, e, da/dt, de/dt (1, %, 1/s, %/s).
+filters of its own. States are a, e, o, d (1, %, of the flow, of Δp), effects of T, rates.
 """
 
 import math
@@ -23,12 +28,18 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Floats
 
-STILL, MOVING, OTHER_GAIN, OTHER_EDGE, NAMED = 0, 1, 2, 3, 4
+STILL, MOVING, SENSING, OTHER_GAIN, OTHER_EDGE, NAMED = 0, 1, 2, 3, 4, 5
 WANDERING, MODELS = NAMED, NAMED + 1
-LEVELS, RATES, STATES = 2, 4, 9  # states from LEVELS on are rates; from RATES on, effects of T
+OF_VALVE = 2  # levels before it are the valve's, others the sensors'
+LEVELS, RATES, STATES = 4, 9, 13  # states from LEVELS on are effects of T, from RATES on rates
+SIZES = RATES, RATES + OF_VALVE, STATES, RATES, RATES, RATES  # states of each model
+SHOWN = RATES + OF_VALVE  # states of which the mean over the models is kept
+_NUMBERS = [n * (n + 1) // 2 for n in SIZES]  # of a covariance, see `pack`
+PLACES = tuple(sum(_NUMBERS[:m]) for m in range(MODELS))  # where each begins
+PACKED = sum(_NUMBERS)
 
 # Places of a state.
-GAIN, EDGE, RATE_GAIN, RATE_EDGE = 0, 1, 2, 3
+GAIN, EDGE, ZERO, PRESSURE = 0, 1, 2, 3
 
 
 class Drift(NamedTuple):
@@ -37,10 +48,11 @@ class Drift(NamedTuple):
     Attributes
     ----------
     x : (MODELS, STATES)
-    P : (MODELS, STATES, STATES)
+    P : (PACKED,)
+        Covariances, see `pack` and `PLACES`.
     chance : (MODELS,)
         Probabilities of the named models, which sum to 1; that of WANDERING.
-    now : (1 + STATES, STATES)
+    now : (1 + SHOWN, SHOWN)
         Mean over the models, then the covariance.
     room : (2, MODELS, STATES + 1, STATES)
     """
@@ -52,24 +64,32 @@ class Drift(NamedTuple):
     room: Floats
 
 
+@kernel
+def pack(i: int, j: int) -> int:
+    """Place of an element of a symmetric matrix: rows of its lower triangle."""
+    return i * (i + 1) // 2 + j if i >= j else j * (j + 1) // 2 + i
+
+
 @inner
 def forget(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
-    """Begin: gain and edge are 0, and may be about to drift."""
+    """Begin: levels are 0, and may be about to drift."""
     x[:], P[:], chance[:], now[:] = 0.0, 0.0, 0.0, 0.0
-    P[MOVING, 2, 2], P[MOVING, 3, 3] = (rules.RATE_GAIN / 3600) ** 2, (rules.RATE_EDGE / 3600) ** 2
-    chance[MOVING] = rules.PERSISTENCE / (rules.PERSISTENCE + rules.BETWEEN_DRIFTS)
-    chance[STILL] = 1.0 - chance[MOVING]
+    for m in range(MOVING, SENSING + 1):
+        for k in range(SIZES[m] - RATES):
+            P[PLACES[m] + pack(RATES + k, RATES + k)] = (rules.LEVELS[k][0] / 3600.0) ** 2
+        chance[m] = rules.PERSISTENCE / (2.0 * rules.PERSISTENCE + rules.BETWEEN_DRIFTS)
+    chance[STILL] = 1.0 - chance[MOVING] - chance[SENSING]
     for m in range(MODELS):
-        for k in range(RATES, STATES):
-            P[m, k, k] = rules.WARMTH**2
-    for k in range(RATES, STATES):
+        for k in range(LEVELS, RATES):
+            P[PLACES[m] + pack(k, k)] = rules.WARMTH**2
+    for k in range(LEVELS, RATES):
         now[1 + k, k] = rules.WARMTH**2
 
 
 @kernel
 def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
-    """`forget` both sides."""
-    for side in range(2):
+    """`forget` all sides."""
+    for side in range(len(x)):
         forget(x[side], P[side], chance[side], now[side])
 
 
@@ -88,33 +108,34 @@ def step(
     ``residual`` is measured against `now`; ``by`` (STATES,) are its derivatives by the states.
     """
     known = residual
-    for k in range(STATES):
+    for k in range(RATES):
         known += by[k] * drift.now[0, k]
     if dt > 0.0:
         _mix(drift, dt, jumps, nameless)
         _advance(drift, dt)
     if warmed > 0.0:
         for m in range(MODELS):
-            for k in range(RATES, STATES):
-                drift.P[m, k, k] += (rules.OTHER_LAW * drift.x[m, k]) ** 2 * warmed
+            for k in range(LEVELS, RATES):
+                drift.P[PLACES[m] + pack(k, k)] += (rules.OTHER_LAW * drift.x[m, k]) ** 2 * warmed
     total = surprise = 0.0
     largest = -math.inf
     for m in range(MODELS):
-        x, P, said = drift.x[m], drift.P[m], drift.room[0, m]
+        x, P, said, many = drift.x[m], drift.P[PLACES[m] :], drift.room[0, m], SIZES[m]
         off, S = known, variance
-        for k in range(STATES):
+        for k in range(RATES):
             off -= by[k] * x[k]
+        for k in range(many):
             said[0, k] = 0.0
-            for j in range(STATES):
-                said[0, k] += P[k, j] * by[j]
-        for k in range(STATES):
+            for j in range(RATES):
+                said[0, k] += P[pack(k, j)] * by[j]
+        for k in range(RATES):
             S += by[k] * said[0, k]
         square = off * off / S
         doubted = S + (off / rules.MOST_STAY) ** 2  # the map is a straight line nearby only
-        for k in range(STATES):
+        for k in range(many):
             x[k] += said[0, k] * off / doubted
-            for j in range(STATES):
-                P[k, j] -= said[0, k] * said[0, j] / doubted
+            for j in range(k + 1):
+                P[pack(k, j)] -= said[0, k] * said[0, j] / doubted
         if m < NAMED:
             surprise += drift.chance[m] * min(square, rules.MOST_STAY**2)
         log = -0.5 * (math.log(S) + min(square, rules.MOST_STAY**2))
@@ -140,16 +161,18 @@ def _transition(m: int, k: int, dt: float, jump: float) -> float:
             return 1.0 - over if m == k else 0.0
         return 0.5 * jump
     if m >= OTHER_GAIN:
-        return 0.9 * over if k == STILL else 0.1 * over
-    change = min(dt / (rules.BETWEEN_DRIFTS if m == STILL else rules.PERSISTENCE), 0.1)
-    return (change if m != k else 1.0 - change) * (1.0 - jump)
+        return 0.9 * over if k == STILL else 0.05 * over
+    begins, ends = min(dt / rules.BETWEEN_DRIFTS, 0.1), min(dt / rules.PERSISTENCE, 0.1)
+    if m == k:
+        return (1.0 - (2.0 * begins if m == STILL else begins + ends)) * (1.0 - jump)
+    return (begins if m == STILL or k == SENSING else ends) * (1.0 - jump)
 
 
 @inner
 def _mix(drift: Drift, dt: float, jumps: float, nameless: float) -> None:
     """Give each model what the others know, as far as they may turn into it."""
     _let_wander(drift, dt, nameless)
-    x, P, chance, room = drift.x, drift.P, drift.chance, drift.room
+    x, chance, room = drift.x, drift.chance, drift.room
     for k in range(NAMED):
         room[0, k] = 0.0
         total = 0.0
@@ -157,78 +180,83 @@ def _mix(drift: Drift, dt: float, jumps: float, nameless: float) -> None:
             part = _transition(m, k, dt, jumps) * chance[m]
             room[1, m, 0, k] = part
             total += part
-            for i in range(STATES):
+            for i in range(SIZES[k]):
                 room[0, k, 0, i] += part * x[m, i]
         room[1, k, 1, 0] = total
         total = max(total, 1e-300)
-        for i in range(STATES):
+        for i in range(SIZES[k]):
             room[0, k, 0, i] /= total
         for m in range(NAMED):
-            part = room[1, m, 0, k] / total
-            for i in range(STATES):
-                for j in range(STATES):
+            part, P = room[1, m, 0, k] / total, drift.P[PLACES[m] :]
+            if part == 0.0:
+                continue
+            for i in range(SIZES[k]):
+                for j in range(i + 1):
                     off = (x[m, i] - room[0, k, 0, i]) * (x[m, j] - room[0, k, 0, j])
-                    room[0, k, 1 + i, j] += part * (P[m, i, j] + off)
-            if k == OTHER_GAIN and m < OTHER_GAIN:
-                room[0, k, 1, 0] += part * rules.JUMP_GAIN**2
-            if k == OTHER_EDGE and m < OTHER_GAIN:
-                room[0, k, 2, 1] += part * rules.JUMP_EDGE**2
+                    off += P[pack(i, j)] if i < SIZES[m] else 0.0
+                    room[0, k, 1 + i, j] += part * off
+            for i in range(max(SIZES[m], SIZES[MOVING]), SIZES[k]):  # an offset begins to drift
+                room[0, k, 1 + i, i] += part * (rules.LEVELS[i - RATES][0] / 3600.0) ** 2
+            if m < OTHER_GAIN <= k:
+                level = k - OTHER_GAIN
+                room[0, k, 1 + level, level] += part * rules.LEVELS[level][2] ** 2
     for k in range(NAMED):
-        chance[k] = room[1, k, 1, 0]
-        for i in range(STATES):
+        chance[k], P = room[1, k, 1, 0], drift.P[PLACES[k] :]
+        for i in range(SIZES[k]):
             x[k, i] = room[0, k, 0, i]
-            for j in range(STATES):
-                P[k, i, j] = room[0, k, 1 + i, j]
+            for j in range(i + 1):
+                P[pack(i, j)] = room[0, k, 1 + i, j]
 
 
 @inner
 def _let_wander(drift: Drift, dt: float, nameless: float) -> None:
     """Something without a name begins, where all is still."""
-    x, P, chance = drift.x, drift.P, drift.chance
+    x, chance = drift.x, drift.chance
+    still, wandering = drift.P[PLACES[STILL] :], drift.P[PLACES[WANDERING] :]
     stays = chance[WANDERING] * (1.0 - min(dt / rules.PERSISTENCE, 0.1))
     begins = (1.0 - chance[WANDERING]) * nameless
     chance[WANDERING] = stays + begins
     share = begins / max(stays + begins, 1e-300)
-    for i in range(STATES):
-        for j in range(STATES):
+    for i in range(RATES):
+        for j in range(i + 1):
             off = (x[STILL, i] - x[WANDERING, i]) * (x[STILL, j] - x[WANDERING, j])
-            P[WANDERING, i, j] += share * (P[STILL, i, j] - P[WANDERING, i, j])
-            P[WANDERING, i, j] += share * (1.0 - share) * off
-    for i in range(STATES):
+            at = pack(i, j)
+            wandering[at] += share * (still[at] - wandering[at])
+            wandering[at] += share * (1.0 - share) * off
+    for i in range(RATES):
         x[WANDERING, i] += share * (x[STILL, i] - x[WANDERING, i])
 
 
 @inner
 def _advance(drift: Drift, dt: float) -> None:
-    """Prediction of each model."""
-    for m in range(MODELS):
-        x, P = drift.x[m], drift.P[m]
-        if m != MOVING:
-            for k in range(LEVELS, RATES):
-                x[k] = 0.0
-                for j in range(STATES):
-                    P[k, j] = P[j, k] = 0.0
-        if m == WANDERING:
-            lost = 1.0 - math.exp(-2.0 * dt / rules.WANDERS_WITHIN)
-            P[0, 0] += lost * rules.NAMELESS_GAIN**2
-            P[1, 1] += lost * rules.JUMP_EDGE**2
-        if m == MOVING:
-            keep = math.exp(-dt / rules.PERSISTENCE)
-            for k in range(2):
-                x[k] += dt * x[k + 2]
-                for j in range(STATES):
-                    P[k, j] += dt * P[k + 2, j]
-                for j in range(STATES):
-                    P[j, k] += dt * P[j, k + 2]
-            for k in range(LEVELS, RATES):
-                x[k] *= keep
-                for j in range(STATES):
-                    P[k, j] *= keep
-                    P[j, k] *= keep
-            P[0, 0] += dt * rules.WANDER_GAIN**2 / 3600.0
-            P[1, 1] += dt * rules.WANDER_EDGE**2 / 3600.0
-            P[2, 2] += (1.0 - keep * keep) * (rules.RATE_GAIN / 3600.0) ** 2
-            P[3, 3] += (1.0 - keep * keep) * (rules.RATE_EDGE / 3600.0) ** 2
+    """Prediction of the models that move."""
+    wandering = drift.P[PLACES[WANDERING] :]
+    lost = 1.0 - math.exp(-2.0 * dt / rules.WANDERS_WITHIN)
+    for k in range(OF_VALVE):
+        wandering[pack(k, k)] += lost * rules.LEVELS[k][3] ** 2
+    for m in range(MOVING, SENSING + 1):
+        _drift(drift.x[m], drift.P[PLACES[m] :], SIZES[m], dt)
+
+
+@inner
+def _drift(x: Floats, P: Floats, many: int, dt: float) -> None:
+    """Prediction of levels that have rates."""
+    keep = math.exp(-dt / rules.PERSISTENCE)
+    for k in range(many - RATES):
+        rate = RATES + k
+        x[k] += dt * x[rate]
+        P[pack(k, k)] += dt * (2.0 * P[pack(k, rate)] + dt * P[pack(rate, rate)])
+        P[pack(k, k)] += dt * rules.LEVELS[k][1] ** 2 / 3600.0
+        for j in range(many):
+            if j != k:
+                P[pack(k, j)] += dt * P[pack(rate, j)]
+    for k in range(many - RATES):
+        rate = RATES + k
+        x[rate] *= keep
+        for j in range(many):
+            P[pack(rate, j)] *= keep
+        P[pack(rate, rate)] *= keep
+        P[pack(rate, rate)] += (1.0 - keep * keep) * (rules.LEVELS[k][0] / 3600.0) ** 2
 
 
 @inner
@@ -236,17 +264,21 @@ def _combine(drift: Drift) -> None:
     """Mean and covariance over the named models.
 
     What has no name may be neither gain nor edge: while something wanders, they have a doubt as
-    large as a sudden change besides.
+    large as what it moves them by besides.
     """
-    x, P, chance, now = drift.x, drift.P, drift.chance, drift.now
+    x, chance, now = drift.x, drift.chance, drift.now
     now[:] = 0.0
     for m in range(NAMED):
-        for k in range(STATES):
+        for k in range(len(now[0])):
             now[0, k] += chance[m] * x[m, k]
     for m in range(NAMED):
-        for k in range(STATES):
-            for j in range(STATES):
+        P = drift.P[PLACES[m] :]
+        for k in range(len(now[0])):
+            for j in range(k + 1):
                 off = (x[m, k] - now[0, k]) * (x[m, j] - now[0, j])
-                now[1 + k, j] += chance[m] * (P[m, k, j] + off)
-    now[1 + GAIN, GAIN] += chance[WANDERING] * rules.NAMELESS_GAIN**2
-    now[1 + EDGE, EDGE] += chance[WANDERING] * rules.JUMP_EDGE**2
+                now[1 + k, j] += chance[m] * ((P[pack(k, j)] if k < SIZES[m] else 0.0) + off)
+    for k in range(len(now[0])):
+        for j in range(k):
+            now[1 + j, k] = now[1 + k, j]
+    for k in range(OF_VALVE):
+        now[1 + k, k] += chance[WANDERING] * rules.LEVELS[k][3] ** 2

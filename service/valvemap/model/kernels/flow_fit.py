@@ -47,7 +47,8 @@ AFTER, AFTER_WEIGHT = 32, 33  # products of errors two samples apart, and their 
 ERROR_BEFORE = 34  # error of the sample before the last one
 REFUTED = 35  # log likelihood against the map by the first samples of cells
 LEARNT_T = 36  # °C; mean over what the cells know
-SCALARS = 37
+ZERO_SCALE = 37  # l/min; root mean square of the flow by which the meter's offset is counted
+SCALARS = 38
 
 
 @inner

@@ -126,7 +126,7 @@ def _search(
 @inner
 def _warm(now: Floats, at: Floats) -> float:
     total = 0.0
-    for k in range(drifts.RATES, drifts.STATES):
+    for k in range(drifts.LEVELS, drifts.RATES):
         total += at[OF + k] * now[0, k]
     at[WARM] = total
     return total

@@ -8,7 +8,7 @@ from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.kernels.compiled import inner, lean_kernel
-from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_U, surface
+from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_s, slope_U, surface
 from valvemap.model.kernels.flow_memory import (
     FITTED,
     FLOW,
@@ -45,34 +45,57 @@ def place(axis_U: Axis, memory: Memory, side: int, u: float, r: float, at: Float
 
 @inner
 def look(
-    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, thinner: float, room: Room
-) -> None:
-    """Fill what the map says at a place: flow, derivatives, variances without and with drift."""
+    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, thinner: float, room: Room,
+    shown: bool,  # noqa: FBT001 - numba knows no keyword
+) -> None:  # fmt: skip
+    """Fill what the map says at a place: flow, derivatives, variances without and with drift.
+
+    ``shown``: of what the sensors show, not of the valve's flow alone.
+    """
     at, now = room.at, memory.now[side]
     gain = 1.0 + now[0, drifts.GAIN]
     end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
     flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    along = slope_s(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     allowed = paths.forward(flow, side, at[PLACE_S], memory.scalars[fits.LEAST])
     if flow != allowed:
-        flow, slope = allowed, 0.0
+        flow, slope, along = allowed, 0.0, 0.0
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
     of_path = between_sites(axis_U, axis_s, memory.doubt, at[PLACE_U], at[PLACE_S])
-    for k in range(drifts.STATES):
-        at[OF + k] = 0.0
     at[OF + drifts.GAIN] = flow
     at[SLOPE] = gain * slope
     at[OF + drifts.EDGE] = -gain * slope * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    at[OF + drifts.ZERO], top = memory.scalars[fits.ZERO_SCALE], axis_s.breaks[-1]
+    root = max(abs(at[PLACE_S]), rules.LAMINAR * top)  # there the root is no straight line
+    at[OF + drifts.PRESSURE] = -gain * along * top * top / (2.0 * root)
     by_temperature(axis_s, memory, flow, thinner, at)
-    for k in range(drifts.RATES, drifts.STATES):
+    for k in range(drifts.LEVELS, drifts.RATES):
         at[WARM] += at[OF + k] * now[0, k]
     at[FLOW] = gain * flow + at[WARM]
     at[SURE] = gain * gain * (spread * spread + of_path * of_path + memory.scalars[fits.MISFIT])
     moved = 0.0
-    for k in range(drifts.STATES):
-        for j in range(drifts.STATES):
-            moved += at[OF + k] * at[OF + j] * now[1 + k, j]
+    for k in range(drifts.RATES):
+        for j in range(drifts.RATES):
+            if shown or not (_is_of_sensor(k) or _is_of_sensor(j)):
+                moved += at[OF + k] * at[OF + j] * now[1 + k, j]
     at[TOTAL] = at[SURE] + max(moved, 0.0)
+
+
+@inner
+def _is_of_sensor(k: int) -> bool:
+    return drifts.OF_VALVE <= k < drifts.LEVELS
+
+
+@inner
+def _unnoticed(x: Floats, chance: Floats, at: Floats) -> float:
+    """Variance by what cells learnt of drifts of sensors before these were noticed."""
+    total = 0.0
+    for k in range(drifts.LEVELS):
+        if chance[drifts.SENSING] > rules.WORTH_SAYING:
+            rate = x[drifts.SENSING, drifts.RATES + k]
+            total += (at[OF + k] * rate * rules.UNNOTICED) ** 2
+    return total
 
 
 @inner
@@ -83,12 +106,12 @@ def by_temperature(axis_s: Axis, memory: Memory, flow: float, thinner: float, at
     creeping = rules.STRONG * flow * rules.CREEPING * top / (abs(s) + rules.CREEPING * top)
     at[WARM] = 0.0
     nu = 1.0 + thinner
-    at[OF + drifts.RATES] = math.log(nu) * flow
-    at[OF + drifts.RATES + 1] = (math.sqrt(nu) - 1.0) * laminar
-    at[OF + drifts.RATES + 2] = thinner * laminar
-    at[OF + drifts.RATES + 3] = (math.sqrt(nu) - 1.0) * creeping
+    at[OF + drifts.LEVELS] = math.log(nu) * flow
+    at[OF + drifts.LEVELS + 1] = (math.sqrt(nu) - 1.0) * laminar
+    at[OF + drifts.LEVELS + 2] = thinner * laminar
+    at[OF + drifts.LEVELS + 3] = (math.sqrt(nu) - 1.0) * creeping
     leakage = s * abs(s) / (top * top) * math.sqrt(memory.scalars[fits.SCALE])
-    at[OF + drifts.RATES + 4] = (1.0 / nu - 1.0) * leakage
+    at[OF + drifts.LEVELS + 4] = (1.0 / nu - 1.0) * leakage
 
 
 @inner
@@ -98,10 +121,10 @@ def _law(axis_s: Axis, memory: Memory, side: int, T: float, at: Floats) -> float
     if not math.isfinite(T - now):
         return 0.0
     flow, warm, asked = at[OF + drifts.GAIN], at[WARM], 0.0
-    for k in range(drifts.RATES, drifts.STATES):
+    for k in range(drifts.LEVELS, drifts.RATES):
         at[FLOWS + k] = at[OF + k]
     by_temperature(axis_s, memory, flow, viscosity(memory, now), at)
-    for k in range(drifts.RATES, drifts.STATES):
+    for k in range(drifts.LEVELS, drifts.RATES):
         step = (at[FLOWS + k] - at[OF + k]) * rules.OTHER_LAW * memory.now[side, 0, k]
         asked += step * step * abs(T - now)
     at[WARM] = warm
@@ -143,11 +166,12 @@ def evaluate(
         r, _ = clipped(axis_s, paths.effective(dp[i], math.inf, memory.path))
         side = 0 if U[i] >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
-        look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room)
+        look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room, False)  # noqa: FBT003
         width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
         law = _law(axis_s, memory, side, T[i], at)
         worn = wears.variance_at(memory.wear, axis_U, axis_s, side, at[PLACE_U], at[PLACE_S])
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
+        worn += _unnoticed(memory.x[side], memory.chance[side], at)
         Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + worn + both * both + common)
 
 
@@ -161,14 +185,14 @@ def warmth(
     if not (memory.counters[FITTED] and math.isfinite(T - memory.scalars[fits.FIRST_T])):
         return 0.0, rules.WARMTH * rules.THINNING
     place(axis_U, memory, 0, U, math.sqrt(dp), at)
-    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T + step), room)
-    for k in range(drifts.RATES, drifts.STATES):
+    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T + step), room, False)  # noqa: FBT003
+    for k in range(drifts.LEVELS, drifts.RATES):
         at[FLOWS + k] = at[OF + k]
-    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T), room)
+    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T), room, False)  # noqa: FBT003
     slope = variance = 0.0
-    for k in range(drifts.RATES, drifts.STATES):
+    for k in range(drifts.LEVELS, drifts.RATES):
         slope += (at[FLOWS + k] - at[OF + k]) / step * now[0, k]
-        for j in range(drifts.RATES, drifts.STATES):
+        for j in range(drifts.LEVELS, drifts.RATES):
             both = (at[FLOWS + k] - at[OF + k]) * (at[FLOWS + j] - at[OF + j])
             variance += both / (step * step) * now[1 + k, j]
     if not at[FLOW] > 0.0:

@@ -31,8 +31,8 @@ A_CHANGE, A_GUESS = 1, 2  # one that was called; one that flows at new places re
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
 APART = 3  # sum of squared distances from the cell's mean, in cells
-BY = 4  # sums of derivatives, drifts.STATES places
-KNOWN_COUNT = BY + drifts.STATES  # from here on what the cell knew when the stay began
+BY = 4  # sums of derivatives, drifts.RATES places
+KNOWN_COUNT = BY + drifts.RATES  # from here on what the cell knew when the stay began
 KNOWN_OFF, CHANGE_SIZE, CHANGE_OF = KNOWN_COUNT + 1, KNOWN_COUNT + 2, KNOWN_COUNT + 3
 BEFORE = KNOWN_COUNT + 4  # gain and edge of each side before a change; CHANGE_OF: how much it was
 STAY = BEFORE + 2 * drifts.LEVELS
@@ -85,7 +85,6 @@ class Room(NamedTuple):
 
 # Places in `Room.at`: what the map says at one point.
 FLOW, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, WARM, OF = 0, 1, 2, 3, 4, 5, 6, 7
-FLOWS = OF + drifts.STATES  # derivatives at another temperature
-AT = (
-    FLOWS + drifts.STATES
-)  # from OF on derivatives by the states of `flow_drift`; WARM: flow due to T
+FLOWS = OF + drifts.RATES  # derivatives at another temperature
+AT = FLOWS + drifts.RATES
+# From OF on derivatives by the states of `flow_drift`; WARM: flow due to T.

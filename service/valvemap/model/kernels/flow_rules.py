@@ -67,18 +67,19 @@ BEYOND: Final = 0.05  # of the range; how far samples may lie outside and still 
 # What moves in time.
 MOST_STAY: Final = 4.0  # standard deviations; what a stay in a cell may say against a model at most
 LONGEST_STAY: Final = 32  # samples; of which a stay consists at most
+UNNOTICED: Final = 20.0  # s; for which a drift is learnt by the cells until it is noticed, about
 OLDEST: Final = 600.0  # s; time that is counted between two stays at most: a machine stood still
-RATE_GAIN: Final = 0.15  # 1/h; standard deviation of the gain's rate where it drifts
-RATE_EDGE: Final = 4.0  # %/h; standard deviation of the edge's rate
-WANDER_GAIN: Final = 0.005  # 1/√h; random walk of the gain beside that
-WANDER_EDGE: Final = 0.1  # %/√h; random walk of the edge beside that
+LEVELS: Final = (  # standard deviations: rate, 1/h; random walk beside that, 1/√h; sudden change;
+    # what something without a name moves it by
+    (0.15, 0.005, 0.3, 0.1),  # gain: a sudden change of 60 % is unusual only
+    (4.0, 0.1, 2.0, 2.0),  # edge, %
+    (0.1, 0.005, 0.0, 0.0),  # offset of the flow, by its root mean square; a sudden one is not
+    (0.1, 0.005, 0.0, 0.0),  # told from a part of an edge that broke; offset of Δp, by the largest
+)
 PERSISTENCE: Final = 3600.0  # s; how long a rate lasts, about
 BETWEEN_DRIFTS: Final = 36_000.0  # s; how long nothing drifts, about
-JUMP_GAIN: Final = 0.3  # standard deviation of a sudden change of the gain: 60 % is unusual only
-NAMELESS_GAIN: Final = 0.1  # standard deviation of the gain while what has no name moves it
 LEAST_GAIN: Final = 0.02  # of the flow at first; where less is left, samples tell nothing
 BLOCKED_FROM: Final = 0.1  # of the flow; where none of it is shown, meter or valve are blocked
-JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
 AFTER_JUMP: Final = 10.0  # s; how long a sudden change is a hypothesis of its own, about
 WANDERS_WITHIN: Final = 20.0  # s; in which what is not named moves gain and edge that far, about
 WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estimated again

@@ -134,8 +134,9 @@ def _predict(
     if not memory.counters[FITTED]:
         return _WARMING_UP
     place(axis_U, memory, side, u, r, at)
-    look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room)
-    batch.predicted[i] = paths.shown(at[FLOW], memory.path)
+    look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
+    offset = memory.now[side, 0, drifts.ZERO] * memory.scalars[fits.ZERO_SCALE]
+    batch.predicted[i] = paths.shown(at[FLOW] + offset, memory.path)
     batch.residual[i] = batch.Q[i] - batch.predicted[i]
     known = at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]
     return _OK if known else _WARMING_UP
@@ -181,9 +182,11 @@ def _learn_row(
     """Predict and learn from a row as its signals were; give its status."""
     scalars, counters, at, path = memory.scalars, memory.counters, room.at, memory.path
     recent = memory.recent
-    r, _ = clipped(axis_s, paths.effective(dp, p1, path))
     u, _ = clipped(axis_U, _follow(row, U, step, memory))
     known, side = False, 0 if u >= 0.0 else 1
+    measured = paths.effective(dp, p1, path)
+    r = clipped(axis_s, _true_root(axis_s, side, dp, p1, memory))[0]
+    shift = r - clipped(axis_s, measured)[0]  # by the offset of dp
     place(axis_U, memory, side, u, r, at)
     if counters[USED] == 0:
         scalars[fits.FIRST_T] = batch.T[i] if abs(batch.T[i]) < rules.HUGE else math.nan
@@ -194,18 +197,19 @@ def _learn_row(
     if paths.filters(path):
         if not _metered(axis_U, axis_s, row, u, memory, room):
             return _WARMING_UP
-        u, r, beyond = room.means[0], room.means[1], room.means[2]
+        u, r, beyond = room.means[0], clipped(axis_s, room.means[1] + shift)[0], room.means[2]
         own = _own(axis_U, axis_s, room.means)
         side = 0 if u >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
     if counters[FITTED]:
-        look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room)
+        look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
         bent = min(room.means[3], at[SURE]) if beyond != 0.0 else 0.0
         bent += (rules.BENT_BY_LAGS * beyond) ** 2
         if paths.waits(path) > 0.0:
             loose = _loose(row, dp, p1, axis_U, axis_s, memory, room)
         at[SURE] += bent + loose
         at[TOTAL] += bent + loose
+    beyond += memory.now[side, 0, drifts.ZERO] * scalars[fits.ZERO_SCALE]
     if counters[FITTED]:
         batch.predicted[i] = paths.shown(at[FLOW] + beyond, path)
         batch.residual[i] = Q - batch.predicted[i]
@@ -240,6 +244,8 @@ def _learn_row(
             end_stay(axis_U, axis_s, memory, room)
         if memory.stay[SAMPLES] == 0.0:
             begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
+            if scalars[fits.ZERO_SCALE] == 0.0:
+                scalars[fits.ZERO_SCALE] = math.sqrt(scalars[fits.SCALE])
         known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
         has_play = path[paths.STICK] + path[paths.RELAYS] + path[paths.NEWS] == 0.0
         if weight > 0.5 and known_well and has_play and not is_young:
@@ -275,6 +281,13 @@ def _learn_row(
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
     return _OK if known else _WARMING_UP
+
+
+@inner
+def _true_root(axis_s: Axis, side: int, dp: float, p1: float, memory: Memory) -> float:
+    """Root of the Δp that counts without the sensors' offset."""
+    offset = memory.now[side, 0, drifts.PRESSURE] * axis_s.breaks[-1] ** 2
+    return float(paths.effective(dp - offset, p1, memory.path))
 
 
 @inner

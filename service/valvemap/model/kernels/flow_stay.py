@@ -153,7 +153,7 @@ def note_stay(
     counters[SKIPPED] = 0 if weight >= 0.5 else 1
     stay[SAMPLES] += 1.0
     stay[RESIDUAL] += residual
-    for k in range(drifts.STATES):
+    for k in range(drifts.RATES):
         stay[BY + k] += at[OF + k]
     stay[OF_MAP] += at[SURE]
     stay[APART] += distance
@@ -189,11 +189,11 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         drift = Drift(
             memory.x[side], memory.P[side], memory.chance[side], memory.now[side], room.drift
         )
-        by = stay[BY : BY + drifts.STATES]
-        for k in range(drifts.STATES):
+        by = stay[BY : BY + drifts.RATES]
+        for k in range(drifts.RATES):
             by[k] /= many
         warm = 0.0
-        for k in range(drifts.RATES, drifts.STATES):
+        for k in range(drifts.LEVELS, drifts.RATES):
             warm += by[k] * drift.now[0, k]
         learnt = _warm_at(scalars[fits.LEARNT_T], axis_s, drift, memory, room)
         noise += (rules.WARM_DOUBT * max(abs(warm), abs(warm - learnt))) ** 2
@@ -206,11 +206,14 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         off = residual
         for k in range(drifts.LEVELS):
             off += by[k] * drift.now[0, k]
+        of_valve = off
+        for k in range(drifts.OF_VALVE, drifts.LEVELS):
+            of_valve -= by[k] * drift.now[0, k]
         surprise = drifts.step(drift, dt, jumps, nameless, warmed, residual, by, variance)
         scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
         scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
         _note_change(drift, side, now, off, by, memory)
-        _note_wear(axis_U, axis_s, drift, side, dt, off, by, variance, young, memory, room)
+        _note_wear(axis_U, axis_s, drift, side, dt, of_valve, by, variance, young, memory, room)
     stay[:KNOWN_COUNT] = 0.0
 
 
@@ -220,11 +223,11 @@ def _warm_at(
 ) -> float:  # fmt: skip
     """Flow due to temperature of the stay that ends, had it been at T; 0 where T is not known."""
     at, warm, place_s, total = room.at, room.at[WARM], room.at[PLACE_S], 0.0
-    for k in range(drifts.RATES, drifts.STATES):
+    for k in range(drifts.LEVELS, drifts.RATES):
         at[FLOWS + k] = at[OF + k]
     at[PLACE_S] = memory.cells[memory.counters[STAY_CELL], MEAN_S]
     by_temperature(axis_s, memory, memory.stay[BY + drifts.GAIN], viscosity(memory, T), at)
-    for k in range(drifts.RATES, drifts.STATES):
+    for k in range(drifts.LEVELS, drifts.RATES):
         total += at[OF + k] * drift.now[0, k]
         at[OF + k] = at[FLOWS + k]
     at[WARM], at[PLACE_S] = warm, place_s
@@ -248,7 +251,8 @@ def _note_wear(
     head[wears.STAYS] += 1.0
     if moved < rules.OVER and wears.is_due(head):  # gain and edge are one value for all sums
         wears.settle(memory.wear, side, drift.now, math.sqrt(scalars[fits.SCALE]))
-        of_part = head[wears.CHANCE] * (1.0 - drift.chance[drifts.MOVING])  # none of a whole edge
+        whole = drift.chance[drifts.MOVING] + drift.chance[drifts.SENSING]
+        of_part = head[wears.CHANCE] * (1.0 - whole)  # none of a whole edge
         if of_part > rules.WORTH_SAYING:
             gain = 1.0 + drift.now[0, drifts.GAIN]
             wears.move(

@@ -60,7 +60,7 @@ def note(
     wear: Floats, axis_U: Axis, axis_s: Axis, side: int, u: float, s: float, off: float,
     by: Floats, now: Floats, variance: float,
 ) -> None:  # fmt: skip
-    """Add a stay, ``off`` the map as it was at first; ``by`` are its derivatives.
+    """Add a stay, ``off`` the map as it was at first but for offsets; ``by`` its derivatives.
 
     Gain and edge are ``now``; their motion until the sums settle is subtracted from the sums then.
     """
@@ -73,7 +73,7 @@ def note(
         for i in range(drifts.LEVELS):
             variance += by[i] * by[j] * now[1 + i, j]
     expected, most = left * nodes[k, LEVEL] + right * nodes[k + 1, LEVEL], math.sqrt(variance)
-    for j in range(drifts.LEVELS):
+    for j in range(drifts.OF_VALVE):
         expected += by[j] * now[0, j]
     variance *= max(abs(off - expected) / (rules.MOST_STAY * most), 1.0)
     nodes[k, OWN] += left * left / variance
@@ -106,7 +106,7 @@ def settle(wear: Floats, side: int, now: Floats, flow: float) -> None:
     if head[SCALE] == 0.0:
         head[SCALE] = flow
         for k in range(NODES):
-            nodes[k, P_RATE] = (rules.RATE_GAIN * flow / 3600.0) ** 2
+            nodes[k, P_RATE] = (rules.LEVELS[drifts.GAIN][0] * flow / 3600.0) ** 2
     _advance(nodes, head[SCALE], head[SINCE])
     change = min(head[SINCE] / rules.BETWEEN_DRIFTS, 0.1)
     chance = change * (1.0 - head[CHANCE]) + (1.0 - change) * head[CHANCE]
@@ -123,13 +123,13 @@ def _advance(nodes: Floats, scale: float, dt: float) -> None:
     for k in range(NODES):
         node = nodes[k]
         grown = 2.0 * dt * node[P_BOTH] + dt * dt * node[P_RATE]
-        grown += dt * (rules.WANDER_GAIN * scale) ** 2 / 3600.0
+        grown += dt * (rules.LEVELS[drifts.GAIN][1] * scale) ** 2 / 3600.0
         node[LEVEL] += dt * node[RATE]
         node[GROWN] += max(grown, 0.0)
         node[P_LEVEL] += grown
         node[P_BOTH] = keep * (node[P_BOTH] + dt * node[P_RATE])
         node[P_RATE] = keep * keep * node[P_RATE]
-        node[P_RATE] += (1.0 - keep * keep) * (rules.RATE_GAIN * scale / 3600.0) ** 2
+        node[P_RATE] += (1.0 - keep * keep) * (rules.LEVELS[drifts.GAIN][0] * scale / 3600.0) ** 2
         node[RATE] *= keep
         node[FORMER] *= math.exp(-dt / rules.WEAR_RECALLED)
 

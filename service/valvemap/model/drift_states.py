@@ -1,0 +1,52 @@
+"""States of `kernels.flow_drift` as arrays: covariances unpacked, states of earlier versions."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.samples import Floats
+
+OF_VALVE: Final = np.array(  # states without the sensors' levels: all that there were up to 0.2.0
+    [
+        *(drifts.GAIN, drifts.EDGE, drifts.RATES + drifts.GAIN, drifts.RATES + drifts.EDGE),
+        *range(drifts.LEVELS, drifts.RATES),
+    ]
+)
+
+
+def drifting(chance: Floats) -> Floats:
+    """Probability that a level drifts, of each filter (…,)."""
+    return np.asarray(chance[..., drifts.MOVING : drifts.SENSING + 1].sum(axis=-1))
+
+
+def covariance(P: Floats, m: int) -> Floats:
+    """Return that of a model (STATES, STATES)."""
+    n, found = drifts.SIZES[m], np.zeros((drifts.STATES, drifts.STATES))
+    lower = np.tril_indices(n)
+    found[lower] = P[drifts.PLACES[m] : drifts.PLACES[m] + drifts.pack(n - 1, n - 1) + 1]
+    return found + np.tril(found, -1).T
+
+
+def upgrade(arrays: dict[str, Any], prefix: str = "") -> None:
+    """Insert the sensors' offsets, which earlier versions did not know."""
+    old = {name: arrays[prefix + name] for name in ("x", "P", "chance", "now")}
+    sides, n = len(old["x"]), drifts.STATES
+    models = np.delete(np.arange(drifts.MODELS), drifts.SENSING)
+    x, P = np.zeros((sides, drifts.MODELS, n)), np.zeros((sides, drifts.PACKED))
+    chance, now = (
+        np.zeros((sides, drifts.MODELS)),
+        np.zeros((sides, 1 + drifts.SHOWN, drifts.SHOWN)),
+    )
+    chance[:, models] = old["chance"]
+    x[np.ix_(np.arange(sides), models, OF_VALVE)] = old["x"]
+    x[:, drifts.SENSING] = x[:, drifts.STILL]
+    now[np.ix_(np.arange(sides), np.append(0, 1 + OF_VALVE), OF_VALVE)] = old["now"]
+    for side in range(sides):
+        for m in range(drifts.MODELS):
+            before = drifts.STILL if m == drifts.SENSING else m - (m > drifts.SENSING)
+            whole = np.zeros((n, n))
+            whole[np.ix_(OF_VALVE, OF_VALVE)] = old["P"][side, before]
+            lower, at = np.tril_indices(drifts.SIZES[m]), drifts.PLACES[m]
+            P[side, at : at + len(lower[0])] = whole[lower]
+    arrays |= {prefix + "x": x, prefix + "P": P, prefix + "chance": chance, prefix + "now": now}

@@ -1,0 +1,34 @@
+"""Sensors at fault: offsets of the meter and of Δp are causes, and the map stays the valve's."""
+
+import pytest
+
+from benchmarks.one_model import measured
+from benchmarks.one_model_sensors import offset
+from valvemap.model.flow_map import FlowMap
+from valvemap.vocabulary.findings import FindingCode
+
+ZERO, PRESSURE = FindingCode.FLOW_ZERO, FindingCode.PRESSURE_ZERO
+
+
+@pytest.mark.parametrize(
+    ("how", "of_Q", "of_dp", "codes"),
+    [
+        ("drifts", 3.0, 0.0, {ZERO}),
+        ("drifts", 0.0, 2.0, {PRESSURE}),
+        ("drifts", 2.0, -6.0, {ZERO, PRESSURE}),
+    ],
+)
+def test_an_offset_of_a_sensor_has_its_name_and_is_not_in_the_map(how, of_Q, of_dp, codes):
+    row = offset("ordinary", 41, 16_000, how, of_Q, of_dp, causes=codes)
+    figures = measured(FlowMap(), row)
+    assert figures["named"][0] == 1.0
+    assert figures["misnamed"][0] == 0.0
+    assert figures["rmse"][0] < 0.8
+    assert figures["held"][0] > 0.7
+
+
+def test_what_the_meter_shows_is_predicted_with_its_offset():
+    row = offset("ordinary", 42, 14_000, of_Q=1.0)
+    flow_map = FlowMap()
+    _, trace = flow_map.update(flow_map.initial_state(), row.samples)
+    assert abs(trace.residual[-2_000:].mean()) < 0.1
