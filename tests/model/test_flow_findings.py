@@ -197,6 +197,7 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
             arrays[name] = arrays[name][:, :4]
         arrays["counters"] = arrays["counters"][: flow_memory.WANDERED]
         arrays["scalars"] = arrays["scalars"][: flow_fit.PAIR_ERROR]
+        state.scalars[flow_fit.PAIR_ERROR : flow_fit.PAIRS + 1] = 0.0  # not known then
     older = make_dataclass(
         "FlowMapState", arrays, bases=(State,), frozen=True, namespace={"state_version": version}
     )

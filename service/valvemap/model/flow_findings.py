@@ -19,6 +19,7 @@ from valvemap.model.flow_map_looks import Both
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_look
 from valvemap.model.kernels import flow_memory as memory
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
@@ -91,14 +92,11 @@ def _wandered(states: FlowMapState) -> NDArray[np.bool_]:
 
 
 def _in_common(states: FlowMapState) -> Floats:
-    """Errors in different cells, at times longer apart than a meter's noise lasts, are alike.
-
-    Schwarz's criterion: by their correlation, less half the logarithm of the number of pairs.
-    """
-    product, square = (states.scalars[..., k] for k in (fits.PAIR_PRODUCT, fits.PAIR_SQUARE))
-    pairs = np.maximum(states.scalars[..., fits.PAIRS], 1.0)
-    shared = np.clip(product / np.maximum(square, 1e-300), 0.0, 0.999)
-    return _probability(-0.5 * (pairs * np.log(1.0 - shared**2) + np.log(pairs)))
+    """Probability that errors in different cells are alike (…,), see `kernels.flow_look`."""
+    rows = np.ascontiguousarray(states.scalars).reshape(-1, fits.SCALARS)
+    found = np.empty(len(rows))
+    flow_look.in_common_many(rows, found)
+    return found.reshape(states.scalars.shape[:-1])
 
 
 def _surprising(states: FlowMapState) -> Floats:

@@ -132,13 +132,23 @@ def _law(axis_s: Axis, memory: Memory, side: int, T: float, at: Floats) -> float
 
 
 @inner
-def _in_common(scalars: Floats) -> float:
-    """Variance that errors of different cells have in common: something nameless moves the flow."""
-    pairs, square = scalars[fits.PAIRS], scalars[fits.PAIR_SQUARE]
-    shared = scalars[fits.PAIR_PRODUCT] / max(square, 1e-300)
-    if shared * shared * pairs <= rules.SURE**2:
-        return 0.0
-    return float(max(scalars[fits.PAIR_PRODUCT] / max(pairs, 1.0), 0.0))
+def in_common(scalars: Floats) -> float:
+    """Probability that something nameless moves the flow: errors in different cells are alike.
+
+    At times longer apart than a meter's noise lasts. Schwarz's criterion: by their correlation,
+    less half the logarithm of the number of pairs.
+    """
+    pairs, square = max(scalars[fits.PAIRS], 1.0), max(scalars[fits.PAIR_SQUARE], 1e-300)
+    shared = min(max(scalars[fits.PAIR_PRODUCT] / square, 0.0), 0.999)
+    gain = -0.5 * (pairs * math.log(1.0 - shared * shared) + math.log(pairs))
+    return float(1.0 / (1.0 + math.exp(-min(max(gain, -50.0), 50.0)) / rules.ODDS))
+
+
+@lean_kernel
+def in_common_many(scalars: Floats, found: Floats) -> None:
+    """`in_common` of each of M models: (M, SCALARS), (M,)."""
+    for m in range(len(scalars)):
+        found[m] = in_common(scalars[m])
 
 
 @inner
@@ -157,7 +167,9 @@ def evaluate(
     room: Room,
 ) -> None:  # fmt: skip
     """Flow and its standard deviation at N points; NaN before the first fit."""
-    at, common = room.at, _in_common(memory.scalars)
+    at, scalars = room.at, memory.scalars
+    common = max(scalars[fits.PAIR_PRODUCT], 0.0) / max(scalars[fits.PAIRS], 1.0)
+    common *= in_common(scalars)
     for i in range(len(U)):
         Q[i] = spread[i] = math.nan
         if not (memory.counters[FITTED] and math.isfinite(U[i] + dp[i])):
