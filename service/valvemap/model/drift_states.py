@@ -24,7 +24,7 @@ def covariance(P: Floats, m: int) -> Floats:
     """Return that of a model (STATES, STATES)."""
     n, found = drifts.SIZES[m], np.zeros((drifts.STATES, drifts.STATES))
     lower = np.tril_indices(n)
-    found[lower] = P[drifts.PLACES[m] : drifts.PLACES[m] + drifts.pack(n - 1, n - 1) + 1]
+    found[lower] = P[drifts.PLACES[m] : drifts.PLACES[m] + n * (n + 1) // 2]
     return found + np.tril(found, -1).T
 
 

@@ -20,6 +20,7 @@ def learn() -> None:
     samples = Samples.of(k, 10.0 * k, 10.0 * k, 0.0 * k, 1.0 * k)
     state, _ = flow_map.update(flow_map.initial_state(), samples)
     flow_map.parameters(state)
+    flow_map.adaptation(state)
     flow_map.inverted(state, *np.ones((3, 1)))
 
 

@@ -64,7 +64,7 @@ class Drift(NamedTuple):
     room: Floats
 
 
-@kernel
+@inner
 def pack(i: int, j: int) -> int:
     """Place of an element of a symmetric matrix: rows of its lower triangle."""
     return i * (i + 1) // 2 + j if i >= j else j * (j + 1) // 2 + i
