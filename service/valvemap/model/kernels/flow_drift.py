@@ -131,7 +131,7 @@ def step(
         for k in range(RATES):
             S += by[k] * said[0, k]
         square = off * off / S
-        doubted = S + (off / rules.MOST_STAY) ** 2  # the map is a straight line nearby only
+        doubted = max(S, (off / rules.MOST_STAY) ** 2)  # the map is a straight line nearby only
         for k in range(many):
             x[k] += said[0, k] * off / doubted
             for j in range(k + 1):
