@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from support.processes import free_port, run, running, service_url
+from support.processes import free_port, rig_url, run, running, service_url
 
 MOST_S = 10.0  # on a busy machine; a second is usual
 pytestmark = [pytest.mark.waits, pytest.mark.timeout(180)]
@@ -26,6 +26,7 @@ def test_a_first_start_ends_with_0(after_s, env, tmp_path):
         **env,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
         "VALVEMAP_SERVER__URL": service_url(free_port()),
+        "VALVEMAP_SOURCE__URL": rig_url(free_port()),
     }
     log = tmp_path / "service.log"
     config = f"{env['VALVEMAP_DATA']}/service.toml"
