@@ -18,7 +18,7 @@ def kept():
         SubscriptionId=7, RevisedPublishingInterval=100.0, RevisedMaxKeepAliveCount=10
     )
     node = MonitoredNode(item=2, node=ua.NodeId("U", 2), label="U")
-    mark = Mark(7, 41, np.full(ITEMS, NOW))
+    mark = Mark(7, 41, np.full(ITEMS, NOW), NOW - 5)
     return json.loads(position_to_bytes(BINDING, mark, created, [Item(node, 3, 600, 9)]))
 
 
@@ -29,10 +29,16 @@ def read(kept):
 def test_what_was_written_is_read(kept):
     found = read(kept)
     assert found.known_to.tolist() == [NOW] * ITEMS
+    assert found.started == NOW - 5
     node = MonitoredNode(item=2, node=ua.NodeId("U", 2), label="U")
     left = found.left([node])
     assert (left.next_message, left.items[0].queue_size, left.items[0].handle) == (42, 600, 9)
     assert found.left([]) is None  # the node is gone
+
+
+def test_a_position_of_before_has_no_start_of_the_source(kept):
+    del kept["started"]
+    assert read(kept).started == 0
 
 
 @pytest.mark.parametrize(

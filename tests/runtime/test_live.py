@@ -140,11 +140,11 @@ async def test_while_there_is_no_connection_or_we_stood_still_waiting_does_not_c
 
 
 async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(numbered):
-    await numbered.connected(1)
+    await numbered.connected(restarted=False)
     await numbered.take(as_changes(plant(300)))
-    await numbered.connected(1)
+    await numbered.connected(restarted=False)
     assert numbered.identification.results.counters(0)["restarts"] == 0
-    await numbered.connected(2)
+    await numbered.connected(restarted=True)
     again = as_changes(plant(300, first=360))
     again.value[5::6] += 900
     await numbered.take(again)

@@ -293,16 +293,13 @@ class Client:
         self._parts = []  # messages received, not returned yet: (message, behind a gap)
         self._doubtful = False  # whether samples may be missing before the next message
         self._due = 0.0
+        self.started = 0  # as read on connecting, or of the position that is resumed
         self.mark = None
         self.alive = True
         self._overflows = 0
 
     is_held = True
     remarks: ClassVar = {}
-
-    @property
-    def started(self):
-        return self.server.started
 
     @property
     def counters(self):
@@ -323,7 +320,7 @@ class Client:
         return json.dumps(mark).encode()
 
     def resume_at(self, position):
-        self._subscription, self._message, self._known = json.loads(position)
+        self._subscription, self._message, self._known, self.started = json.loads(position)
         self.resumes_behind = self.server.sent_up_to(self._subscription, self._message)
         return True
 
@@ -331,6 +328,7 @@ class Client:
         await asyncio.sleep(_CONNECTING_S)
         if self.server.cut_at(self._time.elapsed):
             raise SourceLost("refused")
+        self.started = self.server.started
         newest = self._parts[-1][0].number if self._parts else self._message
         found = None
         if self._subscription is not None:
@@ -399,7 +397,7 @@ class Client:
             self._message = message.number
             self._known = max(self._known, *(k for _, k, *_ in message.changes))
         self._parts = []
-        self.mark = (self._subscription, self._message, self._known)
+        self.mark = (self._subscription, self._message, self._known, self.started)
         if not self._holds_back:
             self.commit(self.mark)
         return self.server.as_changes(parts, self._here, self._gains)

@@ -225,7 +225,6 @@ class CommissionRun:
         self._waiting: list[Samples] = []
         self._learning: asyncio.Task[Learnt] | None = None
         self._due = {"learn": 0.0, "note": 0.0, "progress": 0.0}
-        self._source_started = 0
         self.state = CommissionState()
         self.learnt = Learnt(self._estimator.initial_state())
 
@@ -272,10 +271,9 @@ class CommissionRun:
             self._note(event="ended", map_std_l_min=_known(self.learnt.error))
         return self.state
 
-    async def connected(self, source_started: int, _valves: Times | None = None) -> None:
+    async def connected(self, _valves: Times | None = None, *, restarted: bool) -> None:
         """Note the connection; after a restart of the source, restart the sample sequence."""
-        before, self._source_started = self._source_started, source_started
-        if before and source_started and source_started != before:
+        if restarted:
             self._append(self._arrivals.begin_source_anew(np.arange(1)).get(0))
         self._seen = replace(self._seen, connected=True)
 

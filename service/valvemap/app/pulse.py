@@ -54,11 +54,11 @@ class Pulse:
         beats = self._beats.values() or [self._began]
         return now - min(beat.at + tick_s + beat.allowance_s for beat in beats)
 
-    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
         """As `Consumer.connected`."""
         with self._call(valves) as beat:
             beat.connected = True
-            await self._consumer.connected(source_started, valves)
+            await self._consumer.connected(valves, restarted=restarted)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """As `Consumer.take`."""

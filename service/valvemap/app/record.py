@@ -103,13 +103,11 @@ class _Recorder:
         self._arrivals = Arrivals(self._names, build_alignment(config), build_timing(config))
         self._writer = writer
         self._progress = progress
-        self._source_started = 0
         self.samples = 0
 
-    async def connected(self, source_started: int, _valves: Times | None = None) -> None:
+    async def connected(self, _valves: Times | None = None, *, restarted: bool) -> None:
         """Note the connection; after a restart of the source, restart the sample sequence."""
-        before, self._source_started = self._source_started, source_started
-        if before and source_started and source_started != before:
+        if restarted:
             self._append(self._arrivals.begin_source_anew(np.arange(len(self._names))))
 
     async def take(self, changes: DataChanges, _valves: Times | None = None) -> None:

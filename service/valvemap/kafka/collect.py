@@ -155,7 +155,6 @@ class Collector:
         self._due = now
         self._held = ReorderWait(len(valves), site_config.alignment.reorder_ms * 1e-3, now)
         self._said = now - SAID_AGAIN_S
-        self._started = np.zeros(len(valves), np.int64)
         self._connected = np.zeros(len(valves), np.bool_)
 
     def resume(self) -> None:
@@ -174,12 +173,10 @@ class Collector:
             log.info("collecting continues", blocks=sum(self._numbers.values()))
         self._sources.hold_back()
 
-    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
         """Note the start of a source; if it was restarted, reset its sample counting."""
         own = self._own(valves)
-        before = self._started[own]
-        self._started[own] = source_started
-        if source_started and ((before != 0) & (before != source_started)).any():
+        if restarted:
             log.warning("source restarted")
             self._use(self._arrivals.begin_source_anew(own))
 

@@ -108,7 +108,10 @@ class OpcUaSource:
 
     @property
     def started(self) -> int:
-        """Start time of the server, UTC ns, as read on connecting; 0 if it has none."""
+        """Start time of the server, UTC ns, as read on connecting; 0 if it has none.
+
+        Before the first connection that of the position it resumes at.
+        """
         return self._source_clock.started
 
     @property
@@ -175,7 +178,8 @@ class OpcUaSource:
         if whole:
             parts = [self._parts.popleft() for _ in range(whole)]
             last = parts[-1]
-            self._mark = Mark(last.subscription, last.message, self._knowledge.known_to.copy())
+            known_to = self._knowledge.known_to.copy()
+            self._mark = Mark(last.subscription, last.message, known_to, self.started)
             return DataChanges.concatenate([part.changes for part in parts])
         return await self._missed(self._parts[0])
 
@@ -202,7 +206,7 @@ class OpcUaSource:
         changes, read, reached = await self._history.read(self._holes_before(part))
         known.fill(read, reached)
         self._tally.from_history += len(changes)
-        before = self._mark or Mark(0, 0, known.known_to)
+        before = self._mark or Mark(0, 0, known.known_to, self.started)
         self._mark = replace(before, known_to=known.known_to.copy())
         return changes
 
@@ -238,7 +242,10 @@ class OpcUaSource:
         items = len(self._knowledge.known_to)
         latest = self._clock.now() + _MOST_AHEAD_NS
         self._known_position = position_from_bytes(position, self._binding, items, latest)
-        return self._known_position is not None
+        if self._known_position is None:
+            return False
+        self._source_clock.started = self._known_position.started
+        return True
 
     async def check(self) -> None:
         """Connect, check every node and disconnect, without a subscription.
@@ -278,6 +285,7 @@ class OpcUaSource:
         otherwise this source subscribes separately.
         """
         if before.identity == self.identity:
+            self._source_clock.started = before.started
             before.bequeath(self.inherit)
 
     @property

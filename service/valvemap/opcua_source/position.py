@@ -22,19 +22,25 @@ _LONGEST_MS = 1e7  # longest publishing interval
 class Mark:
     """The position of the last returned changes: the last message, and the last time by item.
 
-    ``subscription`` is 0 before the first change of the current subscription.
+    ``subscription`` is 0 before the first change of the current subscription. ``started`` is the
+    start time of the server that sent them, UTC ns; 0: unknown.
     """
 
     subscription: int
     message: int
     known_to: NDArray[np.int64]
+    started: int
 
 
 @dataclass(frozen=True)
 class Position:
-    """A restored position: the last time by item, and the subscription to resume, if any."""
+    """A restored position: the last time by item, and the subscription to resume, if any.
+
+    ``started`` is the start time of the server then, UTC ns; 0: unknown.
+    """
 
     known_to: NDArray[np.int64]
+    started: int
     subscription: "Kept | None"
 
     def left(self, nodes: Sequence[MonitoredNode]) -> Left | None:
@@ -78,6 +84,7 @@ def position_to_bytes(
         "format": _FORMAT,
         "binding": binding,
         "known_to": mark.known_to.tolist(),
+        "started": mark.started,
         "subscription": None
         if created is None
         else {
@@ -105,7 +112,8 @@ def position_from_bytes(position: bytes, binding: str, items: int, latest: int) 
         known_to = np.array(kept["known_to"], np.int64)
         if known_to.shape != (items,) or (known_to > latest).any():
             return None
-        return Position(known_to, _subscription(kept["subscription"], items))
+        started = int(kept.get("started", 0))  # not in positions before 0.2.0
+        return Position(known_to, started, _subscription(kept["subscription"], items))
     except (ValueError, KeyError, TypeError, OverflowError):
         return None
 

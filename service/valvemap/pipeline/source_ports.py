@@ -126,4 +126,7 @@ class Source(Upstream, Protocol):
 
     @property
     def started(self) -> int:
-        """Start time of the source, UTC ns, read at `connect`; 0 if unknown."""
+        """Start time of the source, UTC ns, read at `connect`; 0 if unknown.
+
+        Before the first connection that of the position it resumes at.
+        """

@@ -98,7 +98,6 @@ class LiveAxes:
         self._source = source
         self.led = LedAxes(self.axes, self._age_s, self._show, self._fail)
         self._writer = FeedForwardWriter(self.led, LINES * len(plans), source, clock)
-        self._started = np.zeros(LINES * len(plans), np.int64)
         self._jobs: dict[int, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Semaphore(1)
 
@@ -118,13 +117,11 @@ class LiveAxes:
         for number in range(len(self.axes)):
             self._show(number)
 
-    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
         """Note the connection; if the source was restarted, count its samples anew."""
         rows = self._rows(valves)
         self._begin()
-        before = self._started[rows]
-        self._started[rows] = source_started
-        if source_started and ((before != 0) & (before != source_started)).any():
+        if restarted:
             self._use(self._arrivals.begin_source_anew(rows))
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:

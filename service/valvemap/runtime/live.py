@@ -113,7 +113,6 @@ class LiveService:
         self._held_s = np.zeros(len(identification.plans))  # time in the reorder buffer, s
         self._held_until = now
         self._heard_at = np.full(len(identification.plans), now)  # last change of their source
-        self._source_started = np.zeros(len(identification.plans), np.int64)
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # implausible, and logged
         self._old = np.zeros(len(identification.plans), np.bool_)
@@ -182,12 +181,10 @@ class LiveService:
             await self._publish_until(self._clock.monotonic())
             await asyncio.sleep(0.0)
 
-    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
         """Note the connection; if the source was restarted, restart its alignment."""
         own = self._own(valves)
-        before = self._source_started[own]
-        self._source_started[own] = source_started
-        if source_started and ((before != 0) & (before != source_started)).any():
+        if restarted:
             log.warning("source restarted")
             self._ages.forget_clock(own)
             await self._use(self.identification.begin_source_anew(own), own)

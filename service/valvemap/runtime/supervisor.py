@@ -21,8 +21,8 @@ log = structlog.get_logger(__name__)
 class Consumer(Protocol):
     """Consumer of the data changes; the supervisor makes one call at a time."""
 
-    async def connected(self, source_started: int, valves: Times | None = None) -> None:
-        """The source is connected; ``source_started`` is its start time (UTC ns; 0: unknown).
+    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
+        """The source is connected; ``restarted`` since it was last, in a former life too.
 
         ``valves`` are the numbers of the valves that it publishes; None: all.
         """
@@ -70,7 +70,7 @@ async def supervise(
         only before the first connection, see :class:`SupervisorSettings`.
     """
     say = log if settings.name is None else log.bind(source=settings.name)
-    started = clock.monotonic()
+    started, source_started = clock.monotonic(), source.started
     ever_connected = settings.connected_before
     pauses = settings.pauses()
     try:
@@ -78,7 +78,8 @@ async def supervise(
             try:
                 await source.connect()
                 say.info("source connected")
-                await consumer.connected(source.started)
+                before, source_started = source_started, source.started
+                await consumer.connected(restarted=0 != before != source_started != 0)
                 ever_connected, pauses = True, settings.pauses()
                 await _receive(source, consumer, stop, settings.tick_s)
             except (SourceLost, SourceRejected) as error:
