@@ -11,6 +11,7 @@ from valvemap.model.fleet import member, members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift, flow_fit, flow_memory, flow_path
+from valvemap.model.portable_flow_map import GaussianMap
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.findings import FindingCode as Code
 from valvemap.vocabulary.statuses import Adaptation
@@ -174,6 +175,15 @@ def test_a_map_that_something_moves_is_no_surer_than_that():
     U, dp, T = np.full(9, 60.0), np.linspace(20, 180, 9), np.full(9, 40.0)
     flow, std = FlowMap().predict(state, U, dp, T)
     assert (np.abs(flow - valve(U, dp)) < 3.0 + 2.0 * std).all()
+
+
+def test_a_map_that_travels_is_no_surer_than_where_it_was_learnt():
+    state = learnt(HIDDEN["offset that swings"])
+    travelled = GaussianMap.of(state, (0.0, 100.0), (0.0, 200.0)).state()
+    asked = np.full(9, 60.0), np.linspace(20, 180, 9), np.full(9, 40.0)
+    np.testing.assert_allclose(
+        FlowMap().predict(travelled, *asked)[1], FlowMap().predict(state, *asked)[1], rtol=1e-3
+    )
 
 
 @pytest.mark.parametrize("version", [3, 4, 5, 6, 7])

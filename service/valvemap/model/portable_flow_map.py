@@ -18,7 +18,11 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.samples import Floats
 
-SCALARS: Final = fits.VARIANCE, fits.MISFIT, fits.SCALE, fits.PLAIN, fits.LEAST
+SCALARS: Final = (
+    *(fits.VARIANCE, fits.MISFIT, fits.SCALE, fits.PLAIN, fits.LEAST),
+    *(fits.PAIR_PRODUCT, fits.PAIRS, fits.PAIR_SQUARE),
+)
+FIRST_SCALARS: Final = 5  # of models of before, which did not know what errors have in common
 TEMPERATURES: Final = fits.FIRST_T, fits.NOW_T
 MOVING: Final = 2, 1 + len(OF_VALVE), len(OF_VALVE)
 _PLACES: Final = np.ix_(np.arange(2), np.append(0, 1 + OF_VALVE), OF_VALVE)
@@ -37,7 +41,7 @@ class GaussianMap:
         operators, l/min.
     moving : (2, 10, 9)
         What moves in time on either side of U = 0: its mean, then its covariance.
-    scalars, temperatures : (5,), (2,)
+    scalars, temperatures : (8,), (2,)
         See `SCALARS`; that of the first and of the last sample, °C, NaN where unknown.
     operators, play : (13,), (2,)
         Between the map and the samples; half the play, %, and the information about it.

@@ -13,7 +13,7 @@ from valvemap.model.kernels.flow_path import OF_MAP
 from valvemap.model.kernels.support import PLACES_OF_CELL, T_LOW
 from valvemap.model.linear_map import LinearParameters
 from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
-from valvemap.model.portable_flow_map import MOVING, SCALARS, GaussianMap
+from valvemap.model.portable_flow_map import FIRST_SCALARS, MOVING, SCALARS, GaussianMap
 from valvemap.model.portable_map import PortableMap
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import NetworkMap
@@ -122,7 +122,7 @@ class GaussianSection(_Section):
     theta: Numbers
     std: Numbers
     moving: tuple[Rows, Rows]
-    scalars: Numbers = Field(min_length=len(SCALARS), max_length=len(SCALARS))
+    scalars: Numbers = Field(min_length=FIRST_SCALARS, max_length=len(SCALARS))
     temperatures: tuple[float | None, float | None]
     operators: Numbers = Field(min_length=OF_MAP, max_length=OF_MAP)
     play: tuple[float, float]
@@ -269,7 +269,7 @@ def map_of(section: MapSection) -> PortableMap:
                 theta=np.array(section.theta),
                 std=np.array(section.std),
                 moving=np.array(section.moving),
-                scalars=np.array(section.scalars),
+                scalars=np.pad(section.scalars, (0, len(SCALARS) - len(section.scalars))),
                 temperatures=np.array(section.temperatures, np.float64),
                 operators=np.array(section.operators),
                 play=np.array(section.play),
