@@ -161,7 +161,7 @@ def _transition(m: int, k: int, dt: float, jump: float) -> float:
             return 1.0 - over if m == k else 0.0
         return 0.5 * jump
     if m >= OTHER_GAIN:
-        return 0.9 * over if k == STILL else 0.05 * over
+        return (0.9 if k == STILL else 0.1 if k == MOVING else 0.0) * over  # the valve jumped
     begins, ends = min(dt / rules.BETWEEN_DRIFTS, 0.1), min(dt / rules.PERSISTENCE, 0.1)
     if m == k:
         return (1.0 - (2.0 * begins if m == STILL else begins + ends)) * (1.0 - jump)
