@@ -244,8 +244,10 @@ def _learn_row(
             end_stay(axis_U, axis_s, memory, room)
         if memory.stay[SAMPLES] == 0.0:
             begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
-            if scalars[fits.ZERO_SCALE] == 0.0:
-                scalars[fits.ZERO_SCALE] = math.sqrt(scalars[fits.SCALE])
+            sensing = memory.chance[0, drifts.SENSING] + memory.chance[1, drifts.SENSING]
+            if sensing < rules.WORTH_SAYING:  # as flows were before it drifts
+                usual = math.sqrt(scalars[fits.SCALE])
+                scalars[fits.ZERO_SCALE] = max(scalars[fits.ZERO_SCALE], usual)
         known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
         has_play = path[paths.STICK] + path[paths.RELAYS] + path[paths.NEWS] == 0.0
         if weight > 0.5 and known_well and has_play and not is_young:
