@@ -105,48 +105,37 @@ def slopes(axis: Axis, i: int, x: float, out: Floats) -> None:
 @inner
 def surface(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats) -> float:
     """Flow of the map ``theta`` (n_U·n_s,) at one point; ``work`` is (4, 3)."""
-    i, j = interval(axis_U, u), interval(axis_s, s)
-    n_s = len(axis_s.sites)
+    i, j, n_s = interval(axis_U, u), interval(axis_s, s), len(axis_s.sites)
     values(axis_U, i, u, 0.0, work[0])
     values(axis_s, j, s, 0.0, work[1])
-    total = 0.0
-    for a in range(3):
-        at, along = (i + a) * n_s + j, 0.0
-        for b in range(3):
-            along += work[1, b] * theta[at + b]
-        total += work[0, a] * along
-    return total
+    return _summed(theta, i * n_s + j, n_s, work[0], work[1])
 
 
 @inner
-def slope_s(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats) -> float:
-    """How the flow rises with s at one point."""
-    i, j = interval(axis_U, u), interval(axis_s, s)
-    n_s = len(axis_s.sites)
+def surface_and_slopes(
+    axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats
+) -> tuple[float, float, float]:
+    """As `surface`, and how the flow rises there with U and with s."""
+    i, j, n_s = interval(axis_U, u), interval(axis_s, s), len(axis_s.sites)
     values(axis_U, i, u, 0.0, work[0])
-    slopes(axis_s, j, s, work[1])
-    total = 0.0
-    for a in range(3):
-        at, along = (i + a) * n_s + j, 0.0
-        for b in range(3):
-            along += work[1, b] * theta[at + b]
-        total += work[0, a] * along
-    return total
+    values(axis_s, j, s, 0.0, work[1])
+    slopes(axis_U, i, u, work[2])
+    slopes(axis_s, j, s, work[3])
+    first = i * n_s + j
+    flow = _summed(theta, first, n_s, work[0], work[1])
+    slope_U = _summed(theta, first, n_s, work[2], work[1])
+    return flow, slope_U, _summed(theta, first, n_s, work[0], work[3])
 
 
 @inner
-def slope_U(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats) -> float:
-    """How the flow rises with U at one point."""
-    i, j = interval(axis_U, u), interval(axis_s, s)
-    n_s = len(axis_s.sites)
-    slopes(axis_U, i, u, work[0])
-    values(axis_s, j, s, 0.0, work[1])
+def _summed(theta: Floats, first: int, n_s: int, over_U: Floats, over_s: Floats) -> float:
+    """Sum of the nine coefficients from ``first`` on, times functions of U and of s."""
     total = 0.0
     for a in range(3):
-        at, along = (i + a) * n_s + j, 0.0
+        at, along = first + a * n_s, 0.0
         for b in range(3):
-            along += work[1, b] * theta[at + b]
-        total += work[0, a] * along
+            along += over_s[b] * theta[at + b]
+        total += over_U[a] * along
     return total
 
 

@@ -8,7 +8,7 @@ from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.kernels.compiled import inner, lean_kernel
-from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_s, slope_U, surface
+from valvemap.model.kernels.flow_basis import Axis, between_sites, surface_and_slopes
 from valvemap.model.kernels.flow_memory import (
     FITTED,
     FLOW,
@@ -55,9 +55,9 @@ def look(
     at, now = room.at, memory.now[side]
     gain = 1.0 + now[0, drifts.GAIN]
     end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
-    flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
-    slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
-    along = slope_s(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    flow, slope, along = surface_and_slopes(
+        axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work
+    )
     allowed = paths.forward(flow, side, at[PLACE_S], memory.scalars[fits.LEAST])
     if flow != allowed:
         flow, slope, along = allowed, 0.0, 0.0
