@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from valvemap.cli.options import FolderOption, new_file
+from valvemap.cli.options import FolderOption, RatedDropOption, RatedFlowOption, new_file
 from valvemap.cli.output import terminal, write_line
 from valvemap.cli.progress import working
 from valvemap.cli.security import make_users
@@ -86,12 +86,8 @@ def connect(
     rated_pressure: Annotated[
         float, typer.Option(min=0.0, metavar="BAR", help="Of the name plate, to check p1.")
     ] = 0.0,
-    rated_flow: Annotated[
-        float, typer.Option(min=0.0, metavar="L_MIN", help="Of the name plate, to check Q.")
-    ] = 0.0,
-    rated_drop: Annotated[
-        float, typer.Option(min=0.1, metavar="BAR", help="Pressure drop of the rated flow.")
-    ] = 35.0,
+    rated_flow: RatedFlowOption = 0.0,
+    rated_drop: RatedDropOption = 35.0,
     sheet: Annotated[
         Path | None,
         typer.Option(

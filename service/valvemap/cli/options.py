@@ -36,6 +36,12 @@ RevocationOption = Annotated[
 ]
 
 
+RatedFlowOption = Annotated[
+    float, typer.Option(min=0.0, metavar="L_MIN", help="Of the name plate, to check Q.")
+]
+RatedDropOption = Annotated[
+    float, typer.Option(min=0.1, metavar="BAR", help="Pressure drop of the rated flow.")
+]
 MetricsOption = Annotated[
     str | None,
     typer.Option(

@@ -10,7 +10,15 @@ import typer
 from rich.table import Table
 
 from valvemap.cli.history import recordings_of
-from valvemap.cli.options import ConfigOption, ForceOption, new_file, new_models, new_pages
+from valvemap.cli.options import (
+    ConfigOption,
+    ForceOption,
+    RatedDropOption,
+    RatedFlowOption,
+    new_file,
+    new_models,
+    new_pages,
+)
 from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
@@ -79,12 +87,8 @@ def replay(
             help="Answer: a unit, or raw numbers and values, such as 0..27648:0..250bar.",
         ),
     ] = None,
-    rated_flow: Annotated[
-        float, typer.Option(min=0.0, metavar="L_MIN", help="Of the name plate, to check Q.")
-    ] = 0.0,
-    rated_drop: Annotated[
-        float, typer.Option(min=0.1, metavar="BAR", help="Pressure drop of the rated flow.")
-    ] = 35.0,
+    rated_flow: RatedFlowOption = 0.0,
+    rated_drop: RatedDropOption = 35.0,
     *,
     force: ForceOption = False,
     insist: Annotated[
