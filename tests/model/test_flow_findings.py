@@ -222,7 +222,7 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
 
 def _without_offsets(arrays):
     """Arrays of versions up to 7: neither offsets of sensors nor models of these."""
-    places = drift_states.OF_VALVE
+    places = drift_states.VALVE_STATES
     models = np.delete(np.arange(flow_drift.MODELS), flow_drift.SENSING)
     whole = [[drift_states.covariance(P, m) for m in models] for P in arrays["P"]]
     arrays["P"] = np.array(whole)[..., places, :][..., places]

@@ -8,8 +8,8 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from valvemap.vocabulary.signals import SENSORS, Signal
 
-NARROWEST = 1e-6
-Number = Annotated[float, Field(ge=-1e12, le=1e12)]  # beyond it, 64 bits do not hold a reading
+NARROWEST = 1e-6  # of a range; what is divided by a narrower one has no digits left
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]  # no sensor of a plant reads more
 Positive = Annotated[Number, Field(gt=0.0)]
 NotNegative = Annotated[Number, Field(ge=0.0)]
 Seconds = Annotated[float, Field(ge=0.0, le=1e9)]  # 31 years; in ns they fit 64 bits

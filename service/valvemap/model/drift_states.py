@@ -7,11 +7,13 @@ import numpy as np
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.samples import Floats
 
-OF_VALVE: Final = np.array(  # states without the sensors' levels: all that there were up to 0.2.0
-    [
-        *(drifts.GAIN, drifts.EDGE, drifts.RATES + drifts.GAIN, drifts.RATES + drifts.EDGE),
-        *range(drifts.LEVELS, drifts.RATES),
-    ]
+VALVE_STATES: Final = (
+    np.array(  # states without the sensors' levels: all that there were up to 0.2.0
+        [
+            *(drifts.GAIN, drifts.EDGE, drifts.RATES + drifts.GAIN, drifts.RATES + drifts.EDGE),
+            *range(drifts.LEVELS, drifts.RATES),
+        ]
+    )
 )
 
 
@@ -39,14 +41,14 @@ def upgrade(arrays: dict[str, Any], prefix: str = "") -> None:
         np.zeros((sides, 1 + drifts.SHOWN, drifts.SHOWN)),
     )
     chance[:, models] = old["chance"]
-    x[np.ix_(np.arange(sides), models, OF_VALVE)] = old["x"]
+    x[np.ix_(np.arange(sides), models, VALVE_STATES)] = old["x"]
     x[:, drifts.SENSING] = x[:, drifts.STILL]
-    now[np.ix_(np.arange(sides), np.append(0, 1 + OF_VALVE), OF_VALVE)] = old["now"]
+    now[np.ix_(np.arange(sides), np.append(0, 1 + VALVE_STATES), VALVE_STATES)] = old["now"]
     for side in range(sides):
         for m in range(drifts.MODELS):
             before = drifts.STILL if m == drifts.SENSING else m - (m > drifts.SENSING)
             whole = np.zeros((n, n))
-            whole[np.ix_(OF_VALVE, OF_VALVE)] = old["P"][side, before]
+            whole[np.ix_(VALVE_STATES, VALVE_STATES)] = old["P"][side, before]
             lower, at = np.tril_indices(drifts.SIZES[m]), drifts.PLACES[m]
             P[side, at : at + len(lower[0])] = whole[lower]
     arrays |= {prefix + "x": x, prefix + "P": P, prefix + "chance": chance, prefix + "now": now}

@@ -6,7 +6,7 @@ from typing import Final, Self
 import numpy as np
 
 from valvemap.model import flow_map_looks
-from valvemap.model.drift_states import OF_VALVE
+from valvemap.model.drift_states import VALVE_STATES
 from valvemap.model.fleet import copied
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import flow_drift as drifts
@@ -24,8 +24,8 @@ SCALARS: Final = (
 )
 FIRST_SCALARS: Final = 5  # of models of before, which did not know what errors have in common
 TEMPERATURES: Final = fits.FIRST_T, fits.NOW_T
-MOVING: Final = 2, 1 + len(OF_VALVE), len(OF_VALVE)
-_PLACES: Final = np.ix_(np.arange(2), np.append(0, 1 + OF_VALVE), OF_VALVE)
+MOVING: Final = 2, 1 + len(VALVE_STATES), len(VALVE_STATES)
+_PLACES: Final = np.ix_(np.arange(2), np.append(0, 1 + VALVE_STATES), VALVE_STATES)
 
 
 @dataclass(frozen=True)

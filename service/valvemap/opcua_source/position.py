@@ -112,7 +112,7 @@ def position_from_bytes(position: bytes, binding: str, items: int, latest: int) 
         known_to = np.array(kept["known_to"], np.int64)
         if known_to.shape != (items,) or (known_to > latest).any():
             return None
-        started = int(kept.get("started", 0))  # not in positions before 0.2.0
+        started = int(kept.get("started", 0))  # not in positions up to 0.2.0
         return Position(known_to, started, _subscription(kept["subscription"], items))
     except (ValueError, KeyError, TypeError, OverflowError):
         return None
