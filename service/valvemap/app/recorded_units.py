@@ -165,8 +165,8 @@ def _check_readings(file: Path, valve: str, samples: Samples) -> None:
         numbers = ", ".join(f"{x.signal} is {x.number:g} in {x.samples:,} samples" for x in found)
         raise RecordingError(
             f"{file}: valve {valve}: {numbers} of {len(samples):,}, one or two at a time while the "
-            "other signals go on: do these numbers stand for no reading? Leave their cells empty "
-            f"(NaN in Python); {_INSIST}"
+            "other signals continue: do these numbers stand for no reading? Leave their cells "
+            f"empty (NaN in Python); {_INSIST}"
         )
 
 
