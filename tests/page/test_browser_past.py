@@ -176,6 +176,24 @@ async def test_an_alarm_is_acknowledged_by_who_may(browser):
         assert shown.calls[-1] == ("V1.Alarms.SensorFrozen", "Acknowledge", (("cable",),))
 
 
+_LEAVE_AS_ALARMS_COME = """async () => {
+    const { live } = await import('./js/live.js');
+    location.hash = '#/timeline';
+    live.dispatchEvent(new Event('alarms'));
+}"""
+
+
+async def test_a_view_that_is_left_does_not_call_back(browser):
+    """What the old view learns between the click and the new view changes no address."""
+    shown, _ = alarmed()
+    async with visit(browser, shown) as (visitor, _):
+        await visitor.open("alarms")
+        await visitor.page.locator("main h1", has_text="Alarms").wait_for()
+        await visitor.page.evaluate(_LEAVE_AS_ALARMS_COME)
+        await visitor.page.locator("main h1", has_text="Time line").wait_for()
+        assert visitor.page.url.endswith("#/timeline")
+
+
 async def test_units_are_the_same_everywhere_and_kept(browser):
     async with visit(browser, ShownService()) as (visitor, _):
         page = visitor.page

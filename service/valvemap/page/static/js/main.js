@@ -90,16 +90,20 @@ function show() {
     root.append(nothing());
     return;
   }
-  const keepQuery = (kept) => { keep(view, item, kept); shown = `${view.key}/${item?.name}/${place().query}/true`; };
+  let isOpen = true;
+  const keepQuery = (kept) => { // an answer may come when the person has already gone on
+    const here = place();
+    if (!isOpen || here.view !== view || here.item?.name !== item?.name) return;
+    keep(view, item, kept);
+    shown = `${view.key}/${item?.name}/${place().query}/true`;
+  };
   const common = { live, user, query, keep: keepQuery };
   document.querySelector(".which").replaceChildren(...(view.of === "valve" && itemsOf("valve").length > 1 ? valvePicker(view, item) : []));
   const tabs = view.of && item ? familyTabs(live, view, item) : null;
   if (tabs) root.append(tabs);
-  if (view.of === "valve") close = showValve(view, item, common);
-  else {
-    live.watch(view.of ? item.name : null);
-    close = view.draw(root, { ...common, part: item }) ?? (() => {});
-  }
+  if (view.of !== "valve") live.watch(view.of ? item.name : null);
+  const stop = view.of === "valve" ? showValve(view, item, common) : view.draw(root, { ...common, part: item });
+  close = () => { isOpen = false; stop?.(); };
   if (wanted) { root.querySelector(wanted)?.select(); wanted = ""; }
 }
 
@@ -110,7 +114,7 @@ function showValve(view, valve, common) {
     if (view.withMap) live.watch(valve.name, name);
   };
   live.watch(valve.name, view.withMap ? estimator : null);
-  return view.draw(root, { ...common, valve, estimator, isChosen: chosen.estimator === estimator, choose }) ?? (() => {});
+  return view.draw(root, { ...common, valve, estimator, isChosen: chosen.estimator === estimator, choose });
 }
 
 function nothing() {
