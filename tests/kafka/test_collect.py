@@ -15,8 +15,8 @@ from support.plant import START, as_changes, plant
 from valvemap.clock import ManualClock
 from valvemap.errors import ConfigurationError
 from valvemap.kafka.blocks import read_samples
-from valvemap.kafka.catalogue import catalogue_of
-from valvemap.kafka.collect import Collector, site_of
+from valvemap.kafka.catalogue import catalogue_of, site_of
+from valvemap.kafka.collector import Collector
 from valvemap.kafka.settings import CatalogueConfig, CollectConfig, FleetConfig, TopicsConfig
 from valvemap.kafka.spool import Spool
 from valvemap.model.samples import Samples

@@ -9,7 +9,7 @@ from support.fleet import site
 from support.plant import as_changes, plant
 from valvemap.clock import ManualClock
 from valvemap.kafka.catalogue import catalogue_of
-from valvemap.kafka.collect import Collector
+from valvemap.kafka.collector import Collector
 from valvemap.kafka.collector_metrics import collector_points
 from valvemap.kafka.sending import Sender
 from valvemap.kafka.settings import CatalogueConfig, FleetConfig

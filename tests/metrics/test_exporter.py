@@ -8,7 +8,8 @@ import pytest
 
 from support.exposition import names, parsed, promtool_accepts, value
 from valvemap.app.exporter import Exporter
-from valvemap.app.metrics_address import MetricsAddress, exported
+from valvemap.app.metrics_address import MetricsAddress
+from valvemap.app.serving_metrics import metrics_served
 from valvemap.errors import ConfigurationError
 from valvemap.page.exposition import exposition
 from valvemap.page.server import PageError
@@ -113,13 +114,13 @@ def test_an_address_in_use_is_named_before_any_work():
         port = int(exporter.url.split(":")[2].split("/")[0])
         with (
             pytest.raises(PageError, match=f"127.0.0.1:{port}"),
-            exported(MetricsAddress("127.0.0.1", port), two_points),
+            metrics_served(MetricsAddress("127.0.0.1", port), two_points),
         ):
             raise AssertionError
 
 
 def test_without_an_address_nothing_listens_and_nothing_is_imported():
-    with exported(None, lambda: pytest.fail("asked")):
+    with metrics_served(None, lambda: pytest.fail("asked")):
         pass
 
 
@@ -127,7 +128,7 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "valvemap.app.exporter", None)
     with (
         pytest.raises(ConfigurationError, match="valvemap\\[dashboard\\]"),
-        exported(LOOPBACK, list),
+        metrics_served(LOOPBACK, list),
     ):
         raise AssertionError
 

@@ -3,9 +3,10 @@
 import asyncio
 from functools import partial
 
-from valvemap.app.metrics_address import MetricsAddress, exported
+from valvemap.app.metrics_address import MetricsAddress
 from valvemap.app.mqtt_metrics import mqtt_points
 from valvemap.app.page_access import Watched, settings_of
+from valvemap.app.serving_metrics import metrics_served
 from valvemap.clock import SystemClock
 from valvemap.config.mqtt import MqttConfig
 from valvemap.config.secret_files import read_secret
@@ -54,7 +55,7 @@ async def run_mqtt(
     reader = Reader(service, shown, config.variables, every_s, clock, backoff, commands)
     host = None if config.primary_host is None else PrimaryHost(config.primary_host)
     sender = Sender(broker, node, shown, outbox, every_s, clock, backoff, host, commands)
-    with exported(address, partial(mqtt_points, shown, outbox, sender, config.most_waiting)):
+    with metrics_served(address, partial(mqtt_points, shown, outbox, sender, config.most_waiting)):
         await _run_until_stopped(reader, sender, stop)
 
 

@@ -84,6 +84,28 @@ def catalogue_of(
     return Catalogue(version, groups, dict(sites))
 
 
+def site_of(catalogue: Catalogue, site: str | None) -> str:
+    """Return the named site, or the only one.
+
+    Raises
+    ------
+    ConfigurationError
+        if the site does not exist, or no name is given and there are several.
+    """
+    names = ", ".join(catalogue.sites)
+    if site is None and len(catalogue.sites) > 1:
+        raise ConfigurationError(f"there are several sites; name one as SITE: {names}")
+    if site is not None and site not in catalogue.sites:
+        raise ConfigurationError(f"no site {site!r} in the catalogue; there are {names}")
+    return site or next(iter(catalogue.sites))
+
+
+def groups_of(catalogue: Catalogue, site: str) -> list[GroupPlan]:
+    """Return the groups of a site, in the order of its valves."""
+    own = [g for name, g in catalogue.groups.items() if name.rpartition(".")[0] == site]
+    return sorted(own, key=lambda group: int(group.name.rpartition(".")[2]))
+
+
 def group_name(site: str, number: int) -> str:
     """The name of a site's n-th group."""
     return f"{site}.{number}"

@@ -1,18 +1,15 @@
 """The metrics of a collector, read from its parts on request."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+from valvemap.kafka.collector import Collector
 from valvemap.kafka.sending import Sender
 from valvemap.kafka.spool import Spool
 from valvemap.vocabulary import series
 from valvemap.vocabulary.series import Point
 
-if TYPE_CHECKING:
-    from valvemap.kafka.collect import Collector
 
-
-def collector_points(collector: "Collector", sender: Sender, spool: Spool) -> Iterator[Point]:
+def collector_points(collector: Collector, sender: Sender, spool: Spool) -> Iterator[Point]:
     """Yield all metrics; may be called in another thread."""
     yield Point(series.SPOOL_BLOCKS, spool.blocks)
     yield Point(series.SPOOL_BYTES, spool.bytes)

@@ -21,8 +21,7 @@ from valvemap.app.warm_up import warm_up
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import BrokerAway, FleetError
 from valvemap.kafka.blocks import SamplesBlock, renumbered
-from valvemap.kafka.catalogue import Catalogue, load_catalogue
-from valvemap.kafka.collect import groups_of, site_of
+from valvemap.kafka.catalogue import Catalogue, groups_of, load_catalogue, site_of
 from valvemap.kafka.decoding import Decoder, Tracebacks
 from valvemap.kafka.group import Group
 from valvemap.kafka.mirror import Mirror

@@ -11,7 +11,8 @@ from typing import Any, Final, Literal
 import structlog
 from confluent_kafka import KafkaException
 
-from valvemap.app.metrics_address import MetricsAddress, exported
+from valvemap.app.metrics_address import MetricsAddress
+from valvemap.app.serving_metrics import metrics_served
 from valvemap.app.warm_up import warm_up
 from valvemap.errors import FleetError
 from valvemap.kafka.broker import client_settings, reason
@@ -80,7 +81,7 @@ def work(config: FleetConfig, address: MetricsAddress | None = None) -> None:
         warm_up(site)
     _say_little(config)
     metrics = WorkerMetrics([topic_name(config.topics, kind) for kind in (SAMPLES, COMMANDS)])
-    with exported(address, metrics.points):
+    with metrics_served(address, metrics.points):
         _run_until_stopped(config, catalogue, metrics)
 
 
