@@ -75,7 +75,7 @@ def inverse_map() -> Figure:
         highest = float(valves.dead_band(np.array([100.0]), np.array([dp]))[0])
         Q = np.linspace(0.0, 1.15 * highest, 301)
         found = invert(auto, state, Q, np.full_like(Q, dp), valves.warm(Q), support=support)
-        given = found.status == InverseStatus.OK
+        given = np.isin(found.status, (InverseStatus.OK, InverseStatus.UNCERTAIN))
         left.plot(Q[given], found.U[given], color=color, label=f"Δp = {dp:.0f} bar")
         beyond = found.status == InverseStatus.ABOVE_REACH
         left.plot(Q[beyond], found.U[beyond], ":", color=color)

@@ -366,13 +366,13 @@ def test_whatever_was_learnt_the_inverse_delivers_or_says_why_not(name, learnt):
     rng = np.random.default_rng(6)
     Q, dp, T = rng.uniform(-20, 220, 400), rng.uniform(0.5, 200, 400), rng.uniform(25, 55, 400)
     answer = invert(estimator, state, Q, dp, T)
-    ok = answer.status == InverseStatus.OK
+    ok = np.isin(answer.status, (InverseStatus.OK, InverseStatus.UNCERTAIN))
     assert 0.2 < ok.mean() < 0.9
     delivered = estimator.predict(state, answer.U[ok], dp[ok], T[ok])[0]
     np.testing.assert_allclose(delivered, Q[ok], rtol=0, atol=1e-9 * Q_MAX)
     levels = np.stack([estimator.predict(state, np.full(400, U), dp, T)[0] for U in GRID])
     highest, lowest = levels.max(axis=0), levels.min(axis=0)
-    assert (answer.status[highest + 1e-9 < Q] != InverseStatus.OK).mean() > 0.99
+    assert (~ok[highest + 1e-9 < Q]).mean() > 0.99
     above, below = (answer.status == s for s in InverseStatus if s.name.endswith("REACH"))
     assert (Q[above] >= highest[above] - 1e-9).all()
     assert (Q[below] <= lowest[below] + 1e-9).all()

@@ -125,7 +125,7 @@ def test_every_answer_and_every_status_has_its_reason():
                 HOLD, FeedForwardState(), replace(GOOD, answer=answer, map=status), 0.0
             )
             good = (
-                {InverseStatus.OK, InverseStatus.BELOW_REACH},
+                {InverseStatus.OK, InverseStatus.BELOW_REACH, InverseStatus.UNCERTAIN},
                 {
                     Status.OK,
                     Status.FROZEN,

@@ -85,7 +85,7 @@ def _check_lane(lane: Lane, samples: Samples) -> MapCheck:
     trace = Trace(Q_hat, residual, residual, np.zeros(len(samples), np.uint8))
     tried = _some(samples)
     inverse = invert(estimator, state, tried.Q, tried.dp, tried.T)
-    feasible = inverse.status == InverseStatus.OK
+    feasible = np.isin(inverse.status, (InverseStatus.OK, InverseStatus.UNCERTAIN))
     U, dp, T = (x[feasible] for x in (inverse.U, tried.dp, tried.T))
     Q_back, _ = estimator.predict(state, U, dp, T)
     _, half, _ = valve_state.predicted_measurement(lane, tried.U, tried.dp, tried.T)

@@ -17,6 +17,7 @@ diagnostics and files by having the methods.
 | `Invertible` | have an exact inverse of their own |
 | `InPieces` | know the form of their map, so that its tables have certified errors |
 | `ResidualStd` | take their standard deviation from the residuals |
+| `MeasuresNoise` | tell the meter's noise from errors of the map |
 | `FindsCauses` | weigh causes of what the samples show |
 | `Portable` | can write their map to a file |
 | `ManyModels` of :mod:`~valvemap.model.fleet` | update many models in one call |
@@ -187,6 +188,14 @@ class ResidualStd(Protocol):
     """An estimator whose standard deviation is that of its residuals, misfit and noise together."""
 
     std_of_residuals: ClassVar[Literal[True]]
+
+
+@runtime_checkable
+class MeasuresNoise(Protocol):
+    """An estimator that tells the noise of the flow meter from errors of its map."""
+
+    def noise_std(self, state: Any) -> float:  # noqa: ANN401 - its own state
+        """Return the standard deviation of the noise, l/min."""
 
 
 @runtime_checkable

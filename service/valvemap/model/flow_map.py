@@ -20,6 +20,7 @@ from valvemap.model.fleet import alone, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.forgetting import check_lam, lam_of_memory
 from valvemap.model.kernels import (
+    flow_fit,
     flow_memory,
     flow_path,
     flow_play,
@@ -133,6 +134,10 @@ class FlowMap:
     ) -> tuple[Floats, Floats, Floats, Codes]:
         """U in the middle of the play, U without its bounds, dQ/dU and status, all (N,)."""
         return flow_map_looks.invert(state, axes(self.U_range, self.dp_range), Q, dp, T)
+
+    def noise_std(self, state: FlowMapState) -> float:
+        """Standard deviation σ of the flow meter's noise, l/min."""
+        return float(np.sqrt(state.scalars[flow_fit.VARIANCE]))
 
     def form(self, state: FlowMapState, T: float) -> MapForm | None:
         """Return where the map is smooth at one temperature, see `flow_pieces`."""

@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valvemap.model.capabilities import Invertible, PathDependent
+from valvemap.model.capabilities import Invertible, MeasuresNoise, PathDependent
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.extrapolation import U_range_of, is_eq7, trusted
 from valvemap.model.inversion import Inversion
@@ -29,6 +29,8 @@ U_MAX: Final = 100.0
 T_REFERENCE: Final = 40.0  # °C; stands in for a temperature that is missing
 TWO_SIDED_95: Final = 1.959963984540054
 ROUNDING: Final = 1e-12
+CERTAIN_NOISE: Final = 3.0  # standard deviations of the meter's noise
+CERTAIN_SHARE: Final = 5e-3  # of the largest flow, for meters with hardly any noise
 LEVELS, CHUNK = 41, 256  # levels of U for an uncertain answer; answers processed together
 
 S = TypeVar("S", bound=State)
@@ -73,7 +75,8 @@ def invert(
     Inversion
         U, its 95 % interval by the delta method (std of Q̂ over dQ/dU) and the status. On a
         plateau U is the smallest that delivers Q; where the map rises, falls and rises again it is
-        the smallest on a rising branch.
+        the smallest on a rising branch. Its status is UNCERTAIN if half the 95 % interval of Q̂
+        exceeds both `CERTAIN_NOISE` and `CERTAIN_SHARE`; systematic errors do not count.
     """
     given = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (Q, dp, T)))
     finite = np.isfinite(given[0]) & np.isfinite(given[1])
@@ -101,17 +104,18 @@ def invert(
         std = std if widened is None else widened(std, *points)
         off = _systematic(estimator, state, accuracy, points)
         if support is None:
-            std = np.hypot(std, off)
-            return _answer(found, std, finite & ~lacking, U_range_of(estimator))
+            vague = _is_vague(estimator, state, std, 0.0)
+            answer = _answer(found, np.hypot(std, off), finite & ~lacking, U_range_of(estimator))
+            return _doubted(answer, vague)
         std, guessed = trusted(estimator, state, support, points, demand, std)
         unknown = guessed & np.isinf(std)
         if unknown.any() and np.isfinite(estimator.parameters(state)[0]).any():
             std = np.where(unknown, support.Q_max, std)  # unknown here, known elsewhere
-        std = np.hypot(std, off)
-        answer = _answer(found, std, finite & ~lacking, U_range_of(estimator))
+        vague = _is_vague(estimator, state, std, support.Q_max)
+        answer = _answer(found, np.hypot(std, off), finite & ~lacking, U_range_of(estimator))
         has_U = answer.status <= InverseStatus.BELOW_REACH
         status = np.where(guessed & has_U, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
-        answer = replace(answer, status=status)
+        answer = _doubted(replace(answer, status=status), vague)
         bent = is_eq7(estimator, state) and support.is_eq7_refuted
         doubtful = np.flatnonzero(has_U & (guessed | bent))
         given = demand, drop, temperature
@@ -126,7 +130,8 @@ def inverse_table(
         np.asarray(Q_axis, np.float64), np.asarray(dp_axis, np.float64), indexing="ij"
     )
     answer = invert(estimator, state, Q.ravel(), dp.ravel(), T)
-    return np.where(answer.status == InverseStatus.OK, answer.U, np.nan).reshape(Q.shape)
+    given = (answer.status == InverseStatus.OK) | (answer.status == InverseStatus.UNCERTAIN)
+    return np.where(given, answer.U, np.nan).reshape(Q.shape)
 
 
 @dataclass(frozen=True)
@@ -246,6 +251,20 @@ def _systematic(
         return estimator.predict(state, U, dp, T)[0]
 
     return systematic_std(accuracy, flow, points, U_range_of(estimator))
+
+
+def _is_vague(estimator: Estimator[S], state: S, std: Floats, Q_max: float) -> NDArray[np.bool_]:
+    """Whether the flow is known too badly to call an answer OK, as far as the noise is known."""
+    if not isinstance(estimator, MeasuresNoise):
+        return np.zeros(len(std), np.bool_)
+    limit = max(CERTAIN_NOISE * estimator.noise_std(state), CERTAIN_SHARE * Q_max)
+    return np.asarray(TWO_SIDED_95 * std > limit)
+
+
+def _doubted(answer: Inversion, vague: NDArray[np.bool_]) -> Inversion:
+    doubted = vague & (answer.status == InverseStatus.OK)
+    status = np.where(doubted, np.uint8(InverseStatus.UNCERTAIN), answer.status)
+    return replace(answer, status=status)
 
 
 def _widened(

@@ -332,6 +332,7 @@ _OF_ANSWER: dict[InverseStatus, int] = {
     InverseStatus.NOT_FINITE: _Codes.BadNoData,
     InverseStatus.OUTSIDE: _Codes.UncertainEngineeringUnitsExceeded,
     InverseStatus.EXTRAPOLATING: _Codes.UncertainSubNormal,
+    InverseStatus.UNCERTAIN: _Codes.UncertainSubNormal,
 }
 
 # By "no result yet" (0 or 1), quality, status.

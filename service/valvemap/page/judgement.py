@@ -80,6 +80,7 @@ INVERSE_SEVERITIES = {
     InverseStatus.NOT_FINITE: Severity.NOTE,
     InverseStatus.OUTSIDE: Severity.WARNING,
     InverseStatus.EXTRAPOLATING: Severity.WARNING,
+    InverseStatus.UNCERTAIN: Severity.WARNING,
 }
 AXIS_SEVERITIES = {  # the others are warnings
     AxisStatus.OK: Severity.GOOD,

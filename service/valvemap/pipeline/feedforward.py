@@ -282,4 +282,5 @@ _OF_ANSWER = {
     InverseStatus.NOT_FINITE: FeedForwardStatus.NO_DEMAND,
     InverseStatus.OUTSIDE: FeedForwardStatus.EXTRAPOLATED,
     InverseStatus.EXTRAPOLATING: FeedForwardStatus.EXTRAPOLATED,
+    InverseStatus.UNCERTAIN: FeedForwardStatus.WRITING,  # the width of U's interval has a limit
 }

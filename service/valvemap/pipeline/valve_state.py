@@ -193,7 +193,8 @@ def required(plan: ValvePlan, state: ValveState) -> Required:
         return NOTHING_REQUIRED
     answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
     lane, U = state.lanes[plan.inverse], answer.U
-    moving = answer.status[0] == InverseStatus.OK and not lane.frozen
+    has_U = answer.status[0] in (InverseStatus.OK, InverseStatus.UNCERTAIN)
+    moving = has_U and not lane.frozen
     if moving and isinstance(lane.estimator, PathDependent):
         U = lane.estimator.approached(lane.state, U)
     shift = float(U[0] - answer.U[0])

@@ -192,6 +192,15 @@ class InverseStatus(Described):
         "extrapolating",
         "Nothing was measured near this U, pressure drop and temperature; U is a guess.",
     )
+    UNCERTAIN = (
+        8,
+        "uncertain",
+        (
+            "U is the best answer now, but its flow is not known well: it may differ from the "
+            "demand by more than three standard deviations of the flow meter's noise, and by more "
+            "than 0.5 % of the largest flow."
+        ),
+    )
 
 
 class AxisStatus(Described):
