@@ -34,8 +34,8 @@ verification_points(load_scenario("demo"), "Valvistor")
 PACK = f"""
 import sys
 from pathlib import Path
-from {PACKAGE}.model.kernels import compiled, packing
-assert compiled.was_warmed_up(), "sources changed while their kernels were compiled"
+from {PACKAGE}.model.kernels import packing, warmed_up
+assert warmed_up.was_warmed_up(), "sources changed while their kernels were compiled"
 assert packing.pack(Path(sys.argv[1])) > 0
 """
 ISOLATING = {"PYTHONPATH", "PYTHONNOUSERSITE"}  # pip's, for the build's own Python

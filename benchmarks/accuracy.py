@@ -24,7 +24,6 @@ from benchmarks.recordings import (
     one_step_ahead,
     settled_r2,
 )
-from valvemap.model import recursive_least_squares
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
     Adaptive,
@@ -35,7 +34,7 @@ from valvemap.model.forgetting import (
     Variable,
 )
 from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
 
 Figures = dict[str, dict[str, float | None]]
 RESULTS = Path(__file__).parent / "results" / "accuracy.json"

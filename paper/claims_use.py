@@ -21,11 +21,10 @@ from paper.learning import (
     linear_course,
 )
 from paper.verdict import Claim, Part
-from valvemap.model import recursive_least_squares
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.inverse_map import invert
 from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import InverseStatus
 

@@ -16,13 +16,13 @@ from documentation.figures.canvas import (
     legend,
     panels,
 )
-from valvemap.model import recursive_least_squares as rls_of_rows
 from valvemap.model.estimator import Estimator
 from valvemap.model.extrapolation import trusted
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
 from valvemap.model.lookup_table import lookup_table
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import recursive_least_squares as rls_of_rows
 from valvemap.model.residual_spread import TWO_SIDED_95, ResidualSpread
 from valvemap.model.samples import Floats, Samples
 from valvemap.model.support import Support

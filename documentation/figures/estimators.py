@@ -17,7 +17,6 @@ from documentation.figures.canvas import (
     legend,
     panels,
 )
-from valvemap.model import recursive_least_squares as rls_of_rows
 from valvemap.model import recursive_maximum_likelihood as rml_of_rows
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
@@ -26,6 +25,7 @@ from valvemap.model.model_structures import FiveTerms, Polynomial, Structure, Te
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import recursive_least_squares as rls_of_rows
 from valvemap.model.samples import Samples
 
 U = np.linspace(0.0, 100.0, 401)

@@ -52,8 +52,9 @@ if TYPE_CHECKING:
     from valvemap.config.loading import load_config
     from valvemap.config.models import Config
     from valvemap.errors import ValvemapError
-    from valvemap.model import recursive_least_squares, recursive_maximum_likelihood
     from valvemap.model.inverse_map import invert
+    from valvemap.model.maximum_likelihood import recursive_maximum_likelihood
+    from valvemap.model.recursive_least_squares import recursive_least_squares
     from valvemap.model.samples import Samples
     from valvemap.sklearn import AutoFlowMap, FlowMapRegressor
     from valvemap.storage.recordings import read_recording
@@ -89,8 +90,8 @@ _HOMES = {
     "load_config": "valvemap.config.loading",
     "open_model": "valvemap.app.models",
     "read_recording": "valvemap.storage.recordings",
-    "recursive_least_squares": "valvemap.model",
-    "recursive_maximum_likelihood": "valvemap.model",
+    "recursive_least_squares": "valvemap.model.recursive_least_squares",
+    "recursive_maximum_likelihood": "valvemap.model.maximum_likelihood",
     "replay": "valvemap.app.replay",
 }
 

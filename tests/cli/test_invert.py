@@ -2,6 +2,8 @@
 
 import csv
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -49,6 +51,21 @@ def test_demands_from_a_file_are_answered_line_by_line(folder, source, tmp_path)
         assert float(row["lower"]) < float(row["U"]) < float(row["upper"])
         assert (row["status"], row["T"]) == ("OK", "40.0")
     assert (beyond["U"], beyond["status"]) == ("100.0", "ABOVE_REACH")
+
+
+@pytest.mark.parametrize("name", ["Auto", "RBF", "RLS", "RML"])
+def test_a_command_that_does_without_numba_answers_the_same(folder, name, tmp_path):
+    model = folder / "all" / f"V1.{name}.json"
+    words = ["invert", str(model), "--Q", "1,30,60,400", "--dp", "0.5,90,250", "--to"]
+    assert run([*words, str(tmp_path / "here.csv")]) == 0
+    own = [sys.executable, "-m", "valvemap", *words, str(tmp_path / "own.csv")]
+    subprocess.run(own, check=True, capture_output=True)
+    for here, there in zip(
+        answers(tmp_path / "here.csv"), answers(tmp_path / "own.csv"), strict=True
+    ):
+        assert here.pop("status") == there.pop("status")
+        for what, number in here.items():
+            assert float(there[what]) == pytest.approx(float(number), rel=1e-9, nan_ok=True)
 
 
 def test_demands_on_the_command_line_are_shown_in_a_table(folder, capsys):

@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 
-from valvemap.model import recursive_least_squares
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.model_structures import FiveTerms, TensorSpline
 from valvemap.model.radial_basis import RadialBasis
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
 from valvemap.model.samples import Samples
 
 THETA = np.array([1.0, 0.02, 0.3, 0.12, -0.01])

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from support.plant import plant
-from valvemap.model import recursive_least_squares
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
     Adaptive,
@@ -18,7 +17,7 @@ from valvemap.model.forgetting import (
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.survey import survey
 from valvemap.vocabulary.statuses import Status

@@ -28,7 +28,8 @@ CHECKS = (
 )
 BITS = """
 import numba, numpy as np
-from valvemap.model import recursive_least_squares, recursive_maximum_likelihood
+from valvemap.model.maximum_likelihood import recursive_maximum_likelihood
+from valvemap.model.recursive_least_squares import recursive_least_squares
 
 rng = np.random.default_rng(8)
 X = rng.normal(size=(300, 4))

@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 
 from valvemap.model.kernels.compiled import kernel
-from valvemap.model.kernels.prefetch import LINE, fetch
+from valvemap.model.kernels.prefetch import fetch
+from valvemap.model.kernels.prefetch_instruction import LINE
 from valvemap.model.samples import Floats
 
 

@@ -17,12 +17,11 @@ from benchmarks.recordings import (
     r2,
     settled_r2,
 )
-from valvemap.model import recursive_least_squares
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential, SlidingWindow, Variable
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms, TensorSpline
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Status
 

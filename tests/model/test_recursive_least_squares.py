@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from support.plain_qr import plain_qr_least_squares
-from valvemap.model import recursive_least_squares
 from valvemap.model.fleet import stack
 from valvemap.model.forgetting import (
     Adaptive,
@@ -16,7 +15,7 @@ from valvemap.model.forgetting import (
 from valvemap.model.kernels import row_layout
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Quality, Status
 

@@ -32,7 +32,7 @@ from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.errors import StorageError, ValvemapError
 from valvemap.model.kernels import interpreted
-from valvemap.model.kernels.compiled import was_warmed_up
+from valvemap.model.kernels.warmed_up import was_warmed_up
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.store_ports import Checkpoint

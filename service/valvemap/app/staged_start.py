@@ -15,7 +15,7 @@ from valvemap.app.build import build_identification, build_preview
 from valvemap.app.warm_up import warm_up, warm_up_aside
 from valvemap.config.models import Config
 from valvemap.model.kernels import interpreted
-from valvemap.model.kernels.compiled import was_warmed_up
+from valvemap.model.kernels.warmed_up import was_warmed_up
 from valvemap.numba_version import is_tested
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.result_ports import StartState

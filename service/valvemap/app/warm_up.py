@@ -24,7 +24,8 @@ from valvemap.model import flow_map_warm_up, spool_fit
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.capabilities import ChoosesStructure, FindsChanges
 from valvemap.model.estimator import Estimator, key_of
-from valvemap.model.kernels.compiled import note_warm_up, take_shortcuts, was_warmed_up
+from valvemap.model.kernels.compiled import take_shortcuts
+from valvemap.model.kernels.warmed_up import note_warm_up, was_warmed_up
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.model.shared_meter import SharedMeter

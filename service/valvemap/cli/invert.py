@@ -11,16 +11,18 @@ from valvemap.cli.options import ConfigOption, ForceOption, new_file
 from valvemap.cli.output import terminal, write_line
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.errors import ConfigurationError
-from valvemap.model.inversion import Inversion
+from valvemap.numba_version import leave_out
 from valvemap.vocabulary.statuses import InverseStatus
 
 if TYPE_CHECKING:
     from valvemap.app.flow_model import Model
     from valvemap.config.models import Config
     from valvemap.model.flow_table import FlowTable
+    from valvemap.model.inversion import Inversion
     from valvemap.model.lookup_table import LookupTable
 
 MOST_ROWS: Final = 50
+FEW: Final = 100  # demands that are answered sooner than numba is imported
 
 FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE", help="Saved model (.json) or a recording to learn from.")
@@ -66,18 +68,21 @@ def invert(
     force: ForceOption = False,
 ) -> None:
     """Compute the control voltage for a flow at a pressure drop, with its 95 % interval."""
-    from valvemap.app.models import open_model
-    from valvemap.model.inverse_map import invert as run
     from valvemap.storage.points import read_points, write_answers
 
     if (points is None) == (flow is None or drop is None):
         raise typer.BadParameter("give --Q and --dp, or --from a CSV file")
-    loaded = _configured(config)
     if points is not None:
         Q, dp, T = read_points(points)
     else:
         Q, dp = _grid(_numbers("--Q", str(flow)), _numbers("--dp", str(drop)))
         T = np.full_like(Q, np.nan)
+    if file.suffix == ".json" and len(Q) <= FEW:
+        leave_out()
+    from valvemap.app.models import open_model
+    from valvemap.model.inverse_map import invert as run
+
+    loaded = _configured(config)
     with bars() as progress:
         model = open_model(file, valve, estimator, loaded, of_files(progress))
     T = np.where(np.isnan(T), model.T if temperature is None else temperature, T)
@@ -207,7 +212,7 @@ def _grid(Q: list[float], dp: list[float]) -> tuple[np.ndarray, np.ndarray]:
     return rows.ravel(), columns.ravel()
 
 
-def _table(title: str, Q: np.ndarray, dp: np.ndarray, T: np.ndarray, answer: Inversion) -> Table:
+def _table(title: str, Q: np.ndarray, dp: np.ndarray, T: np.ndarray, answer: "Inversion") -> Table:
     table = Table(title=title, title_justify="left")
     for heading in ("Q, l/min", "dp, bar", "T, °C", "U, %", "from", "to"):
         table.add_column(heading, justify="right")

@@ -1,9 +1,10 @@
-"""Kernels that run interpreted as long as they are not compiled.
+"""Kernels that run interpreted, as long as they are not compiled or where there is no numba.
 
 Compiling all kernels takes most of a minute. A command that starts without a cache of them can run
 them as plain Python meanwhile (`begin`), while other processes compile: some hundred times slower,
 but fast enough for a few hundred samples per second. After `end`, each kernel is loaded or
-compiled at its next call.
+compiled at its next call. A command that computes a few numbers is done before numba is even
+imported: there each kernel is a `Plain` function.
 
 A compiled kernel is called as before: numba asks a dispatcher for code only if it has none for the
 arguments. Private part of numba: a dispatcher's ``_compile_for_args``.
@@ -21,10 +22,22 @@ from types import FunctionType, SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
-from numba.core.extending import _Intrinsic
-from numba.extending import is_jitted
+
+from valvemap.model.kernels.prefetch import fetch
 
 Function = Callable[..., Any]
+
+
+class Plain:
+    """A kernel without numba: it has the function, and runs it interpreted."""
+
+    def __init__(self, function: Function) -> None:
+        self.py_func: Any = function
+        self.__doc__ = function.__doc__
+
+    def __call__(self, *args: object, **kws: object) -> Any:  # noqa: ANN401
+        """Return the function's result."""
+        return _called(self.py_func)(*args, **kws)
 
 
 def begin() -> None:
@@ -95,10 +108,10 @@ def _scope(names: dict[str, Any]) -> dict[str, Any]:
 
 
 def _replaced(value: Any) -> Any:  # noqa: ANN401
-    if is_jitted(value):
+    if hasattr(value, "py_func"):
         return _plain(value.py_func)
-    if isinstance(value, _Intrinsic):
-        return _nothing  # the kernels' only one, `prefetch.fetch`, is a hint for the processor
+    if value is fetch:
+        return _nothing  # a hint for the processor
     if value is math:
         return _MATH
     return value
