@@ -64,7 +64,7 @@ async def _visit(program: str) -> None:
         page = visit.page
         page.on("pageerror", lambda error: print(f"         ! {error}", flush=True))
         await page.goto(url)
-        await visit.waits(".link-text", "Live")
+        await visit.waits(".link-text", "Connected")
         await visit.does("opens the page")
         await visit.reads("aside.tour")
         await visit.tour("Show me")

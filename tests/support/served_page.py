@@ -15,7 +15,7 @@ async def served(shown, rig=None, **settings):
 
     With a URL of a rig, the page is that of a demo.
     """
-    own = PageSettings(port=0, **settings)
+    own = PageSettings(**{"port": 0, **settings})
     page = Page(shown, lambda *_: (shown, shown if rig else None), own, SystemClock(), rig)
     listening, stop = open_socket(own), asyncio.Event()
     tasks = [

@@ -16,6 +16,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from guarded_opcua.admission import Admission
 from valvemap.clock import Clock
+from valvemap.page.answering import Answering
 from valvemap.page.greeting import greeting
 from valvemap.page.layout import Part, Valve, part_of
 from valvemap.page.messages import pack_rows, pack_text
@@ -171,20 +172,30 @@ class Viewers:
         )
 
     async def _listen(self, viewer: Viewer, observer: Observer) -> None:
-        bucket = TokenBucket(_MESSAGES_PER_S, _BURST)
-        with suppress(WebSocketDisconnect):
-            while True:
-                message = await viewer.socket.receive()
-                if message["type"] == "websocket.disconnect":
-                    return
-                try:
-                    request = _request(message.get("text") if bucket.take() else None)
-                    await self._answer(viewer, observer, request)
-                except Senseless:
-                    self.senseless += 1
-                    return
+        """Take requests until the viewer leaves or sends an invalid one."""
 
-    async def _answer(self, viewer: Viewer, observer: Observer, request: dict[str, Any]) -> None:
+        async def answer(number: int, question: dict[str, Any]) -> None:
+            await self._send(viewer, await answer_to(observer, number, question))
+
+        answering = Answering(answer)
+        try:
+            listening = self._take_requests(viewer, answering)
+            await answering.until_one_fails(listening)
+        except Senseless:
+            self.senseless += 1
+        except WebSocketDisconnect:
+            pass
+
+    async def _take_requests(self, viewer: Viewer, answering: Answering) -> None:
+        bucket = TokenBucket(_MESSAGES_PER_S, _BURST)
+        while True:
+            message = await viewer.socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            request = _request(message.get("text") if bucket.take() else None)
+            await self._take(viewer, answering, request)
+
+    async def _take(self, viewer: Viewer, answering: Answering, request: dict[str, Any]) -> None:
         match request:
             case {
                 "watch": {
@@ -201,7 +212,7 @@ class Viewers:
                 viewer.rows_seen.clear()
                 viewer.changed.set()
             case {"ask": int() as number, **question}:
-                await self._send(viewer, await answer_to(observer, number, question))
+                await answering.take(number, question)
             case _:
                 raise Senseless
 

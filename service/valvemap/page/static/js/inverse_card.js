@@ -8,10 +8,10 @@ const ASK_MS = 150; // between two questions while a slider moves
 const AGAIN_MS = 1000; // the map moves on
 
 /**
- * `ask(values)` answers {U, lower, upper, status} or {error}; `demand(values)` is the command that writes, `withdraw` (optional)
+ * `question(values)` is answered with {U, lower, upper, status} or {error}; `demand(values)` is the command that writes, `withdraw` (optional)
  * the one that ends it; `words(values)` says the demand; `inForce()` are the values of the demand in force, NaN without one.
  */
-export function inverseCard({ live, user, name, title, quantity, sliders, ask, demand, withdraw = null, words, inForce, beside = [], verdicts = INVERSE_STATUS }) {
+export function inverseCard({ live, ask, user, name, title, quantity, sliders, question, demand, withdraw = null, words, inForce, beside = [], verdicts = INVERSE_STATUS }) {
   const answer = h("span.value", { "aria-live": "off" }, "–"), interval = h("span.muted"), verdict = h("span.badge");
   const write = writer(`Write as ${quantity}`, { of: name, command: () => demand(values()), does: (command) => act(command, `Written: ${quantity} ${words(values())}.`) });
   const end = withdraw ? writer("Withdraw", { of: name, look: ".quiet", command: () => withdraw, does: (command) => act(command, `${quantity} is withdrawn.`) }) : null;
@@ -24,7 +24,7 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
 
   function soon() {
     clearTimeout(timer);
-    timer = setTimeout(question, ASK_MS);
+    timer = setTimeout(update, ASK_MS);
   }
 
   function unknown(text) {
@@ -36,13 +36,14 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
     delete answer.dataset.u;
   }
 
-  async function question() {
+  async function update() {
     show();
     if (live.old) { unknown(`not known: ${live.old.why}`); return; }
     if (isAsking) { soon(); return; }
     isAsking = true;
-    const wanted = values(), found = await ask(wanted), old = live.oldOf(name);
+    const wanted = values(), found = await ask("U", question(wanted)), old = live.oldOf(name);
     isAsking = false;
+    if (!found) return;
     if (found.error) unknown(found.error);
     else {
       const [severity, sentence] = verdicts[found.status] ?? [1, ""];
@@ -57,7 +58,8 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
   }
 
   async function act(command, done) {
-    say(written, (await user.command(command)) ?? done);
+    const refused = await ask(command, user.command(command));
+    if (refused !== undefined) say(written, refused ?? done);
   }
 
   function show() {
@@ -70,7 +72,7 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
 
   for (const input of sliders.flatMap((one) => one.inputs)) input.addEventListener("input", soon);
   const again = setInterval(soon, AGAIN_MS);
-  live.addEventListener("standing", question);
+  live.addEventListener("standing", update);
   live.addEventListener("values", show);
   for (const what of ["change", "rights"]) user.addEventListener(what, show);
   show();
@@ -80,7 +82,7 @@ export function inverseCard({ live, user, name, title, quantity, sliders, ask, d
     close: () => {
       clearInterval(again);
       clearTimeout(timer);
-      live.removeEventListener("standing", question);
+      live.removeEventListener("standing", update);
       live.removeEventListener("values", show);
       for (const what of ["change", "rights"]) user.removeEventListener(what, show);
     },

@@ -28,7 +28,7 @@ class Live extends EventTarget {
   #watch = { valve: null, estimator: null, overview: true };
   #asked = new Map();
   #question = 0;
-  #generation = null;
+  #layout = "";
   #opened = false;
   #newest = { t: 0, at: 0 }; // of the watched part: time of its newest value, and when that came
 
@@ -167,8 +167,9 @@ class Live extends EventTarget {
       this.parts = message.parts;
       this.quantities = message.quantities;
       learnWords(message.words);
-      if (this.#generation !== message.generation) {
-        this.#generation = message.generation;
+      const layout = JSON.stringify([message.generation, message.valves, message.parts]); // another server counts anew
+      if (this.#layout !== layout) {
+        this.#layout = layout;
         this.#values.clear();
         this.courses.clear();
         this.dispatchEvent(new Event("layout"));

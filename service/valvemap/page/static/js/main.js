@@ -1,5 +1,6 @@
 // The frame around the views: which is shown, of which valve, line or axis; theme, log-in, how the connection stands.
 
+import { asker } from "./asking.js";
 import { forgetControls } from "./controls.js";
 import { h, mark, say } from "./dom.js";
 import { familyTabs } from "./family.js";
@@ -90,20 +91,20 @@ function show() {
     root.append(nothing());
     return;
   }
-  let isOpen = true;
+  const ask = asker();
   const keepQuery = (kept) => { // an answer may come when the person has already gone on
     const here = place();
-    if (!isOpen || here.view !== view || here.item?.name !== item?.name) return;
+    if (!ask.isOpen() || here.view !== view || here.item?.name !== item?.name) return;
     keep(view, item, kept);
     shown = `${view.key}/${item?.name}/${place().query}/true`;
   };
-  const common = { live, user, query, keep: keepQuery };
+  const common = { live, ask, user, query, keep: keepQuery };
   document.querySelector(".which").replaceChildren(...(view.of === "valve" && itemsOf("valve").length > 1 ? valvePicker(view, item) : []));
   const tabs = view.of && item ? familyTabs(live, view, item) : null;
   if (tabs) root.append(tabs);
   if (view.of !== "valve") live.watch(view.of ? item.name : null);
   const stop = view.of === "valve" ? showValve(view, item, common) : view.draw(root, { ...common, part: item });
-  close = () => { isOpen = false; stop?.(); };
+  close = () => { ask.close(); stop?.(); };
   if (wanted) { root.querySelector(wanted)?.select(); wanted = ""; }
 }
 

@@ -8,10 +8,10 @@ const REFRESH_MS = 1000;
 const SPAN_S = 20;
 const HEIGHT = 150;
 
-export function trackingCard(live) {
+export function trackingCard(live, ask) {
   const above = h("div.chart"), below = h("div.chart"), legend = h("div.legend"), words = h("p.words");
   const element = h("section.card.stack", { hidden: true }, h("header", {}, h("h2", {}, "How the axes follow their set positions"), h("span.fill"), legend), above, below, words);
-  let charts = [], key = "", closed = false, asking = false;
+  let charts = [], key = "", isAsking = false;
 
   function draw(axes) {
     charts.forEach((chart) => chart.close());
@@ -50,15 +50,15 @@ export function trackingCard(live) {
   }
 
   async function update() {
-    if (asking || closed) return;
-    asking = true;
-    const { tracking } = await live.tracking();
-    asking = false;
-    if (tracking && !closed) show(tracking);
+    if (isAsking) return;
+    isAsking = true;
+    const found = await ask("tracking", live.tracking());
+    isAsking = false;
+    if (found?.tracking) show(found.tracking);
   }
 
   const unTheme = onTheme(() => { key = ""; update(); });
   const timer = setInterval(update, REFRESH_MS);
   update();
-  return { element, close: () => { closed = true; clearInterval(timer); unTheme(); charts.forEach((chart) => chart.close()); } };
+  return { element, close: () => { clearInterval(timer); unTheme(); charts.forEach((chart) => chart.close()); } };
 }

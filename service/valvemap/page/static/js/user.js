@@ -7,6 +7,8 @@ class User extends EventTarget {
   name = null;
   mayLogIn = false;
   hasRig = false;
+  #turn = 0; // counts log-ins and log-outs
+  #isChanging = false;
   #rights = new Map(); // by what a command is about: whether the service would let the user
   #dialog = document.querySelector("dialog.log-in");
   #button = document.querySelector("button.user");
@@ -20,11 +22,13 @@ class User extends EventTarget {
       event.preventDefault();
       problem.textContent = "";
       const { user, password } = Object.fromEntries(new FormData(form));
-      const answer = await post("log-in", { user, password });
+      const answer = await this.#change("log-in", { user, password });
+      if (!answer) return;
       form.elements.password.value = "";
       if (answer.error) { problem.textContent = answer.error; return; }
+      if (!this.#dialog.open) { await this.#logOut(); return; } // it was cancelled meanwhile
       this.#dialog.close();
-      this.#take({ ...answer });
+      this.#take(answer);
     });
     this.refresh();
   }
@@ -35,13 +39,17 @@ class User extends EventTarget {
   }
 
   async refresh() {
-    try { this.#take(await (await fetch("user")).json()); } catch { /* the link says what is wrong */ }
+    const turn = this.#turn;
+    try {
+      const answer = await (await fetch("user")).json();
+      if (turn === this.#turn) this.#take(answer);
+    } catch { /* the link says what is wrong */ }
   }
 
   /** Carry out a command; returns an error's text, or null. */
   async command(command) {
-    const answer = await post("command", command);
-    if (answer.status === 401) this.#take({ user: null });
+    const turn = this.#turn, answer = await post("command", command);
+    if (answer.status === 401 && turn === this.#turn) this.#take({ user: null });
     return answer.error ?? null;
   }
 
@@ -71,7 +79,22 @@ class User extends EventTarget {
     }
   }
 
-  async #logOut() { this.#take(await post("log-out", {})); }
+  async #logOut() {
+    const answer = await this.#change("log-out", {});
+    if (!answer) return;
+    if (!answer.error) this.#take(answer);
+    else if (this.name) alert(`${this.name} is still logged in: ${answer.error}.`);
+  }
+
+  /** Log in or out, one at a time; undefined while another one is under way. What was asked of the user before says nothing of the one after. */
+  async #change(path, body) {
+    if (this.#isChanging) return undefined;
+    this.#isChanging = true;
+    const answer = await post(path, body);
+    this.#turn += 1;
+    this.#isChanging = false;
+    return answer;
+  }
 
   #take({ user = null, mayLogIn = this.mayLogIn, hasRig = this.hasRig }) {
     if (user !== this.name) this.#rights = new Map();

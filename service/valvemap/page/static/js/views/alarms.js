@@ -11,9 +11,9 @@ const PAST_MS = 30 * 86400e3;
 const AROUND_S = 600; // of a trend, around the time of an alarm
 const keyOf = ({ source, name }) => `${source}/${name}`;
 
-export function alarmsView(root, { live, query, keep, user }) {
+export function alarmsView(root, { live, ask, query, keep, user }) {
   let picked = TABS.some(([key]) => key === query.get("show")) ? query.get("show") : null, tab = null, chosen = query.get("alarm") ?? "", at = Number(query.get("t")) || 0;
-  let past = [], kept = true, why = "", shown = [];
+  let past = [], kept = true, why = "", shown = [], askOfChosen = ask.within();
 
   const tabs = h("span.segments", { role: "group", "aria-label": "Which alarms" }, TABS.map(([key]) => h("button", { type: "button", "data-tab": key, onclick: () => { picked = key; chosen = ""; at = 0; update(); } })));
   const search = h("input", { type: "search", placeholder: "Search alarms", "aria-label": "Search alarms", size: 22 });
@@ -93,7 +93,12 @@ export function alarmsView(root, { live, query, keep, user }) {
     const isSame = detail.dataset.alarm === `${keyOf(alarm)}@${alarm.t}`;
     detail.dataset.key = key;
     detail.dataset.alarm = `${keyOf(alarm)}@${alarm.t}`;
-    if (!isSame) { comment.value = ""; say(done, ""); }
+    if (!isSame) {
+      comment.value = "";
+      say(done, "");
+      askOfChosen.close();
+      askOfChosen = ask.within();
+    }
     const end = alarm.until ?? (alarm.active ? Date.now() : alarm.t), length = Math.max(AROUND_S, Math.min(3 * (end - alarm.t) / 1000, 86400));
     const isOngoing = alarm.active && Date.now() - alarm.t < 4 * 3600e3;
     const trend = isOngoing ? `span=${Math.round(Math.max(AROUND_S, 1.5 * (Date.now() - alarm.t) / 1000))}` : `span=${Math.round(length)}&end=${Math.round(alarm.t / 1000 + length / 2)}`;
@@ -122,7 +127,8 @@ export function alarmsView(root, { live, query, keep, user }) {
 
   async function act(what, command) {
     say(done, "…");
-    const problem = await user.command(command);
+    const problem = await askOfChosen(command, user.command(command));
+    if (problem === undefined) return;
     say(done, problem ?? { Acknowledge: "Acknowledged: it was seen.", Confirm: "Confirmed: its cause was dealt with.", Comment: "The comment is kept." }[what]);
     if (!problem) comment.value = "";
   }
@@ -136,7 +142,8 @@ export function alarmsView(root, { live, query, keep, user }) {
   });
 
   async function readPast() {
-    const found = await live.past(Date.now() - PAST_MS, Date.now() + 60000);
+    const found = await ask("past", live.past(Date.now() - PAST_MS, Date.now() + 60000));
+    if (!found) return;
     if (found.past) { past = merged(past, found.past); kept = found.kept; why = found.why ?? ""; }
     update();
   }

@@ -11,7 +11,7 @@ const FIRST_MS = 1500; // the version is read by then
 const SHOW_MS = 1000; // a valve that falls silent sends nothing that would draw it
 
 /** The card; `onShow` draws both maps. */
-export function approvedCard({ live, user, valve, onShow }) {
+export function approvedCard({ live, ask, user, valve, onShow }) {
   let selected = valve.primary, comparison = null;
   const words = h("p"), done = h("p.words", { role: "status" }), hint = h("p.words");
   const both = h("button.quiet", { type: "button", onclick: onShow }, "Show both maps");
@@ -21,8 +21,8 @@ export function approvedCard({ live, user, valve, onShow }) {
   const element = h("section.card.before", {}, h("header", {}, h("h2", {}, "Against the approved map")), words, h("div.buttons", {}, both, hint, rollBack.button, approve.button), done);
 
   async function compare() {
-    const of = selected, found = live.get("Baseline.Version")?.value && !live.old ? await live.compare(valve.name, of) : { error: "" };
-    if (of !== selected) return;
+    const found = await ask("compare", live.get("Baseline.Version")?.value && !live.old ? live.compare(valve.name, selected) : { error: "" });
+    if (!found) return;
     comparison = found.error === undefined ? found : null;
     show();
   }
@@ -45,7 +45,8 @@ export function approvedCard({ live, user, valve, onShow }) {
   async function act(what) {
     const question = what === "Approve" ? "Approve the present maps of all estimators? Later maps are compared with them." : "Go back to the approved map? What all estimators learnt since is dropped.";
     if (!confirm(question)) return;
-    const problem = await user.command({ baseline: valve.name, do: what });
+    const command = { baseline: valve.name, do: what }, problem = await ask(command, user.command(command));
+    if (problem === undefined) return;
     say(done, problem ?? { Approve: "Approved.", RollBack: "The estimators are as they were when the map was approved." }[what]);
     compare();
   }

@@ -18,11 +18,11 @@ const COUNTERS = {
 const NOT_FOUND = "not found yet"; // what Diagnostics.Timing says first
 const FRESH_S = 600; // an older region wants another visit
 
-export function commissioningView(root, { live, valve, estimator, choose }) {
+export function commissioningView(root, { live, ask, valve, estimator, choose }) {
   let selected = estimator, seen = [];
   const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; choose(selected); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
-  const run = guidedRun({ live, valve }), sheet = sheetCard({ live, valve });
+  const run = guidedRun({ live, ask, valve }), sheet = sheetCard({ live, valve });
   const checks = h("ul.checks"), heat = h("canvas.heat", { role: "img", "aria-label": "Uncertainty over control voltage and pressure drop" });
   const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted"), coming = h("ul.words.coming");
 

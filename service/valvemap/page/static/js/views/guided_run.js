@@ -6,14 +6,15 @@ import { fromShown, inUnits, shown } from "../units.js";
 import { user } from "../user.js";
 
 const HEARTBEAT_MS = 400; // the run ends without one for a second
+const MOST_UNANSWERED = 2; // heartbeats
 const UNSEEN_MS = 5000; // after a start, until its run is seen
 const OVER = [NaN, 0, 6, 7, 8]; // not known, not started, done, aborted, refused
 const INTERRUPTED = [0, 7]; // by the end of the service, or aborted
 const TEXTS = ["Progress", "Recording"].map((name) => `Commission.${name}`);
 
 /** The card, hidden where the valve cannot be driven; its update, and what ends its heartbeat. */
-export function guidedRun({ live, valve }) {
-  let beats = 0, beating = null, beganAt = 0, hasBegun = false;
+export function guidedRun({ live, ask, valve }) {
+  let beats = 0, unanswered = 0, beating = null, beganAt = 0, hasBegun = false;
   const accuracy = h("input", { type: "number", min: 0, step: 0.1, value: 0, "aria-label": "Accuracy" });
   const unit = h("span.muted");
   const isOver = () => OVER.includes(live.number("Commission.State"));
@@ -27,6 +28,7 @@ export function guidedRun({ live, valve }) {
     h("p", {}, h("label", {}, "End at ± ", accuracy), " ", unit, " ", begin.button, " ", resume.button, " ", abort.button),
     progress, recording, hint, problem);
 
+  /** A view that is left before the answer comes sends no heartbeat: the run ends by itself. */
   async function start(command) {
     if (!confirm(`${valve.name} will move. Is everybody clear of the machine?`)) return;
     if (!(await act(command))) return;
@@ -35,14 +37,18 @@ export function guidedRun({ live, valve }) {
   }
 
   async function act(command) {
-    const refused = await user.command(command);
+    const refused = await ask(command, user.command(command));
+    if (refused === undefined) return false;
     say(problem, refused ?? "");
     return refused === null;
   }
 
-  function beat() {
-    if (document.hidden) return;
-    user.command({ run: valve.name, do: "Heartbeat", count: ++beats });
+  /** Only some wait for their answers: they would take the connections that Abort needs. */
+  async function beat() {
+    if (document.hidden || unanswered >= MOST_UNANSWERED) return;
+    unanswered += 1;
+    await user.command({ run: valve.name, do: "Heartbeat", count: ++beats });
+    unanswered -= 1;
   }
 
   function end() {

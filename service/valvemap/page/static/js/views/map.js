@@ -16,7 +16,7 @@ const EXTRAPOLATING = 6;
 const NEAR_BAR = 10; // points so near to a section are drawn on it
 const AROUND_MS = 3000; // before an alarm, for the place where it arose
 
-export function mapView(root, { live, valve, estimator, isChosen, choose, user, query }) {
+export function mapView(root, { live, ask, valve, estimator, isChosen, choose, user, query }) {
   const closers = [];
   let colouring = "Q", kept = null, plotted = null, section = 100, redraw = 0;
   let selected = estimator, place = null;
@@ -30,12 +30,12 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   const words = h("p.words"), badge = h("span.badge"), sentence = h("span.muted.sentence");
   const sectionChart = h("div.chart"), sectionWords = h("span.muted");
   const best = h("strong"), reason = h("p"), placeWords = h("p.words");
-  const approved = approvedCard({ live, user, valve, onShow: () => { kept = null; keepButton(); colouring = "change"; schedule(true); } });
+  const approved = approvedCard({ live, ask, user, valve, onShow: () => { kept = null; keepButton(); colouring = "change"; schedule(true); } });
   const sectionSlider = slider("Pressure drop", "bar", 0, 200, 1, section, (value) => { section = value; drawSection(); schedule(); });
   const inverse = inverseCard({
-    live, user, name: valve.name, title: "Which U for which flow?", quantity: "FlowDemand",
+    live, ask, user, name: valve.name, title: "Which U for which flow?", quantity: "FlowDemand",
     sliders: [slider("Flow", "l/min", 0, 200, 0.5, 60), slider("Pressure drop", "bar", 1, 200, 1, 100)],
-    ask: ([flow, dp]) => live.invert(valve.name, flow, dp),
+    question: ([flow, dp]) => live.invert(valve.name, flow, dp),
     demand: ([flow, dp]) => ({ demand: valve.name, Q: flow, dp }),
     words: ([flow, dp]) => `${inUnit(flow, "l/min", 1)} ${shown("l/min")} at ${inUnit(dp, "bar", 0)} ${shown("bar")}`,
     inForce: () => [live.number("Inverse.FlowDemand"), live.number("Inverse.PressureDrop")],
@@ -85,7 +85,8 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   async function findPlace() {
     const at = Number(query.get("at"));
     if (!(at > 0)) return;
-    const found = await live.trend(valve.name, ["Signals.U", "Signals.dp", "Signals.Q"], at - AROUND_MS, at + 500, 500);
+    const found = await ask("place", live.trend(valve.name, ["Signals.U", "Signals.dp", "Signals.Q"], at - AROUND_MS, at + 500, 500));
+    if (!found) return;
     const rows = found.error ? [] : [...found.courses[0][0]].map((_, k) => found.courses.map(([mean]) => mean[k])).filter((row) => row.every(Number.isFinite));
     if (!rows.length) { say(placeWords, `Where the valve worked at ${clock(at)} is not kept.`); return; }
     const [U, dp, flow] = rows.at(-1);
@@ -120,8 +121,8 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   async function draw() {
     const found = surface();
     if (!found) { say(words, "The service is being asked for the map …"); return; }
-    const Plotly = await plotly();
-    if (!root.contains(plot)) return;
+    const Plotly = await ask("surface", plotly());
+    if (!Plotly) return;
     const colour = colours(found);
     const points = live.get("Points")?.value ?? [];
     const rows = Array.isArray(points) ? points : [points];
@@ -155,6 +156,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
     };
     await Plotly.react(plot, traces, layout, { displayModeBar: false, responsive: true, displaylogo: false });
     plotted = Plotly;
+    if (!ask.isOpen()) { Plotly.purge(plot); return; }
     const all = found.status.flat(), far = all.filter((s) => s === EXTRAPOLATING).length;
     const reach = found.std.flat().filter(Number.isFinite).sort((a, b) => a - b);
     say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${spreadInUnit(2 * (reach[reach.length >> 1] ?? NaN), "l/min", 2)} ${shown("l/min")}.${colouring === "change" ? (kept ? " Compared with the map kept at this page's request." : before() ? " Compared with the approved map, drawn as a grey sheet." : " Nothing to compare: approve a map, or keep one here.") : ""}`);
@@ -207,7 +209,7 @@ export function mapView(root, { live, valve, estimator, isChosen, choose, user, 
   live.addEventListener("standing", showStanding);
   const again = setInterval(showStanding, 1000);
   closers.push(onTheme(() => schedule(true)), inverse.close, approved.close, () => clearInterval(again), () => live.removeEventListener("standing", showStanding),
-    () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding), () => plotted?.purge(plot));
+    () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding), () => clearTimeout(redraw), () => plotted?.purge(plot));
   approved.select(selected);
   findPlace();
   showStanding();

@@ -14,14 +14,14 @@ const HALF = 1.96; // of a 95 % interval, in standard deviations
 const FASTEST = 500; // mm/s of the slider
 const BESIDE = /(Std|Lower|Upper)$/; // shown with the value that they are of
 
-export function partView(root, { live, part, user }) {
+export function partView(root, { live, ask, part, user }) {
   const isAxis = part.kind === "axis", codes = CODES[part.kind] ?? {}, closers = [];
   const badge = h("span.badge"), sentence = h("span.muted.sentence", { role: "status" }), table = h("tbody");
-  const inverse = (isAxis ? speedCard : flowCard)(live, user, part.name);
+  const inverse = (isAxis ? speedCard : flowCard)(live, ask, user, part.name);
   const edges = isAxis ? edgesOfAxis(live) : edgesOfLine(live, part);
   const known = h("section.card", {}, h("header", {}, h("h2", {}, isAxis ? "What is known of the axis" : "What is known of the line")),
     h("table.described", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Value"), h("th.number", {}, "± 95 %"))), table));
-  const tracking = isAxis ? trackingCard(live) : null;
+  const tracking = isAxis ? trackingCard(live, ask) : null;
   closers.push(inverse.close, edges.close, () => tracking?.close());
 
   root.append(
@@ -73,27 +73,27 @@ export function partView(root, { live, part, user }) {
   return () => closers.forEach((close) => close());
 }
 
-function speedCard(live, user, name) {
+function speedCard(live, ask, user, name) {
   return inverseCard({
-    live, user, name, title: "Which U for which speed?", quantity: "SpeedDemand",
+    live, ask, user, name, title: "Which U for which speed?", quantity: "SpeedDemand",
     sliders: [slider("Speed (above 0 extends)", "mm/s", -FASTEST, FASTEST, 5, 100)],
     beside: [h("p.words", {}, "At the newest pressures. The play is not in it: add half of it while U rises, subtract half while U falls.")],
-    ask: ([v]) => live.invertSpeed(name, v),
+    question: ([v]) => live.invertSpeed(name, v),
     demand: ([v]) => ({ demand: name, v }), withdraw: { demand: name, v: null },
     words: ([v]) => `${fixed(v, 0)} mm/s`, verdicts: CODES.axis["Inverse.RequiredUStatus"].map(([severity, , about]) => [severity, about]),
     inForce: () => [live.number("Inverse.SpeedDemand")],
   });
 }
 
-function flowCard(live, user, name) {
+function flowCard(live, ask, user, name) {
   const edge = h("p.words"), codes = CODES.line["Inverse.Edge"];
   const showEdge = () => { const [, label, about] = codes[live.number("Inverse.Edge")] ?? [1, NAN, ""]; say(edge, live.oldOf(name) ? "" : `Edge in use: ${label}. ${about}`); };
   live.addEventListener("values", showEdge);
   const made = inverseCard({
-    live, user, name, title: "Which U for which flow?", quantity: "FlowDemand",
+    live, ask, user, name, title: "Which U for which flow?", quantity: "FlowDemand",
     sliders: [slider("Flow (below 0 leaves the line)", "l/min", -200, 200, 0.5, 60), slider("Pressure drop", "bar", 1, 300, 1, 100)],
     beside: [edge],
-    ask: ([flow, dp]) => live.invert(name, flow, dp),
+    question: ([flow, dp]) => live.invert(name, flow, dp),
     demand: ([flow, dp]) => ({ demand: name, Q: flow, dp }),
     words: ([flow, dp]) => `${inUnit(flow, "l/min", 1)} ${shown("l/min")} at ${inUnit(dp, "bar", 0)} ${shown("bar")}`,
     inForce: () => [live.number("Inverse.FlowDemand"), live.number("Inverse.PressureDrop")],

@@ -19,7 +19,7 @@ const FAULTS = [ // kind, sentence, unit, usual size, usual duration in s
   ["drop_out", "Samples are not sent", "share", 0.5], ["clock_step", "The source's clock jumps", "s", 5],
 ];
 
-export function rigView(root, { live, valve, user }) {
+export function rigView(root, { live, ask, valve, user }) {
   const scenario = h("select", { name: "scenario" }, SCENARIOS.map(([name, text]) => h("option", { value: name }, `${name}: ${text}`)));
   const kind = h("select", { name: "kind" }, FAULTS.map(([name, text]) => h("option", { value: name }, text)));
   const size = h("input", { name: "size", type: "number", step: "any", required: true }), unit = h("span.muted");
@@ -59,7 +59,8 @@ export function rigView(root, { live, valve, user }) {
 
   async function act(command, text) {
     say(done, "…");
-    say(done, (await user.command(command)) ?? text);
+    const refused = await ask(command, user.command(command));
+    if (refused !== undefined) say(done, refused ?? text);
   }
 
   function showUser() {

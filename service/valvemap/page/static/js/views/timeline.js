@@ -6,7 +6,7 @@ import { inUnits } from "../units.js";
 
 const PAST_MS = 7 * 86400e3;
 
-export function timelineView(root, { live }) {
+export function timelineView(root, { live, ask }) {
   const list = h("ol.events"), which = h("select", { "aria-label": "Valve" }), kind = h("select", { "aria-label": "Kind" },
     h("option", { value: "" }, "everything"), Object.entries(KINDS).map(([value, text]) => h("option", { value }, text)));
   root.append(h("div.head", {}, h("h1", {}, "Time line"), h("span.fill"), h("label", {}, "Valve ", which), h("label", {}, "Kind ", kind)),
@@ -18,11 +18,14 @@ export function timelineView(root, { live }) {
     which.value = chosen;
   }
 
-  let past = [];
+  let past = [], unread = "";
 
   /** Alarms from before this page began to look, from the service's history. */
   async function readPast() {
-    const found = await live.past(Date.now() - PAST_MS, Date.now());
+    const found = await ask("past", live.past(Date.now() - PAST_MS, Date.now()));
+    if (!found) return;
+    unread = found.error ?? "";
+    if (unread) { draw(); return; }
     const events = (found.past ?? []).map(({ t, source, name, text, severity, active, acked, event }) => ({
       number: -1, t, valve: source === "Service" ? "" : source, kind: "alarm", severity: active && !acked ? severity : 1, event,
       text: `${spaced(name)} ${active ? (acked ? "acknowledged; still active" : "raised") : acked ? "acknowledged" : "cleared"}. ${text}`,
@@ -40,15 +43,18 @@ export function timelineView(root, { live }) {
       h("span", {}, h("span.badge", { "data-severity": event.severity }, KINDS[event.kind] ?? event.kind)),
       event.valve ? h("a", { href: live.hrefOf(event.valve) }, event.valve) : h("span.muted", {}, "service"),
       h("span", {}, inUnits(event.text)))));
-    if (!shown.length) list.append(h("li.muted", {}, "Nothing has happened since this page began to look."));
+    if (unread) list.prepend(h("li.muted", {}, `What happened before this page began to look was not read: ${unread}`));
+    else if (!shown.length) list.append(h("li.muted", {}, "Nothing has happened since this page began to look."));
   }
 
   which.addEventListener("change", draw);
   kind.addEventListener("change", draw);
   live.addEventListener("events", draw);
   live.addEventListener("layout", fillValves);
+  const again = () => { if (!live.old) readPast(); };
+  live.addEventListener("standing", again);
   fillValves();
   draw();
   readPast();
-  return () => { live.removeEventListener("events", draw); live.removeEventListener("layout", fillValves); };
+  return () => { live.removeEventListener("events", draw); live.removeEventListener("layout", fillValves); live.removeEventListener("standing", again); };
 }

@@ -15,7 +15,7 @@ const ASK_MS = 250; // between two reads while zooming
 const DAY_MS = 86400e3;
 const BEFORE = [[0, "nothing"], [3600e3, "an hour before"], [86400e3, "a day before"], [7 * 86400e3, "a week before"]];
 
-export function trendView(root, { live, valve, query, keep }) {
+export function trendView(root, { live, ask, valve, query, keep }) {
   const closers = [], state = readSpan(query), estimator = live.get("Recommended")?.value || valve.primary;
   const SERIES = [ // name, caption, unit, colour, spread
     ["Signals.Q", "Q", "l/min", "--measured"], [`${estimator}.PredictedFlow`, "Q̂", "l/min", "--line-1"],
@@ -24,7 +24,7 @@ export function trendView(root, { live, valve, query, keep }) {
     ["Signals.p1", "p₁", "bar", "--line-1"], ["Signals.p2", "p₂", "bar", "--line-2"], ["Signals.dp", "Δp", "bar", "--line-3"],
   ];
   const names = SERIES.map(([name]) => name), PREDICTED = 1;
-  let rows = emptyRows(SERIES, state.span), doubts = [], others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, isClosed = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
+  let rows = emptyRows(SERIES, state.span), doubts = [], others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
@@ -108,14 +108,16 @@ export function trendView(root, { live, valve, query, keep }) {
     mark(root, "reading", true);
     const [a, b] = [from(), to()], step = stepOf(state.span), { other: otherName, before: otherAt } = state;
     const otherOf = live.valves.find(({ name }) => name === otherName)?.primary ?? estimator;
-    const wanted = live.trend(valve.name, names, a, b, step);
-    const compared = otherName || otherAt ? live.trend(otherName || valve.name, names.map((name) => (otherName ? name.replace(estimator, otherOf) : name)), a - otherAt, b - otherAt, step) : null;
+    const wanted = ask("trend", live.trend(valve.name, names, a, b, step));
+    const compared = otherName || otherAt ? ask("compared", live.trend(otherName || valve.name, names.map((name) => (otherName ? name.replace(estimator, otherOf) : name)), a - otherAt, b - otherAt, step)) : null;
     const found = await wanted, other = await compared;
     isReading = false;
-    if (isClosed) return;
+    if (!found) return;
     failed = found.error ?? "";
     if (!found.error) { rows = tabled(SERIES, found); doubts = found.kept ? doubtSpans(found, PREDICTED) : []; source = { kept: found.kept, since: found.since }; }
-    others = other && !other.error ? tabled(SERIES, other, otherAt) : null;
+    const isSame = otherName === state.other && otherAt === state.before; // else another read follows
+    others = other && !other.error && isSame ? tabled(SERIES, other, otherAt) : null;
+    mark(root, "compared", others ? otherName || "before" : "");
     draw();
     mark(root, "reading", false);
     readPast();
@@ -127,8 +129,8 @@ export function trendView(root, { live, valve, query, keep }) {
     const first = from() - DAY_MS, last = Math.min(pastFrom, Date.now());
     if (first >= pastFrom) return;
     pastFrom = first;
-    const found = await live.past(first, last);
-    if (isClosed) return;
+    const found = await ask("past", live.past(first, last));
+    if (!found) return;
     isPastKnown = Boolean(found.past && found.kept);
     if (found.past) changes = merged(changes, found.past);
     else pastFrom = Infinity; // asked again with the next read
@@ -234,7 +236,7 @@ export function trendView(root, { live, valve, query, keep }) {
     if (state.end === null) { draw(); if (performance.now() - readAt > REFRESH_MS && !live.old) read(); }
     tick = setTimeout(again, pace());
   }, 250);
-  closers.push(() => clearTimeout(tick), () => clearTimeout(timer), () => { isClosed = true; }, () => document.removeEventListener("keydown", onKey),
+  closers.push(() => clearTimeout(tick), () => clearTimeout(timer), () => document.removeEventListener("keydown", onKey),
     () => live.removeEventListener("values", addLive), () => live.removeEventListener("alarms", onAlarms), () => live.removeEventListener("standing", onStanding), onTheme(draw));
   keep(writeSpan(state));
   draw();

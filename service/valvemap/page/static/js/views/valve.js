@@ -13,13 +13,13 @@ const MOST_PARAMETERS = 100; // a network has hundreds, of which none says anyth
 const MINUTE_MS = 60000, STEP_MS = 100; // of history, with which the charts begin
 const REDRAW_MS = 250; // of what is counted rather than seen
 
-export function valveView(root, { live, valve, estimator, isChosen, choose }) {
+export function valveView(root, { live, ask, valve, estimator, isChosen, choose }) {
   const estimators = valve.estimators;
   const closers = [];
   const flows = new History(4), residuals = new History(3), drives = new History(2);
   const bySelected = [];
   let selected = estimators.includes(estimator) ? estimator : valve.primary;
-  let drawnAt = 0, filling = 0, waiting = null;
+  let drawnAt = 0, waiting = null;
 
   const signals = Object.fromEntries(Object.keys(SIGNALS).map((name) => [name, signalTile(name)]));
   const badge = h("span.badge"), sentence = h("span.muted.sentence");
@@ -86,10 +86,10 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
 
   /** Begin with the last minute of the service's history: a change of view loses nothing. */
   async function fill() {
-    const number = ++filling, now = Date.now(), of = selected;
+    const now = Date.now(), of = selected;
     waiting = [];
-    const found = await live.trend(valve.name, ["PredictedFlow", "Residual", "NoiseStd"].map((name) => `${of}.${name}`).concat("Signals.U", "Signals.dp"), now - MINUTE_MS, now, STEP_MS);
-    if (number !== filling) return;
+    const found = await ask("minute", live.trend(valve.name, ["PredictedFlow", "Residual", "NoiseStd"].map((name) => `${of}.${name}`).concat("Signals.U", "Signals.dp"), now - MINUTE_MS, now, STEP_MS));
+    if (!found) return;
     const newer = waiting;
     waiting = null;
     if (!found.error) {
@@ -230,7 +230,7 @@ export function valveView(root, { live, valve, estimator, isChosen, choose }) {
   live.addEventListener("values", take);
   closers.push(() => live.removeEventListener("values", take), onTheme(() => { drawnAt = 0; soon(); }));
   live.addEventListener("standing", standing);
-  closers.push(() => live.removeEventListener("standing", standing), () => { filling = -1; });
+  closers.push(() => live.removeEventListener("standing", standing));
   const slow = setInterval(() => {
     const old = live.oldOf(valve.name);
     standing();
