@@ -3,6 +3,7 @@
 import asyncio
 import json
 import struct
+import time
 
 import pytest
 from websockets.asyncio.client import connect
@@ -151,6 +152,26 @@ async def test_what_moves_is_followed_while_somebody_looks_and_only_of_the_valve
         await gone(page)
         async with asyncio.timeout(10):
             while shown.followed:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+
+
+async def test_who_looks_from_afar_sees_a_value_each_second_and_nothing_is_followed():
+    shown = ShownService()
+    async with served(shown) as (_, url), viewer(url) as socket:
+        afar = {"valve": "V1", "estimator": None, "overview": True, "fromAfar": True}
+        await socket.send(json.dumps({"watch": afar}))
+        seen = Seen(socket)
+        await seen.until(lambda s: "RLS.SampleCount" in s.numbers and s.rows)
+        began, reads, counts = time.monotonic(), shown.reads, set()
+        while time.monotonic() < began + 4.0:
+            seen.take(await socket.recv())
+            counts.add(seen.numbers["RLS.SampleCount"])
+        assert 3 <= len(counts) <= 6
+        assert shown.followed == ()
+        assert shown.reads - reads <= 6 * 8  # flow, frame; each five seconds what has changed
+        await socket.send(json.dumps(WATCH))
+        async with asyncio.timeout(10):
+            while not shown.followed:  # noqa: ASYNC110 - a service has no event
                 await asyncio.sleep(0.01)
 
 

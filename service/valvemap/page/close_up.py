@@ -76,7 +76,7 @@ class CloseUp:
             names = [_FRAME, *variables.live, *variables.state, *variables.slow, *variables.fixed]
             frame, *others = await read_all(self._client, self._ids(number, names))
             self._newest[number] = frame
-            self.show(number, frame)
+            self.show(number, self._valves[number], frame)
             store_readings(self._store, number, names[1:], others)
 
     def newest(self, number: int) -> Reading | None:
@@ -113,7 +113,7 @@ class CloseUp:
         now = self._clock.monotonic()
         for number, results in self._frames.items():
             for frame in results.due(now):
-                self.show(number, frame)
+                self.show(number, self._valves[number], frame)
 
     def due(self, wanted: Wanted, *, thoroughly: bool) -> Iterator[tuple[int, str]]:
         """Yield (valve number, variable name) of each variable to read in this round."""
@@ -135,9 +135,9 @@ class CloseUp:
             for name in names:
                 yield number, name
 
-    def show(self, number: int, frame: Reading) -> None:
-        """Store the columns of a frame."""
-        for name, value in zip(self._valves[number].frame_names, frame.value or (), strict=False):
+    def show(self, number: int, valve: Valve, frame: Reading) -> None:
+        """Store the columns of a valve's frame."""
+        for name, value in zip(valve.frame_names, frame.value or (), strict=False):
             lost = name.startswith("Signals.") and math.isnan(value)
             self._store.put(number, name, value, _BAD_NO_DATA if lost else frame.code, frame.t)
         self._take_point(number)

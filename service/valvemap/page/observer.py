@@ -219,8 +219,8 @@ class Observer:
         flows = [next(readings) for _ in self.valves]
         for number in unknown:
             frames[number] = read = next(readings)
-            if number in wanted.live:
-                self._close_up.show(number, read)
+            if number in wanted.live | wanted.from_afar:
+                self._close_up.show(number, self.valves[number], read)
         for number, name in due:
             store_readings(self.store, number, [name], [next(readings)])
         for number, frame in frames.items():

@@ -81,8 +81,13 @@ class Client(Protocol):
 
 @dataclass
 class Wanted:
-    """What is in view, by number: valves, maps of estimators, lines and axes."""
+    """What is in view, by number: valves, maps of estimators, lines and axes.
+
+    Valves ``from_afar`` are shown once a second, which costs the service nothing: their frames are
+    read anyway.
+    """
 
     live: set[int] = field(default_factory=set)
+    from_afar: set[int] = field(default_factory=set)
     parts: set[int] = field(default_factory=set)
     maps: set[tuple[int, str]] = field(default_factory=set)

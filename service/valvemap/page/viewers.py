@@ -44,6 +44,8 @@ class Viewer:
         Name of the valve in view.
     estimator
         Name of the estimator whose map is in view.
+    from_afar
+        Whether one value a second is enough, as for a trend of a day.
     overview
         Whether the overview is in view.
     seen, events_seen, names_seen, alarms_seen
@@ -54,6 +56,7 @@ class Viewer:
     number: int = 0  # increases with each viewer
     watched: str | None = None
     estimator: str | None = None
+    from_afar: bool = False
     overview: bool = False
     seen: int = 0
     events_seen: int = 0
@@ -117,7 +120,7 @@ class Viewers:
                 wanted.parts.add(number)
             if isinstance(place, Part):
                 continue
-            wanted.live.add(number)
+            (wanted.from_afar if viewer.from_afar else wanted.live).add(number)
             if viewer.estimator in place.estimators:
                 wanted.maps.add((number, viewer.estimator))
         return wanted
@@ -202,11 +205,13 @@ class Viewers:
                     "valve": str() | None as valve,
                     "estimator": str() | None as estimator,
                     "overview": bool() as overview,
+                    **more,
                 }
             }:
                 if valve != viewer.watched or estimator != viewer.estimator:
                     viewer.seen = 0
                 viewer.watched, viewer.estimator = valve, estimator
+                viewer.from_afar = more.get("fromAfar") is True
                 viewer.has_asked = True
                 viewer.overview = overview
                 viewer.rows_seen.clear()

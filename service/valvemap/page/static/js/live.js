@@ -25,7 +25,7 @@ class Live extends EventTarget {
   #names = [];
   #socket = null;
   #failures = 0;
-  #watch = { valve: null, estimator: null, overview: true };
+  #watch = { valve: null, estimator: null, overview: true, fromAfar: false };
   #asked = new Map();
   #question = 0;
   #layout = "";
@@ -37,9 +37,9 @@ class Live extends EventTarget {
     this.#connect();
   }
 
-  /** Say what is in view; the rest is not sent. */
-  watch(valve, estimator = null, overview = true) {
-    const wish = { valve, estimator, overview };
+  /** Say what is in view; the rest is not sent. `fromAfar`: a value each second is enough, which costs the service nothing. */
+  watch(valve, estimator = null, fromAfar = false) {
+    const wish = { valve, estimator, overview: true, fromAfar };
     if (JSON.stringify(wish) === JSON.stringify(this.#watch)) return;
     if (valve !== this.#watch.valve) {
       this.#values.clear();

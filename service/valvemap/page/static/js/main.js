@@ -6,6 +6,7 @@ import { h, mark, say } from "./dom.js";
 import { familyTabs } from "./family.js";
 import { clock, span } from "./format.js";
 import { live } from "./live.js";
+import { isFromAfar, readSpan } from "./spans.js";
 import { tour } from "./tour.js";
 import { choices, choose as chooseUnit } from "./units.js";
 import { user } from "./user.js";
@@ -114,7 +115,7 @@ function showValve(view, valve, common) {
     chosen.estimator = name;
     if (view.withMap) live.watch(valve.name, name);
   };
-  live.watch(valve.name, view.withMap ? estimator : null);
+  live.watch(valve.name, view.withMap ? estimator : null, view.key === "trend" && isFromAfar(readSpan(common.query).span));
   return view.draw(root, { ...common, valve, estimator, isChosen: chosen.estimator === estimator, choose });
 }
 

@@ -4,10 +4,14 @@ const S = 1000, MIN = 60 * S, HOUR = 60 * MIN, DAY = 24 * HOUR;
 export const SPANS = [[MIN, "1 min"], [10 * MIN, "10 min"], [HOUR, "1 h"], [8 * HOUR, "8 h"], [DAY, "1 d"], [7 * DAY, "7 d"], [30 * DAY, "30 d"]];
 export const SHORTEST = 10 * S, LONGEST = 30 * DAY;
 export const STEPS = [100, 200, 500, S, 2 * S, 5 * S, 10 * S, 30 * S, MIN, 2 * MIN, 5 * MIN, 10 * MIN, 30 * MIN, HOUR, 2 * HOUR, 4 * HOUR];
+const AFAR_MS = 10 * S;
 const FEWEST = 360; // intervals of a picture: each is drawn with its least and largest value
 
 /** The longest interval that still gives a fine picture of a span, ms. */
 export const stepOf = (span) => STEPS.findLast((step) => span / step >= FEWEST) ?? STEPS[0];
+
+/** Whether intervals are so long that one value a second fills them; what is in between follows from the history. */
+export const isFromAfar = (span) => stepOf(span) >= AFAR_MS;
 
 export const bounded = (span) => Math.min(Math.max(span, SHORTEST), LONGEST);
 

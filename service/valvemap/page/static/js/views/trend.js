@@ -4,7 +4,7 @@ import { timeChart } from "../charts.js";
 import { h, mark, onTheme, say } from "../dom.js";
 import { clock, fixed, KINDS, NAN, span as spanText, spaced } from "../format.js";
 import { merged } from "../intervals.js";
-import { bounded, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
+import { bounded, isFromAfar, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
 import { trendLanes } from "../trend_lanes.js";
 import { addNewest, doubtSpans, emptyRows, joined, tabled } from "../trend_rows.js";
 import { told } from "../trust.js";
@@ -87,6 +87,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
     Object.assign(state, change);
     if (state.end !== null && state.end > Date.now()) state.end = null;
     keep(writeSpan(state));
+    live.watch(valve.name, null, isFromAfar(state.span));
     draw();
     readSoon();
   }
