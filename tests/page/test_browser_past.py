@@ -153,6 +153,26 @@ async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the
         assert visitor.problems == []
 
 
+async def test_what_is_extrapolated_is_grey_on_the_map_and_a_band_of_the_section(browser):
+    """The shown service extrapolates beyond U = 90 %, in steps of 5 %."""
+    async with visit(browser, ShownService()) as (visitor, _):
+        await visitor.open("map/V1")
+        page = visitor.page
+        await page.locator("section", has_text="grey: extrapolated, U 93 to 100 %").last.wait_for()
+        await page.locator(".js-plotly-plot canvas").first.wait_for()
+        colours = await page.evaluate(
+            """() => { const [surface] = document.querySelector('.surface').data;
+            return [surface.cmin, surface.colorscale[0][1], surface.surfacecolor.map(row => row[3]),
+                surface.y]; }"""
+        )
+        lowest, grey, flows, U = colours
+        assert grey == "#c7cdd3"
+        assert [f == lowest for f in flows] == [u > 90 for u in U]
+        await page.locator("[data-colouring=std]").click()
+        await page.wait_for_function("document.querySelector('.surface').data[0].cmin < 0")
+        assert visitor.problems == []
+
+
 async def test_without_a_history_the_trend_says_so(browser):
     async with visit(browser, ShownService(keeps_history=False)) as (visitor, _):
         await visitor.open("trend/V1")

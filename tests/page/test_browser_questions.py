@@ -1,7 +1,9 @@
 """What an operator asks, by keyboard alone, in at most three actions; answers are the nodes'."""
 
+import re
 import time
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
 import pytest
 import pytest_asyncio
@@ -12,11 +14,13 @@ from support.readings import Read
 from support.served_page import served
 from support.shown_parts import AXIS, LINE
 from support.shown_service import Alarm, ShownService
+from valvemap.page.judgement import Severity
 
 pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
 
 S = 1_000_000_000
 BAD_SENSOR_FAILURE = 0x808C_0000
+_KINDS = "items => items.map(item => item.dataset.kind)"
 
 
 def plant():
@@ -195,6 +199,78 @@ async def test_what_is_missing_for_a_map_and_which_point_is_next(browser):
         await keys.press("4")
         await page.locator("p", has_text="U 80 % at Δp 150 bar").wait_for()
         await page.locator("li[data-done=false]", has_text="7 signals or samples").wait_for()
+
+
+async def test_what_were_the_pressures_and_the_temperature_when_the_alarm_came(browser):
+    shown = plant()
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("a")
+        await keys.open(page.locator("a", has_text="Trend at that time"))
+        (frozen,) = shown.alarms
+        step = 5 * S  # of a span of 37.5 minutes
+        wanted = {f"{(frozen.t // step + k) % 100:.1f}" for k in (-1, 0, 1)}
+        when = page.locator("h2", has_text=re.compile("^At [0-9]"))
+        await when.wait_for()
+        row = page.locator(".readout tr", has_text="p₁")
+        await row.locator("td.value", has_text=re.compile(r"\d")).wait_for()
+        assert await row.locator("td.value").inner_text() in wanted
+        before = await when.inner_text()
+        await keys.press("Shift+ArrowRight")
+        assert await when.inner_text() != before
+
+
+async def test_how_often_was_p2_frozen_in_the_last_month_and_for_how_long(browser):
+    shown = plant()
+    (frozen,) = shown.alarms
+    ended = [
+        replace(frozen, t=frozen.t - day * 86_400 * S + 60 * S, active=False, event=b"e%d" % day)
+        for day in (1, 2)
+    ]
+    began = [replace(one, t=one.t - 60 * S, active=True, event=one.event + b"b") for one in ended]
+    other = replace(frozen, name="Changed", event=b"c", text="The flow changed by -4.1 l/min.")
+    shown.past = [*shown.alarms, *began, *ended, other]
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("a")
+        await keys.open(page.get_by_role("button", name="Past"))
+        await page.keyboard.press("/")
+        await keys.type("p2")
+        await page.locator(".alarm-side p", has_text="3 times in the last 30 days").wait_for()
+        told = await page.locator(".alarm-side p").inner_text()
+        assert "active for 27 min in all" in told  # 25 until now, and a minute on two days
+
+
+async def test_what_does_the_service_suspect_and_how_sure_is_it(browser):
+    shown = plant()
+    shown.values["V1.Diagnostics.Findings"] = Read(["The meter's zero is off by 1.2 l/min."])
+    shown.values["V1.Diagnostics.FindingProbabilities"] = Read([0.83])
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("3")
+        await keys.press("1")
+        said = page.locator(".facts dd", has_text="83 %: The meter's zero is off by 1.2 l/min.")
+        await said.wait_for()
+
+
+async def test_what_did_operators_do(browser):
+    shown = plant()
+    async with asked(browser, shown) as (page, keys, observer):
+        observer.time_line.add(
+            time.time_ns(), "V1", "action", Severity.NOTE, "operator: Acknowledge of Changed."
+        )
+        await keys.press("5")
+        await page.locator("li[data-kind=action]", has_text="operator: Acknowledge").wait_for()
+        await page.get_by_label("Kind").focus()
+        await keys.type("action")
+        await page.locator("li[data-kind=status]").first.wait_for(state="hidden")
+        assert set(await page.locator(".events li").evaluate_all(_KINDS)) == {"action"}
+
+
+async def test_are_samples_lost_or_rejected_and_why(browser):
+    shown = plant()
+    shown.values["V1.Diagnostics.Late"] = Read(7)
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("4")
+        row = page.locator("tr", has_text="signals too late")
+        await row.locator("td", has_text="7").wait_for()
 
 
 async def frozen_alarm(page, keys):

@@ -111,7 +111,7 @@ class ShownService:
             "Inverse": ("FlowDemand", "MapDp", "RequiredU"),
             "Diagnostics": (
                 *("Aligned", "Late", "Pending", "SampleAge"),
-                *("LagQ", "LastAction", "Timing"),
+                *("LagQ", "LastAction", "Timing", "Findings", "FindingProbabilities"),
             ),
             "Signals": ("U", "dp", "Q"),
             "Baseline": ("Version",),

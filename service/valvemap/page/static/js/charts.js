@@ -82,6 +82,15 @@ function timeTicks(chart, ticks) {
   });
 }
 
+/** Shade a chart behind its lines, over spans [from, to] of its first axis. */
+export function shadeSpans(chart, spans, colour) {
+  const { ctx, bbox } = chart, place = (x) => Math.min(Math.max(chart.valToPos(x, "x", true), bbox.left), bbox.left + bbox.width);
+  ctx.save();
+  ctx.fillStyle = colour;
+  for (const [from, to] of spans) if (to >= chart.scales.x.min && from <= chart.scales.x.max) ctx.fillRect(place(from), bbox.top, Math.max(place(to) - place(from), 1), bbox.height);
+  ctx.restore();
+}
+
 /** A chart of the newest minute, or of `span` [from, to] in s. series: [{label, colour, width, dash, scale}]; bands: [[upper, lower, fill]]. */
 export function timeChart(parent, height, series, { unit, unit2, bands = [], range, right = 12, span, cursor = {}, hooks = {} } = {}) {
   return fitted(parent, height, {
@@ -101,12 +110,12 @@ export function timeChart(parent, height, series, { unit, unit2, bands = [], ran
 }
 
 /** A chart over a number; data are set with chart.setData. */
-export function lineChart(parent, height, series, { x, y, bands = [], xRange } = {}) {
+export function lineChart(parent, height, series, { x, y, bands = [], xRange, hooks = {} } = {}) {
   return fitted(parent, height, {
     padding: [8, 14, 0, 0], legend: { show: false }, cursor: { drag: { x: false, y: false } },
     scales: { x: { time: false, ...(xRange ? { range: xRange } : {}) } },
     axes: [axis(x, { size: 30 }), axis(y)],
     series: [{}, ...series.map(({ points = false, ...of }) => line({ ...of, dots: points, size: 5, spanGaps: !points }))],
-    bands: filled(bands),
+    bands: filled(bands), hooks,
   }, [[], ...series.map(() => [])]);
 }

@@ -34,7 +34,7 @@ const VIEWS = [
 ];
 
 // Keys that lead to a field: of this view, or else of another one.
-const FIELDS = { "/": ["overview", ".overview-search"], q: ["map", ".inverse input[type=number]"] };
+const FIELDS = { "/": ["overview", "input[type=search]"], q: ["map", ".inverse input[type=number]"] };
 
 const root = document.querySelector("main"), nav = document.querySelector(".views"), strip = document.querySelector(".strip");
 const link = document.querySelector(".link"), linkText = document.querySelector(".link-text");

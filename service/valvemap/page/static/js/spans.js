@@ -15,16 +15,17 @@ export const isFromAfar = (span) => stepOf(span) >= AFAR_MS;
 
 export const bounded = (span) => Math.min(Math.max(span, SHORTEST), LONGEST);
 
-/** {span, end (null: now), other, before} of a URL's query. */
+/** {span, end (null: now), other, before, at (null: where the pointer is)} of a URL's query, in ms. */
 export function readSpan(query) {
-  const span = Number(query.get("span")), end = Number(query.get("end")), before = Number(query.get("before"));
-  return { span: span > 0 ? bounded(span * S) : 10 * MIN, end: end > 0 ? end * S : null, other: query.get("with") ?? "", before: before > 0 ? before * S : 0 };
+  const span = Number(query.get("span")), end = Number(query.get("end")), before = Number(query.get("before")), at = Number(query.get("at"));
+  return { span: span > 0 ? bounded(span * S) : 10 * MIN, end: end > 0 ? end * S : null, other: query.get("with") ?? "", before: before > 0 ? before * S : 0, at: at > 0 ? at * S : null };
 }
 
-export function writeSpan({ span, end, other, before }) {
+export function writeSpan({ span, end, other, before, at }) {
   const query = new URLSearchParams({ span: String(Math.round(span / S)) });
   if (end !== null) query.set("end", String(Math.round(end / S)));
   if (other) query.set("with", other);
   if (before) query.set("before", String(before / S));
+  if (at !== null) query.set("at", String(Math.round(at / S)));
   return query;
 }

@@ -2,7 +2,7 @@
 
 import { writer } from "../controls.js";
 import { h, mark, say } from "../dom.js";
-import { clock, GUIDES, span, spaced } from "../format.js";
+import { clock, counted, GUIDES, span, spaced } from "../format.js";
 import { activeSpans, merged, parts } from "../intervals.js";
 import { inUnits } from "../units.js";
 
@@ -60,6 +60,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
     keep(next);
     const old = live.old;
     say(note, old ? `${old.why} These alarms are as of ${clock(old.since)}.` : live.alarmTrouble ? `Alarms are not known: ${live.alarmTrouble}` : tab === "past" && !kept ? `The service keeps no past alarms ([history] in its configuration): shown is what this page has seen. ${why}`
+      : tab === "past" && shown.length ? `${counted(shown.length, "time")} in the last 30 days, active for ${span(shown.reduce((sum, { t, until }) => sum + ((until ?? Date.now()) - t) / 1000, 0))} in all.`
       : live.alarmCount > live.alarms.length ? `The worst ${live.alarms.length} of ${live.alarmCount}.` : "");
   }
 
@@ -101,7 +102,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
     }
     const end = alarm.until ?? (alarm.active ? Date.now() : alarm.t), length = Math.max(AROUND_S, Math.min(3 * (end - alarm.t) / 1000, 86400));
     const isOngoing = alarm.active && Date.now() - alarm.t < 4 * 3600e3;
-    const trend = isOngoing ? `span=${Math.round(Math.max(AROUND_S, 1.5 * (Date.now() - alarm.t) / 1000))}` : `span=${Math.round(length)}&end=${Math.round(alarm.t / 1000 + length / 2)}`;
+    const trend = isOngoing ? `span=${Math.round(Math.max(AROUND_S, 1.5 * (Date.now() - alarm.t) / 1000))}&at=${Math.round(alarm.t / 1000)}` : `span=${Math.round(length)}&end=${Math.round(alarm.t / 1000 + length / 2)}&at=${Math.round(alarm.t / 1000)}`;
     const hadFocus = detail.contains(document.activeElement) ? document.activeElement : null;
     detail.replaceChildren(
       h("header", {}, h("h2.big", {}, `${alarm.source} · ${spaced(alarm.name)}`), h("span.badge", { "data-severity": alarm.active ? alarm.severity : 1 }, stateOf(alarm)), h("span.fill"),

@@ -1,6 +1,6 @@
 // The map of one valve: surface, how sure it is where, a section, and which voltage a flow demands.
 
-import { lineChart } from "../charts.js";
+import { lineChart, shadeSpans } from "../charts.js";
 import { css, h, mark, onTheme, say } from "../dom.js";
 import { clock, counted, fixed, inUnit, spreadInUnit } from "../format.js";
 import { inverseCard } from "../inverse_card.js";
@@ -13,12 +13,14 @@ const COLOURINGS = [
   ["Q", "Flow"], ["std", "Uncertainty"], ["status", "Extrapolated"], ["change", "Difference"],
 ];
 const EXTRAPOLATING = 6;
+const FAR = "#c7cdd3"; // of what is extrapolated, whatever the rest is coloured by
+const FAR_SHARE = 0.04; // of the scale of colours
 const NEAR_BAR = 10; // points so near to a section are drawn on it
 const AROUND_MS = 3000; // before an alarm, for the place where it arose
 
 export function mapView(root, { live, ask, valve, estimator, isChosen, choose, user, query }) {
   const closers = [];
-  let colouring = "Q", kept = null, plotted = null, section = 100, redraw = 0;
+  let colouring = "Q", kept = null, guessed = [], isDrawing = false, isBehind = false, plotted = null, section = 100, redraw = 0;
   let selected = estimator, place = null;
 
   const which = h("select", { "aria-label": "Estimator", onchange: () => { isChosen = true; select(which.value); } },
@@ -61,7 +63,7 @@ export function mapView(root, { live, ask, valve, estimator, isChosen, choose, u
     { label: "upper", colour: "--line-1", width: 0 }, { label: "lower", colour: "--line-1", width: 0 },
     { label: "Q̂", colour: "--line-1", width: 2 }, { label: "kept", colour: "--line-6", width: 1.5, dash: [5, 4] },
     { label: "measured", colour: "--measured", points: true },
-  ], { x: "U in %", y: `Q in ${shown("l/min")}`, bands: [[1, 2, "--line-1"]], xRange: [0, 100] });
+  ], { x: "U in %", y: `Q in ${shown("l/min")}`, bands: [[1, 2, "--line-1"]], xRange: [0, 100], hooks: { drawClear: [(drawn) => shadeSpans(drawn, guessed, css("--line"))] } });
   closers.push(chart.close);
 
   function select(name) {
@@ -118,10 +120,17 @@ export function mapView(root, { live, ask, valve, estimator, isChosen, choose, u
     redraw = setTimeout(() => { draw(); drawSection(); }, now ? 0 : 60);
   }
 
+  /** One drawing at a time: a slow machine would begin the next one before the surface is set up. */
   async function draw() {
-    const found = surface();
+    if (isDrawing) { isBehind = true; return; }
+    [isDrawing, isBehind] = [true, false];
+    try { await drawSurface(); } finally { isDrawing = false; }
+    if (isBehind && ask.isOpen()) schedule();
+  }
+
+  async function drawSurface() {
+    const Plotly = surface() && await ask("surface", plotly()), found = surface();
     if (!found) { say(words, "The service is being asked for the map …"); return; }
-    const Plotly = await ask("surface", plotly());
     if (!Plotly) return;
     const colour = colours(found);
     const points = live.get("Points")?.value ?? [];
@@ -159,17 +168,27 @@ export function mapView(root, { live, ask, valve, estimator, isChosen, choose, u
     if (!ask.isOpen()) { Plotly.purge(plot); return; }
     const all = found.status.flat(), far = all.filter((s) => s === EXTRAPOLATING).length;
     const reach = found.std.flat().filter(Number.isFinite).sort((a, b) => a - b);
-    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${spreadInUnit(2 * (reach[reach.length >> 1] ?? NaN), "l/min", 2)} ${shown("l/min")}.${colouring === "change" ? (kept ? " Compared with the map kept at this page's request." : before() ? " Compared with the approved map, drawn as a grey sheet." : " Nothing to compare: approve a map, or keep one here.") : ""}`);
+    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated (grey): nothing was measured near. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${spreadInUnit(2 * (reach[reach.length >> 1] ?? NaN), "l/min", 2)} ${shown("l/min")}.${colouring === "change" ? (kept ? " Compared with the map kept at this page's request." : before() ? " Compared with the approved map, drawn as a grey sheet." : " Nothing to compare: approve a map, or keep one here.") : ""}`);
   }
 
+  /** Colours of the surface; what is extrapolated is grey, lest it looks as well known as the rest. */
   function colours(found) {
+    const { values, scale, low, high, ...more } = coloursOf(found), bottom = low - ((high - low) * FAR_SHARE) / (1 - FAR_SHARE);
+    if (colouring === "status") return { values, scale, low, high, ...more };
+    return {
+      ...more, low: bottom, high, values: values.map((row, i) => row.map((value, j) => (found.status[i][j] === EXTRAPOLATING ? bottom : Math.max(value, low)))),
+      scale: [[0, FAR], [FAR_SHARE, FAR], ...scale.map(([share, colour]) => [FAR_SHARE + (1 - FAR_SHARE) * share, colour])],
+    };
+  }
+
+  function coloursOf(found) {
     const unit = shown("l/min"), quiet = [[0, css("--note-ground")], [1, css("--line-1")]];
     if (colouring === "std") {
       const values = found.std.map((row) => row.map((s) => 2 * lpm(s))), sorted = values.flat().filter(Number.isFinite).sort((a, b) => a - b);
       return { values, scale: [[0, "#2c7a4b"], [0.5, "#e0b84c"], [1, "#b3261e"]], low: 0, high: sorted[Math.floor(0.95 * sorted.length)] || 1, title: `± 2 σ, ${unit}` };
     }
     if (colouring === "status") {
-      return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, "#c7cdd3"], [1, "#c7cdd3"]], low: 0, high: 1, title: "", ticks: { tickvals: [0.25, 0.75], ticktext: ["measured<br>near", "extra-<br>polated"] } };
+      return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, FAR], [1, FAR]], low: 0, high: 1, title: "", ticks: { tickvals: [0.25, 0.75], ticktext: ["measured<br>near", "extra-<br>polated"] } };
     }
     if (colouring === "change") {
       const then = before(), values = then ? found.Q.map((row, i) => row.map((q, j) => lpm(q - then.Q[i][j]))) : found.Q.map((row) => row.map(() => 0));
@@ -189,9 +208,10 @@ export function mapView(root, { live, ask, valve, estimator, isChosen, choose, u
     // measured points lie between the grid's: one axis for both
     const x = [...found.U.map((u, i) => [u, flow[i] + 1.96 * std[i], flow[i] - 1.96 * std[i], flow[i], then ? interpolate(then.dp, then.Q[i], section) : null, null]),
       ...near.map(([u, p, q]) => [u, null, null, null, null, q - slope(found, u, p, section)])].sort((a, b) => a[0] - b[0]);
+    guessed = spansOf(found.U, found.U.map((_, i) => interpolate(found.dp, found.status[i].map((s) => Number(s === EXTRAPOLATING)), section) > 0.5));
     const columns = [0, 1, 2, 3, 4, 5].map((k) => x.map((row) => (Number.isFinite(row[k]) ? (k ? lpm(row[k]) : row[k]) : k ? undefined : row[0])));
     chart.chart.setData(columns);
-    say(sectionWords, `Δp ${inUnit(section, "bar", 0)} ${shown("bar")} · ${counted(near.length, "point")} within ± ${inUnit(NEAR_BAR, "bar", 0)} ${shown("bar")}`);
+    say(sectionWords, `Δp ${inUnit(section, "bar", 0)} ${shown("bar")} · ${counted(near.length, "point")} within ± ${inUnit(NEAR_BAR, "bar", 0)} ${shown("bar")}${guessed.length ? ` · grey: extrapolated, U ${guessed.map(([from, to]) => `${fixed(from, 0)} to ${fixed(to, 0)} %`).join(", ")}` : ""}`);
   }
 
   function showStanding() {
@@ -237,6 +257,18 @@ function interpolate(x, y, at) {
   while (k < x.length - 1 && x[k] < at) k++;
   const share = (at - x[k - 1]) / (x[k] - x[k - 1]);
   return y[k - 1] + share * (y[k] - y[k - 1]);
+}
+
+/** [from, to] of x where it holds, to the middles between its points. */
+function spansOf(x, holds) {
+  const spans = [];
+  x.forEach((at, k) => {
+    if (!holds[k]) return;
+    const from = k ? (x[k - 1] + at) / 2 : at, to = k < x.length - 1 ? (at + x[k + 1]) / 2 : at;
+    if (spans.at(-1)?.[1] === from) spans.at(-1)[1] = to;
+    else spans.push([from, to]);
+  });
+  return spans;
 }
 
 /** What the map itself changes between a point's own pressure drop and the section's. */

@@ -1,7 +1,7 @@
 // What the signals of a valve did: from the service's history, live data on top.
 
-import { timeChart } from "../charts.js";
-import { h, mark, onTheme, say } from "../dom.js";
+import { shadeSpans, timeChart } from "../charts.js";
+import { css, h, mark, onTheme, say } from "../dom.js";
 import { clock, fixed, KINDS, NAN, span as spanText, spaced } from "../format.js";
 import { merged } from "../intervals.js";
 import { bounded, isFromAfar, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
@@ -12,6 +12,7 @@ import { decimals, inUnits, shown } from "../units.js";
 
 const REFRESH_MS = 30000; // what is live is read again so often, from the history
 const ASK_MS = 250; // between two reads while zooming
+const CURSOR_STEPS = 60; // over a span
 const DAY_MS = 86400e3;
 const BEFORE = [[0, "nothing"], [3600e3, "an hour before"], [86400e3, "a day before"], [7 * 86400e3, "a week before"]];
 
@@ -29,7 +30,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
   const button = (text, label, act) => h("button.quiet", { type: "button", "aria-label": label, title: label, onclick: act }, text);
-  const now = button("Now", "Now: follow the newest data (N)", () => go({ end: null }));
+  const now = button("Now", "Now: follow the newest data (N)", () => go({ end: null, at: null }));
   const moves = h("span.together", {}, button("◀", "◀ earlier (←)", () => pan(-0.5)), button("▶", "▶ later (→)", () => pan(0.5)), button("+", "+ zoom in", () => zoom(0.5)), button("−", "− zoom out", () => zoom(2)), now);
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name, kind }) => name !== valve.name && !kind).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
@@ -59,7 +60,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   const to = () => state.end ?? Date.now(), from = () => to() - state.span;
   const cursor = { sync: { key: `trend-${valve.name}` }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => null } };
   const hooks = {
-    drawClear: [lanes.shade], draw: [lanes.mark],
+    drawClear: [lanes.shade, (chart) => { if (state.at !== null) shadeSpans(chart, [[state.at / 1000, state.at / 1000]], css("--ink")); }], draw: [lanes.mark],
     setCursor: [(chart) => { const t = chart.cursor.left >= 0 ? chart.posToVal(chart.cursor.left, "x") : null; if (t !== hover) { hover = t; showReadout(); } }],
     setSelect: [(chart) => {
       if (chart.select.width < 5) return;
@@ -91,6 +92,12 @@ export function trendView(root, { live, ask, valve, query, keep }) {
     draw();
     readSoon();
   }
+  /** The values at another time, by keyboard; in view. */
+  const step = (count) => {
+    const wanted = (state.at ?? to()) + count * Math.max(stepOf(state.span), state.span / CURSOR_STEPS);
+    const at = Math.min(wanted, Date.now());
+    go({ at, end: at < from() || at > to() ? at + state.span / 2 : state.end });
+  };
   const pan = (share) => go({ end: to() + share * state.span });
   const zoom = (factor, around = state.end === null ? to() : to() - state.span / 2) => {
     const span = bounded(state.span * factor), share = (to() - around) / state.span;
@@ -172,7 +179,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   }
 
   function showReadout() {
-    const at = hover ?? null;
+    const at = hover ?? (state.at === null ? null : state.at / 1000);
     let k = rows.t.length - 1;
     if (at !== null) { k = 0; while (k < rows.t.length - 1 && rows.t[k + 1] - at < at - rows.t[k]) k++; }
     const isNew = at === null && state.end === null && !live.oldOf(valve.name);
@@ -214,7 +221,9 @@ export function trendView(root, { live, ask, valve, query, keep }) {
 
   function onKey(event) {
     if (event.target.matches?.("input, select, textarea") || event.ctrlKey || event.metaKey || event.altKey) return;
-    const act = { ArrowLeft: () => pan(-0.25), ArrowRight: () => pan(0.25), "+": () => zoom(0.5), "=": () => zoom(0.5), "-": () => zoom(2), n: () => go({ end: null }) }[event.key];
+    const act = { ArrowLeft: () => pan(-0.25), ArrowRight: () => pan(0.25), "+": () => zoom(0.5), "=": () => zoom(0.5), "-": () => zoom(2), n: () => go({ end: null, at: null }) }[event.key];
+    const move = event.shiftKey ? { ArrowLeft: () => step(-1), ArrowRight: () => step(1) }[event.key] : null;
+    if (move) { event.preventDefault(); move(); return; }
     if (act) { event.preventDefault(); act(); }
   }
   function onWheel(event) {
