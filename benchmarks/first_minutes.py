@@ -11,11 +11,12 @@ import shutil
 import time
 from dataclasses import dataclass, field
 
-from playwright.async_api import Page, async_playwright
+from playwright.async_api import Page, TimeoutError, async_playwright  # noqa: A004 - its own
 
 from benchmarks.page_pictures import DESK, GRAPHICS, demo
 
 _LINES = 14  # of a view are printed
+_WAITS_MS = 120_000.0
 _WATCHES_S = 30.0  # how long the visitor watches it learn
 
 
@@ -38,10 +39,15 @@ class Visit:
             print(f"         | {line}", flush=True)
 
     async def waits(self, selector: str, text: str) -> float:
-        """Wait for a text; return the seconds that it took."""
+        """Wait for a text; return the seconds that it took. If it does not come, print the view."""
         began = time.monotonic()
         found = self.page.locator(selector, has_text=re.compile(text)).first
-        await found.wait_for(timeout=120_000)
+        try:
+            await found.wait_for(timeout=_WAITS_MS)
+        except TimeoutError:
+            await self.does(f"waits in vain for “{text}”")
+            await self.reads("body", 60)
+            raise
         return time.monotonic() - began
 
     async def tour(self, button: str) -> None:

@@ -173,6 +173,24 @@ async def test_what_is_extrapolated_is_grey_on_the_map_and_a_band_of_the_section
         assert visitor.problems == []
 
 
+async def test_a_long_trend_follows_nothing_and_still_goes_on(browser):
+    """One value a second is enough for it, which the page reads of every valve anyway."""
+    shown = ShownService()
+    async with visit(browser, shown) as (visitor, _):
+        page = visitor.page
+        await visitor.open("trend/V1?span=604800")
+        await page.locator("h2", has_text="Newest").wait_for()
+        samples = "() => import('./js/live.js').then(m => m.live.number('RLS.SampleCount'))"
+        first = await page.evaluate(samples)
+        await page.wait_for_timeout(2_500)
+        assert await page.evaluate(samples) > first
+        assert shown.followed == ()
+        await page.locator("button[data-span='600000']").click()
+        await page.wait_for_timeout(1_500)
+        assert shown.followed == ("V1.Frame",)
+        assert visitor.problems == []
+
+
 async def test_without_a_history_the_trend_says_so(browser):
     async with visit(browser, ShownService(keeps_history=False)) as (visitor, _):
         await visitor.open("trend/V1")

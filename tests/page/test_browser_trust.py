@@ -225,3 +225,20 @@ async def test_a_valve_that_works_beyond_what_was_measured_is_not_called_ok(tabs
         assert await badge.inner_text() == "extrapolating"
     finally:
         shown.status = 0.0
+
+
+async def test_a_service_that_still_compiles_says_to_wait_instead_of_blaming_the_source(tabs):
+    shown, visits, _ = tabs
+    shown.values["Service.Start.Compiled"] = Read(0.0)
+    shown.values["Service.Start.Text"] = Read("compiling: 2 of 8 parts done")
+    shown.moving = False
+    try:
+        for view in ("valve/V1", "map/V1", "trend/V1", "commissioning/V1"):
+            told = visits[view].page.locator("main", has_text="Wait: compiling: 2 of 8 parts done")
+            await told.wait_for()
+            assert "Check the source" not in await told.inner_text()
+        shown.values["Service.Start.Compiled"] = Read(100.0)
+        for view in ("valve/V1", "map/V1"):
+            await visits[view].page.locator("main", has_text="Check the source").wait_for()
+    finally:
+        end(shown)

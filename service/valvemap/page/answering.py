@@ -1,8 +1,11 @@
-"""Questions of one viewer, some at a time: a slow answer holds up nothing else."""
+"""Requests of one viewer; its questions, some at a time: a slow answer holds up nothing else."""
 
 import asyncio
+import json
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
+
+from valvemap.page.questions import Senseless
 
 _AT_ONCE = 4  # the next question is read from the socket when one of them is answered
 
@@ -57,3 +60,26 @@ class Answering:
             if not self._failed.done():
                 self._failed.set_exception(error)
                 self._failed.exception()  # it may come when all ends anyway
+
+
+def request_of(text: str | None) -> dict[str, Any]:
+    """Return a request, a JSON object.
+
+    Raises
+    ------
+    Senseless
+
+    >>> request_of('{"ask": 1}')
+    {'ask': 1}
+    """
+    try:
+        request = json.loads(text or "", parse_constant=_refuse)
+    except (ValueError, RecursionError):
+        raise Senseless from None
+    if not isinstance(request, dict):
+        raise Senseless
+    return request
+
+
+def _refuse(_constant: str) -> None:
+    raise ValueError

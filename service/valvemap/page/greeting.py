@@ -20,6 +20,7 @@ def greeting(observer: Observer) -> dict[str, Any]:
         "link": observer.link.value,
         "text": observer.link_text,
         "since": observer.link_since / 1e6,
+        "start": observer.start,
         "url": observer.client.url,
         "generation": observer.generation,
         "valves": [

@@ -15,6 +15,7 @@ NO_ESTIMATORS = frozenset(
         *("Commission", "Dynamics"),
     }
 )
+START = "Service.Start"  # how far the service's start is; kernels are compiled at the first one
 PREFERRED = "Auto"
 
 _LIVE = "Signals."

@@ -14,6 +14,7 @@ from valvemap.page.judgement import Severity
 from valvemap.page.layout import (
     NO_ESTIMATORS,
     ROOT,
+    START,
     VERSION,
     Part,
     PartKind,
@@ -90,6 +91,7 @@ class Observer:
         self._listens_since = 0
         self.figures = Figures(client, clock)
         self._version: object = None
+        self.start = ""  # why a service that answers does not identify yet; empty: it does
 
     async def run(self) -> None:
         """Read until cancelled; reconnect after every failure."""
@@ -204,7 +206,9 @@ class Observer:
         if not self.alarms.trouble:
             self.alarms.hear(self.client.conditions(), self.time_line, self._listens_since)
         if thoroughly:
-            (version,) = await self._read([VERSION])
+            version, compiled, text = await self._read([VERSION, *_START])
+            is_complete = not isinstance(compiled.value, float) or compiled.value >= _ALL
+            self.start = "" if is_complete else str(text.value)
             if version.value != self._version:
                 raise SourceLost(f"{self.client.url}: valves were added or removed; read again")
             await self.standings.look_for_changes(self.valves)
@@ -244,6 +248,8 @@ class Observer:
         self._on_change()
 
 
+_ALL = 100.0  # % of the kernels
+_START = f"{START}.Compiled", f"{START}.Text"
 _SAID = {
     Link.CONNECTING: "Connecting to the service.",
     Link.UP: "Connected to the service.",

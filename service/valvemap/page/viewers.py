@@ -5,7 +5,6 @@ from the store at the time of sending. A viewer that reads nothing for long is d
 """
 
 import asyncio
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from guarded_opcua.admission import Admission
 from valvemap.clock import Clock
-from valvemap.page.answering import Answering
+from valvemap.page.answering import Answering, request_of
 from valvemap.page.greeting import greeting
 from valvemap.page.layout import Part, Valve, part_of
 from valvemap.page.messages import pack_rows, pack_text
@@ -62,7 +61,7 @@ class Viewer:
     events_seen: int = 0
     names_seen: int = 0
     alarms_seen: int = -1
-    greeted: tuple[int, str, str] | None = None
+    greeted: tuple[int, str, str, str] | None = None
     rows_seen: dict[int, Any] = field(default_factory=dict)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
     has_asked: bool = False
@@ -195,7 +194,7 @@ class Viewers:
             message = await viewer.socket.receive()
             if message["type"] == "websocket.disconnect":
                 return
-            request = _request(message.get("text") if bucket.take() else None)
+            request = request_of(message.get("text") if bucket.take() else None)
             await self._take(viewer, answering, request)
 
     async def _take(self, viewer: Viewer, answering: Answering, request: dict[str, Any]) -> None:
@@ -238,7 +237,8 @@ class Viewers:
 
     def _unseen(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
         """Yield messages with all updates this viewer has not received yet."""
-        present = (observer.generation, observer.link.value, observer.link_text)
+        link = observer.link.value, observer.link_text
+        present = (observer.generation, *link, observer.start)
         if viewer.greeted != present:
             if viewer.greeted is None or viewer.greeted[0] != present[0]:
                 viewer.seen = 0
@@ -303,18 +303,3 @@ class Viewers:
 
 def _host_of(viewer: Viewer) -> str:
     return viewer.socket.client.host if viewer.socket.client else ""
-
-
-def _request(text: str | None) -> dict[str, Any]:
-    """Parse a request; raise Senseless if it is not a JSON object."""
-    try:
-        request = json.loads(text or "", parse_constant=_refuse)
-    except (ValueError, RecursionError):
-        raise Senseless from None
-    if not isinstance(request, dict):
-        raise Senseless
-    return request
-
-
-def _refuse(_constant: str) -> None:
-    raise ValueError

@@ -11,6 +11,7 @@ class Live extends EventTarget {
   link = "connecting";
   text = "";
   url = "";
+  start = ""; // why a service that answers does not identify yet
   valves = [];
   parts = []; // axes: {name, kind, family}; their numbers follow those of the valves, among which lines are
   quantities = []; // of each estimator: name, heading, decimals, about
@@ -80,7 +81,7 @@ class Live extends EventTarget {
   oldOf(name) {
     if (this.old) return this.old;
     const row = this.rowOf(name);
-    if (row) return oldRow(row);
+    if (row) return oldRow(row, this.start);
     if (!this.parts.some((part) => part.name === name) || name !== this.watched) return null;
     return oldPart(this.#newest.t, (performance.now() - this.#newest.at) / 1000, this.quality("Inverse.RequiredU") === "bad");
   }
@@ -162,6 +163,7 @@ class Live extends EventTarget {
     if (message.link) {
       this.url = message.url;
       this.since = message.since;
+      this.start = message.start;
       Object.assign(this, { link: message.link, text: message.text }); // views are drawn on what is so now
       this.valves = message.valves;
       this.parts = message.parts;

@@ -81,7 +81,7 @@ export function trendLanes({ live, valve, span, changes, areAllKnown, silences, 
     const x = (ms) => left + width * Math.min(Math.max((ms - from) / (to - from), 0), 1);
     const bar = (lane, a, b, colour) => { context.fillStyle = colour; context.fillRect(x(a), lane * LANE + 2, Math.max(x(b) - x(a), 2), LANE - 4); };
     const written = (text, at, lane, colour, align = "left") => { context.textAlign = align; context.fillStyle = css(colour); context.fillText(text, at, (lane + 0.5) * LANE); };
-    const told = ({ label, from: a, to: b }) => `${label} ${a > 0 ? `from ${clock(a)}` : ""} ${b === null ? "on" : `to ${clock(b)}`}`;
+    const told = ({ label, from: a, to: b }) => `${label}${a > 0 ? ` from ${clock(a)}` : ""} ${b === null ? "on" : `to ${clock(b)}`}`;
     const said = [...standing[0][1], ...found.map((one) => ({ ...one, label: spaced(laneOf(one)) }))].map(told);
     const estimate = standing[1] ? `. Estimate of ${estimator}: ${standing[1][1].map(told).join("; ")}` : "";
     canvas.setAttribute("aria-label", `State and alarms: ${said.join("; ") || "none known"}${estimate}`);

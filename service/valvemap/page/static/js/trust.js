@@ -15,9 +15,10 @@ const SILENT = { state: "valve", label: "no new samples", why: "No new sample ar
 /** Nothing is of now while the link is in this state. */
 export const oldLink = (state, since) => ({ state, label: "not known", ...LINKS[state], since });
 
-/** Nothing of a valve or line is of now, by its row of the overview; null while it is. */
-export function oldRow({ reason, since, silent }) {
+/** Nothing of a valve or line is of now, by its row of the overview; null while it is. `start`: how far the service's start is, if it is not over. */
+export function oldRow({ reason, since, silent }, start) {
   const [label, why, isOld] = REASONS[reason];
+  if (start && (isOld || silent > STALE_S)) return { state: "valve", label: "starting", why: "The service has not started completely.", since: Date.now() - 1000 * silent, advice: `Wait: ${start}.` };
   if (isOld) return { state: "valve", label, why, since, advice: "See Alarms for what to do." };
   return silent > STALE_S ? { ...SILENT, since: Date.now() - 1000 * silent } : null;
 }
