@@ -84,9 +84,9 @@ async def _draw(program: str) -> None:
             if picture.name == "rig":
                 await _break_something(page, password)
             seen = page.locator("main", has_text=re.compile(picture.seen, re.DOTALL))
-            await seen.wait_for(timeout=1_000.0 * _SEEN_S)
+            await seen.wait_for()
             await page.wait_for_timeout(1_000.0 * picture.look_s)
-            await page.locator(".strip").wait_for(state="hidden", timeout=1_000.0 * _SEEN_S)
+            await page.locator(".strip").wait_for(state="hidden")
             await page.screenshot(path=picture.file)
             print(picture.file, flush=True)
         await browser.close()
@@ -98,6 +98,7 @@ async def _page(browser: Browser, picture: Picture) -> Page:
         viewport={"width": width, "height": height},
         color_scheme=picture.theme,  # type: ignore[arg-type]
     )
+    context.set_default_timeout(1_000.0 * _SEEN_S)
     await context.add_init_script("localStorage.setItem('tour', 'closed')")
     return await context.new_page()
 

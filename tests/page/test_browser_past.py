@@ -160,16 +160,16 @@ async def test_what_is_extrapolated_is_grey_on_the_map_and_a_band_of_the_section
         page = visitor.page
         await page.locator("section", has_text="grey: extrapolated, U 93 to 100 %").last.wait_for()
         await page.locator(".js-plotly-plot canvas").first.wait_for()
-        colours = await page.evaluate(
-            """() => { const [surface] = document.querySelector('.surface').data;
-            return [surface.cmin, surface.colorscale[0][1], surface.surfacecolor.map(row => row[3]),
-                surface.y]; }"""
+        known, far, grey, U = await page.evaluate(
+            """() => { const [known, far] = document.querySelector('.surface').data;
+            return [...[known, far].map(({ z }) => z.map((row) => Number.isFinite(row[3]))),
+                far.colorscale[0][1], known.y]; }"""
         )
-        lowest, grey, flows, U = colours
         assert grey == "#c7cdd3"
-        assert [f == lowest for f in flows] == [u > 90 for u in U]
-        await page.locator("[data-colouring=std]").click()
-        await page.wait_for_function("document.querySelector('.surface').data[0].cmin < 0")
+        assert known == [u <= 90 for u in U]
+        assert far == [u >= 90 for u in U]  # they meet
+        await page.locator("[data-colouring=status]").click()
+        await page.wait_for_function("document.querySelector('.surface').data[1].z.length === 0")
         assert visitor.problems == []
 
 

@@ -13,8 +13,6 @@ const COLOURINGS = [
   ["Q", "Flow"], ["std", "Uncertainty"], ["status", "Extrapolated"], ["change", "Difference"],
 ];
 const EXTRAPOLATING = 6;
-const FAR = "#c7cdd3"; // of what is extrapolated, whatever the rest is coloured by
-const FAR_SHARE = 0.04; // of the scale of colours
 const NEAR_BAR = 10; // points so near to a section are drawn on it
 const AROUND_MS = 3000; // before an alarm, for the place where it arose
 
@@ -135,12 +133,15 @@ export function mapView(root, { live, ask, valve, estimator, isChosen, choose, u
     const colour = colours(found);
     const points = live.get("Points")?.value ?? [];
     const rows = Array.isArray(points) ? points : [points];
+    const hovertemplate = `U %{y:.1f} %<br>Δp %{x:.${decimals("bar", 0)}f} ${shown("bar")}<br>Q %{z:.${decimals("l/min", 1)}f} ${shown("l/min")}<extra></extra>`;
+    const { known, far: beyond } = colouring === "status" ? { known: found.Q, far: [] } : apart(found);
     const traces = [
       {
-        type: "surface", x: found.dp.map(bar), y: found.U, z: found.Q.map((row) => row.map(lpm)), surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
+        type: "surface", x: found.dp.map(bar), y: found.U, z: known.map((row) => row.map(lpm)), surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
         colorbar: { title: { text: colour.title, side: "top" }, thickness: 12, len: 0.75, tickfont: { color: css("--soft") }, ...colour.ticks }, opacity: 0.96,
-        hovertemplate: `U %{y:.1f} %<br>Δp %{x:.${decimals("bar", 0)}f} ${shown("bar")}<br>Q %{z:.${decimals("l/min", 1)}f} ${shown("l/min")}<extra></extra>`, showscale: true,
+        hovertemplate, showscale: true,
       },
+      { type: "surface", x: found.dp.map(bar), y: found.U, z: beyond.map((row) => row.map(lpm)), colorscale: [[0, css("--far")], [1, css("--far")]], opacity: 0.96, hovertemplate, showscale: false },
       {
         type: "scatter3d", mode: "markers", x: rows.map((r) => bar(r[1])), y: rows.map((r) => r[0]), z: rows.map((r) => lpm(r[2])),
         marker: { size: 2.4, color: css("--measured"), opacity: 0.75 }, hoverinfo: "skip", showlegend: false,
@@ -171,24 +172,14 @@ export function mapView(root, { live, ask, valve, estimator, isChosen, choose, u
     say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated (grey): nothing was measured near. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${spreadInUnit(2 * (reach[reach.length >> 1] ?? NaN), "l/min", 2)} ${shown("l/min")}.${colouring === "change" ? (kept ? " Compared with the map kept at this page's request." : before() ? " Compared with the approved map, drawn as a grey sheet." : " Nothing to compare: approve a map, or keep one here.") : ""}`);
   }
 
-  /** Colours of the surface; what is extrapolated is grey, lest it looks as well known as the rest. */
   function colours(found) {
-    const { values, scale, low, high, ...more } = coloursOf(found), bottom = low - ((high - low) * FAR_SHARE) / (1 - FAR_SHARE);
-    if (colouring === "status") return { values, scale, low, high, ...more };
-    return {
-      ...more, low: bottom, high, values: values.map((row, i) => row.map((value, j) => (found.status[i][j] === EXTRAPOLATING ? bottom : Math.max(value, low)))),
-      scale: [[0, FAR], [FAR_SHARE, FAR], ...scale.map(([share, colour]) => [FAR_SHARE + (1 - FAR_SHARE) * share, colour])],
-    };
-  }
-
-  function coloursOf(found) {
     const unit = shown("l/min"), quiet = [[0, css("--note-ground")], [1, css("--line-1")]];
     if (colouring === "std") {
       const values = found.std.map((row) => row.map((s) => 2 * lpm(s))), sorted = values.flat().filter(Number.isFinite).sort((a, b) => a - b);
       return { values, scale: [[0, "#2c7a4b"], [0.5, "#e0b84c"], [1, "#b3261e"]], low: 0, high: sorted[Math.floor(0.95 * sorted.length)] || 1, title: `± 2 σ, ${unit}` };
     }
     if (colouring === "status") {
-      return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, FAR], [1, FAR]], low: 0, high: 1, title: "", ticks: { tickvals: [0.25, 0.75], ticktext: ["measured<br>near", "extra-<br>polated"] } };
+      return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, css("--far")], [1, css("--far")]], low: 0, high: 1, title: "", ticks: { tickvals: [0.25, 0.75], ticktext: ["measured<br>near", "extra-<br>polated"] } };
     }
     if (colouring === "change") {
       const then = before(), values = then ? found.Q.map((row, i) => row.map((q, j) => lpm(q - then.Q[i][j]))) : found.Q.map((row) => row.map(() => 0));
@@ -257,6 +248,14 @@ function interpolate(x, y, at) {
   while (k < x.length - 1 && x[k] < at) k++;
   const share = (at - x[k - 1]) / (x[k] - x[k - 1]);
   return y[k - 1] + share * (y[k] - y[k - 1]);
+}
+
+/** The flow where something was measured near, and where it is extrapolated, lest that looks as well known: NaN elsewhere. They meet. */
+function apart({ Q, status }) {
+  const isFar = (i, j) => status[i]?.[j] === EXTRAPOLATING, beside = [-1, 0, 1];
+  const isEdge = (i, j) => beside.some((a) => beside.some((b) => isFar(i + a, j + b)));
+  const where = (holds) => Q.map((row, i) => row.map((q, j) => (holds(i, j) ? q : NaN)));
+  return { known: where((i, j) => !isFar(i, j)), far: where(isEdge) };
 }
 
 /** [from, to] of x where it holds, to the middles between its points. */
