@@ -128,6 +128,29 @@ async def test_the_state_alarms_and_silences_are_bands_over_the_trend(browser):
         assert f"Sensor frozen from {begun} on" in await lanes.get_attribute("aria-label")
 
 
+async def test_an_end_that_is_dated_before_its_begin_leaves_no_alarm_active(browser):
+    """As late samples do: the alarm is raised by the clock, and cleared by the time of a sample."""
+    shown, frozen = alarmed()
+    ended = replace(frozen, t=frozen.t - 3 * S, active=False, event=b"2")
+    shown.past, shown.alarms = [frozen, ended], [frozen, ended]
+    async with visit(browser, shown) as (visitor, _):
+        page = visitor.page
+        await visitor.open("trend/V1?span=3600")
+        lanes = page.locator("canvas.lanes[aria-label*='Sensor frozen from']")
+        await lanes.wait_for()
+        await page.wait_for_timeout(500)
+        told = [
+            one
+            for one in (await lanes.get_attribute("aria-label")).split("; ")
+            if "Sensor frozen" in one
+        ]
+        assert told
+        assert not [one for one in told if one.endswith(" on") or "frozen to" in one]
+        await visitor.open("alarms?show=past")
+        await page.locator(".alarm-list button", has_text="Sensor frozen").first.wait_for()
+        assert await page.locator(".alarm-list .badge", has_text="active").count() == 0
+
+
 async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the_history(browser):
     shown, _ = alarmed()
     doubtful = time.time_ns() - 300 * S, time.time_ns() - 200 * S

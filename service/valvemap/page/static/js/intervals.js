@@ -20,6 +20,15 @@ export function activeSpans(changes, areAllKnown = true) {
   return found;
 }
 
+/** Spans of alarms, of which the present ones decide what is still active: a clock that steps, or a late sample, may report an end before the begin. `isAll`: every present alarm is among them. */
+export function endedSpans(spans, present, isAll) {
+  return spans.map((one) => {
+    const now = present.find(({ source, name }) => source === one.source && name === one.name);
+    if (one.to !== null || (now ? now.active : !isAll)) return one;
+    return { ...one, to: Math.max(one.from, now?.t ?? one.from) };
+  });
+}
+
 /** Spans of a valve's states, the oldest first: {from, to, severity, text}; from the events of the time line, and the present state {since, severity, text}. */
 export function stateSpans(events, valve, present) {
   const changes = events.filter((event) => event.kind === "status" && event.valve === valve).sort((a, b) => a.t - b.t);

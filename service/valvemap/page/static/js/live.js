@@ -20,6 +20,8 @@ class Live extends EventTarget {
   alarms = []; // those that need somebody, worst first
   alarmCount = 0;
   alarmTrouble = ""; // why they are not known
+  get hasAllAlarms() { return !this.old && !this.alarmTrouble && this.alarms.length === this.alarmCount; }
+
   events = [];
   heardAt = performance.now();
   #values = new Map(); // name → {value, code, t} of the watched valve

@@ -2,7 +2,7 @@
 
 import { css, h, pen } from "./dom.js";
 import { clock, REASONS, spaced } from "./format.js";
-import { activeSpans, merged, stateSpans } from "./intervals.js";
+import { activeSpans, endedSpans, merged, stateSpans } from "./intervals.js";
 
 const LANE = 18; // px
 const MOST_LANES = 4; // of alarms
@@ -12,14 +12,15 @@ const FONT = "11px system-ui, sans-serif";
 const SILENT = "no samples";
 const DOUBTS = [["ok", 0], ["partly uncertain", 1], ["uncertain", 2]]; // of an estimate: label, severity
 
-/** `span()` is [from, to] in ms; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history. */
-export function trendLanes({ live, valve, span, changes, areAllKnown, silences, estimator, doubts }) {
+/** `span()` is [from, to] in ms, `begin()` the first time of a value; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history. */
+export function trendLanes({ live, valve, span, begin, changes, areAllKnown, silences, estimator, doubts }) {
   const canvas = h("canvas.lanes", { role: "img", "aria-label": "State" });
 
-  /** Spans of alarms of this valve and of the service. */
+  /** Spans of alarms of this valve and of the service; none begins before anything is known. */
   function active() {
-    const [from, to] = span();
-    return activeSpans(merged(changes(), live.alarms), areAllKnown()).filter(({ source, from: a, to: b }) => (source === valve.name || source === "Service") && a < to && (b ?? Infinity) > from);
+    const [from, to] = span(), all = merged(changes(), live.alarms), first = Math.min(begin(), ...all.map(({ t }) => t));
+    const spans = endedSpans(activeSpans(all, areAllKnown()), live.alarms, live.hasAllAlarms);
+    return spans.map((one) => ({ ...one, from: Math.max(one.from, first) })).filter(({ source, from: a, to: b }) => (source === valve.name || source === "Service") && a < to && (b ?? Infinity) > from);
   }
 
   /** Events that are not alarms. */

@@ -3,7 +3,7 @@
 import { writer } from "../controls.js";
 import { h, mark, say } from "../dom.js";
 import { clock, counted, GUIDES, span, spaced } from "../format.js";
-import { activeSpans, merged, parts } from "../intervals.js";
+import { activeSpans, endedSpans, merged, parts } from "../intervals.js";
 import { inUnits } from "../units.js";
 
 const TABS = [["active", "Active"], ["unacked", "Not acknowledged"], ["past", "Past"]];
@@ -33,7 +33,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
 
   function rows() {
     if (tab === "past") {
-      return activeSpans(merged(past, live.alarms)).map((one) => {
+      return endedSpans(activeSpans(merged(past, live.alarms)), live.alarms, live.hasAllAlarms).map((one) => {
         const newest = merged(past, live.alarms).filter((c) => keyOf(c) === keyOf(one) && c.t >= one.from).sort((a, b) => b.t - a.t)[0] ?? one.raised;
         return { ...one.raised, ...(one.to === null ? newest : {}), severity: one.severity, t: one.from, until: one.to, text: one.text || one.raised.text, user: newest.user, comment: newest.comment, active: one.to === null };
       }).filter(({ t }) => t > 0).sort((a, b) => b.t - a.t);

@@ -156,8 +156,9 @@ export function commissioningView(root, { live, ask, valve, estimator, choose })
 
   const timer = setInterval(update, REFRESH_MS);
   const forget = onTheme(update);
+  live.addEventListener("standing", update);
   update();
-  return () => { clearInterval(timer); forget(); run.end(); };
+  return () => { clearInterval(timer); live.removeEventListener("standing", update); forget(); run.end(); };
 }
 
 /** Where a value lies between the middles of cells: 0 is the middle of the first. */

@@ -35,7 +35,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name, kind }) => name !== valve.name && !kind).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
-  const lanes = trendLanes({ live, valve, span: () => [from(), to()], changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences, estimator, doubts: () => doubts });
+  const lanes = trendLanes({ live, valve, span: () => [from(), to()], begin: () => (rows.t.length ? 1000 * rows.t[0] - rows.step / 2 : Infinity), changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences, estimator, doubts: () => doubts });
   const charts = [["Flow", [0, 1]], ["Residual Q − Q̂", [2]], ["Control voltage and oil temperature", [4, 5]], ["Pressures", [6, 7, 8]]];
   const bodies = charts.map(() => h("div.chart.fit"));
   const readout = h("tbody"), when = h("h2"), list = h("ol.marks");
