@@ -189,8 +189,8 @@ async def test_what_is_extrapolated_is_grey_on_the_map_and_a_band_of_the_section
                 far.colorscale[0][1], known.y]; }"""
         )
         assert grey == "#c7cdd3"
-        assert known == [u <= 90 for u in U]
-        assert far == [u >= 90 for u in U]  # they meet
+        assert all(known)
+        assert far == [u >= 90 for u in U]  # each place beside one that is extrapolated, too
         await page.locator("[data-colouring=status]").click()
         await page.wait_for_function("document.querySelector('.surface').data[1].z.length === 0")
         assert visitor.problems == []

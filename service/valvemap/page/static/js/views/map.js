@@ -13,6 +13,7 @@ const COLOURINGS = [
   ["Q", "Flow"], ["std", "Uncertainty"], ["status", "Extrapolated"], ["change", "Difference"],
 ];
 const EXTRAPOLATING = 6;
+const LIFT = 0.004; // of the largest flow: neither sheet shines through the other
 const NEAR_BAR = 10; // points so near to a section are drawn on it
 const AROUND_MS = 3000; // before an alarm, for the place where it arose
 
@@ -134,10 +135,10 @@ export function mapView(root, { live, ask, valve, estimator, isChosen, choose, u
     const points = live.get("Points")?.value ?? [];
     const rows = Array.isArray(points) ? points : [points];
     const hovertemplate = `U %{y:.1f} %<br>Δp %{x:.${decimals("bar", 0)}f} ${shown("bar")}<br>Q %{z:.${decimals("l/min", 1)}f} ${shown("l/min")}<extra></extra>`;
-    const { known, far: beyond } = colouring === "status" ? { known: found.Q, far: [] } : apart(found);
+    const beyond = colouring === "status" ? [] : extrapolated(found);
     const traces = [
       {
-        type: "surface", x: found.dp.map(bar), y: found.U, z: known.map((row) => row.map(lpm)), surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
+        type: "surface", x: found.dp.map(bar), y: found.U, z: found.Q.map((row) => row.map(lpm)), surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
         colorbar: { title: { text: colour.title, side: "top" }, thickness: 12, len: 0.75, tickfont: { color: css("--soft") }, ...colour.ticks }, opacity: 0.96,
         hovertemplate, showscale: true,
       },
@@ -250,12 +251,11 @@ function interpolate(x, y, at) {
   return y[k - 1] + share * (y[k] - y[k - 1]);
 }
 
-/** The flow where something was measured near, and where it is extrapolated, lest that looks as well known: NaN elsewhere. They meet. */
-function apart({ Q, status }) {
-  const isFar = (i, j) => status[i]?.[j] === EXTRAPOLATING, beside = [-1, 0, 1];
-  const isEdge = (i, j) => beside.some((a) => beside.some((b) => isFar(i + a, j + b)));
-  const where = (holds) => Q.map((row, i) => row.map((q, j) => (holds(i, j) ? q : NaN)));
-  return { known: where((i, j) => !isFar(i, j)), far: where(isEdge) };
+/** The flow where it is extrapolated, and NaN elsewhere: a sheet that lies on the surface, lest it looks as well known there. */
+function extrapolated({ Q, status }) {
+  const isFar = (i, j) => status[i]?.[j] === EXTRAPOLATING, beside = [-1, 0, 1], lift = LIFT * Math.max(...Q.flat().filter(Number.isFinite), 0);
+  const isTouched = (i, j) => beside.some((a) => beside.some((b) => isFar(i + a, j + b)));
+  return Q.map((row, i) => row.map((q, j) => (isTouched(i, j) ? q + lift : NaN)));
 }
 
 /** [from, to] of x where it holds, to the middles between its points. */
