@@ -62,6 +62,12 @@ class Live extends EventTarget {
     return typeof value === "number" ? value : NaN;
   }
 
+  /** A valve's array; empty where it is none, as of a node that may not be read. */
+  list(name) {
+    const value = this.#values.get(name)?.value;
+    return Array.isArray(value) || ArrayBuffer.isView(value) ? value : [];
+  }
+
   /** good, uncertain or bad: how far a value can be trusted. */
   quality(name) {
     const entry = this.#values.get(name);

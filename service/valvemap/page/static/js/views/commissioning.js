@@ -98,7 +98,7 @@ export function commissioningView(root, { live, ask, valve, estimator, choose })
   }
 
   function timing() {
-    return live.get("Diagnostics.Timing")?.value ?? [];
+    return live.list("Diagnostics.Timing");
   }
 
   function showComing() {

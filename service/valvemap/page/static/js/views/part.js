@@ -31,7 +31,7 @@ export function partView(root, { live, ask, part, user }) {
 
   /** The variables of the part itself and its signals; those of the inverse and of edges have places of their own. */
   function described() {
-    const [names, units, sentences] = ["Names", "Units", "Sentences"].map((what) => live.get(`Described.${what}`)?.value ?? []);
+    const [names, units, sentences] = ["Names", "Units", "Sentences"].map((what) => live.list(`Described.${what}`));
     return names.map((name, k) => ({ name, unit: units[k], sentence: sentences[k] })).filter(({ name }) => {
       const isOwn = !name.includes(".") || name.startsWith("Signals.");
       return isOwn && !BESIDE.test(name) && !(name in codes) && !Array.isArray(live.get(name)?.value) && typeof live.get(name)?.value === "number";
@@ -108,7 +108,7 @@ function edgesOfAxis(live) {
   let chart = null, key = "";
 
   function update() {
-    const names = (live.get("Described.Names")?.value ?? []).filter((name) => name.endsWith(".Flow") && live.has(name)).map((name) => name.split(".")[0]), U = live.get("U")?.value;
+    const names = live.list("Described.Names").filter((name) => name.endsWith(".Flow") && live.has(name)).map((name) => name.split(".")[0]), U = live.get("U")?.value;
     if (!names.length || !U) { say(words, live.old ? `Not known: ${live.old.why}` : "There is no map yet."); return; }
     if (key !== names.join()) {
       chart?.close();
@@ -120,7 +120,7 @@ function edgesOfAxis(live) {
       }), { x: "Position of the spool in %", y: `Q in ${shown("l/min")}`, bands: names.map((_, k) => [3 * k + 1, 3 * k + 2, `--line-${k + 1}`]) });
     }
     const columns = names.flatMap((name) => {
-      const flow = live.get(`${name}.Flow`)?.value ?? [], std = live.get(`${name}.FlowStd`)?.value ?? [], known = live.number(`${name}.KnownTo`);
+      const flow = live.list(`${name}.Flow`), std = live.list(`${name}.FlowStd`), known = live.number(`${name}.KnownTo`);
       const at = (sign) => [...U].map((u, k) => (u <= known && Number.isFinite(flow[k]) ? spreadShown(flow[k] + sign * HALF * (std[k] ?? NaN), "l/min") : null));
       return [at(1), at(-1), [...U].map((u, k) => (u <= known && Number.isFinite(flow[k]) ? spreadShown(flow[k], "l/min") : null))];
     });

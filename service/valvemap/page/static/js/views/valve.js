@@ -175,7 +175,7 @@ export function valveView(root, { live, ask, valve, estimator, isChosen, choose 
   }
 
   function showParameters() {
-    const names = live.get(`${selected}.ParameterNames`)?.value ?? [], std = live.get(`${selected}.ParameterStd`)?.value ?? [];
+    const names = live.list(`${selected}.ParameterNames`), std = live.list(`${selected}.ParameterStd`);
     say(parametersTitle, `Parameters of ${selected}${names.length > MOST_PARAMETERS ? `, the first ${MOST_PARAMETERS} of ${names.length}` : ""}`);
     const shown = names.slice(0, MOST_PARAMETERS);
     while (parameters.rows.length > shown.length) parameters.deleteRow(-1);
@@ -211,7 +211,7 @@ export function valveView(root, { live, ask, valve, estimator, isChosen, choose 
       const when = of("ChangeTime");
       lines.push(["Abrupt changes", changes ? `${changes}, the last at ${clock(when)}: ${spreadInUnit(of("ChangeSize"), "l/min", 1)} ${shownUnit("l/min")}` : "none"]);
     }
-    const causes = live.get("Diagnostics.Findings")?.value ?? [], chances = live.get("Diagnostics.FindingProbabilities")?.value ?? [];
+    const causes = live.list("Diagnostics.Findings"), chances = live.list("Diagnostics.FindingProbabilities");
     causes.forEach((sentence, k) => lines.push([k ? "" : "Findings", `${fixed(100 * chances[k], 0)} %: ${inUnits(sentence)}`]));
     const dynamics = live.get("Dynamics.Reason")?.value;
     if (dynamics) lines.push(["Dynamics", inUnits(dynamics)]);
