@@ -16,6 +16,7 @@ from benchmarks.connect_fifth import FIFTH
 from benchmarks.connect_fourth import FOURTH
 from benchmarks.connect_plants import Plant, contradicted, plant
 from benchmarks.connect_second import SECOND
+from benchmarks.connect_seventh import SEVENTH
 from benchmarks.connect_sixth import SIXTH
 from benchmarks.connect_third import KINDS, drawn, faulty
 from benchmarks.connect_unseen import UNSEEN
@@ -160,7 +161,8 @@ def main() -> None:
         own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]
         found = [outcome(one) for one in own if one.asks is not findable]
         print(table(title, found, show=asked.show))
-    for name, made in (("fourth", FOURTH), ("fifth", FIFTH), ("sixth", SIXTH)):
+    sets = {"fourth": FOURTH, "fifth": FIFTH, "sixth": SIXTH, "seventh": SEVENTH}
+    for name, made in sets.items():
         own = [make(s) for make in made.values() for s in few]
         known = [outcome(one) for one in own if not one.asks]
         print(table(f"{name} dozen, can be known", known, show=asked.show))
