@@ -35,7 +35,8 @@ def table(tmp_path_factory):
 NAMES = (
     *("server: requests", "server: values", "server: index ranges"),
     *("client: publish responses", "client: republish responses", "client: history responses"),
-    *("client: data changes", "client: other responses", "client: faults", "client: NodeIds"),
+    *("client: data changes", "client: members of structures", "client: other responses"),
+    *("client: faults", "client: NodeIds"),
     *("client: positions", "state: Valvistor.RLS", "state: Valvistor.RML"),
     *("state: Valvistor.RBF", "state: Valvistor.Auto", "state: Valvistor.Diagnostics"),
     *("state: Valvistor.Signals", "state: Valvistor.Baseline", "state: Valvistor.Alarms"),

@@ -14,6 +14,7 @@ from support import node_peer
 from support.foreign import PLANT, Foreign
 from support.processes import free_port, run, service_url
 from valvemap.app.build import build_identification
+from valvemap.app.models import open_model
 from valvemap.app.serve import serve
 from valvemap.config.loading import load_config
 
@@ -30,7 +31,7 @@ def smooth(k, valve, t):
     return U, dp + 5, 5.0, GAINS["skewed"][valve] * U * dp**0.5 + noise
 
 
-GAINS = {"skewed": (0.1, 0.07), "on change": (0.1, 0.08)}
+GAINS = {"skewed": (0.1, 0.07), "on change": (0.1, 0.08), "structure": (0.05,)}
 
 
 @pytest.fixture
@@ -45,7 +46,17 @@ def skewed():
 
 @pytest.fixture
 def on_change(request):
-    node, script = node_peer.program(request.config.cache.mkdir("node_peer"), "plant.cjs")
+    yield from served_by(request, "plant.cjs")
+
+
+@pytest.fixture
+def structured(request):
+    yield from served_by(request, "structures.cjs")
+
+
+def served_by(request, name):
+    """Serve a plant of node-opcua; yield its address."""
+    node, script = node_peer.program(request.config.cache.mkdir("node_peer"), name)
     port = free_port()
     with subprocess.Popen(
         [node, script, str(port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -108,3 +119,21 @@ async def test_tags_that_are_written_when_they_change(on_change, tmp_path):
         assert any(one.startswith("p1 (") and one.endswith("held") for one in said)
     for said in waiting:
         assert any(one.startswith("p1 (nsu=urn:plc") and "still at 200 " in one for one in said)
+
+
+@pytest.mark.node
+async def test_members_of_a_structure_live_and_in_a_recording(structured, tmp_path):
+    gains = GAINS["structure"]
+    await learnt(structured, ("Valve",), gains, tmp_path)
+    config, recorded = str(tmp_path / "plant.toml"), str(tmp_path / "recorded.csv")
+    nodes = load_config(config).valves[0].nodes
+    assert nodes.p2 == "member=Pressure[1].Value;nsu=urn:plc;s=Valve"
+    for command in (
+        ("record", recorded, "--config", config, "--duration", "15"),
+        ("replay", recorded, "--config", config, "--save", str(tmp_path / "Valve.json")),
+    ):
+        done = await asyncio.to_thread(run, *command)
+        assert done.returncode == 0, done.stdout + done.stderr
+    model = open_model(tmp_path / "Valve.json")
+    for U, dp in ((30.0, 120.0), (60.0, 140.0), (80.0, 160.0)):
+        assert abs(float(model.predict(U, dp)) - gains[0] * U * dp**0.5) < NOISE

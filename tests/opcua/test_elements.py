@@ -15,8 +15,14 @@ from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
-from valvemap.opcua_source.elements import ARRAY as ARRAY_KIND
-from valvemap.opcua_source.elements import NO_ARRAYS, NO_NUMBER, Arrays, Element, with_elements
+from valvemap.opcua_source.elements import (
+    COMPOUND,
+    NO_COMPOUNDS,
+    NO_NUMBER,
+    Compounds,
+    Element,
+    with_elements,
+)
 from valvemap.pipeline.data_changes import DataChanges
 
 pytestmark = pytest.mark.waits
@@ -87,7 +93,7 @@ async def test_elements_are_read_browsed_and_named_if_they_are_not_there(served)
         elements = {f"Inputs[{n}]": f"index={n};{ARRAY}" for n in range(4)}
         curve = {"Curve[70]": "index=70;nsu=urn:plant;s=Curve"}
         assert own == {"Flow": FLOW} | elements | curve
-        structures = [line for line in skipped if "a structure whose members are no nodes" in line]
+        structures = [line for line in skipped if "states no DataTypeDefinition" in line]
         assert ["Limits" in line for line in structures] == [True] * (served is whole_arrays)
         assert any("Curve: an array of more than 64 elements" in line for line in skipped)
 
@@ -136,14 +142,14 @@ def test_a_change_of_an_array_is_one_of_each_element():
         np.array([0, 0, 0x80000000], np.uint32),
         np.array([5, 6, 7]),
     )
-    kind = np.array([11, ARRAY_KIND, 0], np.uint8)
-    arrays = Arrays(data, np.array([1]), np.array([0]))
+    kind = np.array([11, COMPOUND, 0], np.uint8)
+    arrays = Compounds(data, np.array([1]), np.array([0]))
     wanted = {4: [Element(4, 2), Element(9, 0), Element(2, 3)]}
     found, kinds = with_elements(changes, kind, arrays, wanted)
     assert found.item.tolist() == [7, 4, 9, 2, 7]
     assert found.value[:3].tolist() == [9.0, 3.5, 1.5]
     assert kinds.tolist() == [11, 11, 11, NO_NUMBER, 0]
     assert found.source_time.tolist() == [5, 6, 6, 6, 7]
-    lost, _ = with_elements(changes[1:2], kind[1:2], NO_ARRAYS, wanted)
+    lost, _ = with_elements(changes[1:2], kind[1:2], NO_COMPOUNDS, wanted)
     assert np.isnan(lost.value).all()
     assert lost.item.tolist() == [4, 9, 2]

@@ -57,6 +57,15 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Segments
 from valvemap.opcua_client import responses
 from valvemap.opcua_source import decoding
+from valvemap.opcua_source.members import (
+    Field,
+    Form,
+    Member,
+    Structure,
+    encodings_of,
+    kind_of,
+    taken,
+)
 from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.opcua_source.wire import DecodeError
@@ -181,6 +190,7 @@ def _of_opc_ua():
         "client: data changes": Decoder(
             decoding.decode_data_changes, lambda: [_data_changes()], (malformed,)
         ),
+        "client: members of structures": Decoder(_members, lambda: [_structure()]),
         "client: other responses": Decoder(
             _response_of_opc_ua, _responses, (responses.Senseless, status)
         ),
@@ -196,6 +206,30 @@ def _of_opc_ua():
             lambda data: position_from_bytes(data, "x", 2, 2**62), lambda: [_POSITION]
         ),
     }
+
+
+_GAUGE = Structure("Gauge", (Field("tag", 12), Field("value", 11)))
+_OPTIONAL = Structure("Optional", (Field("x", 11, optional=True),), Form.OPTIONAL)
+_STRUCTURE = Structure(
+    "Valve",
+    (Field("gauges", 22, 1, _GAUGE), Field("said", 24), Field("grid", 4, 2),
+     Field("more", 22, 0, _OPTIONAL), Field("U", 4)),
+)  # fmt: skip
+
+
+def _members(data):
+    paths = ("U",), ("gauges", 1, "value"), ("more", "x")
+    own = frozenset(encodings_of(2, 7))
+    wanted = [Member(one, int(kind_of(_STRUCTURE, one)), own, _STRUCTURE) for one in paths]
+    return [taken(data, 0, one) for one in wanted]
+
+
+def _structure():
+    gauges = b"".join(b"\2\0\0\0p1" + struct.pack("<d", 1.5) for _ in range(2))
+    said = b"\x0c\1\0\0\0x"
+    grid = struct.pack("<iII4h", 2, 2, 2, *range(4))
+    body = b"\2\0\0\0" + gauges + said + grid + struct.pack("<Id", 1, 2.5) + b"\7\0"
+    return b"\x16\1\2\7\0\1" + struct.pack("<i", len(body)) + body
 
 
 def _of_states():

@@ -211,5 +211,5 @@ def node_id(text: str) -> str:
         return text
     raise ValueError(
         "a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85; an element of an array "
-        "like index=3;ns=2;s=NAME"
+        "like index=3;ns=2;s=NAME, a member of a structure like member=In.Pressure;ns=2;s=NAME"
     )

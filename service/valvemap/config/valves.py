@@ -41,7 +41,8 @@ def _node_field(signal: Signal) -> tuple[Any, Any]:
 class NodesConfig(per_signal("NodesOfSignals", _node_field, Signal)):  # type: ignore[misc]
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``.
 
-    An element of an array is ``index=3;nsu=URI;s=NAME``, counted from 0.
+    An element of an array is ``index=3;nsu=URI;s=NAME``, counted from 0; a member of a structure
+    ``member=Inlet.Pressure;nsu=URI;s=NAME``, ``member=Gauges[2].Value;…`` in an array.
     """
 
     dp: str | None = Field(

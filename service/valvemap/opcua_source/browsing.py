@@ -10,8 +10,10 @@ from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_client.connection import Connection, in_one_line
 from valvemap.opcua_client.requests import children_of, namespaces_of, read_attributes
+from valvemap.opcua_source.members import Path, path_text
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.opcua_source.source_units import read_units
+from valvemap.opcua_source.type_definitions import numbers_of
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.plant.candidates import Candidate
 
@@ -52,8 +54,9 @@ async def find_numbers(
 ) -> tuple[list[Candidate], list[str]]:
     """Return all readable numbers below the Objects folder, except the Server object's.
 
-    Each element of an array is one; of a longer array those that are ``named``. The second list
-    has a line for each array that is too long or of several dimensions, and for each variable whose
+    Each element of an array is one, each member of a structure that has no nodes for them; of a
+    longer array those that are ``named``. The second list has a line for each array that is too
+    long or of several dimensions, each structure whose type is not known, and each variable whose
     NodeId cannot be written in a configuration.
 
     Raises
@@ -63,13 +66,12 @@ async def find_numbers(
     with connection.errors("browsing"):
         places = await _variables(connection)
         answers = await read_attributes(connection, [node for node, _ in places], _ATTRIBUTES)
-    numbers = [
-        (place, answer) for place, answer in zip(places, answers, strict=True) if _is_number(answer)
-    ]
+    both = list(zip(places, answers, strict=True))
+    numbers = [(place, answer) for place, answer in both if _is_number(answer)]
     said = await read_units(connection, [node for (node, _), _ in numbers])
     namespaces = await namespaces_of(connection)
-    found: list[Candidate] = []
     skipped = [*_unusable(places, answers)]
+    found = await _members(connection, both, namespaces, skipped)
     for ((node, path), answer), of_node in zip(numbers, said, strict=True):
         text = _text(node, namespaces)
         if text is None:
@@ -87,6 +89,46 @@ async def find_numbers(
         )
         found += _elements(candidate, answer[0], named) if _is_array(answer) else [candidate]
     return found, skipped
+
+
+async def _members(
+    connection: Connection,
+    both: Sequence[tuple[_Place, Sequence[ua.DataValue]]],
+    namespaces: Sequence[str],
+    skipped: list[str],
+) -> list[Candidate]:
+    """Return the numbers in structures that have no nodes for their members."""
+    parents = {path[:-1] for (_, path), _ in both}
+    found: list[Candidate] = []
+    for (node, path), answer in both:
+        value, text = answer[0].Value, _text(node, namespaces)
+        if value is None or value.VariantType != _STRUCTURE or path in parents or text is None:
+            continue
+        own = await numbers_of(connection, node, value.Value, MOST_ELEMENTS, MOST_NODES)
+        if isinstance(own, str):
+            skipped.append(f"{printable('/'.join(path))}: {own}")
+            continue
+        for place, kind in own[: MOST_NODES - len(found)]:
+            shown = (*path[:-1], *_joined(path[-1], place))
+            member = f"member={path_text(place)};{text}"
+            found.append(Candidate(node=member, path=shown, largest=_largest_of(kind)))
+    return found
+
+
+def _joined(name: str, place: Path) -> Iterator[str]:
+    """Yield the names from a variable's to its member's; an index belongs to the name before it.
+
+    >>> list(_joined("Valves", (2, "p", 0)))
+    ['Valves[2]', 'p[0]']
+    """
+    shown = name
+    for step in place:
+        if isinstance(step, int):
+            shown += f"[{step}]"
+        else:
+            yield shown
+            shown = step
+    yield shown
 
 
 async def _variables(connection: Connection) -> list[_Place]:
@@ -123,7 +165,10 @@ def _is_number(answer: Sequence[ua.DataValue]) -> bool:
 
 def _largest(value: ua.DataValue) -> float | None:
     """Return the largest number of an integer type; None of a floating one."""
-    kind = 0 if value.Value is None else int(value.Value.VariantType.value)
+    return None if value.Value is None else _largest_of(int(value.Value.VariantType.value))
+
+
+def _largest_of(kind: int) -> float | None:
     return None if kind in _FLOATING else _LARGEST.get(kind)
 
 
@@ -151,15 +196,9 @@ def _elements(array: Candidate, value: ua.DataValue, named: Collection[str]) -> 
 
 
 def _unusable(places: Sequence[_Place], answers: Sequence[Sequence[ua.DataValue]]) -> Iterator[str]:
-    """Yield a line for each array of numbers, and each structure, whose parts are not browsed."""
-    parents = {path[:-1] for _, path in places}
+    """Yield a line for each array of numbers whose elements are not browsed."""
     for (_, path), answer in zip(places, answers, strict=True):
         value = answer[0].Value
-        if value is not None and value.VariantType == _STRUCTURE and path not in parents:
-            yield (
-                f"{printable('/'.join(path))}: a structure whose members are no nodes; let the "
-                "server show each member that is a signal as a variable"
-            )
         is_number = value is not None and value.VariantType.value in NUMERIC_FORMATS
         if not is_number or not value.is_array:
             continue

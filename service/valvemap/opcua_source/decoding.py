@@ -11,7 +11,8 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from valvemap.opcua_source.elements import ARRAY, Arrays, Element, with_elements
+from valvemap.opcua_source.elements import COMPOUND, Compounds, Element, with_elements
+from valvemap.opcua_source.members import Member
 from valvemap.opcua_source.records import Records, read_records
 from valvemap.opcua_source.timestamps import ns_from_ticks
 from valvemap.opcua_source.wire import DecodeError, Reader
@@ -51,10 +52,10 @@ class Message:
     not_numeric : int
         Changes whose value is not a numeric scalar.
     kind : uint8
-        Built-in type of each change's value, (N,); 0: no value; 254: an array; 255: neither a
-        number nor an array.
-    arrays : Arrays or None
-        The values that are arrays, if any.
+        Built-in type of each change's value, (N,); 0: no value; 254: an array or a
+        structure; 255: none of these.
+    compounds : Compounds or None
+        The values that are arrays or structures, if any.
     """
 
     sequence_number: int
@@ -65,7 +66,7 @@ class Message:
     overflows: int
     not_numeric: int
     kind: NDArray[np.uint8]
-    arrays: Arrays | None = None
+    compounds: Compounds | None = None
 
 
 @dataclass(frozen=True)
@@ -139,12 +140,12 @@ class HistoryPiece:
 
 
 def decode_history_response(
-    data: bytes, items: Sequence[int], elements: Sequence[int | None] = ()
+    data: bytes, items: Sequence[int], places: Sequence[int | Member | None] = ()
 ) -> list[HistoryPiece]:
     """Decode the body of a HistoryReadResponse, from its TypeId on.
 
-    ``items`` are the requested items, ``elements`` those of their arrays. A value without a
-    timestamp gets the earliest representable time.
+    ``items`` are the requested items, ``places`` those in their arrays or structures. A value
+    without a timestamp gets the earliest representable time.
 
     Raises
     ------
@@ -159,7 +160,7 @@ def decode_history_response(
     if len(results) != len(items):
         raise DecodeError(f"{len(results)} histories for {len(items)} variables")
     pieces = []
-    for item, element in zip(items, elements or [None] * len(items), strict=True):
+    for item, place in zip(items, places or [None] * len(items), strict=True):
         status, size = reader.u4(), max(reader.i4(), 0)
         start = reader.skip(size)
         point = reader.data[start : start + size]
@@ -168,9 +169,11 @@ def decode_history_response(
         if kind == _HISTORY_DATA:
             batch = read_records(body, _NO_TIME, handle=0)
             changes = batch.changes
-            if element is not None and len(batch.places):
-                arrays = Arrays(data, np.flatnonzero(batch.kind == ARRAY), batch.places)
-                changes, _ = with_elements(changes, batch.kind, arrays, {0: (Element(0, element),)})
+            if place is not None and len(batch.places):
+                compounds = Compounds(data, np.flatnonzero(batch.kind == COMPOUND), batch.places)
+                changes, _ = with_elements(
+                    changes, batch.kind, compounds, {0: (Element(0, place),)}
+                )
         pieces.append(HistoryPiece(status, point, replace(changes, item=_all(item, changes))))
     return pieces
 
@@ -218,20 +221,20 @@ def _message(reader: Reader) -> Message:
         overflows=sum(batch.overflows for batch in batches),
         not_numeric=sum(batch.not_numeric for batch in batches),
         kind=np.concatenate([batch.kind for batch in batches] or [_NO_KINDS]),
-        arrays=_joined(reader.data, batches),
+        compounds=_joined(reader.data, batches),
     )
 
 
-def _joined(data: bytes, batches: Sequence[Records]) -> Arrays | None:
-    """Return the arrays of all batches, by row of the message; None if there are none."""
+def _joined(data: bytes, batches: Sequence[Records]) -> Compounds | None:
+    """Return the values with parts, by row of the message; None if there are none."""
     if not any(len(batch.places) for batch in batches):
         return None
     rows = np.concatenate(
         [
-            np.flatnonzero(batch.kind == ARRAY) + begins
+            np.flatnonzero(batch.kind == COMPOUND) + begins
             for batch, begins in zip(
                 batches, np.cumsum([0, *(len(batch.kind) for batch in batches)]), strict=False
             )
         ]
     )
-    return Arrays(data, rows, np.concatenate([batch.places for batch in batches]))
+    return Compounds(data, rows, np.concatenate([batch.places for batch in batches]))

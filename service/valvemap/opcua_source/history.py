@@ -209,7 +209,7 @@ class SourceHistory:
             return status_name(error.code)
         try:
             pieces = decode_history_response(
-                data, holes.items.tolist(), [node.element for node in nodes]
+                data, holes.items.tolist(), [node.place for node in nodes]
             )
         except DecodeError as error:
             raise Senseless(f"a history that is not understood: {error}") from error

@@ -8,6 +8,7 @@ one state per node (:class:`~valvemap.vocabulary.item_states.ItemState`), in wor
 import asyncio
 import logging
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from valvemap.errors import SourceError, SourceRejected
 from valvemap.opcua_client.connection import Connection, SourceSettings, status_name
 from valvemap.opcua_client.requests import namespaces_of
 from valvemap.opcua_source.item_table import QUIET_S, ItemTable
+from valvemap.opcua_source.members import Member
 from valvemap.opcua_source.monitored_items import Item
 from valvemap.opcua_source.source_nodes import (
     CheckedNodes,
@@ -170,9 +172,12 @@ class ItemWatch:
         quiet = self._clock.monotonic() - table.heard[item] > QUIET_S
         missed = quiet and found.time > table.time[item] + _NEWER_NS
         again, self._missed = missed and item in self._missed, self._missed - {item}
-        moved = item in items and items[item].node.node != found.node
+        before = items[item].node if item in items else None
+        moved = before is not None and (before.node, before.place) != (found.node, found.place)
+        if before is not None and not moved and _read_anew(before.place, found.place):
+            subscription.watched.read_as(replace(before, place=found.place))
         if item not in items or moved or (returned and quiet) or again:
-            node = MonitoredNode(item, found.node, wanted.label, found.type, wanted.element)
+            node = MonitoredNode(item, found.node, wanted.label, found.type, found.place)
             try:
                 await subscription.watched.monitor_again(node)
             except SourceRejected as error:
@@ -263,3 +268,10 @@ class ItemWatch:
                 ItemState.STILL,
                 f"{how} for {rest} samples, while other signals vary; before, for {before} at most",
             )
+
+
+def _read_anew(before: int | Member | None, now: int | Member | None) -> bool:
+    """Whether the definition of a member's structure was read again, over another connection."""
+    if not isinstance(before, Member) or not isinstance(now, Member):
+        return False
+    return before.structure is not now.structure

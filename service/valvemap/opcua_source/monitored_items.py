@@ -9,7 +9,7 @@ from asyncua import ua
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, status_name
 from valvemap.opcua_client.requests import in_chunks, operation_limits
-from valvemap.opcua_source.elements import of_one_array
+from valvemap.opcua_source.elements import of_one_variable
 from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.vocabulary.signals import PER_VALVE
 
@@ -23,7 +23,7 @@ class Item:
     """A monitored item: its node, its id at the server and the revised queue size.
 
     ``handle`` is the client handle of its changes; ``sampling_ms`` the revised sampling interval
-    (0: unknown). Elements of one array share id and handle.
+    (0: unknown). Parts of one variable share id and handle.
     """
 
     node: MonitoredNode
@@ -38,7 +38,7 @@ async def create_items(
 ) -> tuple[Item, ...]:
     """Monitor every sample of every node; the keys are the client handles.
 
-    Elements of one array are one monitored item at the server, under the handle of the first.
+    Parts of one variable are one monitored item at the server, under the handle of the first.
 
     Raises
     ------
@@ -48,7 +48,7 @@ async def create_items(
     """
     settings = connection.settings
     handles = {node.item: handle for handle, node in nodes.items()}
-    groups = of_one_array(nodes.values())
+    groups = of_one_variable(nodes.values())
 
     async def create(
         chunk: Sequence[Sequence[MonitoredNode]],

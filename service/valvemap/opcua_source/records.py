@@ -3,9 +3,9 @@
 A record is ClientHandle (u4), DataValue mask (u1), Variant encoding (u1), value, then status (u4),
 source time (i8, then picoseconds u2) and server time (i8, then u2), each only if the mask has its
 bit. Records differ in size, so one compiled loop walks them, checks every mask and type byte, and
-decodes all numeric scalars; strings and arrays become NaN, but the places of arrays are kept
-(:mod:`valvemap.opcua_source.elements`). Other types (e.g. structures) are skipped by
-:mod:`valvemap.opcua_source.wire` and become NaN, too; the loop then continues with the next record.
+decodes all numeric scalars; all others become NaN, but the places of arrays and structures are kept
+(:mod:`valvemap.opcua_source.elements`). Types of no fixed size (e.g. structures) are skipped by
+:mod:`valvemap.opcua_source.wire`; the loop then continues with the next record.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from valvemap.model.kernels.compiled import kept
-from valvemap.opcua_source.elements import ARRAY, NO_NUMBER
+from valvemap.opcua_source.elements import COMPOUND, NO_NUMBER
 from valvemap.opcua_source.timestamps import (
     EPOCH_TICKS,
     MAX_TICKS,
@@ -32,14 +32,15 @@ _HANDLE = 4  # bytes of the client handle before a value
 _MOST_RECORDS = 600_000  # records with a Double in the largest message
 _ELEMENTS_PER_RECORD = 4  # cost of skipping a record, in walked elements
 _RESERVED = 0xC0  # bits of a DataValue mask
-_NO_NUMBER, _ARRAY = NO_NUMBER, ARRAY  # as the compiled loop knows them
+_NO_NUMBER, _COMPOUND = NO_NUMBER, COMPOUND  # as the compiled loop knows them
 _IS_ARRAY = 0x80  # bit of a Variant's encoding byte
 _OF_KIND = 0x3F
+_EXTENSION_OBJECT = 22
 
 
 @dataclass(frozen=True)
 class Records:
-    """Changes, and what is known of their values; ``places`` are those of arrays, in order."""
+    """Changes, and what is known of their values; ``places`` are those of arrays and structures."""
 
     changes: DataChanges
     overflows: int
@@ -78,11 +79,11 @@ def read_records(reader: Reader, publish_time: int, handle: int = _HANDLE) -> Re
         reader.spend(_ELEMENTS_PER_RECORD)
         _pass_over(reader, row, publish_time, handle, *columns)
         row += 1
-    places = bits[kind == _ARRAY].astype(np.int64)
+    places = bits[kind == _COMPOUND].astype(np.int64)
     return Records(
         DataChanges(item=item, value=_values(bits, kind), status=status, source_time=time),
         overflows=int(np.count_nonzero(overflown(status))),
-        not_numeric=int(np.count_nonzero(kind >= _ARRAY)),
+        not_numeric=int(np.count_nonzero(kind >= _COMPOUND)),
         kind=kind,
         places=places,
     )
@@ -116,8 +117,9 @@ def _pass_over(
         encoding = reader.u1()
         reader.skip_variant_body(encoding)
         kind[row] = 0 if encoding == 0 else _NO_NUMBER
-        if encoding & _IS_ARRAY and encoding & _OF_KIND in NUMERIC_FORMATS:
-            bits[row], kind[row] = place, _ARRAY
+        is_array = encoding & _IS_ARRAY and encoding & _OF_KIND in NUMERIC_FORMATS
+        if is_array or encoding & _OF_KIND == _EXTENSION_OBJECT:
+            bits[row], kind[row] = place, _COMPOUND
     status[row] = reader.u4() if mask & 0x02 else 0
     source = reader.i8() if mask & 0x04 else 0
     source_picoseconds = reader.u2() if mask & 0x10 else 0
@@ -222,7 +224,7 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
             elif size == 0 and number != 0:
                 break
             if not _NUMERIC[number]:
-                number = np.uint8(_ARRAY if number & _IS_ARRAY else _NO_NUMBER)
+                number = np.uint8(_COMPOUND if number & _IS_ARRAY else _NO_NUMBER)
         tail = size
         if mask & 0x02:
             tail += 4
@@ -238,7 +240,7 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
             break
         if number == _NO_NUMBER:
             bits[row] = np.uint64(0)
-        elif number == _ARRAY:
+        elif number == _COMPOUND:
             bits[row] = np.uint64(at - 1)
         elif size == 8:
             bits[row] = np.uint64(_i8(raw, at))

@@ -13,6 +13,8 @@ from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import Connection, in_one_line, status_name
 from valvemap.opcua_client.requests import namespaces_of, read_attributes
 from valvemap.opcua_source.elements import parted
+from valvemap.opcua_source.members import Member, Path
+from valvemap.opcua_source.type_definitions import member_of
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.pipeline.units import Measure
 from valvemap.vocabulary.item_states import ItemState
@@ -25,7 +27,8 @@ _NODE_ID = re.compile(
 )
 _ALLOWED = (
     "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>; before it "
-    "index=<number>; for an element of an array"
+    "index=<number>; for an element of an array, or member=<name>.<name>; for a member of a "
+    "structure"
 )
 
 _ATTRIBUTES = (
@@ -35,6 +38,7 @@ _ATTRIBUTES = (
     ua.AttributeIds.UserAccessLevel,
     ua.AttributeIds.Value,
 )
+_NUMBERS = "a Boolean, an integer, Float or Double"
 _ABSTRACT_NUMBERS = {26, 27, 28}  # Number, Integer, UInteger
 _BUILT_IN = {kind.value for kind in ua.VariantType}
 _SCALARS = {-3, -2, -1}  # ScalarOrOneDimension, Any, Scalar
@@ -79,8 +83,9 @@ class ValveNodes:
         """
         for wanted in _of_valve(0, self):
             parse_node_id(wanted.text, ())
-            if wanted.item is None and wanted.element is not None:
-                raise ConfigurationError(f"{wanted.label}: an element of an array is not written")
+            if wanted.item is None and wanted.part is not None:
+                part = "an element of an array" if isinstance(wanted.part, int) else "a member"
+                raise ConfigurationError(f"{wanted.label}: {part} is not written")
 
     def measure(self, name: str) -> Measure:
         """Return the configured unit and scaling of a signal or of the command."""
@@ -114,8 +119,8 @@ class Wanted:
     label: str
 
     @property
-    def element(self) -> int | None:
-        """The place in an array; None if the value is none."""
+    def part(self) -> int | Path | None:
+        """The element of an array or the member of a structure; None: the value itself."""
         return parted(self.text)[0]
 
 
@@ -133,6 +138,8 @@ class Looked:
         Built-in type of its values; None: not known yet.
     status, time
         StatusCode of its value, and its source time, UTC ns (0: none).
+    place
+        The signal's place in an array or a structure; None: the value itself.
     """
 
     node: ua.NodeId | None
@@ -141,25 +148,26 @@ class Looked:
     type: int | None = None
     status: int = 0
     time: int = 0
+    place: int | Member | None = None
 
 
 @dataclass(frozen=True)
 class MonitoredNode:
     """A node to subscribe to, the item number of its changes, and their type (None: unknown).
 
-    ``element`` is the signal's place in an array, None if the value is none.
+    ``place`` is the signal's place in an array or a structure; None: the value itself.
     """
 
     item: int
     node: ua.NodeId
     label: str
     type: int | None = None
-    element: int | None = None
+    place: int | Member | None = None
 
     @property
     def index_range(self) -> str | None:
         """The element in requests for it alone (Part 4, 7.27)."""
-        return None if self.element is None else str(self.element)
+        return str(self.place) if isinstance(self.place, int) else None
 
 
 @dataclass(frozen=True)
@@ -261,7 +269,7 @@ async def check_nodes(
             kind = _variant_type(found.type)
             writable[node.valve, node.role] = WritableNode(found.node, kind, node.label)
         elif node.item not in copies:
-            own = MonitoredNode(node.item, found.node, node.label, found.type, node.element)
+            own = MonitoredNode(node.item, found.node, node.label, found.type, found.place)
             monitored.append(own)
     if faults and not (lenient and monitored):
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
@@ -314,24 +322,46 @@ async def look(
     with connection.errors("reading the nodes"):
         both = ua.TimestampsToReturn.Both
         answers = iter(await read_attributes(connection, known, _ATTRIBUTES, both))
-        return [
-            Looked(None, one, ItemState.GONE)
-            if isinstance(one, str)
-            else _looked(url, node, one, next(answers))
-            for node, one in zip(wanted, ids, strict=True)
-        ]
+        found = []
+        for node, one in zip(wanted, ids, strict=True):
+            if isinstance(one, str):
+                found.append(Looked(None, one, ItemState.GONE))
+                continue
+            answer = next(answers)
+            place = await _place(connection, node.part, answer)
+            found.append(_looked(url, node, one, answer, place))
+        return found
 
 
-def _looked(url: str, node: Wanted, node_id: ua.NodeId, answer: Sequence[ua.DataValue]) -> Looked:
+async def _place(
+    connection: Connection, part: int | Path | None, answer: Sequence[ua.DataValue]
+) -> int | Member | str | None:
+    """Return where a part is found, or why there is none, as the end of a sentence."""
     _, data_type, _, _, value = answer
-    fault, state = _fault(answer, node.element, write=node.item is None)
+    if not isinstance(part, tuple):
+        return part
+    own = data_type.Value.Value if data_type.Value is not None else None
+    return await member_of(connection, own, value.Value and value.Value.Value, part)
+
+
+def _looked(
+    url: str,
+    node: Wanted,
+    node_id: ua.NodeId,
+    answer: Sequence[ua.DataValue],
+    place: int | Member | str | None,
+) -> Looked:
+    _, data_type, _, _, value = answer
+    fault, state = _fault(answer, place, write=node.item is None)
     if fault is None and node.role == HEARTBEAT and _type_of(answer) != ua.VariantType.UInt32:
         fault = f"is of type {_type_of(answer).name} at {{url}}; a UInt32 is needed"
     if fault is not None:
         return Looked(node_id, fault.format(url=url), state)
     stamped = value.SourceTimestamp
     time = utc_ns(stamped) if stamped is not None else 0
-    return Looked(node_id, None, ItemState.GOOD, _kind(data_type, value), _code(value), time)
+    kind = place.kind if isinstance(place, Member) else _kind(data_type, value)
+    own = None if isinstance(place, str) else place
+    return Looked(node_id, None, ItemState.GOOD, kind, _code(value), time, own)
 
 
 def _resolved(text: str, namespaces: Sequence[str], before: Sequence[str]) -> ua.NodeId:
@@ -375,14 +405,14 @@ def _uint32(text: str) -> int:
 
 
 def _fault(
-    answer: Sequence[ua.DataValue], element: int | None, *, write: bool
+    answer: Sequence[ua.DataValue], place: int | Member | str | None, *, write: bool
 ) -> tuple[str | None, ItemState]:
     """Return the fault of a node as the end of a sentence with ``{url}``, None if it has none."""
     node_class, data_type, rank, access, value = answer
     faults = (
         (_fault_of_class(node_class), ItemState.GONE),
         (_fault_of_access(access, value, write=write), ItemState.REFUSED),
-        (_fault_of_type(data_type, rank, value, element), ItemState.WRONG_TYPE),
+        (_fault_of_type(data_type, rank, value, place), ItemState.WRONG_TYPE),
     )
     return next((one for one in faults if one[0] is not None), (None, ItemState.GOOD))
 
@@ -411,19 +441,30 @@ def _fault_of_access(access: ua.DataValue, value: ua.DataValue, *, write: bool) 
 
 
 def _fault_of_type(
-    data_type: ua.DataValue, rank: ua.DataValue, value: ua.DataValue, element: int | None
+    data_type: ua.DataValue,
+    rank: ua.DataValue,
+    value: ua.DataValue,
+    place: int | Member | str | None,
 ) -> str | None:
+    if isinstance(place, (str, Member)):
+        return _braced(place) + " at {url}" if isinstance(place, str) else None
     kind = _kind(data_type, value)
     if kind is not None and kind not in NUMERIC_FORMATS and kind not in _ABSTRACT_NUMBERS:
-        name = ua.VariantType(kind).name
-        return f"is of type {name} at {{url}}; a Boolean, an integer, Float or Double is needed"
+        is_structure = kind == ua.VariantType.ExtensionObject
+        wanted = "a member: member=<name>; before the NodeId" if is_structure else _NUMBERS
+        return f"is of type {ua.VariantType(kind).name} at {{url}}; {wanted} is needed"
     is_array = value.Value is not None and value.Value.is_array
-    if element is not None:
-        return _fault_of_element(rank, value, element)
+    if place is not None:
+        return _fault_of_element(rank, value, place)
     if rank.Value.Value not in _SCALARS or is_array:
         some = f"index=0 to index={len(value.Value.Value) - 1}" if is_array else "index=0"
         return f"is an array at {{url}}; a scalar is needed, or {some}; before the NodeId"
     return None
+
+
+def _braced(text: str) -> str:
+    """Return a text as ``str.format`` gives it back."""
+    return text.replace("{", "{{").replace("}", "}}")
 
 
 def _fault_of_element(rank: ua.DataValue, value: ua.DataValue, element: int) -> str | None:

@@ -1,4 +1,4 @@
-"""The monitored items of a subscription: their handles, their queues, and elements of arrays."""
+"""The monitored items of a subscription: their handles, their queues, and parts of values."""
 
 import asyncio
 import math
@@ -16,7 +16,13 @@ from valvemap.clock import Clock
 from valvemap.errors import SourceError
 from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_source.decoding import Message
-from valvemap.opcua_source.elements import ARRAY, NO_ARRAYS, Element, of_one_array, with_elements
+from valvemap.opcua_source.elements import (
+    COMPOUND,
+    NO_COMPOUNDS,
+    Element,
+    of_one_variable,
+    with_elements,
+)
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import Item, create_items, delete_items, enlarge_queues
 from valvemap.opcua_source.received import Tally
@@ -48,7 +54,7 @@ class WatchedItems:
         self._settings = connection.settings
         self._tally, self._clock, self._table = tally, clock, table
         self._item_of_handle: NDArray[np.int32] | None = None  # None: they are equal
-        self._elements: dict[int, list[Element]] = {}  # by item under which an array's changes come
+        self._elements: dict[int, list[Element]] = {}  # by the item of the change
         self._asked = 0  # size of the queues
         self._counted: NDArray[np.int64] | None = None  # changes by item, during a measurement
 
@@ -64,11 +70,16 @@ class WatchedItems:
             self.expect(nodes)
 
     def expect(self, nodes: Iterable[MonitoredNode]) -> None:
-        """Note which elements of arrays the changes of these nodes hold, before they come."""
-        for own in of_one_array(nodes):
-            elements = [Element(n.item, n.element) for n in own if n.element is not None]
+        """Note which parts the changes of these nodes hold, before they come."""
+        for own in of_one_variable(nodes):
+            elements = [Element(n.item, n.place) for n in own if n.place is not None]
             if elements:
                 self._elements[own[0].item] = elements
+
+    def read_as(self, node: MonitoredNode) -> None:
+        """Take a signal from another place in its variable's values from now on."""
+        own = (replace(one, node=node) if one.node.item == node.item else one for one in self.items)
+        self.watch(tuple(own))
 
     async def change(self, nodes: Sequence[MonitoredNode], surplus: Sequence[int]) -> None:
         """Monitor exactly these nodes: create missing items and delete the surplus ones.
@@ -92,7 +103,7 @@ class WatchedItems:
     async def monitor_again(self, node: MonitoredNode) -> None:
         """Delete the monitored item of a node, if there is one, and create it again.
 
-        That of an array with other signals is kept for these.
+        That of a variable with other signals is kept for these.
 
         Raises
         ------
@@ -120,9 +131,9 @@ class WatchedItems:
             changes = replace(changes, item=item)
         kind = message.kind
         if self._elements and len(changes):
-            arrays = message.arrays or NO_ARRAYS
-            changes, kind = with_elements(changes, kind, arrays, self._elements)
-        self._tally.undecodable += int(np.count_nonzero(kind >= ARRAY))
+            compounds = message.compounds or NO_COMPOUNDS
+            changes, kind = with_elements(changes, kind, compounds, self._elements)
+        self._tally.undecodable += int(np.count_nonzero(kind >= COMPOUND))
         return self._table.note(changes, kind, self._clock.monotonic())
 
     def count(self, changes: DataChanges) -> None:
@@ -160,6 +171,6 @@ def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
     if all(item.handle == item.node.item for item in items):
         return None
     table = np.full(1 + max(item.handle for item in items), -1, np.int32)
-    for item in reversed(items):  # of elements of one array, the first
+    for item in reversed(items):  # of parts of one variable, the first
         table[item.handle] = item.node.item
     return table

@@ -51,9 +51,10 @@ class DecodeError(ValueError):
 
 @dataclass
 class _Walked:
-    """The number of elements of a message walked one by one."""
+    """The number of elements of a message walked one by one, and the limit on it."""
 
     elements: int = 0
+    most: int = MAX_ELEMENTS
 
 
 class Reader:
@@ -66,11 +67,11 @@ class Reader:
     (1, 255, True)
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, most: int = MAX_ELEMENTS) -> None:
         self.data = data
         self.position = 0
         self.stop = len(data)
-        self._walked = _Walked()
+        self._walked = _Walked(most=most)
 
     def part(self, start: int, stop: int) -> "Reader":
         """Return a reader of the bytes from ``start`` to ``stop``; it shares the element count."""
@@ -123,8 +124,8 @@ class Reader:
     def spend(self, elements: int) -> None:
         """Count elements that are walked one by one."""
         self._walked.elements += elements
-        if self._walked.elements > MAX_ELEMENTS:
-            raise DecodeError(f"more than {MAX_ELEMENTS} elements that are no numbers")
+        if self._walked.elements > self._walked.most:
+            raise DecodeError(f"more than {self._walked.most} elements that are no numbers")
 
     def one_by_one(self, smallest: int) -> range:
         """Read the length of an array, like :meth:`count`, whose elements are walked."""
@@ -201,18 +202,19 @@ class Reader:
         _check_depth(depth)
         kind = encoding & _KIND
         if not encoding & _IS_ARRAY:
-            self._skip_element(kind, depth)
+            self.skip_element(kind, depth)
             return
         size = FIXED_SIZES.get(kind)
         if size is None:
             for _ in self.one_by_one(1):
-                self._skip_element(kind, depth)
+                self.skip_element(kind, depth)
         else:
             self.skip(size * self.count(size))
         if encoding & _HAS_DIMENSIONS:
             self.skip(4 * self.count(4))
 
-    def _skip_element(self, kind: int, depth: int) -> None:  # noqa: C901 - one arm per type
+    def skip_element(self, kind: int, depth: int = 0) -> None:  # noqa: C901 - one arm per type
+        """Skip one value of a built-in type."""
         match kind:
             case 17 | 18:
                 self.node_id()

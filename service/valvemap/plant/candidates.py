@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Final
 
 from valvemap.pipeline.units import Quantity, Unit
-from valvemap.plant.concepts import Concept
+from valvemap.plant.concepts import CARRIERS, QUANTITIES, Concept
 from valvemap.plant.names import concepts, tokens
 from valvemap.plant.roles import LEARNT, QUANTITY, Role, evidence_of_name
 from valvemap.plant.unit_texts import is_of_others, known_unit, split_unit
@@ -17,6 +17,12 @@ _UNIT_FITS, _UNIT_CONTRADICTS = 8.0, -10.0  # nats
 _ELECTRICAL_COMMAND: Final = 1.5
 _WRITABLE: Final = -0.5
 _SPARE: Final = 3.0  # nats by which a second signal of a kind is less likely to be the one
+_QUALIFIERS: Final = frozenset(
+    {
+        Concept.BEFORE, Concept.BEHIND, Concept.SUPPLY, Concept.TANK, Concept.CONSUMER,
+        Concept.PORT_A, Concept.PORT_B, Concept.PILOT, Concept.DIFFERENCE, Concept.ACTUAL,
+    }
+)  # fmt: skip
 _LENGTHS: Final = frozenset({"mm", "cm", "m", "um", "µm", "inch"})
 _SPEEDS: Final = frozenset(
     {"mm/s", "m/s", "m/min", "cm/s", "rpm", "1/min", "u/min", "min-1", "r/min"}
@@ -78,6 +84,10 @@ class Label:
 
 def _label(candidate: Candidate) -> Label:
     name, in_name, symbol_in_name = split_unit(_last_part(candidate.path[-1]))
+    if len(candidate.path) > 1 and _only_qualifies(name):
+        above, unit_above, _ = split_unit(_last_part(candidate.path[-2]))
+        if _is_of_a_signal(above):
+            name, in_name = f"{above} {name}", in_name or unit_above
     _, in_text, _ = split_unit(candidate.description)
     stated = candidate.unit or known_unit(candidate.symbol)
     units = tuple(dict.fromkeys(unit for unit in (stated, in_name) if unit is not None))
@@ -99,6 +109,24 @@ def _label(candidate: Candidate) -> Label:
             score += _of_units(role, tuple(dict.fromkeys(described)), symbols)
         evidence[role] = score + _WRITABLE * candidate.writable
     return Label(name, found, units, evidence)
+
+
+def _only_qualifies(name: str) -> bool:
+    """Whether a name says which one, but not of what: ``Inlet``, ``Value``.
+
+    >>> [_only_qualifies(name) for name in ("Inlet", "Value", "Count", "Setpoint", "Flow in")]
+    [True, True, False, False, False]
+    """
+    words = tokens(name)
+    return all(w in CARRIERS or w in {"a", "b"} for w in words) or (
+        bool(found := concepts(name)) and _QUALIFIERS.issuperset(found)
+    )
+
+
+def _is_of_a_signal(name: str) -> bool:
+    """Whether the name of a folder or a structure is that of a signal, and not of a device."""
+    found = concepts(name)
+    return bool(QUANTITIES.intersection(found)) and Concept.VALVE not in found
 
 
 def _last_part(text: str) -> str:

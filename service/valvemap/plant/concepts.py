@@ -541,3 +541,11 @@ COMPACT: Final[Mapping[str, tuple[Concept, ...]]] = {
     "pdit": (Concept.PRESSURE, Concept.DIFFERENCE),
 }
 """Words that hold two concepts."""
+
+CARRIERS: Final = frozenset(
+    {
+        "value", "val", "wert", "valeur", "valor", "valore", "wartosc", "waarde", "hodnota",
+        "varde", "deger", "значение", "值", "数值", "値", "값", "eng", "data", "raw",
+    }
+)  # fmt: skip
+"""Words of a structure's member that holds the number: what it is, the structure's name says."""
