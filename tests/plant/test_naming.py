@@ -151,3 +151,21 @@ def test_a_server_without_a_valve_has_none_and_half_a_valve_names_what_is_missin
     assert propose([at("Server", "Speed"), at("Server", "Alarm")]) == []
     (half,) = propose(at("V", name) for name in ("Stellwert", "Vordruck", "Durchfluss"))
     assert half.question.about == "p2: no node was found"
+
+
+def test_the_name_above_says_of_what_a_value_is_and_a_device_s_name_does_not():
+    def role(*path):
+        return Candidate("n", path).label.role
+
+    assert role("Valve1", "Flow", "Value") is Role.Q
+    assert role("Valve1", "Pressure", "Inlet") is Role.P1
+    assert role("Valve1", "Pressure[1]", "Value") in {Role.P1, Role.P2}
+    assert not Candidate("n", ("Flow valve", "Value")).label.is_relevant
+    assert not Candidate("n", ("Flow", "Count")).label.is_relevant
+
+
+def test_words_without_their_vowels_and_statistics_are_known():
+    assert Candidate("n", ("hyd_vlv3_dmd_pc",)).label.role is Role.U
+    assert Candidate("n", ("hyd_vlv3_us_prs_bar",)).label.role is Role.P1
+    flow, mean = (Candidate("n", (name,)).label for name in ("Flow", "Flow average"))
+    assert mean.gain(Role.Q) < flow.gain(Role.Q)

@@ -24,6 +24,7 @@ _WORD = re.compile(rf"[a-z0-9]+|[{UNSPACED}]+|[{_CYRILLIC}]+")
 _WHOLE = re.compile(rf"[pqut][12]|[a-z]+|[{UNSPACED}]+|[{_CYRILLIC}]+|\d+")
 _IS_UNSPACED = re.compile(f"[{UNSPACED}]")
 _STROKED: Final = str.maketrans("łøđı", "lodi")  # letters that no accent is taken off
+_ABBREVIATED = re.compile(r"[b-df-hj-np-tv-z]{3,5}")
 _PIECE = re.compile(r"p[12](?!\d)|[a-z]+|\d+")
 
 
@@ -117,6 +118,8 @@ def _of_word(word: str) -> Mapping[Concept, float]:
     exact = {concept: 1.0 for concept, known in _KNOWN.items() if word in known}
     if exact:
         return exact
+    if _ABBREVIATED.fullmatch(word):
+        return _of_abbreviation(word)
     found = {
         concept: 0.7 for concept, known in _KNOWN.items() if any(_holds(word, k) for k in known)
     }
@@ -129,6 +132,30 @@ def _of_word(word: str) -> Mapping[Concept, float]:
         head = max(longest, key=lambda concept: (_ends(word, concept), longest[concept]))
         found = {c: w for c, w in found.items() if c not in QUANTITIES or c is head}
     return found
+
+
+def _of_abbreviation(word: str) -> Mapping[Concept, float]:
+    """Return the concept of an English word that was written without its vowels, if it is one.
+
+    >>> [[c.name for c in _of_abbreviation(w)] for w in ("dmd", "prs", "flw", "plc")]
+    [['COMMAND'], ['PRESSURE'], ['FLOW'], []]
+    """
+    found = [
+        concept for concept, known in _ENGLISH.items() if any(_shortens(word, k) for k in known)
+    ]
+    return dict.fromkeys(found, 0.7) if len(found) == 1 else {}
+
+
+def _shortens(word: str, skeleton: str) -> bool:
+    """Whether a word has the first two consonants of a word, and others of it in order."""
+    letters = iter(skeleton)
+    return word[:2] == skeleton[:2] and all(letter in letters for letter in word)
+
+
+def _skeleton(word: str) -> str:
+    """Return a word without vowels behind its first letter, doubled consonants once."""
+    plain = word[:1] + re.sub(r"[aeiou]", "", word[1:])
+    return re.sub(r"(.)\1+", r"\1", plain)
 
 
 def _ends(word: str, concept: Concept) -> bool:
@@ -146,5 +173,9 @@ def _holds(word: str, known: str) -> bool:
 
 _KNOWN: Final = {
     concept: frozenset(_without_accents(" ".join(languages.values())).split())
+    for concept, languages in WORDS.items()
+}
+_ENGLISH: Final = {
+    concept: [_skeleton(word) for word in languages.get("en", "").split()]
     for concept, languages in WORDS.items()
 }

@@ -38,6 +38,7 @@ _ALSO: Final = {
     "кпа": "kPa",
     "l/dak": "l/min",
     "percent": "%",
+    "pc": "%",
     "proz": "%",
 }
 _SINGLE: Final = frozenset("cfCFKV%")  # letters that are units behind a low line
