@@ -11,6 +11,7 @@ from valvemap.plant import evidence, ports
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.law import Fit
+from valvemap.plant.other_meters import other_meter
 from valvemap.plant.questions import Option, Question
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.readings import readings
@@ -79,16 +80,23 @@ def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdi
         return Verdict(group.name, named, _one_meter(group, named), others, least_U)
     if best.missing:
         return Verdict(group.name, best, _missing(group, best, record, rating), others)
-    if best.probability >= ACCEPTED and not best.mistake and not best.beside:
+    twin = None if Role.Q in given.nodes else other_meter(best, found)
+    is_clear = best.probability >= ACCEPTED and not best.mistake and not best.beside
+    if is_clear and twin is None:
         return Verdict(group.name, best, None, others, least_U)
+    question = _ambiguous(group.name, found) if twin is None else _meters(group.name, best, twin)
+    return Verdict(group.name, best, question, others, least_U)
+
+
+def _ambiguous(valve: str, found: Sequence[Reading]) -> Question:
+    """Ask with the readings that remain, and the one by labels."""
     whole = [r for r in found if not r.missing]
     near = [r for r in whole if r.probability > _NAMED][:_MOST_NAMED]
     near = near if len(near) >= _LEAST_NAMED else whole[:_LEAST_NAMED]
     labelled = [r for r in found if not (r.mistake or r.missing or r.beside)][:1]
     shown = list(dict.fromkeys([r.key for r in (*near, *labelled)]))
     by_key = {r.key: r for r in found}
-    options = [by_key[key] for key in shown]
-    return Verdict(group.name, best, _question(group.name, options, found, best), others, least_U)
+    return _question(valve, [by_key[key] for key in shown], found, found[0])
 
 
 def _question(
@@ -233,6 +241,12 @@ def _instead(group: Group, best: Reading, record: Record, rating: Rating) -> Ite
                 _option(group.name, found[0], [role]),
                 text=f"{role} = {printable(one.node)}, its {one.label.role}",
             )
+
+
+def _meters(valve: str, best: Reading, other: Reading) -> Question:
+    names = [printable(one.nodes[Role.Q].path[-1]) for one in (best, other)]
+    about = f"Q: {' and '.join(names)} move alike and are not equal; the values do not say which"
+    return Question(about, tuple(_option(valve, one, [Role.Q]) for one in (best, other)))
 
 
 def _one_meter(group: Group, best: Reading) -> Question:
