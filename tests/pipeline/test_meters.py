@@ -12,6 +12,7 @@ from valvemap.config.loading import load_config
 from valvemap.errors import ConfigurationError
 from valvemap.kafka.catalogue import catalogue_of
 from valvemap.model.samples import Samples
+from valvemap.model.shared_meter import SharedMeter
 from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.meters import MOST_WAITING, Meters
 from valvemap.vocabulary.statuses import Quality
@@ -125,13 +126,44 @@ def test_nothing_is_learnt_while_the_other_flows_are_unknown(rows):
     shared, used = meters.share(gathered(dict(enumerate(parts))), _raise)
     opened = [own["U"][:3_000] > 0.5 for own in rows.values()]
     first_together = int(np.flatnonzero(np.sum(opened, axis=0) > 1)[0])
-    doubtful = [~used[number] for number in range(3)]
-    assert any(flags[first_together] for flags in doubtful)
+    assert not all(used[number][first_together] for number in range(3))
     for valve, first, last in zip(*(x.tolist() for x in shared.segments), strict=True):
-        assert (shared.samples.quality[first:last][doubtful[valve]] == Quality.UNCERTAIN).all()
+        doubtful = shared.samples.quality[first:last] == Quality.UNCERTAIN
+        assert doubtful[~used[valve]][:50].all()
+        assert not (doubtful & used[valve]).any()
         own = flow(VALVES[valve], *_points(rows, VALVES[valve]))[:3_000]
         error = (shared.samples.Q[first:last] - own)[used[valve]]
         assert np.sqrt(np.mean(error**2)) < 1.3 * SIGMA
+
+
+def test_a_sample_counts_by_what_it_says_of_a_valve_alone():
+    """By the update of all weights together, written out with matrices."""
+    rng = np.random.default_rng(3)
+    meter = SharedMeter(((0.0, 100.0), (0.0, 100.0)))
+    state = meter.initial_state()
+    U, dp = rng.uniform(0.0, 100.0, (2, 400)), rng.uniform(20.0, 150.0, (2, 400))
+    U[1, :200] = 0.0
+    gains = np.array([[0.05], [0.02]])
+    Q = (gains * U * np.sqrt(dp)).sum(axis=0) + rng.normal(0.0, SIGMA, 400)
+    every = np.ones(400, np.bool_)
+    meter.learn(state, U[:, :390], dp[:, :390], Q[:390], every[:390])
+    state.held[:] = 0.0
+    x = np.zeros((2, len(state.weights)))
+    for m in range(2):
+        knots = np.linspace(0.0, 100.0, len(state.weights) // 2)
+        at = np.interp(U[m, 390], knots, np.arange(len(knots)))
+        low = int(at)
+        place = m * len(knots) + low
+        x[m, [place, place + 1]] = np.array([1.0 - at + low, at - low]) * np.sqrt(dp[m, 390])
+    A, S = x[0] @ state.P @ x[0], 1.0 + x.sum(axis=0) @ state.P @ x.sum(axis=0)
+    gain = x[0] @ state.P @ x.sum(axis=0)
+    left = A - gain**2 / S
+    weight = 1.0 / left - 1.0 / A  # the information that the sample adds
+    residual = Q[390] - x.sum(axis=0) @ state.weights
+    moved = gain / S * residual
+    meter.learn(state, U[:, 390:391], dp[:, 390:391], Q[390:391], every[:1])
+    assert state.held[0, 0] == pytest.approx(weight)
+    assert state.held[0, 1] / state.held[0, 0] == pytest.approx(moved / (1.0 - left / A))
 
 
 def _points(rows, name):

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,15 @@ MOST_VALVES: Final = 8  # behind one meter: a sample costs the square of their n
 
 @dataclass(frozen=True)
 class SharedMeterState(State):
-    """What `SharedMeter` knows: weights (n,), their covariance (n, n), sums of the residuals."""
+    """What `SharedMeter` knows: weights (n,), their covariance (n, n), sums of the residuals.
+
+    ``held`` (M, 2) are the weight and the weighted residuals that are not yet a sample of a valve.
+    """
 
     weights: Floats
     P: Floats
     sums: Floats
+    held: Floats
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
@@ -29,6 +33,19 @@ class SharedMeterState(State):
     def is_coherent(self) -> bool:
         """Whether no variance is negative."""
         return bool((np.diag(self.P) >= 0.0).all())
+
+
+class Divided(NamedTuple):
+    """The other valves' flows of N samples, (M, N), by valve; NaN of a sample that is not usable.
+
+    ``others`` are as predicted from the samples before, l/min; ``std`` is their standard deviation
+    in that of the meter's noise. Where ``told``, the sample, with those before it that said a part
+    each, says as much of the valve as one of a meter of its own: from these it is to be learnt.
+    """
+
+    others: Floats
+    std: Floats
+    told: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -53,8 +70,8 @@ class SharedMeter:
     >>> flows = np.array([[0.05], [0.02]]) * U * np.sqrt(dp)
     >>> meter = SharedMeter(((0.0, 100.0), (0.0, 100.0)))
     >>> state = meter.initial_state()
-    >>> others, std = meter.learn(state, U, dp, flows.sum(axis=0), np.ones(4000, np.bool_))
-    >>> bool(np.abs(others[0] - flows[1])[-100:].max() < 0.1)
+    >>> found = meter.learn(state, U, dp, flows.sum(axis=0), np.ones(4000, np.bool_))
+    >>> bool(np.abs(found.others[0] - flows[1])[-100:].max() < 0.1)
     True
     """
 
@@ -64,29 +81,23 @@ class SharedMeter:
         """State before the first sample."""
         n = kernel.KNOTS * len(self.ranges)
         sums = np.array([kernel.USUAL_NOISE**2, 0.0])
-        return SharedMeterState(np.zeros(n), self._prior(), sums)
+        return SharedMeterState(np.zeros(n), self._prior(), sums, np.zeros((len(self.ranges), 2)))
 
     def learn(
         self, state: SharedMeterState, U: Floats, dp: Floats, Q: Floats, usable: np.ndarray
-    ) -> tuple[Floats, Floats]:
-        """Learn from N samples, U and dp (M, N); the state is written in place.
-
-        Returns
-        -------
-        others, std
-            For each valve, the flow of all others as predicted from the samples before, l/min, and
-            its standard deviation in that of the noise, (M, N); NaN of a sample that is not usable.
-        """
+    ) -> Divided:
+        """Learn from N samples, U and dp (M, N); the state is written in place."""
         M, n = len(self.ranges), len(state.weights)
         low, high = np.array(self.ranges, float).T.copy()
         others, std = np.full((2, M, len(Q)), np.nan)
+        told = np.zeros((M, len(Q)), np.bool_)
         kernel.learn(
             np.ascontiguousarray(U), np.ascontiguousarray(dp), np.ascontiguousarray(Q), usable,
-            low, high, state.weights, state.P, state.sums,
-            np.diag(self._prior()).copy(), others, std,
+            low, high, state.weights, state.P, state.sums, state.held,
+            np.diag(self._prior()).copy(), others, std, told,
             np.zeros(2 * M, np.int64), np.zeros(2 * M), np.zeros(n), np.zeros((M, 2)),
         )  # fmt: skip
-        return others, std
+        return Divided(others, std, told)
 
     def noise(self, state: SharedMeterState) -> float:
         """Return the standard deviation of the meter's noise, l/min."""

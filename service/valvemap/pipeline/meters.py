@@ -4,7 +4,7 @@
 
 Samples of all valves with equal times meet. The flow of the other valves is predicted from the
 samples before (:class:`~valvemap.model.shared_meter.SharedMeter`); everything behind is as for a
-valve with a meter of its own. Until the other flows are known well enough, nothing is learnt.
+valve with a meter of its own. Learnt are the samples that say as much of a valve as one alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,6 +41,7 @@ class _Kept(State):
     weights: Any
     P: Any
     sums: Any
+    held: Any
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
@@ -94,14 +95,14 @@ class _Meter:
         quality = np.max([own.quality for own in met], axis=0)
         U, dp = (np.stack([getattr(own, name) for own in met]) for name in ("U", "dp"))
         usable = quality != Quality.BAD
-        others, std = self.law.learn(self.state, U, dp, met[0].Q, usable)
+        found = self.law.learn(self.state, U, dp, met[0].Q, usable)
         with np.errstate(invalid="ignore"):
-            known = std < _KNOWN
+            known = (found.std < _KNOWN) | found.told
         samples, used = [], []
-        for own, rest, is_known in zip(met, others, known, strict=True):
+        for own, rest, is_known, is_told in zip(met, found.others, known, found.told, strict=True):
             marked = np.where(usable & ~is_known, np.maximum(quality, Quality.UNCERTAIN), quality)
             samples.append(replace(own, Q=own.Q - rest, quality=marked.astype(np.uint8)))
-            used.append(is_known | ~usable)
+            used.append(is_told | ~usable)
         return samples, used
 
 
@@ -180,8 +181,8 @@ class Meters:
         meter, place = self._of[number]
         own, known = meter.waiting[place], meter.state
         if place:
-            known = SharedMeterState(np.zeros(0), np.zeros((0, 0)), np.zeros(0))
-        kept = _Kept(own.t, own.values, own.quality, known.weights, known.P, known.sums)
+            known = SharedMeterState(np.zeros(0), np.zeros((0, 0)), np.zeros(0), np.zeros((0, 2)))
+        kept = _Kept(own.t, own.values, own.quality, known.weights, known.P, known.sums, known.held)
         return kept.to_bytes(_key(key, meter, place))
 
     def from_bytes(self, number: int, data: bytes, key: str) -> None:
@@ -208,11 +209,12 @@ class Meters:
             weights=np.zeros(n),
             P=np.zeros((n, n)),
             sums=np.zeros(sums),
+            held=np.zeros((0 if place else len(meter.valves), 2)),
         )
         kept.check(like)
         meter.waiting[place] = Samples.from_values(kept.t, kept.values, kept.quality)
         if not place:
-            meter.state = SharedMeterState(kept.weights, kept.P, kept.sums)
+            meter.state = SharedMeterState(kept.weights, kept.P, kept.sums, kept.held)
 
 
 def _key(key: str, meter: _Meter, place: int) -> str:

@@ -15,15 +15,17 @@ KNOTS = 81  # of a valve's gain over its range of U: every 1.25 %
 LEAST_NOISE = 1e-3  # l/min
 USUAL_NOISE = 0.4  # l/min; of a meter, before the first sample
 USUAL_SLOPE = 0.2  # l/min/√bar/%; standard deviation of a gain's slope at U = 0
-BEND_OF_EDGE = 0.05  # l/min/√bar/%/√%; the same where an overlap ends
+BEND_OF_EDGE = 0.02  # l/min/√bar/%/√%; the same where an overlap ends
 OVERLAPPED = 20.0  # % of U; no overlap is larger
-USUAL_BEND = 0.003  # l/min/√bar/%/√%; of the slope's change
+USUAL_BEND = 0.0015  # l/min/√bar/%/√%; of the slope's change
 USUAL_LEAK = 0.02  # l/min/√bar; standard deviation of what a shut valve passes
-USUAL_KINK = 0.003  # l/min/√bar; standard deviation of each knot beside all that
+USUAL_KINK = 0.0005  # l/min/√bar; standard deviation of each knot beside all that
 KEPT = 20_000.0  # samples of one weight after which its variance has grown by its own size
 FEW = 50.0  # samples before residuals are clipped
 CLIPPED = 4.0  # standard deviations
 MEMORY = 5_000.0  # samples over which the noise is averaged
+LEAST_WEIGHT = 0.02  # of a sample; less says next to nothing of a valve
+WHOLE = 0.999  # of a sample
 # Places in `sums`: mean square of the residuals, and their number.
 MEAN_SQUARE, COUNT = 0, 1
 SUMS = 2
@@ -32,15 +34,21 @@ SUMS = 2
 @lean_kernel
 def learn(
     U: Floats, dp: Floats, Q: Floats, usable: np.ndarray, low: Floats, high: Floats,
-    weights: Floats, P: Floats, sums: Floats, most: Floats, others: Floats, std: Floats,
-    places: np.ndarray, x: Floats, Px: Floats, parts: Floats,
+    weights: Floats, P: Floats, sums: Floats, held: Floats, most: Floats, others: Floats,
+    std: Floats, told: np.ndarray, places: np.ndarray, x: Floats, Px: Floats, parts: Floats,
 ) -> None:  # fmt: skip
-    """Learn from N samples of M valves, U and dp (M, N); write what is not valve m's, (M, N).
+    r"""Learn from N samples of M valves, U and dp (M, N); write what is not valve m's, (M, N).
 
     ``others`` is the flow of all other valves as predicted from the samples before, ``std`` its
     standard deviation in that of the noise; NaN of a sample that is not usable. ``most`` (n,) is
     the largest variance of each weight; ``places``, ``x`` (2 M,), ``Px`` (n,) and ``parts`` (M, 2)
     are scratch.
+
+    What a sample says of valve m: let A be the variance of its flow before, C the covariance with
+    that of the others, S the variance of the measured sum, all in that of the noise. The update of
+    all weights moves the valve's flow as one observation of it alone would, of the residual
+    r A / (A + C) and the variance A² S / (A + C)² - A. Its reciprocal is the sample's weight;
+    ``held`` (M, 2) collects weights and residuals until they make a whole sample: it is ``told``.
     """
     M, n = len(U), len(weights)
     for i in range(len(Q)):
@@ -76,13 +84,30 @@ def learn(
                 for b in range(2 * m, 2 * m + 2):
                     alone += x[a] * P[places[a], places[b]] * x[b]
             parts[m, 1] = alone
+        spread = 1.0 + whole
+        residual = Q[i] - predicted
         for m in range(M):
             own = x[2 * m] * weights[places[2 * m]] + x[2 * m + 1] * weights[places[2 * m + 1]]
             others[m, i] = predicted - own
             variance = whole - 2.0 * parts[m, 0] + parts[m, 1]
             std[m, i] = math.sqrt(max(variance, 0.0))
-        spread = 1.0 + whole
-        residual = Q[i] - predicted
+            told[m, i] = False
+            if parts[m, 0] <= 0.0 or parts[m, 1] <= 0.0:
+                continue
+            ratio = parts[m, 1] / parts[m, 0]
+            weight = 1.0 / max(ratio * ratio * spread - parts[m, 1], 1.0)
+            if weight < LEAST_WEIGHT:
+                continue
+            if weight < WHOLE:
+                held[m, 0] += weight
+                held[m, 1] += weight * ratio * residual
+                if held[m, 0] < WHOLE:
+                    continue
+                others[m, i] = Q[i] - own - held[m, 1] / held[m, 0]
+                held[m, 0] = held[m, 1] = 0.0
+            else:
+                others[m, i] = Q[i] - own - ratio * residual
+            told[m, i] = True
         if sums[COUNT] > FEW:
             widest = CLIPPED * math.sqrt(noise * spread)
             residual = min(max(residual, -widest), widest)
