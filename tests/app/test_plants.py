@@ -78,10 +78,10 @@ def errors(identification, names, gains):
     ]
 
 
-async def learnt(url, names, gains, tmp_path, *, still=False):
+async def learnt(url, names, gains, tmp_path, *, still=False, watch="5"):
     """Commission as a newcomer would; return what is said once every map is within 1 sigma."""
     out, data = tmp_path / "plant.toml", tmp_path / "data"
-    asked = ("connect", url, "--out", str(out), "--data", str(data), "--watch", "5", "--yes")
+    asked = ("connect", url, "--out", str(out), "--data", str(data), "--watch", watch, "--yes")
     done = await asyncio.to_thread(run, *asked)
     assert done.returncode == 0, done.stdout + done.stderr
     config = load_config(out)
@@ -124,16 +124,16 @@ async def test_tags_that_are_written_when_they_change(on_change, tmp_path):
 @pytest.mark.node
 async def test_members_of_a_structure_live_and_in_a_recording(structured, tmp_path):
     gains = GAINS["structure"]
-    await learnt(structured, ("Valve",), gains, tmp_path)
-    config, recorded = str(tmp_path / "plant.toml"), str(tmp_path / "recorded.csv")
+    await learnt(structured, ("Valve",), gains, tmp_path, watch="12")
+    config, recorded = tmp_path / "plant.toml", str(tmp_path / "recorded.csv")
     nodes = load_config(config).valves[0].nodes
     assert nodes.p2 == "member=Pressure[1].Value;nsu=urn:plc;s=Valve"
     for command in (
-        ("record", recorded, "--config", config, "--duration", "15"),
-        ("replay", recorded, "--config", config, "--save", str(tmp_path / "Valve.json")),
+        ("record", recorded, "--config", str(config), "--duration", "15"),
+        ("replay", recorded, "--config", str(config), "--save", str(tmp_path / "Valve.json")),
     ):
         done = await asyncio.to_thread(run, *command)
         assert done.returncode == 0, done.stdout + done.stderr
     model = open_model(tmp_path / "Valve.json")
     for U, dp in ((30.0, 120.0), (60.0, 140.0), (80.0, 160.0)):
-        assert abs(float(model.predict(U, dp)) - gains[0] * U * dp**0.5) < NOISE
+        assert abs(model.predict([U], [dp])[0] - gains[0] * U * dp**0.5) < NOISE
