@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from support.compiler_forks import forks, without_numba
 from valvemap.model.kernels import ahead
 
 ROOT = Path(__file__).parents[2]
@@ -49,22 +50,28 @@ V3 = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
 GENERIC = {"NUMBA_CPU_NAME": "generic"}
 
 
-def python(code, *arguments, **environment):
-    inherited = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        capture_output=True,
-        text=True,
-        env=inherited | environment,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+@pytest.fixture(scope="module")
+def python():
+    """Run code as a new process of a generic machine, or of any other, and return what it says."""
+    with forks(**GENERIC) as generic:
+
+        def ran(code, *arguments, **environment):
+            given = without_numba() | environment
+            if GENERIC.items() <= environment.items():
+                done = generic.run(code, given, *arguments)
+            else:
+                asked = [sys.executable, "-c", code, *arguments]
+                done = subprocess.run(
+                    asked, capture_output=True, text=True, env=given, check=False, timeout=120
+                )
+            assert done.returncode == 0, done.stderr
+            return done.stdout.strip()
+
+        yield ran
 
 
 @pytest.fixture(scope="module")
-def shipped(tmp_path_factory):
+def shipped(python, tmp_path_factory):
     """A module's kernels, compiled for generic machines as a wheel's are; paths of both."""
     home = tmp_path_factory.mktemp("home")
     code = home / "code"
@@ -77,42 +84,49 @@ def shipped(tmp_path_factory):
     paths = os.pathsep.join((str(ROOT), str(code)))
     call = "import kernels_of_a_test as k; k.one_more(2.0)"
     python(call, PYTHONPATH=paths, VALVEMAP_COMPILE_INTO=str(into), **GENERIC)
-    assert python(PACK, str(into), PYTHONPATH=paths) == "1"  # the inner function is left out
+    packed = python(PACK, str(into), PYTHONPATH=paths, **GENERIC)
+    assert packed == "1"  # the inner function is left out
     assert not list(code.rglob("*.nbi"))
     return home / "ahead", code
 
 
-def run(shipped, tmp_path, *called, **environment):
-    home, code = shipped
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} | environment
-    paths = os.pathsep.join((str(ROOT), str(code)))
-    return json.loads(python(RUN, str(home), *called, PYTHONPATH=paths, **environment))
+@pytest.fixture
+def run(python, shipped, tmp_path):
+    """Call kernels of the module in a process; of each the value and the hits of its cache."""
+
+    def called(*names, code=None, **environment):
+        home, shipped_code = shipped
+        environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} | environment
+        paths = os.pathsep.join((str(ROOT), str(code or shipped_code)))
+        return json.loads(python(RUN, str(home), *names, PYTHONPATH=paths, **environment))
+
+    return called
 
 
-def test_a_kernel_that_came_compiled_is_not_compiled(shipped, tmp_path):
-    assert run(shipped, tmp_path, "one_more", **GENERIC) == [[7.0, 1]]
+def test_a_kernel_that_came_compiled_is_not_compiled(run, tmp_path):
+    assert run("one_more", **GENERIC) == [[7.0, 1]]
     assert not list((tmp_path / "cache").rglob("*.nbc"))
 
 
-def test_it_is_linked_into_one_that_did_not(shipped, tmp_path):
-    assert run(shipped, tmp_path, "one_more", "twice", **GENERIC) == [[7.0, 1], [14.0, 0]]
-    assert run(shipped, tmp_path, "twice", "one_more", **GENERIC) == [[14.0, 1], [7.0, 1]]
+def test_it_is_linked_into_one_that_did_not(run):
+    assert run("one_more", "twice", **GENERIC) == [[7.0, 1], [14.0, 0]]
+    assert run("twice", "one_more", **GENERIC) == [[14.0, 1], [7.0, 1]]
 
 
-def test_a_better_machine_compiles_where_only_its_own_kind_would_do(shipped, tmp_path):
-    assert run(shipped, tmp_path, "one_more", **V3) == [[7.0, 0]]
-    assert run(shipped, tmp_path, "one_more", **V3) == [[7.0, 1]]
+def test_a_better_machine_compiles_where_only_its_own_kind_would_do(run):
+    assert run("one_more", **V3) == [[7.0, 0]]
+    assert run("one_more", **V3) == [[7.0, 1]]
 
 
-def test_changed_code_is_compiled(shipped, tmp_path):
-    home, code = shipped
+def test_changed_code_is_compiled(run, shipped, tmp_path):
+    _, code = shipped
     moved = tmp_path / "code"
     shutil.copytree(code, moved)
     file = moved / "kernels_of_a_test.py"
     file.write_text("# A comment.\n" + file.read_text())
-    assert run((home, moved), tmp_path, "one_more", **GENERIC) == [[7.0, 1]]
+    assert run("one_more", code=moved, **GENERIC) == [[7.0, 1]]
     file.write_text(file.read_text().replace("3.0 * x", "4.00 * x"))  # another size: no stale .pyc
-    assert run((home, moved), tmp_path, "one_more", **GENERIC) == [[9.0, 0]]
+    assert run("one_more", code=moved, **GENERIC) == [[9.0, 0]]
 
 
 @pytest.mark.parametrize(

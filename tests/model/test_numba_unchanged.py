@@ -1,11 +1,11 @@
 """Importing valvemap changes nothing of numba; a command may, and results stay as they are."""
 
 import os
-import subprocess
-import sys
 from functools import cache
 
 import pytest
+
+from support.compiler_forks import forks, without_numba
 
 # Every function, method and class attribute of numba and of llvmlite's binding, by identity.
 PARTS = """
@@ -126,7 +126,7 @@ def kinds(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def asked(kinds, tmp_path_factory):
+def asked(run, kinds, tmp_path_factory):
     """What each fit prints with shortcuts, and an empty cache."""
     return cache(
         lambda fitted: run(
@@ -135,23 +135,21 @@ def asked(kinds, tmp_path_factory):
     )
 
 
-def run(source, *arguments, **environment):
-    return subprocess.run(
-        [sys.executable, "-c", source, *arguments],
-        capture_output=True,
-        text=True,
-        env=os.environ | environment,
-        check=False,
-        timeout=280,
-    )
+@pytest.fixture(scope="module")
+def run():
+    """Run code in a process that has imported numba, and nothing of valvemap."""
+    with forks() as processes:
+        yield lambda source, *arguments, **environment: processes.run(
+            source, without_numba() | environment, *arguments
+        )
 
 
-def test_numba_is_unchanged_after_an_import_and_a_fit():
+def test_numba_is_unchanged_after_an_import_and_a_fit(run):
     done = run(PARTS + FIT)
     assert done.returncode == 0, done.stderr
 
 
-def test_the_check_sees_what_a_command_changes():
+def test_the_check_sees_what_a_command_changes(run):
     """Otherwise it would not see what an import changes either."""
     asked = "from valvemap.numba_version import ask_for_shortcuts\nask_for_shortcuts()\n"
     done = run(PARTS + asked + FIT)
@@ -164,11 +162,11 @@ SLOW = pytest.param("likelihood", marks=pytest.mark.minor)  # compiles for half 
 
 
 @pytest.mark.parametrize("fitted", ["kinds", SLOW, pytest.param("squares", marks=pytest.mark.soak)])
-def test_results_have_the_same_bits_with_and_without_shortcuts(fitted, kinds, asked, tmp_path):
+def test_results_have_the_same_bits_with_and_without_shortcuts(run, fitted, kinds, asked, tmp_path):
     same_bits(run(BITS, fitted, **kinds, NUMBA_CACHE_DIR=str(tmp_path)), asked(fitted))
 
 
-def test_a_cached_fit_has_the_same_bits_with_and_without_shortcuts():
+def test_a_cached_fit_has_the_same_bits_with_and_without_shortcuts(run):
     same_bits(run(BITS, "squares"), run(BITS, "squares", "ask"))
 
 
@@ -182,7 +180,7 @@ def same_bits(plain, quick):
 
 
 @pytest.mark.parametrize("fitted", ["kinds", SLOW])
-def test_an_unknown_numba_is_left_to_itself_and_one_line_says_so(fitted, kinds, asked):
+def test_an_unknown_numba_is_left_to_itself_and_one_line_says_so(run, fitted, kinds, asked):
     unknown = "import valvemap.numba_version as v; v.TESTED = ('0.1', '0.2')\n"
     kernels = "from valvemap.model.kernels import plain_numba, rules\n"
     private = "import sys; assert not any(m.endswith('.tested_numba') for m in sys.modules)\n"

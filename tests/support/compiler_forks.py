@@ -21,7 +21,7 @@ def run(order):
     numba.core.config.reload_config()
     sys.dont_write_bytecode = bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
     sys.path[:0] = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-    sys.argv = ["-c"]
+    sys.argv = ["-c", *order["arguments"]]
     exec(compile(order["code"], "<string>", "exec"), {"__name__": "__main__"})
 
 for line in sys.stdin:
@@ -50,26 +50,28 @@ class Forks:
 
     process: subprocess.Popen[str]
 
-    def run(self, code, environment):
+    def run(self, code, environment, *arguments):
         """Run code in a fork; the answer has returncode, stdout and stderr."""
-        print(
-            json.dumps({"code": code, "environment": environment}),
-            file=self.process.stdin,
-            flush=True,
-        )
+        order = {"code": code, "environment": environment, "arguments": arguments}
+        print(json.dumps(order), file=self.process.stdin, flush=True)
         returncode, out, err = json.loads(self.process.stdout.readline())
         return subprocess.CompletedProcess([], returncode, out, err)
 
 
 @contextmanager
-def forks():
-    """A process that waits for code to run."""
+def forks(**environment):
+    """A process that waits for code to run; numba's settings are fixed by its environment."""
     with subprocess.Popen(
         [sys.executable, "-c", _SERVE],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env={name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")},
+        env=without_numba() | environment,
     ) as process:
         yield Forks(process)
         process.stdin.close()
+
+
+def without_numba():
+    """The environment of this process, but for settings of numba."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
