@@ -37,6 +37,8 @@ ESTIMATORS = {
 }
 GAUSSIANS = RecursiveLeastSquares(RadialBasis.uniform(3, 2))  # inverted by a search, slowly
 POINTS = 1_000_000
+COARSE, FINE = (21, 16), (41, 31)  # points of a table; FINE by default, and bounded more slowly
+SIZES = [(20_000, COARSE), pytest.param(POINTS, FINE, marks=pytest.mark.soak)]
 N = 5000
 BESIDE = np.array([-1e-9, 0.0, 1e-9])  # of an edge
 STEADY = np.full(N, 40.0)
@@ -73,11 +75,11 @@ def points_tried(estimator, state, table, n):
 
 
 @cache
-def exported(name):
+def exported(name, points):
     """An estimator, its state and its table."""
     estimator = ESTIMATORS[name]
     state = learnt(estimator)
-    return estimator, state, lookup_table(estimator, state)
+    return estimator, state, lookup_table(estimator, state, points=points)
 
 
 def largest_errors(estimator, state, table, n):
@@ -95,33 +97,33 @@ def largest_errors(estimator, state, table, n):
     return np.abs(U - exact.U)[both].max(), apart_Q
 
 
-@pytest.mark.parametrize("n", [20_000, pytest.param(POINTS, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(("n", "points"), SIZES)
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_the_certified_error_holds_at_random_points_and_is_tight(name, n):
-    estimator, state, table = exported(name)
+def test_the_certified_error_holds_at_random_points_and_is_tight(name, n, points):
+    estimator, state, table = exported(name, points)
     assert table.certified
     error_U, error_Q = largest_errors(estimator, state, table, n)
     assert error_U <= table.error_U <= 1.5 * error_U
     assert error_Q <= table.error_Q <= 1.2 * error_Q + 2e-4
 
 
-@pytest.mark.parametrize("n", [20_000, pytest.param(POINTS, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(("n", "points"), SIZES)
 @pytest.mark.parametrize("T", [10.0, 25.0, 60.0])
-def test_it_holds_for_auto_at_temperatures_that_make_no_polynomial(T, n):
+def test_it_holds_for_auto_at_temperatures_that_make_no_polynomial(T, n, points):
     estimator = FlowMap()
     state = learnt(estimator, T=WARMING)
     assert MapPieces.of(estimator, state, (5.0, 200.0), T).slack >= (WARMING[0] != T) * 1e-12
-    table = lookup_table(estimator, state, T=T)
+    table = lookup_table(estimator, state, T=T, points=points)
     assert table.certified
     error_U, error_Q = largest_errors(estimator, state, table, n)
     assert error_U <= table.error_U <= 1.5 * error_U
     assert error_Q <= table.error_Q <= 1.2 * error_Q + 2e-4
 
 
-@pytest.mark.parametrize("n", [20_000, pytest.param(POINTS, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(("n", "points"), SIZES)
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_the_certified_error_of_the_flow_holds_and_is_tight(name, n):
-    estimator, state, inverse = exported(name)
+def test_the_certified_error_of_the_flow_holds_and_is_tight(name, n, points):
+    estimator, state, inverse = exported(name, points)
     support = Support.none()
     forward = valve_tables(estimator, state, inverse, support, 0.3).forward
     assert forward.certified
@@ -208,7 +210,7 @@ class OfUnknownForm:
 def test_the_error_of_a_map_of_unknown_form_is_measured_and_says_so():
     network = OfUnknownForm(RbfNetwork())
     state = learnt(RbfNetwork())
-    table = lookup_table(network, state)
+    table = lookup_table(network, state, points=COARSE)
     assert not table.certified
     assert largest_errors(network, state, table, 20_000)[1] <= table.error_Q
 
