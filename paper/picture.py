@@ -73,7 +73,10 @@ def legend(axes: Axes, place: Place = "best", columns: int = 1) -> None:
 
 def png_of(figure: Figure) -> bytes:
     """Return the bytes of the PNG file."""
-    buffer = io.BytesIO()
+    buffer, layout = io.BytesIO(), figure.get_layout_engine()
+    if layout is not None:
+        layout.execute(figure)
+        figure.set_layout_engine(None)  # with one, a figure is drawn twice
     figure.savefig(buffer, dpi=110, format="png", metadata={"Software": None})
     return buffer.getvalue()
 
