@@ -91,7 +91,7 @@ async def attacked(door, *attacks):
         await process.wait()
 
 
-@pytest.mark.alone
+@pytest.mark.waits
 async def test_idle_connections_of_two_addresses_keep_nobody_out(door):
     await door.log_in("olga")
     async with attacked(door, "idle"):
@@ -100,7 +100,7 @@ async def test_idle_connections_of_two_addresses_keep_nobody_out(door):
     assert max(waits) < SOON_S
 
 
-@pytest.mark.alone
+@pytest.mark.waits
 @pytest.mark.parametrize("same_address", [False, True])
 async def test_fifty_guesses_a_second_keep_a_known_user_out_nowhere(door, same_address):
     await door.log_in("olga")
