@@ -17,6 +17,7 @@ import numpy as np
 
 from benchmarks import circumstances as c
 from benchmarks.commission_plant import (
+    MISSED,
     SAMPLE_S,
     VALVES,
     Happening,
@@ -35,9 +36,11 @@ TIMES: Final = (30.0, 60.0)
 BARS: Final = {30.0: 0.5, 60.0: 0.3}
 KINDS: Final = (
     *("source lost", "stale", "pump limit", "stuck spool", "operator gone", "process killed"),
-    *("abort", "bad samples", "pressure", "refused"),
+    *("abort", "bad samples", "pressure", "refused", "terminal gone", "none"),
 )
-GO_ON: Final = {"pump limit", "refused"}  # the safe U is not wanted, or not taken
+GO_ON: Final = {"pump limit", "refused", "none"}  # the safe U is not wanted, or not taken
+QUANTILES: Final = (0.25, 0.5, 0.75, 0.9)
+BY_MAP: Final = {"stuck spool", "none"}  # runs that learn
 WATCHED: Final = {"process killed"}  # by the source's watchdog alone
 
 
@@ -112,8 +115,10 @@ def fault(seed: int) -> dict[str, Any]:
     valve = list(VALVES.values())[seed % len(VALVES)]
     kind, at = KINDS[(seed // len(VALVES)) % len(KINDS)], float(rng.uniform(2.0, 12.0))
     lasts = {"source lost": 3.0, "stale": 2.0, "bad samples": 2.0, "refused": 0.3}.get(kind, np.inf)
-    settings = settings_for(valve, sweep_s=10.0, most_s=15.0)
-    loop = Loop(Plant(valve, seed), settings, Happening(kind, at, lasts)).run(45.0)
+    whole = {} if kind == "none" else {"sweep_s": 10.0, "most_s": 15.0}
+    settings = settings_for(valve, **whole)
+    estimator = estimator_of(valve) if kind in BY_MAP else None
+    loop = Loop(Plant(valve, seed), settings, Happening(kind, at, lasts), estimator).run(75.0)
     before = len(loop.log.rows)
     if kind == "process killed":
         for k in range(round(at / SAMPLE_S) + 1, round((at + 2.0) / SAMPLE_S)):
@@ -123,16 +128,23 @@ def fault(seed: int) -> dict[str, Any]:
     beyond = _is_beyond(loop.log.writes, valve.U_range, limits.slew_percent_per_s)
     load_range = limits.load_range or (-np.inf, np.inf)
     beyond |= _is_beyond(loop.log.loads, load_range, limits.load_slew_bar_per_s)
-    first = next((when for when, phase, _ in loop.log.phases if when >= at - 1e-9), np.inf)
+    drives = {Phase.SWEEPING, Phase.REFINING}
+    notable = [when for when, phase, _ in loop.log.phases if when >= at and phase not in drives]
+    if kind == "operator gone":  # counted from the first sign that did not come
+        at = loop.due
+    first = min(notable, default=np.inf)
     if kind == "pump limit":  # U turns towards the safe one
         after = [(when, u) for when, u in loop.log.writes if when >= at]
         first = _retreat(loop, at, after)
     at_U = np.array(loop.log.U)
+    if kind == "stuck spool":  # the sweep itself passes the safe U
+        at_U = at_U[at_U[:, 0] >= first]
     safe = at_U[(at_U[:, 0] >= at) & (np.abs(at_U[:, 1]) < 1.0), 0]
     return {
         "kind": kind,
         "beyond": beyond,
         "reaction": first - at,
+        "since seen": first - loop.plant.missed,
         "safe": float(safe[0] - at) if len(safe) else np.inf,
         "end": loop.state.phase,
         "kept": len(loop.log.rows) >= before,
@@ -176,9 +188,15 @@ def faults(seeds: Sequence[int]) -> None:
             for p in Phase
             if any(f["end"] is p for f in own)
         }
-        reaction = (
-            "" if kind in WATCHED else f"reaction ≤ {max(f['reaction'] for f in own):.2f} s, "
-        )
+        reaction = ""
+        if kind not in {*WATCHED, "none"}:
+            reaction = f"reaction ≤ {max(f['reaction'] for f in own):.2f} s, "
+        if kind == "stuck spool":
+            for what, key in (("", "reaction"), (f" since {MISSED:g} l/min miss", "since seen")):
+                spread = ", ".join(
+                    f"{x:.2f}" for x in np.quantile([f[key] for f in own], QUANTILES)
+                )
+                reaction += f"at quantiles {QUANTILES}{what} {spread} s, "
         safe = "" if kind in GO_ON else f"safe U ≤ {max(f['safe'] for f in own):.2f} s, "
         print(
             f"{kind}: {len(own)} runs, {reaction}{safe}"

@@ -19,6 +19,7 @@ from valvemap.pipeline.commission_learner import Learnt, learn
 from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_plan import Plan
 from valvemap.pipeline.commission_state import Command, CommissionState, Seen, Settings
+from valvemap.pipeline.operator_signs import OperatorSigns
 from valvemap.vocabulary.commission import Phase
 from valvemap_rig.scenario import BUILTIN
 from valvemap_rig.simulation import Commands as RigCommands
@@ -32,6 +33,9 @@ LEARN_S: Final = 1.0
 SUPPLY, LEAST_LOAD, MOST_LOAD = 200.0, 5.0, 197.0  # bar
 LOAD_LAG_S: Final = 0.08
 WEAK_PUMP: Final = 25.0  # l/min
+MISSED: Final = 10.0 * c.SIGMA  # l/min
+BEAT_S: Final = 0.1  # s; between signs of the operator's page
+BEAT_LATE_S: Final = 0.04  # s; by which each is late at most
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,8 @@ class Plant:
     heartbeat: int = 0
     beaten: float = -np.inf
     stuck: bool = False
+    free: float = 0.0  # where the spool were if it did not stick
+    missed: float = np.inf  # when the flow of a stuck spool first differed by `MISSED`
     weak: bool = False
     p_extra: float = 0.0
     pending: deque[tuple[float, float | None, float | None, int | None]] = field(
@@ -102,14 +108,20 @@ class Plant:
             self.commanded, self.U = False, self.own_U
         return self.measured(now)
 
-    def measured(self, _now: float) -> tuple[float, float, float, float]:
+    def measured(self, now: float) -> tuple[float, float, float, float]:
         """Return U, p1, p2, Q for the commands in force."""
         half = self.valve.play / 2.0
+        self.free = min(max(self.free, self.U - half), self.U + half)
         if not self.stuck:
-            self.spool = min(max(self.spool, self.U - half), self.U + half)
+            self.spool = self.free
         self.load += (self.load_set - self.load) * SAMPLE_S / LOAD_LAG_S
         dp = max(SUPPLY - self.load, 0.0)
         Q = float(self.valve.flow(np.array([self.spool]), np.array([dp]))[0])
+        if (
+            self.stuck
+            and abs(self.valve.flow(np.array([self.free]), np.array([dp]))[0] - Q) > MISSED
+        ):
+            self.missed = min(self.missed, now)
         p1 = SUPPLY + self.p_extra
         pump = WEAK_PUMP if self.weak else self.valve.pump
         if abs(Q) > pump:  # the supply's pressure falls until the flow fits
@@ -196,6 +208,8 @@ class Loop:
         self.learnt = None if before is None else before.learnt
         self.seen, self.arrived, self.taken = Seen(), -np.inf, len(self.log.rows)
         self.waiting: list[tuple[float, ...]] = []
+        self.signs, self.beats = OperatorSigns(), 0
+        self.network = np.random.default_rng([plant.seed, 13])
 
     def run(self, until_s: float) -> "Loop":
         """Run until a second after the end, or ``until_s``."""
@@ -240,18 +254,20 @@ class Loop:
         samples, self.taken = samples_of(self.log.rows[self.taken :]), len(self.log.rows)
         before = self.learnt or Learnt(self.estimator.initial_state())
         new = learn(self.estimator, self.settings, before, samples, self.state.at)
-        self.seen = replace(self.seen, error=new.error, route=new.route, route_number=new.number)
+        self.seen = replace(self.seen, error=new.error, expected=new.expected, route=new.route)
+        self.seen = replace(self.seen, route_number=new.number)
         self.learnt = new
         return new
 
     def _step(self, now: float, kind: str) -> None:
-        gone = kind == "operator gone" and self.happening is not None
+        age_s, late_s = self._operator(now, kind)
         self.seen = replace(
             self.seen,
             connected=kind != "source lost",
             age_s=now - self.arrived,
             abort=kind == "abort",
-            operator_age_s=now - self.happening.at if gone and self.happening else 0.0,
+            operator_age_s=age_s,
+            operator_late_s=late_s,
         )
         before = self.state.phase
         self.state, command = step(self.settings, self.state, self.seen, now)
@@ -266,6 +282,25 @@ class Loop:
                 self.log.loads.append((now, command.load))
         taken = Command() if refused else command
         self.state = written(self.state, taken, now + self.response_s, refused=taken != command)
+
+    def _operator(self, now: float, kind: str) -> tuple[float, float]:
+        """Age of the operator's last sign and delay of the next one, of a page or a terminal."""
+        at = self.happening.at if self.happening is not None else np.inf
+        if kind == "terminal gone":
+            return now - at, now - at
+        until = min(now, at) if kind == "operator gone" else now
+        while self.begin_s + self.beats * BEAT_S <= until:
+            late = self.network.uniform(0.0, BEAT_LATE_S)
+            self.signs = self.signs.after(self.begin_s + self.beats * BEAT_S + late)
+            self.beats += 1
+        self.signs = self.signs.at(now)
+        heard = [self.begin_s, *self.signs.heard[-1:]]
+        return max(now - heard[-1], 0.0), self.signs.late_s(now)
+
+    @property
+    def due(self) -> float:
+        """When the first sign that the operator's page did not send was due."""
+        return self.begin_s + self.beats * BEAT_S
 
 
 def samples_of(rows: list[tuple[float, ...]]) -> Samples:

@@ -140,7 +140,7 @@ async def test_an_abort_reaches_the_safe_u_and_a_resumed_run_keeps_what_was_lear
 async def test_a_terminal_that_is_gone_ends_the_run(tmp_path):
     age = 0.0
     async with Stage(tmp_path) as stage:
-        run, files = stage.run(operator_age=lambda: age)
+        run, files = stage.run(operator=lambda: (age, age))
         with files:
             running = asyncio.create_task(run.run())
             while run.state.phase is not Phase.SWEEPING:  # noqa: ASYNC110 - no event

@@ -112,6 +112,27 @@ def test_it_aborts_to_the_safe_u(seen, reason):
     assert next(t for t, U in after if U == 20.0) - at <= 0.5
 
 
+def test_a_late_operator_moves_u_to_safety_at_once_and_the_run_goes_on_when_he_is_back():
+    course = Course()
+    elapsed = course.steps(3.0).elapsed
+    at, before = course.now, len(course.writes)
+    state = course.steps(0.4, operator_late_s=0.11, operator_age_s=0.21)
+    assert (state.phase, state.reason) == (Phase.PAUSED, Reason.OPERATOR_LATE)
+    after = course.writes[before:]
+    assert abs(after[0][1] - 20.0) < abs(course.writes[before - 1][1] - 20.0)
+    assert next(t for t, U in after if U == 20.0) - at <= 0.4
+    state = course.steps(0.8, operator_late_s=0.0, operator_age_s=0.0)
+    assert state.phase is Phase.SWEEPING
+    assert state.elapsed - elapsed < 0.5
+
+
+def test_limits_are_watched_while_the_operator_is_late():
+    course = Course()
+    course.steps(3.0)
+    state = course.steps(0.2, operator_late_s=0.5, p1=250.0)
+    assert state.reason is Reason.PRESSURE
+
+
 @pytest.mark.parametrize(
     ("seen", "reason"),
     [

@@ -95,6 +95,7 @@ def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
         opening=0.25 * nominal,
         max_age_s=given.max_age_s,
         operator_s=given.operator_s,
+        operator_late_s=given.operator_late_s,
         outage_s=given.outage_s,
         follow_s=given.follow_s,
         follow_percent=given.follow_percent,
@@ -182,8 +183,8 @@ class CommissionRun:
         With this valve alone.
     files
         Recording and audit record, open.
-    operator_age
-        Returns the age of the operator's last sign, s.
+    operator
+        Returns the age of the operator's last sign, and by how much the next one is late, s.
     progress
         Called with a line of words about every 0.2 s.
     armed
@@ -198,7 +199,7 @@ class CommissionRun:
         settings: Settings,
         files: RunFiles,
         *,
-        operator_age: Callable[[], float] = lambda: 0.0,
+        operator: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0),
         progress: Callable[[str], None] = lambda _line: None,
         armed: bool = False,
         user: str | None = None,
@@ -209,7 +210,7 @@ class CommissionRun:
         self._config = _quick(config)
         self._settings = settings
         self._files = files
-        self._operator_age = operator_age
+        self._operator = operator
         self._progress = progress
         self._user = getpass.getuser() if user is None else user
         self._clock = clock or SystemClock()
@@ -291,8 +292,9 @@ class CommissionRun:
         now = self._clock.monotonic()
         self._learn(now)
         before = self.state
+        age_s, late_s = self._operator()
         self._seen = replace(
-            self._seen, age_s=now - self._arrived, operator_age_s=self._operator_age()
+            self._seen, age_s=now - self._arrived, operator_age_s=age_s, operator_late_s=late_s
         )
         self.state, command = step(self._settings, before, self._seen, now)
         await self._write(command)
@@ -342,6 +344,7 @@ class CommissionRun:
             self._seen = replace(
                 self._seen,
                 error=self.learnt.error,
+                expected=self.learnt.expected,
                 route=self.learnt.route,
                 route_number=self.learnt.number,
             )

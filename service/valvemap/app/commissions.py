@@ -1,7 +1,7 @@
 """Commissioning runs inside the running service, commanded over OPC UA."""
 
 import asyncio
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -15,6 +15,7 @@ from valvemap.config.models import Config
 from valvemap.errors import CommandRejected, ValvemapError
 from valvemap.pipeline.commission_ports import CommissionResults, CommissionSink
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.operator_signs import OperatorSigns
 from valvemap.storage.commission_files import RunFiles, last_run, new_run
 from valvemap.vocabulary.commission import Phase
 
@@ -25,11 +26,12 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class _Run:
-    """One run under way, and when its operator was last heard of, s."""
+    """One run under way, when it was started, s, and the signs of its operator."""
 
     run: CommissionRun
     task: asyncio.Task[None]
-    heard_at: float
+    began: float
+    signs: OperatorSigns = field(default_factory=OperatorSigns)
 
 
 class Commissions:
@@ -82,7 +84,7 @@ class Commissions:
             config,
             settings_of(config.valves[0], accuracy / 1.96),
             files,
-            operator_age=partial(self._operator_age, valve),
+            operator=partial(self._operator, valve),
             progress=lambda line: self._show(valve, line, file),
             clock=self._clock,
             user=user,
@@ -101,7 +103,8 @@ class Commissions:
     def note_operator(self, valve: str) -> None:
         """Note a sign of the operator."""
         if valve in self._runs:
-            self._runs[valve].heard_at = self._clock.monotonic()
+            one = self._runs[valve]
+            one.signs = one.signs.after(self._clock.monotonic())
 
     async def end(self) -> None:
         """Let all runs return to their safe U, and end."""
@@ -133,9 +136,13 @@ class Commissions:
             self._identification.lead(valve, by_another=False)
             del self._runs[valve]
 
-    def _operator_age(self, valve: str) -> float:
-        one = self._runs.get(valve)
-        return 0.0 if one is None else self._clock.monotonic() - one.heard_at
+    def _operator(self, valve: str) -> tuple[float, float]:
+        """Age of the operator's last sign, and by how much the next one is late, s."""
+        one, now = self._runs.get(valve), self._clock.monotonic()
+        if one is None:
+            return 0.0, 0.0
+        one.signs = one.signs.at(now)
+        return now - max([one.began, *one.signs.heard[-1:]]), one.signs.late_s(now)
 
     def _show(self, valve: str, line: str, file: Path) -> None:
         one = self._runs.get(valve)

@@ -90,7 +90,7 @@ async def _run(
             config,
             settings_of(valve, accuracy / 1.96),
             files,
-            operator_age=(lambda: 0.0) if unattended else _terminal_age(),
+            operator=(lambda: (0.0, 0.0)) if unattended else _terminal(),
             progress=say,
             armed=armed,
         )
@@ -101,17 +101,21 @@ async def _run(
     return state.phase is Phase.DONE
 
 
-def _terminal_age() -> Callable[[], float]:
-    """Return how long ago the terminal was last there, and this process in its foreground, s."""
+def _terminal() -> Callable[[], tuple[float, float]]:
+    """Return how long ago the terminal was last there, and this process in its foreground, s.
+
+    It is asked at every step, so its next sign is always due: the delay is the age.
+    """
     clock = SystemClock()
     last = clock.monotonic()
 
-    def age() -> float:
+    def age() -> tuple[float, float]:
         nonlocal last
         with suppress(OSError):
             if os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp():
                 last = clock.monotonic()
-        return clock.monotonic() - last
+        gone_s = clock.monotonic() - last
+        return gone_s, gone_s
 
     return age
 

@@ -55,6 +55,9 @@ class CommissionConfig(Section):
     operator_s: float = Field(
         1.0, ge=0.1, le=60.0, description="time without the operator's terminal that ends the run"
     )
+    operator_late_s: float = Field(
+        0.1, ge=0.05, le=60.0, description="delay of the operator's sign that moves U to safety"
+    )
     outage_s: float = Field(60.0, ge=0.0, le=3_600.0, description="pause after which the run ends")
     follow_s: float = Field(
         0.5, ge=0.05, le=10.0, description="longest delay of the measured U behind its command"

@@ -27,8 +27,9 @@ from valvemap.vocabulary.commission import Phase
 _HEARTBEAT: Final = "Heartbeat"
 _START: Final = (
     "Start a run: U is written to the valve, and the load's set point where there is one, within "
-    f"the limits of [valves.commission]. Write {_HEARTBEAT} at least once a second until the end; "
-    "without it, U returns to its safe value. Refused while feed-forward is armed."
+    f"the limits of [valves.commission]. Write {_HEARTBEAT} at even intervals of .4 s or less "
+    "until the end; where one is late, U returns to its safe value. Refused while feed-forward is "
+    "armed."
 )
 _RESUME: Final = (
     "Continue the last run where it was interrupted, with what it had learnt; otherwise as Start."
@@ -149,7 +150,7 @@ def commission_variables(valve: str) -> Iterator[VariableNode]:
     yield VariableNode(f"{prefix}.Recording", "The file with the samples of the run.", _TEXT)
     yield VariableNode(
         f"{prefix}.{_HEARTBEAT}",
-        "Any number, written at least once a second during a run: the operator is there.",
+        "Any number, written at even intervals of .4 s or less: the operator is there.",
         range=(0.0, 4_294_967_295.0),
         writable=True,
     )

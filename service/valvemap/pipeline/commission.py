@@ -19,11 +19,11 @@ from typing import Final
 from valvemap.pipeline.commission_guard import (
     STALLED_S,
     ending,
-    fault,
     has_stalled,
     noted,
     past_half_turn,
     refusal,
+    waits_for,
 )
 from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
 from valvemap.pipeline.commission_plan import sweep
@@ -150,7 +150,7 @@ def _checked(
     if reason is not Reason.NONE:
         return _enter(state, Phase.REFUSED, reason, now), Command()
     if now - state.good_since < settings.check_s:
-        return replace(state, reason=fault(settings, seen)), Command()
+        return replace(state, reason=waits_for(settings, seen)), Command()
     return _begun(settings, state, seen, now)
 
 
@@ -193,7 +193,7 @@ def _driven(
     settings: Settings, state: CommissionState, seen: Seen, now: float, passed: float
 ) -> tuple[CommissionState, Command]:
     """Sweep, refine, retreat from a limit, or pause."""
-    found = fault(settings, seen)
+    found = waits_for(settings, seen)
     if found is Reason.SOURCE_LOST:  # the source's own watchdog acts
         return replace(lost(state, now), refused_since=math.inf), Command()
     if found is not Reason.NONE or state.phase is Phase.PAUSED:
@@ -209,7 +209,7 @@ def _paused(
 ) -> tuple[CommissionState, Command]:
     """Go to the safe point while the valve is led; continue after `AGAIN_S` of good samples."""
     if state.phase is not Phase.PAUSED:
-        state = _enter(state, Phase.PAUSED, fault(settings, seen), now)
+        state = _enter(state, Phase.PAUSED, waits_for(settings, seen), now)
     elif now - state.good_since >= AGAIN_S:
         return _begun(settings, state, seen, now)
     return state, _towards(settings, state, _safe(settings.limits, state.at), now)

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from typing import Final
 
+from valvemap.pipeline.commission_answer import STANDS, standing
 from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_state import CommissionState, Reason, Seen, Settings, Watch
 from valvemap.vocabulary.commission import Phase
@@ -18,7 +19,8 @@ DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
 def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) -> CommissionState:
     """Update what the checks remember."""
     usable = fault(settings, seen) is Reason.NONE
-    good_since = math.inf if not usable else min(state.good_since, now)
+    may_move = waits_for(settings, seen) is Reason.NONE
+    good_since = min(state.good_since, now) if may_move else math.inf
     watch = state.watch
     older = sum(now - t > settings.follow_s for t, _ in watch.commands)
     watch = replace(watch, commands=watch.commands[max(older - 1, 0) :])  # one from before stays
@@ -30,6 +32,9 @@ def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) ->
             U=(min(watch.U[0], seen.U), max(watch.U[1], seen.U)),
             opening=(min(watch.opening[0], opening), max(watch.opening[1], opening)),
             most=max(watch.most, abs(opening)),
+            answers=watch.answers.after(
+                now - seen.age_s, seen.U, opening, math.sqrt(abs(drop)), settings.limits.U_span
+            ),
         )
     beyond = now if usable and _is_beyond(settings.limits, seen) else state.beyond
     return replace(state, good_since=good_since, watch=watch, beyond=beyond)
@@ -43,6 +48,13 @@ def fault(settings: Settings, seen: Seen) -> Reason:
         return Reason.STALE
     finite = all(math.isfinite(x) for x in (seen.U, seen.p1, seen.p2, seen.Q))
     return Reason.NONE if seen.good and finite else Reason.BAD_SAMPLE
+
+
+def waits_for(settings: Settings, seen: Seen) -> Reason:
+    """Return why U does not move now: of the samples, or of the operator; or NONE."""
+    found = fault(settings, seen)
+    late = seen.operator_late_s > settings.operator_late_s
+    return Reason.OPERATOR_LATE if found is Reason.NONE and late else found
 
 
 def refusal(settings: Settings, state: CommissionState, seen: Seen, now: float) -> Reason:
@@ -59,7 +71,7 @@ def refusal(settings: Settings, state: CommissionState, seen: Seen, now: float) 
         (Reason.U_OUTSIDE, usable and not low <= seen.U <= high),
         (Reason.P_ORDER, usable and seen.p1 < seen.p2 - 1.0 and seen.Q > 0.0),
         (Reason.LIMIT_BEFORE, state.beyond == now),
-        (found, now - state.since > settings.check_s + settings.outage_s),
+        (waits_for(settings, seen), now - state.since > settings.check_s + settings.outage_s),
     ):
         if holds:
             return reason
@@ -75,7 +87,7 @@ def ending(settings: Settings, state: CommissionState, seen: Seen, now: float) -
         (Reason.OPERATOR_GONE, seen.operator_age_s > settings.operator_s),
         (Reason.PRESSURE, fresh and max(seen.p1, seen.p2) > high),
         (Reason.NOT_FOLLOWED, fresh and state.is_led and not _follows(settings, state, seen, now)),
-        (Reason.STUCK, fresh and _is_stuck(settings, state)),
+        (Reason.STUCK, fresh and _is_stuck(settings, state, seen)),
         (Reason.NOT_TAKEN, now - state.refused_since > settings.follow_s),
         (Reason.OUTAGE, state.phase is Phase.PAUSED and now - state.since > settings.outage_s),
     ):
@@ -94,7 +106,8 @@ def past_half_turn(settings: Settings, state: CommissionState) -> CommissionStat
     watch = state.watch
     if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
         return state
-    return replace(state, watch=Watch(commands=watch.commands, most=watch.most))
+    kept = Watch(commands=watch.commands, most=watch.most, answers=watch.answers)
+    return replace(state, watch=kept)
 
 
 def _is_beyond(limits: Limits, seen: Seen) -> bool:
@@ -111,8 +124,11 @@ def _follows(settings: Settings, state: CommissionState, seen: Seen, now: float)
     return min(near) - settings.follow_percent <= seen.U <= max(near) + settings.follow_percent
 
 
-def _is_stuck(settings: Settings, state: CommissionState) -> bool:
+def _is_stuck(settings: Settings, state: CommissionState, seen: Seen) -> bool:
+    """Whether the flow stands: by the map, and where it is not known yet, over most of U."""
     watch = state.watch
+    if standing(seen.expected, watch.answers) > STANDS:
+        return True
     if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
         return False
     most = max(watch.most, settings.opening)

@@ -1,5 +1,6 @@
 """What a commissioning run has learnt: map, standard deviation over the range, route. Pure."""
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from valvemap.model.estimator import Estimator
 from valvemap.model.samples import Floats, Samples
+from valvemap.pipeline.commission_answer import Expected, Proof
 from valvemap.pipeline.commission_limits import Point, Range
 from valvemap.pipeline.commission_plan import Uncertainty, route
 from valvemap.pipeline.commission_state import Settings
@@ -14,6 +16,10 @@ from valvemap.vocabulary.statuses import Quality
 
 POINTS_U, POINTS_S = 33, 13  # of the grid on which the map is judged
 LEAST_DROP: Final = 2.0  # bar; smaller ones are not judged
+NEXT_DROP: Final = 60.0  # bar; by which Δp may leave what was seen until the map is learnt anew
+FLOOR: Final = 0.005  # of the largest flow; error of map and meter that is always allowed
+LEAST_JUDGED: Final = 10.0  # bar; openings are judged above it
+VISITS: Final = 3.0  # samples near a value of U that make a map there
 OVER: Final = 4  # samples; over which flows and p1 are averaged
 NEAR_MOST: Final = 0.97  # of the largest flow; above it p1 tells whether the supply is at its limit
 DROPPED: Final = 0.93  # of the highest p1 at such flows: the supply gives no more
@@ -46,7 +52,9 @@ class Learnt:
     """Result after N samples: the estimator's state, and the judged map.
 
     ``drops`` is the range of Δp that was seen, bar; ``supply`` what the pump gave; ``T`` the newest
-    temperature, °C.
+    temperature, °C; ``noise2`` the mean square of what the map left of Q, robustly, (l/min)²;
+    ``proof`` how well it foretold what came next;
+    ``visited`` the number of samples near each of `POINTS_U` values of U, (POINTS_U,).
     """
 
     state: Any
@@ -54,6 +62,10 @@ class Learnt:
     drops: Range = (np.inf, -np.inf)
     T: float = np.nan
     supply: Supply = field(default_factory=Supply)
+    noise2: float = 0.0
+    proof: Proof = field(default_factory=Proof)
+    visited: Floats = field(default_factory=lambda: np.zeros(POINTS_U))
+    expected: Expected | None = None
     error: float = np.nan
     route: tuple[Point, ...] = ()
     number: int = 0
@@ -75,12 +87,59 @@ def learn(
         drops,
         float(T[-1]) if len(T) else before.T,
         before.supply.after(good),
+        _noise2(estimator, state, before, good),
+        _proof(before, good),
+        before.visited + _visits(settings.limits.U_range, good.U),
     )
     judged = uncertainty(estimator, settings.limits.U_range, learnt)
     pace = settings.plan.pace(settings.limits)
     newest = Point(float(good.U[-1]), float(dp[-1]))
     moves = route(settings.limits, pace, at, newest, judged) if at.is_known else ()
-    return replace(learnt, error=judged.rms, route=moves, number=before.number + 1)
+    return replace(
+        learnt,
+        expected=expected(estimator, settings.limits.U_range, learnt),
+        error=judged.rms,
+        route=moves,
+        number=before.number + 1,
+    )
+
+
+def expected(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Expected | None:
+    """Return what the map predicts over the range of U and, until it is learnt anew, of Δp."""
+    low, high = learnt.drops
+    if high <= LEAST_DROP or learnt.state is None:
+        return None
+    ends = max(low - NEXT_DROP, LEAST_DROP), high + NEXT_DROP
+    s = np.linspace(math.sqrt(ends[0]), math.sqrt(ends[1]), POINTS_S)
+    U = np.linspace(*U_range, POINTS_U)
+    at = np.tile(U, POINTS_S), np.repeat(s**2, POINTS_U)
+    Q, std = estimator.predict(learnt.state, *at, np.full(at[0].shape, learnt.T))
+    Q, std = Q.reshape(POINTS_S, POINTS_U), std.reshape(POINTS_S, POINTS_U)
+    floor = (FLOOR * learnt.supply.most) ** 2
+    whole = np.sqrt(std**2 + max(learnt.noise2, floor))
+    known = learnt.visited >= VISITS  # beyond what was seen, a map may be too sure
+    return Expected(U, s, Q / s[:, None], whole / s[:, None], known, learnt.proof.wider)
+
+
+def _proof(before: Learnt, good: Samples) -> Proof:
+    drops = good[np.abs(good.dp) > LEAST_JUDGED]
+    s = np.sqrt(np.abs(drops.dp))
+    return before.proof.after(before.expected, drops.U, drops.Q / s, s)
+
+
+def _visits(U_range: Range, U: Floats) -> Floats:
+    place = (U - U_range[0]) / (U_range[1] - U_range[0]) * (POINTS_U - 1)
+    near = np.clip(np.rint(place), 0, POINTS_U - 1).astype(np.int64)
+    return np.bincount(near, minlength=POINTS_U).astype(np.float64)
+
+
+def _noise2(estimator: Estimator[Any], state: Any, before: Learnt, good: Samples) -> float:  # noqa: ANN401
+    """Mean of what maps left of Q until now: each batch's by its median, (l/min)²."""
+    Q, _ = estimator.predict(state, good.U, good.dp, good.T)
+    left = np.abs(good.Q - Q)
+    new = (1.4826 * float(np.median(left))) ** 2 if np.isfinite(left).all() else before.noise2
+    many = min(len(good) / max(before.samples + len(good), 1), 1.0)
+    return (1.0 - many) * before.noise2 + many * new
 
 
 def uncertainty(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Uncertainty:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
+from valvemap.pipeline.commission_answer import Answers, Expected
 from valvemap.pipeline.commission_limits import Limits, Point
 from valvemap.pipeline.commission_plan import Plan
 from valvemap.vocabulary.commission import Phase
@@ -20,6 +21,7 @@ class Reason(Enum):
     TIME_UP = "the time is up"
     OPERATOR = "the operator aborted"
     OPERATOR_GONE = "no sign of the operator's terminal"
+    OPERATOR_LATE = "the operator's sign is late"
     SOURCE_LOST = "the source is not connected"
     STALLED = "the heartbeat paused: the source may have taken the valve back"
     STALE = "samples are too old"
@@ -49,8 +51,8 @@ class Settings:
         Largest age of a sample, by its arrival.
     check_s
         Time of good samples before the first command.
-    operator_s
-        Largest age of the operator's sign.
+    operator_s, operator_late_s
+        Largest age of the operator's sign, which ends the run; the delay of a sign that pauses it.
     outage_s
         Longest pause.
     opening
@@ -67,6 +69,7 @@ class Settings:
     max_age_s: float = 0.15
     check_s: float = 1.0
     operator_s: float = 1.0
+    operator_late_s: float = 0.1
     outage_s: float = 60.0
     opening: float = 0.0
     follow_s: float = 0.5
@@ -78,8 +81,8 @@ class Settings:
 class Seen:
     """What a step knows: the newest sample (%, bar, l/min), its age (s), and the map's state.
 
-    ``error`` is the map's standard deviation (RMS, l/min); ``route`` the next points to visit, with
-    a number that changes with each new route.
+    ``error`` is the map's standard deviation (RMS, l/min); ``expected`` what the map predicts;
+    ``route`` the next points to visit, with a number that changes with each new route.
     """
 
     connected: bool = True
@@ -90,21 +93,24 @@ class Seen:
     p2: float = math.nan
     Q: float = math.nan
     operator_age_s: float = 0.0
+    operator_late_s: float = 0.0
     abort: bool = False
     feed_forward: bool = False
     error: float = math.nan
+    expected: Expected | None = None
     route: tuple[Point, ...] = ()
     route_number: int = 0
 
 
 @dataclass(frozen=True)
 class Watch:
-    """Memory of the checks: commands of the last `follow_s`, extremes of U and of Q/√Δp."""
+    """Memory of the checks: newest commands and answers, extremes of U and of Q/√Δp."""
 
     commands: tuple[tuple[float, float], ...] = ()  # t, U
     U: tuple[float, float] = (math.inf, -math.inf)
     opening: tuple[float, float] = (math.inf, -math.inf)
     most: float = 0.0
+    answers: Answers = field(default_factory=Answers)
 
 
 @dataclass(frozen=True)

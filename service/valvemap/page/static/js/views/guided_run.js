@@ -5,8 +5,8 @@ import { h, mark, say } from "../dom.js";
 import { fromShown, inUnits, shown } from "../units.js";
 import { user } from "../user.js";
 
-const HEARTBEAT_MS = 400; // the run ends without one for a second
-const MOST_UNANSWERED = 2; // heartbeats
+const HEARTBEAT_MS = 100; // the run goes to its safe U where one is late, and ends without one for a second
+const MOST_UNANSWERED = 4; // heartbeats
 const UNSEEN_MS = 5000; // after a start, until its run is seen
 const OVER = [NaN, 0, 6, 7, 8]; // not known, not started, done, aborted, refused
 const INTERRUPTED = [0, 7]; // by the end of the service, or aborted
