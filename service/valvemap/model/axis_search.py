@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
+from valvemap.model.axis_doubt import PRESSURES, doubt
 from valvemap.model.axis_fit import AxisFit, compared, fit, with_theta
 from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_travel import placed
@@ -34,7 +35,7 @@ class AxisResult:
     ``status`` other than OK: ``fit`` must not be used, and ``sentence`` says why and what to do.
     ``left_out`` has the number of intervals by reason, and of samples at rest. ``state`` continues
     the fit sample by sample; ``of_shape`` (n, n) is the part of its covariance that is due to play
-    and spool.
+    and spool, and to a signal in doubt.
     """
 
     status: AxisStatus
@@ -84,8 +85,13 @@ def identify(
         regression = _searched(regression, samples[:_SEARCHED])
     state, found = fitted(replace(regression, memory_s=memory_s), samples)
     of_shape = _of_shape(found, state, samples) if searched else np.zeros_like(found.covariance)
+    in_doubt = doubt(found.regression, samples[:_SEARCHED], found.together) if searched else None
+    if in_doubt is not None:
+        of_shape = of_shape + np.outer(in_doubt.change, in_doubt.change)
     found = replace(found, covariance=found.covariance + of_shape)
     status, detail = AxisStatus.OK, ""
+    if in_doubt is not None and in_doubt.is_large:
+        status, detail = AxisStatus.SIGNAL_IN_DOUBT, in_doubt.words
     if not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
         status, detail = AxisStatus.BULK_MODULUS, f"{found.bulk_modulus[0]:.2f} GPa"
     sentence = f"{status.sentence} ({detail})" if detail else status.sentence
@@ -124,6 +130,9 @@ def _too_little(
     low, high = float(np.nanmin(samples.U)), float(np.nanmax(samples.U))
     if min(high, -low) < _LEAST_SWING:
         return refused(AxisStatus.UNEXCITED, f"U from {low:.0f} to {high:.0f} %")
+    still = [name for name in PRESSURES if _is_still(samples, name)]
+    if still:
+        return refused(AxisStatus.MISSING_PRESSURE, f"{', '.join(still)} never changes")
     return left_out, None
 
 
@@ -136,9 +145,7 @@ def _period(samples: AxisSamples) -> tuple[float, AxisResult | None]:
     if len(samples) < 2:
         return refusal(AxisStatus.TOO_SHORT, f"{len(samples)} samples")
     missing = [
-        name
-        for name in ("pA", "pB", "pS", "pT")
-        if np.mean(~np.isfinite(getattr(samples, name))) > _MISSING_SHARE
+        name for name in PRESSURES if np.mean(~np.isfinite(getattr(samples, name))) > _MISSING_SHARE
     ]
     if len(missing) == 4:
         return refusal(AxisStatus.NO_PRESSURES, "position and command alone")
@@ -152,6 +159,12 @@ def _period(samples: AxisSamples) -> tuple[float, AxisResult | None]:
         rate = f"{1.0 / period_s:.1f} Hz" if period_s > 0.0 else "no time between the samples"
         return refusal(AxisStatus.TOO_SLOW, rate)
     return period_s, None
+
+
+def _is_still(samples: AxisSamples, name: str) -> bool:
+    """Whether a signal shows one number all the time, which no transmitter does."""
+    shown = getattr(samples, name)
+    return bool(np.nanmin(shown) == np.nanmax(shown))
 
 
 def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegression:

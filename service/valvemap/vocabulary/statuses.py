@@ -269,6 +269,14 @@ class AxisStatus(Described):
         "failed",
         "An error stopped the identification of this axis; the log has it. A restart starts it.",
     )
+    SIGNAL_IN_DOUBT = (
+        11,
+        "signal in doubt",
+        (
+            "One signal does not fit the others, and the edges would be wrong by it. Check its "
+            "zero, its noise, and whether it is delayed by a filter."
+        ),
+    )
 
 
 class LineEdge(Described):
