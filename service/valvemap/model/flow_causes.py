@@ -71,8 +71,8 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
     if np.count_nonzero(at):
         at = _swapped(evidence, at)
     at = _needed(evidence, at, given)
-    is_other = ((at > 0.0) != (given > 0.0)).any()
-    if is_explained and is_other and evidence.gain(at, known) < rules.STILL_CLEAR:
+    is_new = ((at > 0.0) & (known == 0.0)).any()
+    if is_explained and is_new and evidence.gain(at, known) < rules.STILL_CLEAR:
         at = known  # what is hardly likelier is not worth another map
     gains = np.zeros(paths.PARAMETERS)
     for k in np.flatnonzero(at):
@@ -86,7 +86,9 @@ def end_of_meter(evidence: Evidence, given: Floats) -> float:
     if not tried:
         return 0.0
     at = jointly(evidence, min(tried, key=lambda at: evidence.of(at).square))
-    is_clear = evidence.gain(at, given) >= rules.CLEAR and evidence.explains(at)
+    without = given, with_value(at, paths.TOP, 0.0)
+    is_clear = min(evidence.gain(at, than) for than in without) >= rules.CLEAR
+    is_clear = is_clear and evidence.explains(at)
     return float(at[paths.TOP]) if is_clear else 0.0
 
 
@@ -157,12 +159,17 @@ def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
 
 
 def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
-    """By how much operator k gains more than it has to: less if it was known and is there still."""
+    """By how much operator k gains more than it has to: less if it is as it was known.
+
+    Where rows tell its value, and another one than was known, it has to gain as if it were new.
+    """
     without = with_value(at, k, 0.0)
     gain = evidence.gain(at, without)
     if k == paths.NEWS:  # each controller moves the next U by the noise of this Q, which is no harm
         gain = min(gain, evidence.gain(with_value(at, k, paths.PAST), without))
-    is_known = at[k] > rules.OTHER * given[k] > 0.0
+    is_known = given[k] > 0.0
+    if is_known and at[k] != given[k]:
+        is_known = evidence.gain(at, with_value(at, k, float(given[k]))) < rules.STILL_CLEAR
     return gain + (rules.STILL_CLEAR if is_known else -rules.CLEAR)
 
 
