@@ -71,8 +71,8 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
     if np.count_nonzero(at):
         at = _swapped(evidence, at)
     at = _needed(evidence, at, given)
-    is_new = ((at > 0.0) & (known == 0.0)).any()
-    if is_explained and is_new and evidence.gain(at, known) < rules.STILL_CLEAR:
+    known = _needed(evidence, known, given)
+    if is_explained and evidence.gain(at, known) < rules.STILL_CLEAR:
         at = known  # what is hardly likelier is not worth another map
     gains = np.zeros(paths.PARAMETERS)
     for k in np.flatnonzero(at):
@@ -159,18 +159,18 @@ def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
 
 
 def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
-    """By how much operator k gains more than it has to: less if it is as it was known.
+    """By how much operator k gains more than it has to: a new one most, a known one nothing.
 
-    Where rows tell its value, and another one than was known, it has to gain as if it were new.
+    Where rows tell that a known one has another value, they have to need it, too.
     """
     without = with_value(at, k, 0.0)
     gain = evidence.gain(at, without)
     if k == paths.NEWS:  # each controller moves the next U by the noise of this Q, which is no harm
         gain = min(gain, evidence.gain(with_value(at, k, paths.PAST), without))
-    is_known = given[k] > 0.0
-    if is_known and at[k] != given[k]:
-        is_known = evidence.gain(at, with_value(at, k, float(given[k]))) < rules.STILL_CLEAR
-    return gain + (rules.STILL_CLEAR if is_known else -rules.CLEAR)
+    if given[k] == 0.0:
+        return gain - rules.CLEAR
+    is_told = evidence.gain(at, with_value(at, k, float(given[k]))) >= rules.STILL_CLEAR
+    return gain - rules.STILL_CLEAR if is_told else gain + rules.STILL_CLEAR
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
