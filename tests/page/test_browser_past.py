@@ -204,13 +204,14 @@ async def test_a_long_trend_follows_nothing_and_still_goes_on(browser):
         await visitor.open("trend/V1?span=604800")
         await page.locator("h2", has_text="Newest").wait_for()
         samples = "() => import('./js/live.js').then(m => m.live.number('RLS.SampleCount'))"
-        first = await page.evaluate(samples)
-        await page.wait_for_timeout(2_500)
-        assert await page.evaluate(samples) > first
+        while not (first := await page.evaluate(samples)) > 0:
+            await page.wait_for_timeout(200)
+        while not await page.evaluate(samples) > first:
+            await page.wait_for_timeout(200)
         assert shown.followed == ()
         await page.locator("button[data-span='600000']").click()
-        await page.wait_for_timeout(1_500)
-        assert shown.followed == ("V1.Frame",)
+        while shown.followed != ("V1.Frame",):
+            await page.wait_for_timeout(200)
         assert visitor.problems == []
 
 
