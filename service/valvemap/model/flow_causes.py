@@ -6,7 +6,8 @@ The log likelihood of the last n samples, up to a constant, is
 
 whose noise has a white and a slow part (`kernels.flow_evidence`). All operators have the same odds
 before anything is known: one is taken where it gains `rules.CLEAR`. One that is there is kept until
-the rows are likelier without it by `rules.STILL_CLEAR`.
+the rows are likelier without it by `rules.STILL_CLEAR`, or tell another value of it and are not
+likelier with it by as much.
 
 Several combinations are followed at once. Each grows by the operators that explain most of the
 residual together with a change of those that are there; then all parameters are refined jointly.
