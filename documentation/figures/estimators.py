@@ -17,10 +17,10 @@ from documentation.figures.canvas import (
     legend,
     panels,
 )
-from valvemap.model import recursive_maximum_likelihood as rml_of_rows
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential, Forgetting
+from valvemap.model.maximum_likelihood import recursive_maximum_likelihood as rml_of_rows
 from valvemap.model.model_structures import FiveTerms, Polynomial, Structure, TensorSpline
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork

@@ -95,6 +95,7 @@ async def test_a_run_identifies_the_valve_and_hands_it_back(tmp_path):
         assert lines[-1]["phase"] == "DONE"
 
 
+@pytest.mark.alone  # what is learnt in its 14 s depends on the processor time that it is left
 async def test_a_driven_load_crosses_the_range_of_pressure_drops(tmp_path):
     async with Stage(tmp_path, sweep_s=10.0, most_s=14.0, **LOADED) as stage:
         run, files = stage.run()

@@ -30,7 +30,7 @@ from support.processes import READY_S, free_port, service_url
 from valvemap.app.serve import serve
 from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus
 
-pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 
 WITHIN_S = 1.0
 DEADLINE_S = 30.0

@@ -81,6 +81,8 @@ async def test_a_signal_that_is_lost_is_bad_and_no_point_of_the_map():
     assert [name for _, name in close_up.due(Wanted(), thoroughly=False)] == [
         "Diagnostics.SampleAge",
         "Diagnostics.LastAction",
+        "Diagnostics.Findings",
+        "Diagnostics.FindingProbabilities",
     ]
 
 

@@ -48,7 +48,7 @@ from valvemap.model.samples import Samples
 from valvemap.model.with_return import WithReturn
 from valvemap.opcua_results.information_model import signal_variables
 from valvemap.opcua_source.source_nodes import ValveNodes
-from valvemap.page.viewers import _signals
+from valvemap.page.greeting import _signals
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.storage.recordings import RecordingWriter, read_recording
 from valvemap.vocabulary.signals import PER_VALVE, PUBLISHED, Signal

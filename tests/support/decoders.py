@@ -69,8 +69,8 @@ from valvemap.opcua_source.members import (
 from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.opcua_source.wire import DecodeError
-from valvemap.page.viewers import Senseless as SenselessRequest
-from valvemap.page.viewers import _request
+from valvemap.page.answering import request_of
+from valvemap.page.questions import Senseless as SenselessRequest
 from valvemap.pipeline import kept_axes, operator_ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
@@ -363,7 +363,7 @@ def _of_files(folder):
 def _of_messages():
     return {
         "page: requests": Decoder(
-            lambda data: _request(_text(data)),
+            lambda data: request_of(_text(data)),
             lambda: [b'{"valve": "V1", "estimator": "RLS"}'],
             (SenselessRequest,),
         ),
