@@ -20,6 +20,7 @@ from valvemap.model.kernels.flow_cells import (
     MEAN_S,
     MEAN_U,
     REFUSALS,
+    WORTH,
     Cells,
     cell_of,
     deposit,
@@ -262,7 +263,6 @@ def _learn_row(
             note_stay(number, side, batch.t[i], residual, weight, distance, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
             end_stay(axis_U, axis_s, memory, room)
-        _note_growth(weight, memory.cells[number, COUNT], memory, at)
     share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
     scalars[fits.SCALE_WEIGHT] += 1.0
     scalars[fits.SCALE] += share * (Q * Q - scalars[fits.SCALE])
@@ -278,6 +278,8 @@ def _learn_row(
     weight *= min(gain * gain, 1.0)  # of what was Q / gain at first, the noise is σ / gain
     if gain <= rules.LEAST_GAIN:
         weight, gain = 0.0, 1.0
+    if counters[FITTED]:
+        _note_growth(weight * worth, memory.cells[number], memory, at)
     deposit(
         memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
     )
@@ -337,19 +339,18 @@ def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
 
 
 @inner
-def _note_growth(weight: float, count: float, memory: Memory, at: Floats) -> None:
+def _note_growth(worth: float, cell: Cells, memory: Memory, at: Floats) -> None:
     """Bring the next fit forward where samples tell much that the map does not know.
 
-    With P the map's variance at a place and R that of all else, n samples there narrow it to
-    1/(1/P + n/R): by ln(1 + n·P/R) / 2 nats, whatever they show. So a valve that changed is no
-    reason for a fit.
+    With P the map's variance at a place, n white samples there narrow it to 1/(1/P + n/σ²): by
+    ln(1 + n·P/σ²) / 2 nats, whatever they show. So a valve that changed is no reason for a fit.
     Behind a meter's filter it is not done, as a fit there lets cells forget.
     """
     scalars, counters = memory.scalars, memory.counters
     if counters[USED] - counters[BEGAN] < rules.LOOKS[0] or paths.filters(memory.path):
         return
-    known = at[SURE] / (at[TOTAL] - at[SURE] + scalars[fits.VARIANCE])
-    scalars[fits.TOLD] += 0.5 * math.log(1.0 + weight * known / (1.0 + count * known))
+    known = at[SURE] / scalars[fits.VARIANCE]
+    scalars[fits.TOLD] += 0.5 * math.log(1.0 + worth * known / (1.0 + cell[WORTH] * known))
     if scalars[fits.TOLD] >= rules.ENOUGH_TOLD:
         counters[NEXT_FIT] = min(counters[NEXT_FIT], counters[USED] + 1)
 
