@@ -309,9 +309,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     fitted = bool(counters[flow_memory.FITTED])
     rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
     counters[flow_memory.FITTED] = fit(state, axis_U, axis_s, rounds, fresh=not fitted)
-    is_told = state.scalars[flow_fit.TOLD] >= rules.ENOUGH_TOLD
-    state.scalars[flow_fit.TOLD] = 0.0
-    if used >= counters[flow_memory.NEXT_START] or is_told:
+    if used >= counters[flow_memory.NEXT_START]:
         counters[flow_memory.NEXT_START] = 2 * used
         other = copied(state)
         better = fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)

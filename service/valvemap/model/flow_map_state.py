@@ -63,9 +63,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = (
-        9  # 8: fits by age only; 7: no offsets; 6: nothing held; 5: no wear
-    )
+    state_version: ClassVar[int] = 8  # 7: no offsets; 6: nothing held or blocked; 5: no wear
 
     cells: NDArray[np.float32]
     theta: Floats
@@ -90,23 +88,18 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 8: no fit came with new places; 7: sensors had no offsets; 6: no signal was held; 5:
-        edges wore as a whole; 4: noise was AR(1), without a white part; 3: nothing nameless was
-        looked for.
+        Version 7: sensors had no offsets; 6: no signal was held; 5: edges wore as a whole; 4: noise
+        was AR(1), without a white part; 3: nothing nameless was looked for.
         """
-        if version not in ("3", "4", "5", "6", "7", "8"):
+        if version not in ("3", "4", "5", "6", "7"):
             return {}
-        scalars = arrays["scalars"]
-        arrays["scalars"] = np.pad(scalars, (0, flow_fit.SCALARS - len(scalars)))
-        if version == "8":
-            return arrays
         if version == "3":
             for name in ("x", "P"):
                 still = arrays[name][:, flow_drift.STILL]
                 arrays[name] = np.insert(arrays[name], 4, still, axis=1)
             arrays["chance"] = np.insert(arrays["chance"], 4, 0.0, axis=1)
         drift_states.upgrade(arrays)
-        places, counters = flow_memory.BEFORE, arrays["counters"]
+        places, counters, scalars = flow_memory.BEFORE, arrays["counters"], arrays["scalars"]
         kind = counters[flow_memory.CHANGE_KIND]  # there were four named models, OTHER_GAIN was 2
         level, side = kind % 4 - 2, kind // 4
         counters[flow_memory.CHANGE_KIND] = (
@@ -114,6 +107,7 @@ class FlowMapState(State):
         )
         stay = np.pad(arrays["stay"], (0, max(places + 4 - len(arrays["stay"]), 0)))
         arrays["stay"] = np.insert(stay[: places + 4], [places + 2] * 2 + [places + 4] * 2, 0.0)
+        arrays["scalars"] = np.pad(scalars, (0, flow_fit.SCALARS - len(scalars)))
         if version == "7":
             return arrays
         held, first = flow_path.PARAMETERS - flow_path.OF_MAP, flow_path.OF_MAP

@@ -164,7 +164,6 @@ BENT_BY_LAGS: Final = 0.1  # of the flow that a meter's filter adds to that of t
 # standard deviation, as the map bends on the way
 LOOKS: Final = (1024, 2048, 4096)  # samples; after which the last rows are searched for operators
 MOST_OF_GUESS: Final = 10.0  # log likelihood that the first sample of a cell tells at most
-ENOUGH_TOLD: Final = 10.0  # nats that samples told of the map, from which on a fit is due
 MOST_BETWEEN_LOOKS: Final = 8192  # samples; between later looks: 82 s at 100 Hz
 OTHER: Final = 0.04  # of its value; a parameter that differs by less needs no new map
 BOTH_BRANCHES: Final = 0.51  # of the half width of a hysteresis: its standard deviation that makes

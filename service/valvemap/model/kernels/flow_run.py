@@ -20,7 +20,6 @@ from valvemap.model.kernels.flow_cells import (
     MEAN_S,
     MEAN_U,
     REFUSALS,
-    WORTH,
     Cells,
     cell_of,
     deposit,
@@ -278,8 +277,6 @@ def _learn_row(
     weight *= min(gain * gain, 1.0)  # of what was Q / gain at first, the noise is σ / gain
     if gain <= rules.LEAST_GAIN:
         weight, gain = 0.0, 1.0
-    if counters[FITTED]:
-        _note_growth(weight * worth, memory.cells[number], memory, at)
     deposit(
         memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
     )
@@ -336,23 +333,6 @@ def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
         scalars[fits.REFUTED] = 0.0
         if counters[DOUBTED] == 0:
             counters[DOUBTED] = A_GUESS
-
-
-@inner
-def _note_growth(worth: float, cell: Cells, memory: Memory, at: Floats) -> None:
-    """Bring the next fit forward where samples tell much that the map does not know.
-
-    With P the map's variance at a place, n white samples there narrow it to 1/(1/P + n/σ²): by
-    ln(1 + n·P/σ²) / 2 nats, whatever they show. So a valve that changed is no reason for a fit.
-    Behind a meter's filter it is not done, as a fit there lets cells forget.
-    """
-    scalars, counters = memory.scalars, memory.counters
-    if counters[USED] - counters[BEGAN] < rules.LOOKS[0] or paths.filters(memory.path):
-        return
-    known = at[SURE] / scalars[fits.VARIANCE]
-    scalars[fits.TOLD] += 0.5 * math.log(1.0 + worth * known / (1.0 + cell[WORTH] * known))
-    if scalars[fits.TOLD] >= rules.ENOUGH_TOLD:
-        counters[NEXT_FIT] = min(counters[NEXT_FIT], counters[USED] + 1)
 
 
 @inner
