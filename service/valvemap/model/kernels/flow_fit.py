@@ -104,19 +104,23 @@ def fit(
         _weigh(n_s, of, sigma2, delta2, scale, to)
         _update_noise(scalars, to)
         done = _update_prior(axis_U, axis_s, scalars, guess, w, v, work, to)
-    zeta, root = to.scalars[solved.ZETA], to.scalars[solved.ROOT]
+    zeta = to.scalars[solved.ZETA]
     for p in range(len(theta)):
         theta[p] = to.beta[p] + zeta * axis_s.squares[p % n_s]
     scalars[LEAST] = _least(cells, scale)
     scalars[FREE] = to.scalars[solved.FREE]
     scalars[EVIDENCE] = _evidence(2 * n_s + 3, scale, of, scalars, to)
+    left, free = to.scalars[solved.LEFT], to.scalars[solved.FREE]
+    root = to.scalars[solved.ROOT]
     spread(axis_U, axis_s, to.Z, to.lifted[0], root, theta, work, std)
+    if scalars[SCALE_WEIGHT] >= rules.LOOKS[0]:  # before it, fits cost most and are soon repeated
+        _doubt_scales(
+            axis_U, axis_s, scalars, guess, w, v, ridge, square, theta, work, of, to, std
+        )  # fmt: skip
     terms = np.full(plain.TERMS, ridge)
     terms[0] = terms[1] = lam[prior.ZERO]
     terms[4] = square
-    scalars[PLAIN] = plain.mix(
-        axis_U, axis_s, of, to.scalars[solved.LEFT], to.scalars[solved.FREE], terms, theta, std
-    )
+    scalars[PLAIN] = plain.mix(axis_U, axis_s, of, left, free, terms, theta, std)
     return True
 
 
@@ -224,6 +228,37 @@ def _update_prior(
         moved = max(moved, abs(math.log(wanted / lam[f])))
         lam[f] = _towards(wanted, lam[f])
     return moved < rules.SETTLED
+
+
+@maker
+def _doubt_scales(
+    axis_U: Axis, axis_s: Axis, scalars: Floats, guess: Floats, w: Floats, v: Floats, ridge: float,
+    square: float, theta: Floats, work: Floats, of: Design, to: Solution, std: Singles,
+) -> None:  # fmt: skip
+    """Widen ``std`` by a rougher map, as far as the cells allow it: precisions are not known.
+
+    Samples of a small part of the range hardly tell how much the map bends elsewhere. The rougher
+    map lies halfway between the likeliest and the first guess, where that is rougher.
+    """
+    n_s, other = len(axis_s.sites), np.empty_like(std)
+    sigma2, delta2 = scalars[VARIANCE], scalars[MISFIT]
+    for f in range(prior.FAMILIES):
+        guess[f] = math.sqrt(scalars[LAM + f] * min(guess[f], scalars[LAM + f]))
+    _start(axis_U, axis_s, guess, w, v, ridge, work, to)
+    solved.assemble(n_s, of, sigma2, delta2, to)
+    if not solved.solve(n_s, of, square * axis_s.breaks[-1] ** 4, to):
+        return
+    solved.explain(n_s, of, sigma2, delta2, to)
+    if not factorise(to.A_prior, len(theta), 2 * n_s + 3):
+        return
+    lost = scalars[EVIDENCE] - _evidence(2 * n_s + 3, scalars[SCALE], of, scalars, to)
+    share = 1.0 / (1.0 + math.exp(min(max(lost, -50.0), 50.0)))
+    zeta, root = to.scalars[solved.ZETA], to.scalars[solved.ROOT]
+    spread(axis_U, axis_s, to.Z, to.lifted[0], root, theta, work, other)
+    for p in range(len(theta)):
+        off = to.beta[p] + zeta * axis_s.squares[p % n_s] - theta[p]
+        wide = other[p] ** 2 + off * off
+        std[p] = math.sqrt((1.0 - share) * std[p] ** 2 + share * wide)
 
 
 @inner
