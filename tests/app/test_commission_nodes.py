@@ -50,7 +50,7 @@ async def staged(tmp_path, *, commanded=True, **commission):
                 commission=CommissionConfig(
                     range_percent=(LOW, HIGH),
                     slew_percent_per_s=SLEW,
-                    **{"operator_s": 5.0} | commission,
+                    **{"operator_s": 5.0, "operator_late_s": 2.0} | commission,  # a busy machine
                 ),
             ),
         ),

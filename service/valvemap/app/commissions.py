@@ -149,6 +149,8 @@ class Commissions:
         if one is None:
             return
         results = replace(one.run.results(), progress=line, recording=str(file))
+        if results.phase.is_over:  # it writes no more, while it still learns its last samples
+            self._identification.lead(valve, by_another=False)
         self._sink.show_commission(valve, results)
 
 
