@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
-from valvemap.model.axis_doubt import PRESSURES, doubt
 from valvemap.model.axis_fit import AxisFit, compared, fit, with_theta
 from valvemap.model.axis_rest import Rest
+from valvemap.model.axis_signal_check import PRESSURES, inconsistency
 from valvemap.model.axis_travel import placed
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
@@ -35,7 +35,7 @@ class AxisResult:
     ``status`` other than OK: ``fit`` must not be used, and ``sentence`` says why and what to do.
     ``left_out`` has the number of intervals by reason, and of samples at rest. ``state`` continues
     the fit sample by sample; ``of_shape`` (n, n) is the part of its covariance that is due to play
-    and spool, and to a signal in doubt.
+    and spool, and to an inconsistent signal.
     """
 
     status: AxisStatus
@@ -85,13 +85,15 @@ def identify(
         regression = _searched(regression, samples[:_SEARCHED])
     state, found = fitted(replace(regression, memory_s=memory_s), samples)
     of_shape = _of_shape(found, state, samples) if searched else np.zeros_like(found.covariance)
-    in_doubt = doubt(found.regression, samples[:_SEARCHED], found.together) if searched else None
-    if in_doubt is not None:
-        of_shape = of_shape + np.outer(in_doubt.change, in_doubt.change)
+    wrong = (
+        inconsistency(found.regression, samples[:_SEARCHED], found.together) if searched else None
+    )
+    if wrong is not None:
+        of_shape = of_shape + np.outer(wrong.change, wrong.change)
     found = replace(found, covariance=found.covariance + of_shape)
     status, detail = AxisStatus.OK, ""
-    if in_doubt is not None and in_doubt.is_large:
-        status, detail = AxisStatus.SIGNAL_IN_DOUBT, in_doubt.words
+    if wrong is not None and wrong.is_large:
+        status, detail = AxisStatus.SIGNAL_INCONSISTENT, wrong.words
     if not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
         status, detail = AxisStatus.BULK_MODULUS, f"{found.bulk_modulus[0]:.2f} GPa"
     sentence = f"{status.sentence} ({detail})" if detail else status.sentence

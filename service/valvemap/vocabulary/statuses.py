@@ -269,9 +269,9 @@ class AxisStatus(Described):
         "failed",
         "An error stopped the identification of this axis; the log has it. A restart starts it.",
     )
-    SIGNAL_IN_DOUBT = (
+    SIGNAL_INCONSISTENT = (
         11,
-        "signal in doubt",
+        "inconsistent signal",
         (
             "One signal does not fit the others, and the edges would be wrong by it. Check its "
             "zero, its noise, and whether it is delayed by a filter."

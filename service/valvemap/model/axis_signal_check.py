@@ -1,7 +1,7 @@
 """Whether one signal of an axis does not fit the others: what a better one would leave. Pure.
 
 Each signal is tried a little later or earlier, with another zero, or smoothed. Where the samples
-are much likelier so, the signal is in doubt: the coefficients' difference is part of their
+are much likelier so, the signal is inconsistent: the coefficients' difference is part of their
 uncertainty, and if it is large the answer must not be used.
 """
 
@@ -23,7 +23,7 @@ LATE_S: Final = 0.02  # s; step of a delay
 ZERO_BAR: Final = 2.0  # bar; step of a zero
 SMOOTHED: Final = 5  # samples whose mean stands for one
 MOST: Final = 8  # steps
-SIGNIFICANT: Final = 30.0  # twice the log likelihood ratio that puts a signal in doubt
+SIGNIFICANT: Final = 30.0  # twice the log likelihood ratio that makes a signal inconsistent
 MOST_COMPLIANCE, MOST_FLOW = 0.1, 0.02  # shares of 1/β and flow, by which an answer may be off
 PRESSURES: Final = ("pA", "pB", "pS", "pT")
 
@@ -31,7 +31,7 @@ _Variant = Callable[[AxisSamples, int], AxisSamples]  # with the number of steps
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Inconsistency:
     """What would fit better, in words; the coefficients' difference (n,), and whether it is large.
 
     ``gain`` is twice the log likelihood ratio.
@@ -43,8 +43,10 @@ class Doubt:
     is_large: bool
 
 
-def doubt(regression: AxisRegression, samples: AxisSamples, together: float) -> Doubt | None:
-    """Return the doubt of highest likelihood, or None: no signal would fit better.
+def inconsistency(
+    regression: AxisRegression, samples: AxisSamples, together: float
+) -> Inconsistency | None:
+    """Return the likeliest inconsistency, or None: no signal would fit better.
 
     ``together`` is the number of rows that count as one.
     """
@@ -67,7 +69,7 @@ def doubt(regression: AxisRegression, samples: AxisSamples, together: float) -> 
             best = gain, words.format(last * step), changed - theta
     if best is None:
         return None
-    return Doubt(best[1], best[2], best[0], _is_large(theta, best[2]))
+    return Inconsistency(best[1], best[2], best[0], _is_large(theta, best[2]))
 
 
 def _variants(period_s: float) -> Iterator[tuple[str, float, _Variant, int]]:

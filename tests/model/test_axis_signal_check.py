@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
-from valvemap.model.axis_doubt import doubt
 from valvemap.model.axis_search import identify
+from valvemap.model.axis_signal_check import inconsistency
 from valvemap.vocabulary.statuses import AxisStatus
 from valvemap_rig.directional import DirectionalValve
 from valvemap_rig.machine import Machine
@@ -36,25 +36,25 @@ def noisy(samples, name, bar):
     return replace(samples, **{name: getattr(samples, name) + noise})
 
 
-def test_of_signals_that_fit_none_is_in_doubt(samples):
-    assert doubt(KNOWN, samples, 4.0) is None
+def test_of_signals_that_fit_none_is_inconsistent(samples):
+    assert inconsistency(KNOWN, samples, 4.0) is None
 
 
 def test_a_late_position_is_named_with_its_delay(samples):
-    found = doubt(KNOWN, late(samples, "x", 6), 10.0)
+    found = inconsistency(KNOWN, late(samples, "x", 6), 10.0)
     assert found.words == "position or speed 60 ms too late"
     assert found.is_large
 
 
 def test_a_wrong_zero_is_named(samples):
-    found = doubt(KNOWN, replace(samples, pA=samples.pA + 6.0), 10.0)
+    found = inconsistency(KNOWN, replace(samples, pA=samples.pA + 6.0), 10.0)
     assert found.words == "pA 6 bar too high"
 
 
 @pytest.mark.parametrize("name", ["pA", "pB"])
 def test_a_noisy_pressure_is_named_and_a_quiet_one_is_not(samples, name):
-    assert doubt(KNOWN, noisy(samples, name, 4.0), 4.0).words == f"{name} noisy"
-    assert doubt(KNOWN, noisy(samples, name, 0.1), 4.0) is None
+    assert inconsistency(KNOWN, noisy(samples, name, 4.0), 4.0).words == f"{name} noisy"
+    assert inconsistency(KNOWN, noisy(samples, name, 0.1), 4.0) is None
 
 
 def test_a_pressure_that_never_changes_is_no_pressure(samples):
