@@ -185,6 +185,7 @@ def test_a_wrong_password_and_no_password_open_nothing(fleet):
         admin = AdminClient({**right, **wrong, "log_level": 0})
         with pytest.raises(KafkaException):
             admin.list_topics(timeout=3.0)
-    made = AdminClient(clients(fleet["work"])).create_topics([NewTopic("mine", 1, 1)])
+    admin = AdminClient(clients(fleet["work"]))  # kept: without it there is no answer
+    made = admin.create_topics([NewTopic("mine", 1, 1)])
     with pytest.raises(KafkaException):
-        made["mine"].result()
+        made["mine"].result(30.0)
