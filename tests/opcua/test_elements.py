@@ -11,6 +11,7 @@ from asyncua import Server, ua
 
 from guarded_opcua import HardenedServer, add_object, add_variable
 from support.plant_server import plant_settings
+from support.received import until
 from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
@@ -122,16 +123,6 @@ async def test_an_array_is_one_monitored_item_for_all_its_signals(served):
         assert len(set(numbers)) == 3  # the array is kept for the others, and asked once more
         await until(source, {0: 62.5})
         await source.close()
-
-
-async def until(source, wanted):
-    """The newest value of each item, once those wanted have come."""
-    found = {}
-    async with asyncio.timeout(20):
-        while not wanted.items() <= found.items():
-            changes = await source.receive()
-            found |= dict(zip(changes.item.tolist(), changes.value.tolist(), strict=True))
-    return found
 
 
 def test_a_change_of_an_array_is_one_of_each_element():

@@ -10,6 +10,7 @@ import pytest
 from asyncua import Server, ua
 
 from support.proxy import Proxy
+from support.received import until
 from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
@@ -300,13 +301,3 @@ async def test_definitions_are_read_again_after_a_cut():
             await asyncio.sleep(0.05)
         await until(source, {0: 62.0, 3: 39.0})
         await source.close()
-
-
-async def until(source, wanted):
-    """The newest value of each item, once those wanted have come."""
-    found = {}
-    async with asyncio.timeout(20):
-        while not wanted.items() <= found.items():
-            changes = await source.receive()
-            found |= dict(zip(changes.item.tolist(), changes.value.tolist(), strict=True))
-    return found
