@@ -9,6 +9,7 @@ import numpy as np
 from valvemap.model.estimator import Estimator
 from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.commission_answer import Expected, Proof
+from valvemap.pipeline.commission_guard import DROP_TO_JUDGE
 from valvemap.pipeline.commission_limits import Point, Range
 from valvemap.pipeline.commission_plan import Uncertainty, route
 from valvemap.pipeline.commission_state import Settings
@@ -18,7 +19,6 @@ POINTS_U, POINTS_S = 33, 13  # of the grid on which the map is judged
 LEAST_DROP: Final = 2.0  # bar; smaller ones are not judged
 NEXT_DROP: Final = 60.0  # bar; by which Δp may leave what was seen until the map is learnt anew
 FLOOR: Final = 0.005  # of the largest flow; error of map and meter that is always allowed
-LEAST_JUDGED: Final = 10.0  # bar; openings are judged above it
 VISITS: Final = 3.0  # samples near a value of U that make a map there
 OVER: Final = 4  # samples; over which flows and p1 are averaged
 NEAR_MOST: Final = 0.97  # of the largest flow; above it p1 tells whether the supply is at its limit
@@ -122,7 +122,7 @@ def expected(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Expec
 
 
 def _proof(before: Learnt, good: Samples) -> Proof:
-    drops = good[np.abs(good.dp) > LEAST_JUDGED]
+    drops = good[np.abs(good.dp) > DROP_TO_JUDGE]
     s = np.sqrt(np.abs(drops.dp))
     return before.proof.after(before.expected, drops.U, drops.Q / s, s)
 

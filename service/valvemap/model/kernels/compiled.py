@@ -14,10 +14,7 @@ import numpy as np
 
 from valvemap.numba_version import is_left_out, is_tested
 
-IS_COMPILED: Final = not is_left_out()
-"""Whether this process has numba."""
-
-if not IS_COMPILED:
+if is_left_out():
     from valvemap.model.kernels import without_numba as numba
 elif is_tested():
     from valvemap.model.kernels import tested_numba as numba  # type: ignore[no-redef]

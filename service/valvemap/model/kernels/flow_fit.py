@@ -114,7 +114,7 @@ def fit(
     root = to.scalars[solved.ROOT]
     spread(axis_U, axis_s, to.Z, to.lifted[0], root, theta, work, std)
     if scalars[SCALE_WEIGHT] >= rules.LOOKS[0]:  # before it, fits cost most and are soon repeated
-        _doubt_scales(
+        _weigh_rougher_map(
             axis_U, axis_s, scalars, guess, w, v, ridge, square, theta, work, of, to, std
         )  # fmt: skip
     terms = np.full(plain.TERMS, ridge)
@@ -231,7 +231,7 @@ def _update_prior(
 
 
 @maker
-def _doubt_scales(
+def _weigh_rougher_map(
     axis_U: Axis, axis_s: Axis, scalars: Floats, guess: Floats, w: Floats, v: Floats, ridge: float,
     square: float, theta: Floats, work: Floats, of: Design, to: Solution, std: Singles,
 ) -> None:  # fmt: skip
