@@ -27,7 +27,7 @@ from valvemap.model.residual_spread import TWO_SIDED_95, ResidualSpread
 from valvemap.model.samples import Floats, Samples
 from valvemap.model.support import Support
 from valvemap.model.survey import survey as survey_of
-from valvemap.vocabulary.statuses import InverseStatus
+from valvemap.vocabulary.statuses import DELIVERS, InverseStatus
 
 U_LABEL, DP_LABEL = "control voltage U, %", "pressure drop Δp, bar"
 Q_LABEL = "flow Q, l/min"
@@ -75,7 +75,7 @@ def inverse_map() -> Figure:
         highest = float(valves.dead_band(np.array([100.0]), np.array([dp]))[0])
         Q = np.linspace(0.0, 1.15 * highest, 301)
         found = invert(auto, state, Q, np.full_like(Q, dp), valves.warm(Q), support=support)
-        given = np.isin(found.status, (InverseStatus.OK, InverseStatus.UNCERTAIN))
+        given = np.isin(found.status, DELIVERS)
         left.plot(Q[given], found.U[given], color=color, label=f"Δp = {dp:.0f} bar")
         beyond = found.status == InverseStatus.ABOVE_REACH
         left.plot(Q[beyond], found.U[beyond], ":", color=color)

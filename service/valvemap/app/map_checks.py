@@ -15,7 +15,7 @@ from valvemap.pipeline import valve_state
 from valvemap.pipeline.edges import LEAK
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane
-from valvemap.vocabulary.statuses import InverseStatus, Quality
+from valvemap.vocabulary.statuses import DELIVERS, Quality
 
 MOST_TRIED: Final = 1_000  # samples of a batch; inverting a network costs 100 times an update
 S = TypeVar("S", Samples, Floats)
@@ -85,7 +85,7 @@ def _check_lane(lane: Lane, samples: Samples) -> MapCheck:
     trace = Trace(Q_hat, residual, residual, np.zeros(len(samples), np.uint8))
     tried = _some(samples)
     inverse = invert(estimator, state, tried.Q, tried.dp, tried.T)
-    feasible = np.isin(inverse.status, (InverseStatus.OK, InverseStatus.UNCERTAIN))
+    feasible = np.isin(inverse.status, DELIVERS)
     U, dp, T = (x[feasible] for x in (inverse.U, tried.dp, tried.T))
     Q_back, _ = estimator.predict(state, U, dp, T)
     _, half, _ = valve_state.predicted_measurement(lane, tried.U, tried.dp, tried.T)

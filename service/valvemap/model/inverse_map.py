@@ -23,7 +23,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Codes, Floats
 from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from valvemap.model.support import Support
-from valvemap.vocabulary.statuses import InverseStatus
+from valvemap.vocabulary.statuses import DELIVERS, InverseStatus
 
 U_MAX: Final = 100.0
 T_REFERENCE: Final = 40.0  # °C; stands in for a temperature that is missing
@@ -35,6 +35,7 @@ LEVELS, CHUNK = 41, 256  # levels of U for an uncertain answer; answers processe
 
 S = TypeVar("S", bound=State)
 
+Flags = NDArray[np.bool_]
 Widening = Callable[[Floats, Floats, Floats, Floats], Floats]  # std of Q̂ at U, dp, T
 
 
@@ -104,18 +105,18 @@ def invert(
         std = std if widened is None else widened(std, *points)
         off = _systematic(estimator, state, accuracy, points)
         if support is None:
-            vague = _is_vague(estimator, state, std, 0.0)
+            badly_known = _unknown_flow(estimator, state, std, 0.0)
             answer = _answer(found, np.hypot(std, off), finite & ~lacking, U_range_of(estimator))
-            return _doubted(answer, vague)
+            return _uncertain(answer, badly_known)
         std, guessed = trusted(estimator, state, support, points, demand, std)
         unknown = guessed & np.isinf(std)
         if unknown.any() and np.isfinite(estimator.parameters(state)[0]).any():
             std = np.where(unknown, support.Q_max, std)  # unknown here, known elsewhere
-        vague = _is_vague(estimator, state, std, support.Q_max)
+        badly_known = _unknown_flow(estimator, state, std, support.Q_max)
         answer = _answer(found, np.hypot(std, off), finite & ~lacking, U_range_of(estimator))
         has_U = answer.status <= InverseStatus.BELOW_REACH
         status = np.where(guessed & has_U, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
-        answer = _doubted(replace(answer, status=status), vague)
+        answer = _uncertain(replace(answer, status=status), badly_known)
         bent = is_eq7(estimator, state) and support.is_eq7_refuted
         doubtful = np.flatnonzero(has_U & (guessed | bent))
         given = demand, drop, temperature
@@ -130,8 +131,7 @@ def inverse_table(
         np.asarray(Q_axis, np.float64), np.asarray(dp_axis, np.float64), indexing="ij"
     )
     answer = invert(estimator, state, Q.ravel(), dp.ravel(), T)
-    given = (answer.status == InverseStatus.OK) | (answer.status == InverseStatus.UNCERTAIN)
-    return np.where(given, answer.U, np.nan).reshape(Q.shape)
+    return np.where(np.isin(answer.status, DELIVERS), answer.U, np.nan).reshape(Q.shape)
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ def _systematic(
     return systematic_std(accuracy, flow, points, U_range_of(estimator))
 
 
-def _is_vague(estimator: Estimator[S], state: S, std: Floats, Q_max: float) -> NDArray[np.bool_]:
+def _unknown_flow(estimator: Estimator[S], state: S, std: Floats, Q_max: float) -> Flags:
     """Whether the flow is known too badly to call an answer OK, as far as the noise is known."""
     if not isinstance(estimator, MeasuresNoise):
         return np.zeros(len(std), np.bool_)
@@ -261,9 +261,10 @@ def _is_vague(estimator: Estimator[S], state: S, std: Floats, Q_max: float) -> N
     return np.asarray(TWO_SIDED_95 * std > limit)
 
 
-def _doubted(answer: Inversion, vague: NDArray[np.bool_]) -> Inversion:
-    doubted = vague & (answer.status == InverseStatus.OK)
-    status = np.where(doubted, np.uint8(InverseStatus.UNCERTAIN), answer.status)
+def _uncertain(answer: Inversion, where: Flags) -> Inversion:
+    """Return the answers with those that are OK marked as uncertain somewhere."""
+    marked = where & (answer.status == InverseStatus.OK)
+    status = np.where(marked, np.uint8(InverseStatus.UNCERTAIN), answer.status)
     return replace(answer, status=status)
 
 

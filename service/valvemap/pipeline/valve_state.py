@@ -38,7 +38,7 @@ from valvemap.pipeline.places import MapErrors
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.score import Score
 from valvemap.vocabulary.findings import Finding, FindingCode
-from valvemap.vocabulary.statuses import InverseStatus, Status
+from valvemap.vocabulary.statuses import DELIVERS, InverseStatus, Status
 
 AnyEstimator = Estimator[Any]
 
@@ -193,8 +193,7 @@ def required(plan: ValvePlan, state: ValveState) -> Required:
         return NOTHING_REQUIRED
     answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
     lane, U = state.lanes[plan.inverse], answer.U
-    has_U = answer.status[0] in (InverseStatus.OK, InverseStatus.UNCERTAIN)
-    moving = has_U and not lane.frozen
+    moving = answer.status[0] in DELIVERS and not lane.frozen
     if moving and isinstance(lane.estimator, PathDependent):
         U = lane.estimator.approached(lane.state, U)
     shift = float(U[0] - answer.U[0])

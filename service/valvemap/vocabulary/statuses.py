@@ -4,7 +4,7 @@ Nodes (EnumStrings and descriptions), the page and the documentation take their 
 """
 
 from enum import IntEnum
-from typing import Self
+from typing import Final, Self
 
 
 class Described(IntEnum):
@@ -201,6 +201,10 @@ class InverseStatus(Described):
             "than 0.5 % of the largest flow."
         ),
     )
+
+
+DELIVERS: Final = InverseStatus.OK, InverseStatus.UNCERTAIN
+"""Statuses of an answer whose U the map says to deliver the demand, however well that is known."""
 
 
 class AxisStatus(Described):
