@@ -192,7 +192,7 @@ async def test_what_is_extrapolated_is_grey_on_the_map_and_a_band_of_the_section
         assert all(known)
         assert far == [u >= 90 for u in U]  # each place beside one that is extrapolated, too
         await page.locator("[data-colouring=status]").click()
-        await page.wait_for_function("document.querySelector('.surface').data[1].z.length === 0")
+        await visitor.until("document.querySelector('.surface').data[1].z.length === 0")
         assert visitor.problems == []
 
 
@@ -203,11 +203,10 @@ async def test_a_long_trend_follows_nothing_and_still_goes_on(browser):
         page = visitor.page
         await visitor.open("trend/V1?span=604800")
         await page.locator("h2", has_text="Newest").wait_for()
-        samples = "() => import('./js/live.js').then(m => m.live.number('RLS.SampleCount'))"
-        while not (first := await page.evaluate(samples)) > 0:
-            await page.wait_for_timeout(200)
-        while not await page.evaluate(samples) > first:
-            await page.wait_for_timeout(200)
+        samples = "import('./js/live.js').then(m => m.live.number('RLS.SampleCount'))"
+        await visitor.until(f"{samples}.then(n => n > 0)")
+        first = await page.evaluate(samples)
+        await visitor.until(f"{samples}.then(n => n > {first})")
         assert shown.followed == ()
         await page.locator("button[data-span='600000']").click()
         while shown.followed != ("V1.Frame",):

@@ -50,6 +50,14 @@ class Visit:
     async def text(self, selector):
         return (await self.page.locator(selector).first.text_content() or "").strip()
 
+    async def until(self, condition):
+        """Wait until a JavaScript expression holds.
+
+        Playwright's ``wait_for_function`` evaluates within the page, where its policy forbids it.
+        """
+        while not await self.page.evaluate(condition):
+            await self.page.wait_for_timeout(50)
+
     async def log_in(self):
         await self.page.locator("button.user").click()
         await self.page.locator("dialog input[name=user]").fill("operator")
