@@ -200,6 +200,28 @@ def test_pieces_bound_the_map_and_its_slopes(name):
     assert kinked.any() == (name in {"kinked spline", "auto"} or bool(pieces.kinks_U.any()))
 
 
+@pytest.mark.parametrize("name", ["eq. (7)", "kinked spline", "auto", "network", "Gaussians"])
+def test_bends_bound_how_slopes_change_in_a_box_without_a_kink(name):
+    """Taylor's theorem rests on them: half of a bend, or a kink that is left out, is seen here."""
+    estimator = (ESTIMATORS | {"Gaussians": GAUSSIANS})[name]
+    pieces = MapPieces.of(estimator, learnt(estimator), (5.0, 200.0), 40.0)
+    rng = np.random.default_rng(2)
+    n, steps = 20_000, 0.5 ** rng.uniform(0, 12, 20_000)
+    low_U, low_s = rng.uniform(0, 95, n), rng.uniform(np.sqrt(5), np.sqrt(200) - 0.5, n)
+    by_U, by_s = 5.0 * steps, 0.5 * steps
+    _, bends, kinked = pieces.over(low_U, low_U + by_U, low_s, low_s + by_s)
+    here = pieces.at(low_U, low_s)
+    along_U, along_s = pieces.at(low_U + by_U, low_s), pieces.at(low_U, low_s + by_s)
+    changed = np.abs([along_U[1] - here[1], along_s[1] - here[1], along_s[2] - here[2]])
+    bounds = bends * np.stack([by_U, by_s, by_s])
+    rounding = 1e-9 * np.abs(here).max()
+    assert (changed <= bounds + rounding)[:, ~kinked].all()
+    bent = bounds.max(axis=1) > 1e3 * rounding
+    sharp = (changed > 0.6 * bounds) & (bounds > 1e3 * rounding) & ~kinked
+    assert bent.any()
+    assert sharp.any(axis=1)[bent].all()  # so the bounds are of use, too
+
+
 class OfUnknownForm:
     """A map of which nothing is known but its flows."""
 
