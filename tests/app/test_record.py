@@ -56,9 +56,9 @@ def raising(*_args):
 
 async def test_a_restarted_source_counts_its_samples_anew(recorder, writer):
     before, after = plant(40), plant(40, first=500)
-    await recorder.connected(restarted=False)
+    await recorder.connected(restarted_at=None)
     await recorder.take(as_changes(before))
-    await recorder.connected(restarted=True)
+    await recorder.connected(restarted_at=1)
     await recorder.take(as_changes(after))
     recorder.finish()
     assert writer.t == [*before.t.tolist(), *after.t.tolist()]

@@ -63,7 +63,7 @@ class Consumer:
     def __init__(self):
         self.calls, self.gate = [], None
 
-    async def connected(self, valves=None, *, restarted):
+    async def connected(self, valves=None, *, restarted_at):
         await self._note("connected")
 
     async def take(self, changes, valves=None):
@@ -165,7 +165,7 @@ def test_a_manager_that_does_not_read_delays_nothing(tmp_path):
 
 
 async def test_a_connected_source_must_beat_in_each_period(pulse, clock):
-    await pulse.connected(restarted=False)
+    await pulse.connected(restarted_at=None)
     clock.advance(PERIOD_S)
     assert pulse.overdue_s(clock.monotonic(), PERIOD_S) == 0.0
     clock.advance(0.5)
@@ -176,7 +176,7 @@ async def test_a_connected_source_must_beat_in_each_period(pulse, clock):
 
 async def test_a_source_that_connects_may_be_silent_for_longer(pulse, clock):
     assert pulse.overdue_s(clock.monotonic(), PERIOD_S) == -PERIOD_S - CONNECTING_S
-    await pulse.connected(restarted=False)
+    await pulse.connected(restarted_at=None)
     await pulse.lost(SourceLost("cut"))
     clock.advance(PERIOD_S + CONNECTING_S)
     assert pulse.overdue_s(clock.monotonic(), PERIOD_S) == 0.0
@@ -188,7 +188,7 @@ async def test_a_source_that_connects_may_be_silent_for_longer(pulse, clock):
 async def test_a_call_that_does_not_return_is_a_missing_beat(pulse, consumer, clock, call):
     consumer.gate = asyncio.Event()
     calls = {
-        "connected": lambda: pulse.connected(restarted=False),
+        "connected": lambda: pulse.connected(restarted_at=None),
         "take": lambda: pulse.take(None),
         "tick": pulse.tick,
         "lost": lambda: pulse.lost(SourceLost("cut")),
@@ -205,8 +205,8 @@ async def test_a_call_that_does_not_return_is_a_missing_beat(pulse, consumer, cl
 
 async def test_the_source_that_is_silent_counts_not_the_one_that_beats(pulse, clock):
     north, south = np.array([0, 2]), np.array([1])
-    await pulse.connected(north, restarted=False)
-    await pulse.connected(south, restarted=False)
+    await pulse.connected(north, restarted_at=None)
+    await pulse.connected(south, restarted_at=None)
     clock.advance(PERIOD_S + 1.0)
     await pulse.tick(north)
     assert pulse.overdue_s(clock.monotonic(), PERIOD_S) == 1.0
@@ -245,7 +245,7 @@ async def test_the_watchdog_is_fed_some_times_in_each_period(manager, inbox, pul
 
 
 async def test_a_silent_supervisor_is_not_fed_and_named_once(manager, inbox, pulse, clock):
-    await pulse.connected(restarted=False)
+    await pulse.connected(restarted_at=None)
     with capture_logs() as said:
         await feed(manager, pulse, clock, BEATS + 5)
     assert received(inbox) == [["WATCHDOG=1"]] * (BEATS + 1)

@@ -43,7 +43,7 @@ for first in range(0, 9_000, 50):
         identification.maps.refresh()
         identification.results.one(0)
 identification.wait_no_longer(np.zeros(1, np.int64))
-identification.begin_source_anew(np.zeros(1, np.int64))
+identification.begin_source_anew(np.zeros(1, np.int64), 1)
 identification.invert("Valvistor", 30.0, 50.0, 40.0)
 for estimator in identification.plans[0].estimators:
     identification.predict("Valvistor", estimator, 50.0, 50.0, 40.0)

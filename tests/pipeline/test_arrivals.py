@@ -188,12 +188,14 @@ def test_an_error_while_one_valve_is_flushed_or_begins_anew_is_isolated_too(call
             raise RuntimeError("injected")
         return found
 
-    act = one.wait_no_longer if call == "flush" else one.begin_source_anew
     with monkeypatch.context() as patch:
         patch.setattr(Alignment, call, raising)
-        act(every)
+        if call == "flush":
+            one.wait_no_longer(every)
+        else:
+            one.begin_source_anew(every, started=1)
     assert one.failed.tolist() == [False, True, False]
     later = list(batches(staggered=False, count=6))[-1]
     assert list(one.take(later)) == [0, 2]
-    one.begin_source_anew(every)
+    one.begin_source_anew(every, started=2)
     assert not one.failed.any()

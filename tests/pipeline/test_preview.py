@@ -75,7 +75,7 @@ def live(identification):
     remark = Remark("cable", "operator", 1)
     identification.do(Command.of("remark", "W", "SensorLost", remark))
     identification.take(changes[400:])
-    identification.begin_source_anew(np.array([0]))
+    identification.begin_source_anew(np.array([0]), 1)
 
 
 def bits(identification):

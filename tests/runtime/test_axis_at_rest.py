@@ -72,7 +72,7 @@ class Machine:
 )
 async def test_an_axis_at_rest_is_not_silent_while_its_source_is_there(signals):
     machine = Machine()
-    await machine.live.connected(restarted=False)
+    await machine.live.connected(restarted_at=None)
     await machine.sends(10.0, signals)
     assert not machine.is_silent
     await machine.live.lost(SourceLost("cut"))
@@ -83,14 +83,14 @@ async def test_an_axis_at_rest_is_not_silent_while_its_source_is_there(signals):
 
 async def test_an_axis_whose_pressure_never_came_is_silent():
     machine = Machine()
-    await machine.live.connected(restarted=False)
+    await machine.live.connected(restarted_at=None)
     await machine.sends(STALE_S + 0.5, (), lacking=(Signal.P2,))
     assert machine.is_silent
 
 
 async def test_an_axis_that_comes_to_rest_keeps_its_results():
     machine = Machine()
-    await machine.live.connected(restarted=False)
+    await machine.live.connected(restarted_at=None)
     await machine.sends(8.0, (Signal.P1, Signal.P2, Signal.Q))
     await machine.sends(STALE_S + 3.0, ())
     assert not machine.is_silent

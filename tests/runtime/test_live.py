@@ -140,16 +140,21 @@ async def test_while_there_is_no_connection_or_we_stood_still_waiting_does_not_c
 
 
 async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(numbered):
-    await numbered.connected(restarted=False)
+    await numbered.connected(restarted_at=None)
     await numbered.take(as_changes(plant(300)))
-    await numbered.connected(restarted=False)
+    await numbered.connected(restarted_at=None)
     assert numbered.identification.results.counters(0)["restarts"] == 0
-    await numbered.connected(restarted=True)
+    await numbered.connected(restarted_at=1)
     again = as_changes(plant(300, first=360))
     again.value[5::6] += 900
     await numbered.take(again)
     counters = numbered.identification.results.counters(0)
     assert (counters["gaps"], counters["restarts"], counters["lost_by_time"]) == (0, 1, 60)
+    assert count(numbered) == 600
+    await numbered.connected(restarted_at=1)  # the same restart is told again after a kill
+    await numbered.take(again)
+    counters = numbered.identification.results.counters(0)
+    assert (counters["restarts"], counters["duplicates"]) == (1, 5 * 300)
     assert count(numbered) == 600
 
 

@@ -142,7 +142,7 @@ class Collector:
         self.align = Alignment(AlignmentSettings(), (("T",),), (self.numbered,))
         self.state = self.align.initial_state()
 
-    async def connected(self, *, restarted):
+    async def connected(self, *, restarted_at):
         pass
 
     async def take(self, changes):

@@ -272,10 +272,10 @@ class CommissionRun:
             self._note(event="ended", map_std_l_min=_known(self.learnt.error))
         return self.state
 
-    async def connected(self, _valves: Times | None = None, *, restarted: bool) -> None:
+    async def connected(self, _valves: Times | None = None, *, restarted_at: int | None) -> None:
         """Note the connection; after a restart of the source, restart the sample sequence."""
-        if restarted:
-            self._append(self._arrivals.begin_source_anew(np.arange(1)).get(0))
+        if restarted_at is not None:
+            self._append(self._arrivals.begin_source_anew(np.arange(1), restarted_at).get(0))
         self._seen = replace(self._seen, connected=True)
 
     async def lost(self, reason: SourceError, _valves: Times | None = None) -> None:

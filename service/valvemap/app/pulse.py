@@ -54,11 +54,11 @@ class Pulse:
         beats = self._beats.values() or [self._began]
         return now - min(beat.at + tick_s + beat.allowance_s for beat in beats)
 
-    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:
         """As `Consumer.connected`."""
         with self._call(valves) as beat:
             beat.connected = True
-            await self._consumer.connected(valves, restarted=restarted)
+            await self._consumer.connected(valves, restarted_at=restarted_at)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """As `Consumer.take`."""

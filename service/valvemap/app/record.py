@@ -105,10 +105,12 @@ class _Recorder:
         self._progress = progress
         self.samples = 0
 
-    async def connected(self, _valves: Times | None = None, *, restarted: bool) -> None:
+    async def connected(self, _valves: Times | None = None, *, restarted_at: int | None) -> None:
         """Note the connection; after a restart of the source, restart the sample sequence."""
-        if restarted:
-            self._append(self._arrivals.begin_source_anew(np.arange(len(self._names))))
+        if restarted_at is not None:
+            self._append(
+                self._arrivals.begin_source_anew(np.arange(len(self._names)), restarted_at)
+            )
 
     async def take(self, changes: DataChanges, _valves: Times | None = None) -> None:
         self._append(self._arrivals.take(changes))

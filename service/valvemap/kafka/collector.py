@@ -115,12 +115,12 @@ class Collector:
             log.info("collecting continues", blocks=sum(self._numbers.values()))
         self._sources.hold_back()
 
-    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:
         """Note the start of a source; if it was restarted, reset its sample counting."""
         own = self._own(valves)
-        if restarted:
+        if restarted_at is not None:
             log.warning("source restarted")
-            self._use(self._arrivals.begin_source_anew(own))
+            self._use(self._arrivals.begin_source_anew(own, restarted_at))
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """Align changes to samples; save them if a save is due."""

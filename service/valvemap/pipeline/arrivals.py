@@ -87,6 +87,9 @@ class Arrivals:
         Whether the stamping of the signals is detected.
     failed : bool
         Mask (V,) of the valves whose changes are dropped after an error.
+    source_started : int
+        Start time of the source (V,), UTC ns, with which each valve's running numbers restarted;
+        0: none is known.
 
     Examples
     --------
@@ -113,6 +116,7 @@ class Arrivals:
         self._announced = 0  # changes taken of those announced
         self._may_step = not rules.numbered.all()
         self.failed = np.zeros(len(self.names), np.bool_)
+        self.source_started = np.zeros(len(self.names), np.int64)
         self._errors: list[tuple[int, Exception]] = []
 
     def announce(self, changes: DataChanges, now_s: float) -> None:
@@ -211,10 +215,16 @@ class Arrivals:
             return self._align(unfinished)
         return self._flush(valves)
 
-    def begin_source_anew(self, valves: Times) -> ByValve:
-        """Reset the alignment of these valves: the running numbers of their source restart."""
-        self.failed[valves] = False
-        return self._isolated(valves, lambda own: self.alignment.begin_anew(self._waiting, own))
+    def begin_source_anew(self, valves: Times, started: int) -> ByValve:
+        """Reset the alignment of these valves: the running numbers of their source restart.
+
+        ``started`` is the start time of the source, UTC ns. Valves whose numbers have restarted
+        with it, before a kill, go on: the source may send the samples since then again.
+        """
+        anew = valves[self.source_started[valves] != started]
+        self.source_started[anew] = started
+        self.failed[anew] = False
+        return self._isolated(anew, lambda own: self.alignment.begin_anew(self._waiting, own))
 
     def finish(self) -> list[ByValve]:
         """Flush all buffers; return their samples, those without a running number last."""

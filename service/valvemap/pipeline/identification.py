@@ -200,9 +200,9 @@ class Identification:
         return self._intake.wait_no_longer(valves)
 
     @changes_state
-    def begin_source_anew(self, valves: Times) -> ByValve:
+    def begin_source_anew(self, valves: Times, started: int) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
-        return self._intake.begin_source_anew(valves)
+        return self._intake.begin_source_anew(valves, started)
 
     @changes_state
     def note_source(self, valve: int, words: tuple[str, ...]) -> None:

@@ -79,9 +79,9 @@ class SampleIntake:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""
         return self._learn_arrived(self._arrivals.wait_no_longer(valves))
 
-    def begin_source_anew(self, valves: Times) -> ByValve:
+    def begin_source_anew(self, valves: Times, started: int) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
-        return self._learn_arrived(self._arrivals.begin_source_anew(valves))
+        return self._learn_arrived(self._arrivals.begin_source_anew(valves, started))
 
     def learn(self, arrived: ByValve) -> ByValve:
         """Estimate from aligned samples; return them, with implausible samples marked BAD.

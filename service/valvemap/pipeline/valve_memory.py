@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -24,6 +24,8 @@ _MOST_SAMPLES = 2.0**53  # largest count that a float represents exactly
 class _Kept(State):
     """The state as stored in a checkpoint; ``lanes`` (E, 4) has a row for each of ``names``."""
 
+    state_version: ClassVar[int] = 3
+
     last: Any
     last_time: Any
     still_since: Any
@@ -40,6 +42,7 @@ class _Kept(State):
     left: Any
     order: Any
     counters: Any
+    source_started: Any
     moment: Any
     T: Any
     demand: Any
@@ -57,6 +60,7 @@ class _Kept(State):
             *memory.memory,
             memory.bad_status,
             *waiting,
+            source_started=np.array(0),
             moment=np.array(0),
             T=nothing[0],
             demand=nothing,
@@ -64,13 +68,18 @@ class _Kept(State):
             lanes=np.zeros((_length(names, 0), 4)),
         )
 
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Add the start of the source, which version 2 did not know."""
+        return {**arrays, "source_started": np.array(0)} if version == "2" else {}
+
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content; ``order`` must count all stored samples."""
         waiting = Waiting(*(getattr(self, name) for name in Waiting._fields))
         found = contents_of_waiting(waiting)
         for name in ("last", "window", "T", "demand"):
             found[name] = Contents(np.asarray(getattr(self, name))).or_nan()
-        for name in ("last_time", "still_since", "moment"):
+        for name in ("last_time", "still_since", "moment", "source_started"):
             found[name] = Contents(np.asarray(getattr(self, name))).any_time()
         lanes = Contents(self.lanes).within(0.0, _MOST_SAMPLES, (slice(None), 0))
         lanes.within(-1.0, float(max(Status)), (slice(None), 3)).or_nan((slice(None), [1, 2]))
@@ -100,17 +109,21 @@ class ValveMemory:
 
     gate: GateState
     waiting: Waiting
+    source_started: int
     t: int
     T: float
     demand: tuple[float, float]
     notes: dict[str, LaneNotes]
 
     @classmethod
-    def of(cls, state: ValveState, waiting: Waiting, beyond: dict[str, int]) -> "ValveMemory":
-        """Build it from the state of a valve."""
+    def of(
+        cls, state: ValveState, waiting: Waiting, source_started: int, beyond: dict[str, int]
+    ) -> "ValveMemory":
+        """Build it from the state of a valve; see `Arrivals` for its source's start."""
         return cls(
             gate=state.gate,
             waiting=waiting,
+            source_started=source_started,
             t=state.t,
             T=state.T,
             demand=(state.demand_Q, state.demand_dp),
@@ -140,6 +153,7 @@ class ValveMemory:
             gate_counters=memory.counters,
             bad_status=self.gate.bad_status,
             **self.waiting._asdict(),
+            source_started=np.array(self.source_started),
             moment=np.array(self.t),
             T=np.array(self.T),
             demand=np.array(self.demand),
@@ -166,6 +180,7 @@ class ValveMemory:
             return cls(
                 gate=GateState(Memory(*of_gate), kept.bad_status),
                 waiting=Waiting(*(getattr(kept, name) for name in Waiting._fields)),
+                source_started=int(kept.source_started),
                 t=int(kept.moment),
                 T=float(kept.T),
                 demand=(float(kept.demand[0]), float(kept.demand[1])),

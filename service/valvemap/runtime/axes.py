@@ -117,12 +117,12 @@ class LiveAxes:
         for number in range(len(self.axes)):
             self._show(number)
 
-    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:
         """Note the connection; if the source was restarted, count its samples anew."""
         rows = self._rows(valves)
         self._begin()
-        if restarted:
-            self._use(self._arrivals.begin_source_anew(rows))
+        if restarted_at is not None:
+            self._use(self._arrivals.begin_source_anew(rows, restarted_at))
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """Identify and show."""

@@ -181,13 +181,13 @@ class LiveService:
             await self._publish_until(self._clock.monotonic())
             await asyncio.sleep(0.0)
 
-    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
+    async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:
         """Note the connection; if the source was restarted, restart its alignment."""
         own = self._own(valves)
-        if restarted:
+        if restarted_at is not None:
             log.warning("source restarted")
             self._ages.forget_clock(own)
-            await self._use(self.identification.begin_source_anew(own), own)
+            await self._use(self.identification.begin_source_anew(own, restarted_at), own)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """Identify, publish and feed forward; a backlog in pieces, with other tasks in between."""

@@ -260,10 +260,10 @@ class _OfPart:
         self._part, self._turn = sources.parts[k], one_at_a_time
         self._valves: Times = np.array(self._part.valves, np.int64)
 
-    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:  # noqa: ARG002
+    async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:  # noqa: ARG002
         self._sources.connected[self._k] = True
         async with self._turn:
-            await self._consumer.connected(self._valves, restarted=restarted)
+            await self._consumer.connected(self._valves, restarted_at=restarted_at)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:  # noqa: ARG002
         mark = self._part.source.mark

@@ -21,9 +21,11 @@ log = structlog.get_logger(__name__)
 class Consumer(Protocol):
     """Consumer of the data changes; the supervisor makes one call at a time."""
 
-    async def connected(self, valves: Times | None = None, *, restarted: bool) -> None:
-        """The source is connected; ``restarted`` since it was last, in a former life too.
+    async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:
+        """The source is connected.
 
+        ``restarted_at`` is its start time, UTC ns, if it was restarted since it was last connected,
+        in a former life too; else None. After a kill the same restart may be told again.
         ``valves`` are the numbers of the valves that it publishes; None: all.
         """
 
@@ -79,7 +81,8 @@ async def supervise(
                 await source.connect()
                 say.info("source connected")
                 before, source_started = source_started, source.started
-                await consumer.connected(restarted=0 != before != source_started != 0)
+                restarted = 0 != before != source_started != 0
+                await consumer.connected(restarted_at=source_started if restarted else None)
                 ever_connected, pauses = True, settings.pauses()
                 await _receive(source, consumer, stop, settings.tick_s)
             except (SourceLost, SourceRejected) as error:
