@@ -27,8 +27,17 @@ class Stream:
         self.t = START + taken + np.where(np.arange(n) >= AT, round(step_s * 1e9), 0)
         self.message, self.signals = message, PER_VALVE if numbered else PER_VALVE - 1
         flags = (("T",),), (numbered,)
-        self.arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), *flags))
+        self.alignment = Alignment(AlignmentSettings(), *flags)
+        self.arrivals = Arrivals(["V1"], self.alignment)
         self.out = []
+
+    def restart(self, *, other_units=False):
+        """The service is started again with what it has stored."""
+        kept = self.arrivals.of(0)
+        if other_units:
+            kept = kept._replace(known=kept.known.of_any_content())
+        self.arrivals = Arrivals(["V1"], self.alignment)
+        self.arrivals.put(0, kept)
 
     def send(self, rows, now_s):
         k = np.asarray(rows, np.intp)
@@ -51,7 +60,7 @@ class Stream:
 
     @property
     def losses(self):
-        counted = self.arrivals.alignment.counters(self.arrivals.of(0), 0)
+        counted = self.arrivals.alignment.counters(self.arrivals.of(0).waiting, 0)
         return {name: counted[name] for name in LOSSES if counted[name]}
 
 
@@ -77,6 +86,18 @@ def test_what_is_sent_again_is_no_step():
     stream.send(range(200, 600), 1010.0)
     assert stream.out == stream.values[:, Signal.Q].tolist()
     assert stream.losses == {"duplicates": 400 * (PER_VALVE - 1)}
+
+
+@pytest.mark.parametrize("other_units", [False, True])
+@pytest.mark.parametrize("step_s", [-0.155, -1.0, -60.0])
+def test_what_is_sent_again_around_a_step_back_is_known_after_a_restart(step_s, other_units):
+    stream = Stream(step_s, numbered=False, message=50)
+    stream.send_all()
+    stream.restart(other_units=other_units)
+    stream.send(range(AT - 23, AT + 77), 1030.0)
+    stream.send(range(1900, 2000), 1030.0)
+    assert stream.out == stream.values[:, Signal.Q].tolist()
+    assert stream.losses == {"duplicates": 200 * (PER_VALVE - 1)}
 
 
 def test_messages_that_catch_up_after_an_outage_are_no_step():

@@ -121,7 +121,7 @@ def _is_kept(world, row):
 
 def waiting(world, identification, valve):
     """The samples of a valve in its reorder buffer."""
-    one = identification._arrivals.of(valve)
+    one = identification._arrivals.of(valve).waiting
     times = one.slots[0, :, slots.TIME].tolist()
     return {world.number_of[valve][t] for t in times if t in world.number_of[valve]}
 
@@ -143,7 +143,8 @@ def of_counts(world, identification):
         server = world.server_of[valve]
         lost = set(range(min(learnt), max(learnt))) - set(learnt)
         excused = server.excused[valve] | waiting(world, identification, valve)
-        wrong = {k for k in lost - excused if not _is_overtaken(world, server, k, lost & excused)}
+        dropped = excused - set(learnt)  # before the first learnt one, too: the first may wait
+        wrong = {k for k in lost - excused if not _is_overtaken(world, server, k, dropped)}
         if wrong:
             world.violated(f"V{valve} lost {sorted(wrong)[:5]}, which the source had")
         if len(set(learnt)) < len(learnt):

@@ -53,7 +53,8 @@ def test_no_seed_with_operators_that_found_a_defect_does_so_again(seed):
 # 2213, 2324: a source restarted while the service was away, with numbers that began again at 0:
 # its first samples were dropped as late.
 # 7100059: it restarted before a kill, and its samples since then, sent again, were learnt again.
-@pytest.mark.parametrize("seed", [2213, 2324, 7_100_059])
+# 7101468: a message around a step back of the clock was sent again after a kill, and learnt again.
+@pytest.mark.parametrize("seed", [2213, 2324, 7_100_059, 7_101_468])
 def test_no_seed_with_types_that_found_a_defect_does_so_again(seed):
     assert simulate(seed).violations == []
 

@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from valvemap.pipeline.alignment import (
     presence,
     together,
 )
-from valvemap.pipeline.clock_steps import ClockSteps, Step
+from valvemap.pipeline.clock_steps import ClockSteps, Known, Step
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
@@ -65,6 +65,18 @@ class _Key:
     has_T: tuple[bool | tuple[str, ...], ...]
     has_sequence: tuple[bool, ...]
     timing: TimingSettings | None
+
+
+class ArrivalsOfValve(NamedTuple):
+    """State of one valve.
+
+    ``waiting`` as from :meth:`Alignment.of`, (1, …); ``source_started`` as in `Arrivals`;
+    ``known`` are its samples around a step back of the source's clock.
+    """
+
+    waiting: Waiting
+    source_started: int
+    known: Known
 
 
 class Arrivals:
@@ -257,11 +269,13 @@ class Arrivals:
         """Describe how each of a valve's signals is stamped."""
         return self.timing.valves[valve].words.sentences(nodes)
 
-    def of(self, valve: int) -> Waiting:
-        """Return copies of one valve's state, see :meth:`Alignment.of`."""
-        return self.alignment.of(self._waiting, valve)
+    def of(self, valve: int) -> ArrivalsOfValve:
+        """Return copies of one valve's state."""
+        waiting = self.alignment.of(self._waiting, valve)
+        started = int(self.source_started[valve])
+        return ArrivalsOfValve(waiting, started, self._steps.known(valve))
 
-    def put(self, valve: int, one: Waiting) -> None:
+    def put(self, valve: int, one: ArrivalsOfValve) -> None:
         """Restore one valve from the result of `of`.
 
         Raises
@@ -269,7 +283,9 @@ class Arrivals:
         StateMismatchError
             if more samples wait than ``max_pending``.
         """
-        self._waiting = self.alignment.put(self._waiting, valve, one)
+        self._waiting = self.alignment.put(self._waiting, valve, one.waiting)
+        self.source_started[valve] = one.source_started
+        self._steps.put(valve, one.known)
 
     def to_bytes(self) -> bytes:
         """Pack the state of all valves."""
@@ -314,7 +330,9 @@ class Arrivals:
             states[number] = TimingState.from_bytes(rest[at : at + length], self._key)
             at += length
         for number in range(len(self.names)):
-            self.put(number, self.alignment.of(waiting, number))
+            self._waiting = self.alignment.put(
+                self._waiting, number, self.alignment.of(waiting, number)
+            )
             self.timing.put(number, states.get(number, _ALIKE))
 
     def _check(self, waiting: Waiting) -> None:

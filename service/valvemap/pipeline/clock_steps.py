@@ -6,7 +6,8 @@ before a step back, whose times lie in the future. A message whose newest time i
 our monotonic time than any before it is no late message: the clock was set forward.
 """
 
-from typing import Final, NamedTuple
+from collections import defaultdict
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,8 @@ from valvemap.pipeline.kernels.waiting import (
 )
 from valvemap.vocabulary.signals import MEASURED, PER_VALVE
 
-_KEPT: Final = 1024  # samples of each valve, as many as the alignment remembers
+MOST_KNOWN: Final = 1024  # samples of each valve, as many as the alignment remembers
+ANY: Final = 0  # digest of a content that is not known
 _AHEAD_NS: Final = 400_000_000  # ns; less is jitter of the transmission
 _SHARE: Final = 0.5  # of the lead that a gap between two samples must have, else messages catch up
 _DRIFT: Final = 1e-4  # of two clocks; more than quartz has
@@ -39,6 +41,26 @@ class Step(NamedTuple):
     valve: int
     row: int
     command: int
+
+
+class Known(NamedTuple):
+    """Times and contents of a valve's last samples, (N,), N at most MOST_KNOWN.
+
+    They are those from before and behind a step back of the clock; without one N is 0. A content is
+    ANY after a change of units: the same time is then a repetition.
+    """
+
+    times: Times
+    digests: NDArray[np.int64]
+
+    @classmethod
+    def nothing(cls, count: int = 0) -> Self:
+        """Return what has the shape of ``count`` samples."""
+        return cls(np.full(count, NEVER), np.zeros(count, np.int64))
+
+    def of_any_content(self) -> Self:
+        """Return what is known of the same samples in other units."""
+        return self._replace(digests=np.full_like(self.digests, ANY))
 
 
 class Found(NamedTuple):
@@ -68,8 +90,8 @@ class ClockSteps:
         self._required, self._watched, self._reorder = required, watched, reorder_ns
         self._row = np.cumsum(watched) - 1  # of a valve in the rings
         rings = int(watched.sum())
-        self._times = np.full((rings, _KEPT), NEVER)
-        self._digests = np.zeros((rings, _KEPT), np.uint64)
+        self._times = np.full((rings, MOST_KNOWN), NEVER)
+        self._digests = np.zeros((rings, MOST_KNOWN), np.int64)
         self._written = np.zeros(rings, np.int64)
         self._former = np.full(rings, -1)  # samples written when the clock was set back, or -1
         self._newest = np.full(V * PER_VALVE, NEVER)
@@ -85,7 +107,7 @@ class ClockSteps:
         repeated = np.zeros(len(changes), np.bool_)
         rows = np.flatnonzero(self._watched[valve])
         for v in np.unique(valve[rows][self._was_set_back(valve[rows])]).tolist():
-            known = self._known(v)
+            known = self._by_time(v)
             self._mark_repeated(v, changes, rows[valve[rows] == v], known, repeated)
         rows = rows[~repeated[rows]]
         if not len(rows):
@@ -120,7 +142,10 @@ class ClockSteps:
                 after = own[own >= found.row]
                 span = slice(v * PER_VALVE, (v + 1) * PER_VALVE)
                 if found.command == SET_BACK:
-                    known = self._known(v) | self._samples(v, changes, own[own < found.row])
+                    known = self._by_time(v)
+                    earlier = self._samples(v, changes, own[own < found.row])
+                    for then_t, digest in earlier.items():
+                        known.setdefault(then_t, set()).add(digest)
                     self._mark_repeated(v, changes, after, known, repeated)
                     after = after[~repeated[after]]
                     highest[span] = NEVER
@@ -144,12 +169,30 @@ class ClockSteps:
         columns = np.stack([getattr(samples.samples, name) for name in MEASURED], axis=1)
         for k in mine.tolist():
             row, v = self._row[valves[k]], int(valves[k])
-            own = slice(max(starts[k], stops[k] - _KEPT), stops[k])
+            own = slice(max(starts[k], stops[k] - MOST_KNOWN), stops[k])
             n = own.stop - own.start
-            at = (self._written[row] + np.arange(n)) % _KEPT
+            at = (self._written[row] + np.arange(n)) % MOST_KNOWN
             self._times[row, at] = samples.samples.t[own]
             self._digests[row, at] = _digest(columns[own], self._required[v])
             self._written[row] += n
+
+    def known(self, v: int) -> Known:
+        """Return what a restarted service must know of a valve's samples to find repetitions."""
+        if not (self._watched[v] and self._was_set_back(np.array([v]))[0]):
+            return Known.nothing()
+        row = self._row[v]
+        latest = np.arange(max(0, self._written[row] - MOST_KNOWN), self._written[row])
+        latest %= MOST_KNOWN
+        return Known(self._times[row, latest], self._digests[row, latest])
+
+    def put(self, v: int, known: Known) -> None:
+        """Restore the result of `known`."""
+        n = len(known.times)
+        if not (self._watched[v] and n):
+            return
+        row = self._row[v]
+        self._times[row, :n], self._digests[row, :n] = known
+        self._written[row] = self._former[row] = n  # as if the clock was set back only now
 
     def _set_back(
         self, v: int, changes: DataChanges, own: NDArray[np.intp], before: Times, left: Times
@@ -160,7 +203,7 @@ class ClockSteps:
         """
         highest = before[v * PER_VALVE : (v + 1) * PER_VALVE].tolist()
         signals, times = (changes.item[own] % PER_VALVE).tolist(), changes.source_time[own]
-        known = self._known(v)
+        known = self._by_time(v)
         repeated: set[int] = set()
         for k, (j, time) in enumerate(zip(signals, times.tolist(), strict=True)):
             if time >= highest[j] - int(self._reorder[v]):
@@ -168,8 +211,8 @@ class ClockSteps:
             elif time not in repeated:
                 now = self._samples(v, changes, own[k:][times[k:] == time])
                 then = self._samples(v, changes, own[:k][times[:k] == time])
-                same = {time: known[time]} if time in known else then
-                if now and now != same and (same or time not in left):
+                same = known.get(time) or set(then.values())
+                if now and not same.issuperset(now.values()) and (same or time not in left):
                     return Step(v, int(own[k]), SET_BACK)
                 repeated.add(time)
         return None
@@ -178,26 +221,33 @@ class ClockSteps:
         """Whether samples from before a step back of these watched valves' clocks are known."""
         row = self._row[valves]
         former = self._former[row]
-        return np.asarray((former >= 0) & (self._written[row] - former < _KEPT))
+        return np.asarray((former >= 0) & (self._written[row] - former < MOST_KNOWN))
 
-    def _known(self, v: int) -> dict[int, int]:
-        """Return the digest by time of the samples that are remembered of one valve."""
-        row = self._row[v]
-        return dict(zip(self._times[row].tolist(), self._digests[row].tolist(), strict=True))
+    def _by_time(self, v: int) -> dict[int, set[int]]:
+        """Return the digests by time of the samples that are remembered of one valve.
+
+        A clock that was set back may show a time twice.
+        """
+        row, found = self._row[v], defaultdict[int, set[int]](set)
+        for time, digest in zip(
+            self._times[row].tolist(), self._digests[row].tolist(), strict=True
+        ):
+            found[time].add(digest)
+        return dict(found)
 
     def _mark_repeated(
         self,
         v: int,
         changes: DataChanges,
         own: NDArray[np.intp],
-        known: dict[int, int],
+        known: dict[int, set[int]],
         repeated: NDArray[np.bool_],
     ) -> None:
         """Mark those rows of one valve whose samples are known, with the same content."""
         times = changes.source_time[own]
         for time in {time for time in times.tolist() if time in known}:
             same = own[times == time]
-            if self._samples(v, changes, same).get(time) == known[time]:
+            if known[time] & {ANY, self._samples(v, changes, same).get(time)}:
                 repeated[same] = True
 
     def _samples(self, v: int, changes: DataChanges, rows: NDArray[np.intp]) -> dict[int, int]:
@@ -225,8 +275,9 @@ class ClockSteps:
         return Step(v, int(own[k]), SET_FORWARD) if gaps[k] > _SHARE * excess else None
 
 
-def _digest(values: NDArray[np.float64], required: NDArray[np.bool_]) -> NDArray[np.uint64]:
+def _digest(values: NDArray[np.float64], required: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Digest of each sample, (N, SIGNALS), over its required signals."""
     bits = np.ascontiguousarray(values).view(np.uint64) * _FACTORS
     bits ^= bits >> np.uint64(29)
-    return np.asarray(np.where(required, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64))
+    summed = np.where(required, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
+    return np.asarray(summed.view(np.int64))

@@ -60,8 +60,12 @@ def memory_in_units(memory: ValveMemory, changed: list[Rescaling], factor: float
     gate = memory.gate.memory
     window = rescaled(gate.window, offset[:, None], gain[:, None])
     kept = gate._asdict() | {"last": rescaled(gate.last), "window": window}
-    waiting = memory.waiting._replace(
-        values=rescaled(memory.waiting.values), held_value=rescaled(memory.waiting.held_value)
+    before = memory.arrivals.waiting
+    waiting = before._replace(
+        values=rescaled(before.values), held_value=rescaled(before.held_value)
+    )
+    arrivals = memory.arrivals._replace(
+        waiting=waiting, known=memory.arrivals.known.of_any_content()
     )
     notes = {
         name: LaneNotes(one.beyond, one.predicted * factor, one.residual * factor, one.status)
@@ -69,7 +73,7 @@ def memory_in_units(memory: ValveMemory, changed: list[Rescaling], factor: float
     }
     T = float(memory.T * gain[-1] + offset[-1])
     state = GateState(Memory(**kept), memory.gate.bad_status)
-    return replace(memory, gate=state, waiting=waiting, notes=notes, T=T)
+    return replace(memory, gate=state, arrivals=arrivals, notes=notes, T=T)
 
 
 def _squares(places: int, of: list[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

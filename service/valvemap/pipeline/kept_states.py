@@ -166,8 +166,7 @@ class KeptStates:
 
     def _memories_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
         fleet, m = self._valves.at(valve)
-        started = int(self._arrivals.source_started[valve])
-        memory = ValveMemory.of(state, self._arrivals.of(valve), started, dict(fleet.beyond(m)))
+        memory = ValveMemory.of(state, self._arrivals.of(valve), dict(fleet.beyond(m)))
         key, name = self._memory_key(valve), self._valves.plans[valve].name
         found = [_beside(name, MEMORY, memory.to_bytes(key), state.t, key)]
         found.append(_beside(name, ALARMS, fleet.alarms.to_bytes(m), state.t))
@@ -221,8 +220,7 @@ class KeptStates:
         memory = ValveMemory.from_bytes(
             kept.state, self._memory_key(number), fleet.plan.gate, self._arrivals.alignment
         )
-        self._arrivals.put(number, memory.waiting)
-        self._arrivals.source_started[number] = memory.source_started
+        self._arrivals.put(number, memory.arrivals)
         fleet.remember(m, memory.gate, memory.t, memory.T)
         fleet.demand(m, *memory.demand)
         for name, notes in memory.notes.items():

@@ -9,6 +9,8 @@ import numpy as np
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.pipeline.alignment import Alignment
+from valvemap.pipeline.arrivals import ArrivalsOfValve
+from valvemap.pipeline.clock_steps import MOST_KNOWN, Known
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.gate import Memory
@@ -17,6 +19,7 @@ from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
 
+_TIMES = "last_time", "still_since", "moment", "source_started", "known_times", "known_digests"
 _MOST_SAMPLES = 2.0**53  # largest count that a float represents exactly
 
 
@@ -43,6 +46,8 @@ class _Kept(State):
     order: Any
     counters: Any
     source_started: Any
+    known_times: Any
+    known_digests: Any
     moment: Any
     T: Any
     demand: Any
@@ -54,6 +59,7 @@ class _Kept(State):
         """Return an initial state with as many samples and estimators as ``other``."""
         waiting = alignment.nothing(1, _length(other.slots, 1))
         waiting.order[0, slots.SIZE] = _length(other.slots, 1)
+        known = Known.nothing(min(_length(other.known_times, 0), MOST_KNOWN))
         memory, names = gate.initial_state(1), np.asarray(other.names)
         nothing = np.full(2, np.nan)
         return cls(
@@ -61,6 +67,8 @@ class _Kept(State):
             memory.bad_status,
             *waiting,
             source_started=np.array(0),
+            known_times=known.times,
+            known_digests=known.digests,
             moment=np.array(0),
             T=nothing[0],
             demand=nothing,
@@ -70,8 +78,16 @@ class _Kept(State):
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the start of the source, which version 2 did not know."""
-        return {**arrays, "source_started": np.array(0)} if version == "2" else {}
+        """Add the start of the source and the step of its clock, which version 2 did not know."""
+        if version != "2":
+            return {}
+        times, digests = Known.nothing()
+        started = np.array(0)
+        return arrays | {
+            "source_started": started,
+            "known_times": times,
+            "known_digests": digests,
+        }
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content; ``order`` must count all stored samples."""
@@ -79,7 +95,7 @@ class _Kept(State):
         found = contents_of_waiting(waiting)
         for name in ("last", "window", "T", "demand"):
             found[name] = Contents(np.asarray(getattr(self, name))).or_nan()
-        for name in ("last_time", "still_since", "moment", "source_started"):
+        for name in _TIMES:
             found[name] = Contents(np.asarray(getattr(self, name))).any_time()
         lanes = Contents(self.lanes).within(0.0, _MOST_SAMPLES, (slice(None), 0))
         lanes.within(-1.0, float(max(Status)), (slice(None), 3)).or_nan((slice(None), [1, 2]))
@@ -105,11 +121,10 @@ class LaneNotes:
 
 @dataclass(frozen=True)
 class ValveMemory:
-    """State of one valve beside its estimators'; gate and waiting have one row, (1, …)."""
+    """State of one valve beside its estimators'; the gate has one row, (1, …)."""
 
     gate: GateState
-    waiting: Waiting
-    source_started: int
+    arrivals: ArrivalsOfValve
     t: int
     T: float
     demand: tuple[float, float]
@@ -117,13 +132,12 @@ class ValveMemory:
 
     @classmethod
     def of(
-        cls, state: ValveState, waiting: Waiting, source_started: int, beyond: dict[str, int]
+        cls, state: ValveState, arrivals: ArrivalsOfValve, beyond: dict[str, int]
     ) -> "ValveMemory":
-        """Build it from the state of a valve; see `Arrivals` for its source's start."""
+        """Build it from the state of a valve."""
         return cls(
             gate=state.gate,
-            waiting=waiting,
-            source_started=source_started,
+            arrivals=arrivals,
             t=state.t,
             T=state.T,
             demand=(state.demand_Q, state.demand_dp),
@@ -152,8 +166,10 @@ class ValveMemory:
             window=memory.window,
             gate_counters=memory.counters,
             bad_status=self.gate.bad_status,
-            **self.waiting._asdict(),
-            source_started=np.array(self.source_started),
+            **self.arrivals.waiting._asdict(),
+            source_started=np.array(self.arrivals.source_started),
+            known_times=self.arrivals.known.times,
+            known_digests=self.arrivals.known.digests,
             moment=np.array(self.t),
             T=np.array(self.T),
             demand=np.array(self.demand),
@@ -179,8 +195,11 @@ class ValveMemory:
             of_gate = (kept.last, kept.last_time, kept.still_since, kept.window, kept.gate_counters)
             return cls(
                 gate=GateState(Memory(*of_gate), kept.bad_status),
-                waiting=Waiting(*(getattr(kept, name) for name in Waiting._fields)),
-                source_started=int(kept.source_started),
+                arrivals=ArrivalsOfValve(
+                    Waiting(*(getattr(kept, name) for name in Waiting._fields)),
+                    int(kept.source_started),
+                    Known(kept.known_times, kept.known_digests),
+                ),
                 t=int(kept.moment),
                 T=float(kept.T),
                 demand=(float(kept.demand[0]), float(kept.demand[1])),
