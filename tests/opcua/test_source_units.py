@@ -7,6 +7,8 @@ import pytest
 import pytest_asyncio
 from asyncua import Server, ua
 
+from valvemap.app.connections import build_source
+from valvemap.config.loading import load_config
 from valvemap.errors import SourceRejected
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
 from valvemap.pipeline.units import UNECE, Measure, unit_of
@@ -21,6 +23,14 @@ MEASURES = {
     "p2": Measure(unit=unit_of("kPa")),
     "Q": Measure(unit=unit_of("gpm")),
     "T": Measure(unit=unit_of("degF")),
+}
+PORTS = {"U": "AO", "pP": "P2", "pA": "P1", "QA": "FT", "pT": "Tank", "T": "TT"}
+PORT_UNITS = {
+    "U": "{ raw = [4, 20], range = [-100, 100] }",
+    "pP": '{ unit = "kPa" }',
+    "pA": '{ unit = "psi" }',
+    "QA": '{ unit = "gpm" }',
+    "T": '{ unit = "°F" }',
 }
 VALUES = {"AO": 12.0, "P1": 1000.0, "P2": 500.0, "FT": 10.0, "TT": 104.0}
 INSIDE = [50.0, 68.947572931683613, 5.0, 37.85411784, 40.0]
@@ -45,6 +55,7 @@ async def url():
         "P2": (ua.EUInformation("", -1, ua.LocalizedText("kPa")), None),
         "FT": (information("G2", "gal (US) /min"), None),
         "TT": (information("FAH", "°F"), None),
+        "Tank": (None, None),
         "Bare": (None, ua.Range(0.0, 10.0)),
         "Volume": (information("LTR", "l"), None),
     }
@@ -133,3 +144,36 @@ async def test_a_command_is_written_in_its_own_unit(url):
     await feeding.close()
     plain = MEASURES | {"U": Measure(raw=(0.0, 10.0), scaled=(0.0, 10.0))}
     assert (await first_values(source(url, plain, U="Bare")))[0] == 2.5
+
+
+async def test_every_signal_that_reads_a_node_is_compared_with_it(url):
+    nodes = {name: f"nsu={URI};s={last}" for name, last in NODES.items()}
+    first = ValveNodes("V6", **nodes, measures=MEASURES)
+    second = ValveNodes("V7", **nodes, measures=MEASURES | {"T": Measure()})
+    shared = OpcUaSource(SourceSettings(url, timeout_s=5.0), [first, second])
+    with pytest.raises(SourceRejected, match=r"\(T of valve V7\) comes in °F, configured is °C"):
+        await shared.connect()
+
+
+async def test_a_valve_with_ports_is_compared_by_the_names_of_its_ports(url, tmp_path):
+    def configured(**signals):
+        node = {name: f'"nsu={URI};s={last}"' for name, last in PORTS.items()}
+        nodes = "\n".join(f"{name} = {text}" for name, text in node.items())
+        units = "\n".join(f"{name} = {text}" for name, text in (PORT_UNITS | signals).items())
+        file = tmp_path / "ports.toml"
+        file.write_text(
+            f'[source]\nurl = "{url}"\nsecurity = "None"\n[[valves]]\nname = "Boom"\n'
+            f"[valves.ports]\n{nodes}\n[valves.ports.signals]\n{units}\n",
+            encoding="utf-8",
+        )
+        return build_source(load_config(file))
+
+    await configured().check()
+    with pytest.raises(SourceRejected) as caught:
+        await configured(U="{}", pA="{}").check()
+    assert str(caught.value) == (
+        "node 'nsu=urn:test:units;s=AO' (U of valve Boom) comes in mA: raw and range must say what "
+        "it means (signals.U of valve Boom; insist = true takes it as it is) (and 1 more nodes)"
+    )
+    with pytest.raises(SourceRejected, match=r"\(signals.pA of valve Boom;.*as it is\)$"):
+        await configured(pA="{}").check()

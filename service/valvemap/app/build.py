@@ -200,7 +200,7 @@ def _plan(config: Config, valve: ValveConfig, shared: _Shared) -> ValvePlan:
         map_Q=shared(_axis, *valve.Q_range_l_min),
         map_dp=shared(_axis, *valve.dp_range_bar),
         feed_forward=feed_forward_of(valve),
-        insist=valve.insist,
+        insist=valve.insist or isinstance(valve, LineConfig),  # p1 - p2 has either sign there
         alarms=shared(AlarmsConfig.rules, valve.alarms),
         nameplate=valve.identification.nameplate(valve.name),
         nodes=_labels(valve.nodes),

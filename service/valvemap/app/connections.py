@@ -19,6 +19,7 @@ from valvemap.config.axes import AxisConfig
 from valvemap.config.connections import SourceConfig
 from valvemap.config.models import Config
 from valvemap.config.secret_files import read_secret
+from valvemap.config.valves import EdgeConfig, LineConfig, ValveConfig
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from valvemap.pipeline.units import QUANTITY_OF
@@ -76,18 +77,19 @@ def _sources(config: Config, rows_of: Callable[[Config], _Rows], ready: _Ready) 
 
 
 def _of_valves(config: Config) -> _Rows:
-    return [
-        (
-            valve.source,
-            ValveNodes(
-                valve=valve.name,
-                **valve.nodes.model_dump(),
-                measures=measures(valve, QUANTITY_OF),
-                insist=valve.insist,
-            ),
-        )
-        for valve in config.valves
-    ]
+    return [(valve.source, _of_valve(valve)) for valve in config.valves]
+
+
+def _of_valve(valve: ValveConfig) -> ValveNodes:
+    part = valve if isinstance(valve, EdgeConfig | LineConfig) else None
+    return ValveNodes(
+        valve=valve.name,
+        **valve.nodes.model_dump(),
+        measures=measures(valve, QUANTITY_OF),
+        insist=valve.insist,
+        whole=None if part is None else part.valve,
+        words={} if part is None else part.called,
+    )
 
 
 def _of_axes(config: Config) -> _Rows:

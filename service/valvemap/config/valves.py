@@ -1,5 +1,6 @@
 """The section of a valve: its nodes, signals, estimators and parts."""
 
+from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -222,6 +223,7 @@ class EdgeConfig(ValveConfig):
 
     valve: str = ""
     edge: Edge = Edge.PA
+    called: Mapping[str, str] = {}  # its signals by the names that they have among ports
 
 
 class LineConfig(ValveConfig):
@@ -230,6 +232,7 @@ class LineConfig(ValveConfig):
     valve: str = ""
     line: str = "A"
     closed_percent: float = 3.0
+    called: Mapping[str, str] = {}  # as of an edge
     not_learnt: tuple[str, ...] = ()  # which edges of the valve are not, and why
 
 
@@ -266,7 +269,7 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
                 **_of_part(ports, signals),
                 estimators=(),
                 inverse=None,
-                insist=True,
+                called=_called(ports, signals),
                 closed_percent=ports.closed_percent,
                 not_learnt=left_out if not found else (),
             )
@@ -275,7 +278,9 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
         head = {"name": f"{valve.name}.{edge}", "valve": valve.name, "edge": edge}
         bounds = {"U_range_percent": (0.0, high if edge.opens > 0 else -low)}
         signals = {**ports.drop(edge), "Q": f"Q{edge.line}"}
-        found.append(_made(EdgeConfig, valve, **head, **bounds, **_of_part(ports, signals)))
+        named = _called(ports, signals)
+        parts = _of_part(ports, signals)
+        found.append(_made(EdgeConfig, valve, **head, **bounds, **parts, called=named))
     return tuple(found)
 
 
@@ -287,9 +292,14 @@ def _made(kind: type[ValveConfig], whole: ValveConfig, /, **own: Any) -> ValveCo
 
 def _of_part(ports: PortsConfig, signals: dict[str, str]) -> dict[str, Any]:
     """Return nodes and signals of an edge or line, from the names that they have among ports."""
-    named = {"U": "U", **signals} | ({} if ports.T is None else {"T": "T"})
+    named = _called(ports, signals)
     nodes = {signal: ports.node(name) for signal, name in named.items()}
     return {
         "nodes": NodesConfig(**nodes, sequence=ports.sequence),
         "signals": ports.signals.of(**named),
     }
+
+
+def _called(ports: PortsConfig, signals: dict[str, str]) -> dict[str, str]:
+    """Return the names among ports of all signals of an edge or line."""
+    return {"U": "U", **signals} | ({} if ports.T is None else {"T": "T"})

@@ -53,8 +53,8 @@ class ValveNodes:
     ``required_U`` (to which the feed-forward voltage is written), ``load`` (the set point of p2,
     which commissioning writes) and ``heartbeat`` (UInt32, incremented while U is written).
     ``measures`` holds by name the units of the signals and of the commands; ``insist`` accepts them
-    even if the source's EngineeringUnits or EURange differ. ``kind`` and ``words`` say in messages
-    what it is, and how its signals are called there.
+    even if the source's EngineeringUnits or EURange differ. In messages, ``kind`` says what it is,
+    ``whole`` the valve whose edge or line it is, and ``words`` how its signals are called.
     """
 
     valve: str
@@ -71,6 +71,7 @@ class ValveNodes:
     insist: bool = False
     dp: str | None = None
     kind: str = "valve"
+    whole: str | None = None
     words: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -90,6 +91,11 @@ class ValveNodes:
     def measure(self, name: str) -> Measure:
         """Return the configured unit and scaling of a signal or of the command."""
         return self.measures.get(name, Measure())
+
+    @property
+    def title(self) -> str:
+        """What it is called in messages."""
+        return f"{self.kind} {self.whole or self.valve}"
 
     def word(self, name: str) -> str:
         """Return what a signal is called in messages."""
@@ -386,7 +392,7 @@ def _resolved(text: str, namespaces: Sequence[str], before: Sequence[str]) -> ua
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[Wanted]:
     def wanted(item: int | None, text: str, role: str) -> Wanted:
-        label = f"node '{text}' ({nodes.word(role)} of {nodes.kind} {nodes.valve})"
+        label = f"node '{text}' ({nodes.word(role)} of {nodes.title})"
         return Wanted(item, number, text, role, label)
 
     for signal, name, text in nodes.signals():

@@ -10,7 +10,14 @@ from asyncua import ua
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection, in_one_line
 from valvemap.opcua_client.requests import read_properties
-from valvemap.opcua_source.source_nodes import LOAD, REQUIRED_U, CheckedNodes, ValveNodes, copies_of
+from valvemap.opcua_source.source_nodes import (
+    LOAD,
+    REQUIRED_U,
+    CheckedNodes,
+    ValveNodes,
+    copies_of,
+    wanted_nodes,
+)
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import (
     QUANTITY_OF,
@@ -109,18 +116,18 @@ async def check_units(
     """
     wanted = list(_wanted(valves, nodes))
     said = await read_units(connection, [node for _, _, node, _ in wanted])
-    faults = []
+    faults = dict[str, None]()  # each once, however many edges read the node
     for (valve, name, _, label), of_node in zip(wanted, said, strict=True):
         fault = contradiction(name, valves[valve].measure(name), of_node)
         if fault is not None and not valves[valve].insist:
-            faults.append(
+            said_so = (
                 f"{label} {fault} (signals.{valves[valve].word(name)} of "
-                f"{valves[valve].kind} {valves[valve].valve}; "
-                "insist = true takes it as it is)"
+                f"{valves[valve].title}; insist = true takes it as it is)"
             )
+            faults[said_so] = None
     if faults:
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
-        raise SourceRejected(faults[0] + more)
+        raise SourceRejected(next(iter(faults)) + more)
 
 
 def contradiction(name: str, measure: Measure, said: SaidOfNode) -> str | None:
@@ -185,10 +192,14 @@ async def read_units(connection: Connection, nodes: Sequence[ua.NodeId]) -> list
 def _wanted(
     valves: Sequence[ValveNodes], nodes: CheckedNodes
 ) -> Iterator[tuple[int, str, ua.NodeId, str]]:
+    copies = copies_of(valves)
+    labels = {wanted.item: wanted.label for wanted in wanted_nodes(valves)}
     for node in nodes.monitored:
-        valve, signal = divmod(node.item, PER_VALVE)
-        if signal < len(MEASURED):
-            yield valve, valves[valve].source_of(MEASURED[signal]), node.node, node.label
+        for item in (node.item, *copies.get(node.item, ())):
+            valve, signal = divmod(item, PER_VALVE)
+            if signal < len(MEASURED):
+                name = valves[valve].source_of(MEASURED[signal])
+                yield valve, name, node.node, labels[item]
     for number in range(len(valves)):
         for role in (REQUIRED_U, LOAD):
             command = nodes.writable.get((number, role))
