@@ -41,6 +41,13 @@ def test_a_valve_with_four_edges_is_two_lines_and_four_edges(tmp_path):
     assert {v.U_range_percent for v in valves[2:]} == {(0.0, 100.0)}
 
 
+def test_the_flow_of_a_line_has_either_sign(tmp_path):
+    valves = load(tmp_path, ports.toml(head="Q_range_l_min = [0, 120]")).valves
+    found = {valve.name: valve.Q_range_l_min for valve in valves}
+    assert found["V.LineA"] == found["V.LineB"] == (-120.0, 120.0)
+    assert found["V.PA"] == (0.0, 120.0)
+
+
 def test_a_line_without_a_meter_has_no_edges(tmp_path):
     names = [v.name for v in load(tmp_path, without("QB")).valves]
     assert names == ["V.LineA", "V.PA", "V.AT"]

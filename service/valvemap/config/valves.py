@@ -257,8 +257,12 @@ def parts_of(valve: ValveConfig) -> tuple[ValveConfig, ...]:
         if not any(edge.line == line for edge in edges):
             continue
         head = {"name": f"{valve.name}.Line{line}", "valve": valve.name, "line": line}
-        most = valve.dp_range_bar[1]
-        bounds = {"U_range_percent": (low, high), "dp_range_bar": (-most, most)}
+        most, flow = valve.dp_range_bar[1], max(map(abs, valve.Q_range_l_min))
+        bounds = {
+            "U_range_percent": (low, high),
+            "dp_range_bar": (-most, most),
+            "Q_range_l_min": (-flow, flow),
+        }
         signals = {**ports.leak(line), "Q": f"Q{line}"}
         found.append(
             _made(
