@@ -108,6 +108,38 @@ def test_a_closed_edge_shows_no_flow_and_learns_nothing(config):
     assert identification.valves.lane("V.PA", "RLS").count > 500
 
 
+@pytest.mark.parametrize("cut", [1, 7, 700, 10**6])
+def test_an_edge_that_is_closed_for_long_has_lost_no_sensor(config, cut):
+    recorded = ports.recording(seconds=20.0)
+    far = np.abs(recorded["U"]) + 10.0
+    recorded["U"] = np.where(recorded["t"] % 8.0 < 4.0, far, -far)  # each edge is closed for 4 s
+    changes = ports.changes_of(config, recorded)
+    names = [f"V.{edge}" for edge in EDGES]
+    identification = build_identification(config)
+    seen = set()
+    step = cut * 48  # changes of a sample
+    for first in range(0, len(changes), step):
+        identification.take(changes[first : first + step])
+        seen |= {
+            (name, report.name)
+            for name in names
+            for report in identification.alarms(name)
+            if not report.acked
+        }
+    assert not {name for name, alarm in seen if alarm == "SensorLost"}
+
+
+def test_an_edge_whose_sensor_was_away_has_lost_it(config):
+    recorded = ports.recording(seconds=20.0)
+    recorded["U"] = np.abs(recorded["U"]) + 10.0  # always open
+    recorded["pP"] = np.where(np.abs(recorded["t"] - 10.0) < 2.0, np.nan, recorded["pP"])
+    identification = learnt(config, recorded)
+    lost = {r.name for r in identification.alarms("V.PA") if not r.acked}
+    assert "SensorLost" in lost
+    lost = {r.name for r in identification.alarms("V.BT") if not r.acked}
+    assert "SensorLost" not in lost
+
+
 def test_an_edge_that_is_frozen_leaves_the_others_their_bits(config):
     recorded = ports.recording(seconds=10.0)
     whole = states(learnt(config, recorded))

@@ -299,6 +299,12 @@ class Alarms:
         began = np.where(usable == kernel.NEVER, now, began)
         self._step(chosen, Alarm.SENSOR_LOST, waited, now, began)
 
+    def note_passed(self, chosen: Times, first: Times, last: Times) -> None:
+        """Note good samples of K valves, ``first`` to ``last`` (K,), not learnt from."""
+        self._step(chosen, Alarm.SENSOR_LOST, np.zeros(len(chosen)), first, first)
+        usable = self._senses.times[chosen, kernel.USABLE]
+        self._senses.times[chosen, kernel.USABLE] = np.maximum(usable, last)
+
     def acknowledge(self, m: int, alarm: Alarm, remark: Remark) -> bool:
         """Acknowledge an alarm; False if there was nothing to acknowledge."""
         taken = self.states.acknowledge(m, alarm, remark)

@@ -17,7 +17,9 @@ from valvemap.pipeline.lane_failures import Rows, Step
 from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
 from valvemap.pipeline.results import SignalResults
+from valvemap.pipeline.stretches import turns
 from valvemap.vocabulary.signals import PUBLISHED
+from valvemap.vocabulary.statuses import Quality
 
 _CONTRADICTED = (
     "U, p1 - p2 and Q contradicted each other: once that is mended, a restart has the valve learnt"
@@ -109,9 +111,35 @@ class SampleIntake:
         rows, learnt = np.flatnonzero(used), others.segments.among(used)
         some = ByValve(others.samples[rows], learnt.of(learnt.stops > learnt.starts))
         some = self._without_implausible(some)
-        self._estimate(some)
+        before_row = np.concatenate([np.zeros(1, np.int64), np.cumsum(used)])
+        for turn in turns(others.segments, used):
+            self._pass(others.samples, turn.passed)
+            valves, starts, stops = turn.learnt
+            now = Segments(valves, before_row[starts], before_row[stops])
+            self._estimate(replace(some, segments=now.of(now.stops > now.starts)))
         others.samples.quality[rows] = some.samples.quality
         return gathered({**lines, **others})
+
+    def _pass(self, samples: Samples, passed: Segments) -> None:
+        """Note good samples from which nothing is learnt: no sensor is lost meanwhile."""
+        good = passed.among(samples.quality != Quality.BAD)
+        own = good.stops > good.starts
+        t = samples.t[samples.quality != Quality.BAD]
+        valves, starts, stops = good.of(own)
+        for fleet, chosen in self._valves.by_fleet(valves):
+            places = self._valves.places[valves[chosen]]
+            first, last = t[starts[chosen]], t[stops[chosen] - 1]
+
+            def watch(
+                rows: Rows,
+                fleet: Fleet = fleet,
+                places: Times = places,
+                first: Times = first,
+                last: Times = last,
+            ) -> None:
+                fleet.alarms.note_passed(places[rows], first[rows], last[rows])
+
+            fleet.watch(places, watch)
 
     def _estimate(self, arrived: ByValve) -> None:
         """Update the fleets; the leakage that lines predict is handed to their edges."""
