@@ -60,3 +60,5 @@ async def asked(config):
                 await asyncio.sleep(0.1)
             assert np.sign(U) == np.sign(Q)
             assert lower < U < upper
+        operator = await node("V.LineA.Inverse.FlowDemand").get_child("0:EURange")
+        assert (await operator.read_value()).Low == -200.0

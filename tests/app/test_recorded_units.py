@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 
 import valvemap
+from valvemap.app.recorded_units import _scales
 from valvemap.app.replay import replay
+from valvemap.config.loading import load_config
 from valvemap.config.models import Config
-from valvemap.errors import RecordingError
+from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.model.samples import Samples
+from valvemap.pipeline.units import Measure, unit_of
 from valvemap.plant.answers import parse_answers
+from valvemap.plant.questions import Option
+from valvemap.storage.layout import Part
+from valvemap.storage.recordings import RecordingWriter
 
 N = 800
 START = 1_767_225_600 * 10**9
@@ -161,3 +168,42 @@ def test_the_name_plate_contradicts_a_wrong_unit_of_flow_and_the_remedy_works(st
     named = ast.literal_eval(re.search(r"units=(\{.*?\})", said)[1])
     assert named == {"Q": "l/min"}
     fitted(small, units=named, **plate)
+
+
+def recorded(tmp_path, *valves):
+    """Write what `valvemap record` writes of a valve; its numbers are in our units."""
+    table = rows()
+    samples = Samples.of(**{name: table[name] for name in ("t", "U", "p1", "p2", "Q")})
+    file = tmp_path / "plant.csv"
+    with RecordingWriter(file) as writer:
+        for valve in valves:
+            writer.append(valve, samples)
+    return file
+
+
+@pytest.mark.parametrize(
+    "signals", ['p1 = { unit = "MPa" }', "U = { raw = [4, 20], range = [0, 100] }"]
+)
+def test_what_record_wrote_is_not_converted_again(tmp_path, signals):
+    config = tmp_path / "service.toml"
+    nodes = "\n".join(f'{name} = "ns=2;s={name}"' for name in ("U", "p1", "p2", "Q"))
+    config.write_text(
+        f'[[valves]]\nname = "V7"\n[valves.nodes]\n{nodes}\n[valves.signals]\n{signals}\n',
+        encoding="utf-8",
+    )
+    file = recorded(tmp_path, "V7")
+    found = valvemap.fit(file, estimator="RLS", config=load_config(config))
+    np.testing.assert_array_equal(found.predict(50.0, 100.0), fitted(rows()).predict(50.0, 100.0))
+
+
+def test_edges_and_lines_beside_a_valve_do_not_hinder_it(tmp_path):
+    file = recorded(tmp_path, "V7", "Boom.LineA", "Boom.PA")
+    fitted(file, valve="V7")
+    with pytest.raises(ConfigurationError, match=r"Boom.LineA is an edge or a line of Boom"):
+        fitted(file)
+
+
+def test_a_remedy_names_the_signal_of_a_valve_whose_name_has_a_point():
+    part = Part("Boom.PA", 0, {"p1": (2, Measure(unit=unit_of("Pa")).scaling("p1"))})
+    option = Option("", "", ("--scale=Boom.PA.p1=0..10:0..2.5bar",), 1.0)
+    assert _scales(option, part) == {"p1": "0..10:0..2.5bar"}

@@ -253,7 +253,8 @@ def _scales(option: Option, part: Part) -> Mapping[str, str]:
     for answer in option.answers:
         if not answer.startswith("--scale="):
             continue
-        name, _, text = answer.partition(".")[2].partition("=")
+        question, _, text = answer.removeprefix("--scale=").partition("=")
+        name = question.rpartition(".")[2]
         signal = "p1" if name == Role.DP else name
         unit = unit_with(part.numbers[signal][1], QUANTITY_OF[signal])
         if unit is not None and text != unit.symbol:

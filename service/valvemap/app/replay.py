@@ -164,11 +164,11 @@ def replay(
     valves: dict[str, LearntValve] = {}
     found = dict[str, None]()
     splitter = FlowSplitting(plans or {})
-    check = _unit_check(plans, rating, insist=insist)
+    check = _unit_check(plans, rating, only, insist=insist)
     for recording in recordings_in(recordings):
         for name, samples in read_batches(recording, layout, progress, turn, check):
             found[name] = None
-            if plans and name not in plans:
+            if (plans and name not in plans) or (plans is None and _is_left_out(name, only)):
                 continue
             plan = _default_plan(name, U_range) if plans is None else plans[name]
             if not _is_chosen(plan, only):
@@ -243,15 +243,24 @@ def _is_chosen(plan: ValvePlan, only: Collection[str] | None) -> bool:
     )
 
 
+def _is_left_out(name: str, only: Collection[str] | None) -> bool:
+    return only is not None and name not in only
+
+
 def _unit_check(
-    plans: Mapping[str, ValvePlan] | None, rating: Rating, *, insist: bool
+    plans: Mapping[str, ValvePlan] | None,
+    rating: Rating,
+    only: Collection[str] | None,
+    *,
+    insist: bool,
 ) -> UnitCheck:
     """Return a check of the units of each valve that has one edge and a meter of its own."""
 
     def check(file: Path, name: str, samples: Samples, part: Part) -> None:
         plan = None if plans is None else plans.get(name)
         is_single = plan is not None and plan.part is None and not plan.meter and not plan.insist
-        if not insist and (plans is None or is_single):
+        is_found = plans is None and "." not in name and not _is_left_out(name, only)
+        if not insist and (is_found or is_single):
             check_units(file, name, samples, part, rating, configured=plans is not None)
 
     return check
@@ -346,6 +355,12 @@ def _layout(
 
 def _default_plan(name: str, U_range: tuple[float, float] | None) -> ValvePlan:
     given: dict[str, Any] = {}
+    whole_name, is_part, _ = name.partition(".")
+    if is_part:
+        raise ConfigurationError(
+            f"{name} is an edge or a line of {whole_name}, a valve with ports: a configuration "
+            "says how they belong together (replay --config FILE; docs/ports.md)"
+        )
     if U_range is not None:
         whole = [one for one in ValveConfig(name="V").estimators if one.any_U_range]
         given = {"U_range_percent": U_range, "estimators": whole}

@@ -14,11 +14,7 @@ from numpy.typing import NDArray
 from valvemap.clock import utc_ns
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage.dates import DateForm, date_nanoseconds, is_ambiguous
-from valvemap.storage.layout import REQUIRED
-from valvemap.vocabulary.signals import OPTIONAL
 from valvemap.vocabulary.statuses import Quality
-
-COLUMNS = (*REQUIRED, *OPTIONAL, "valve", "quality")
 
 NANOSECONDS_FROM = 10**15
 ALLOWED_TIME = (

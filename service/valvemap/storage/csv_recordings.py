@@ -28,6 +28,7 @@ from valvemap.storage.dates import date_form
 from valvemap.storage.digit_groups import grouping_of
 from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
+    COLUMNS,
     Columns,
     Layout,
     MissingColumnError,
@@ -127,7 +128,7 @@ class CsvReader:
                 raise
             refusal = missing
         if all(is_number(name) for name in self._header):
-            names = ",".join(columns.COLUMNS[: len(self._header)])
+            names = ",".join(COLUMNS[: len(self._header)])
             said = str(refusal).partition("; for other names")[0]
             raise MissingColumnError(
                 f"{said}; where it has no headings, --columns={names} or similar names them"
@@ -433,7 +434,7 @@ def csv_rows(valve: str, samples: Samples) -> bytes:
 
 def csv_header() -> bytes:
     """Return the header line for :func:`csv_rows`."""
-    return (",".join(columns.COLUMNS) + "\n").encode()
+    return (",".join(COLUMNS) + "\n").encode()
 
 
 def packed(packing: str, text: bytes) -> bytes:

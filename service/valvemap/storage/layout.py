@@ -28,6 +28,8 @@ from valvemap.vocabulary.signals import MEASURED
 
 REQUIRED: Final = ("t", *signals.REQUIRED)
 DEFAULT_VALVE: Final = "Valvistor"
+COLUMNS: Final = (*REQUIRED, *signals.OPTIONAL, "valve", "quality")
+"""Headings of the files that `valvemap record` writes: its numbers are in internal units."""
 
 _TIMES = ("time", "timestamp", "datetime", "date time", "date", "zeit", "zeitstempel", "datum")
 _TEMPERATURES = ("temp", "temperature", "temperatur", "oil temperature")
@@ -41,7 +43,8 @@ class ValveLayout:
     """The columns of one valve's signals; others are found by the signals' names.
 
     If ``drop``, the column of p1 holds p1 - p2, where one is configured, and p2 is 0. ``recorded``:
-    a file with a column of valves, and without these, is one of `valvemap record`.
+    a file with a column of valves, and without these, is one of `valvemap record`; so is any with
+    the headings `COLUMNS`, unless other columns are configured.
     """
 
     valve: str
@@ -184,6 +187,7 @@ class _Finder:
                     f"(valves.signals.U.column)"
                 )
             plain = valve is not None and own.recorded and not self._has_all_of(own)
+            plain |= tuple(self._header) == COLUMNS and not own.has_columns
             layout = ValveLayout(own.valve) if plain else own
             yield self._part(layout, own.valve, selects=valve is not None)
 
