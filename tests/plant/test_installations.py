@@ -1,9 +1,12 @@
 """Plants on which names alone went wrong: each is read rightly, or asked; none errs in silence."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from valvemap.app.sheet import rows
+from valvemap.errors import ConfigurationError
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.reading import Given
 from valvemap.plant.roles import Role
@@ -54,6 +57,23 @@ def servo_valve(plant, true, *, exchanged=False):
     plant.add("QA", QA, "l/min")
     plant.add("QB", QB, "l/min")
     return U
+
+
+def test_ports_that_no_name_tells_are_answered_by_node(plant, moving):
+    servo_valve(plant, moving())
+    odd = {"pP": "B21", "pT": "B24", "pA": "B22", "pB": "B23", "QA": "F31", "QB": "F32"}
+    plant.candidates = [
+        replace(one, path=("Plant", odd.get(one.path[-1], one.path[-1])))
+        for one in plant.candidates
+    ]
+    (asked,) = plant.verdicts({"Plant": Given(ports=True)})
+    assert "--signal=Plant.pA=NODE" in asked.question.about
+    answers = [f"Plant.{name}=s=Plant/{name}" for name in odd]
+    (whole,) = plant.verdicts(parse_answers(answers, (), ports=True))
+    assert whole.question is None
+    assert whole.has_ports
+    with pytest.raises(ConfigurationError, match=r"with SIGNAL one of U, p1, p2, Q, T, dp$"):
+        parse_answers(answers, ())
 
 
 def test_a_servo_valve_of_four_ports_is_asked_for_its_edges_and_an_answer_is_obeyed(plant, moving):

@@ -110,7 +110,7 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
         if one.name in refused:
             continue
         given = of_valve(wanted.given, one.name, assume=wanted.assume)
-        given = replace(given, ports=one.name in wanted.ports)
+        given = replace(given, ports=given.ports or one.name in wanted.ports)
         verdict = judge(one, record_of(values, one), given, wanted.rating)
         verdicts.append(verdict)
         watched[one.name] = _statistics(verdict, values, watch_s)

@@ -66,7 +66,8 @@ def connect(
         list[str] | None,
         typer.Option(
             metavar="VALVE.SIGNAL=NODE",
-            help="Answer: the node of U, p1, p2, Q, T or dp; of all, for one more valve.",
+            help="Answer: the node of U, p1, p2, Q, T or dp; of all, for one more valve. With four "
+            "ports: of U, pP, pT, pA, pB, QA, QB or T; all edges are learnt.",
         ),
     ] = None,
     scale: Annotated[
@@ -122,7 +123,7 @@ def connect(
 
     console = terminal()
     wanted = Wanted(
-        parse_answers(signal or (), scale or ()),
+        parse_answers(signal or (), scale or (), ports=True),
         Rating(rated_pressure, rated_flow, rated_drop),
         frozenset(skip or ()),
         frozenset(ports or ()),

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from valvemap.foreign_text import printable
 from valvemap.plant import evidence
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.grouping import Group
@@ -26,6 +27,7 @@ _REQUIRED: Final = (Role.U, Role.P1, Role.P2, Role.PA, Role.PB, Role.Q)
 _AGAINST: Final = 0.2  # share of the samples of an edge that flow against its pressures
 _EXPLAINED: Final = 0.5  # of the variance of an edge's flow, at least
 _LEAVES: Final = -2.0  # nats
+_MOST_NAMED: Final = 12  # nodes of a question
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,9 @@ def edges_of(group: Group, record: Record, given: Given) -> Edges | None:
     for one in sorted(group.all, key=lambda one: one.label.evidence[one.label.role]):
         if one.label.role in NAMES:
             nodes[one.label.role] = one
+    answered = {one.node: one for one in group.all if one.node in given.nodes.values()}
+    nodes = {role: one for role, one in nodes.items() if one.node not in answered}
+    nodes |= {role: answered[node] for role, node in given.nodes.items() if role in NAMES}
     if not set(_REQUIRED) <= set(nodes):
         return None
     nodes = {role: nodes[role] for role in NAMES if role in nodes}
@@ -78,7 +83,22 @@ def edges_of(group: Group, record: Record, given: Given) -> Edges | None:
     tested = [one for one in fits.values() if one.moves]
     weakest = min(tested, key=lambda one: one.explained, default=next(iter(fits.values())))
     reading = Reading(nodes, chosen, 0.0, weakest, values=values, probability=0.5)
-    return Edges(reading, fits, tuple(_faults(reading, fits, record, group)))
+    return Edges(reading, fits, tuple(_faults(reading, fits, record, group, given)))
+
+
+def question_of_missing(group: Group, given: Given) -> Question:
+    """Ask for the nodes of ports that nothing names; the valve's other numbers may be them."""
+    others = [one for one in group.all if one.node not in given.nodes.values()]
+    labels = [one.label.role for one in others]
+    missing = [NAMES[r] for r in _REQUIRED if r not in labels and r not in given.nodes]
+    left = [
+        printable(one.node)
+        for one, role in zip(others, labels, strict=True)
+        if role not in NAMES or labels.count(role) > 1
+    ]
+    answers = " ".join(f"--signal={group.name}.{name}=NODE" for name in missing)
+    beside = f"; it also has {', '.join(left[:_MOST_NAMED])}" if left else ""
+    return Question(f"{', '.join(missing)}: no node was found: {answers}{beside}")
 
 
 def _scale(role: Role, node: Candidate, record: Record, given: Given) -> Scale:
@@ -95,14 +115,14 @@ def _fit(edge: Edge, values: Mapping[Role, np.ndarray], step_s: float) -> Fit:
 
 
 def _faults(
-    reading: Reading, fits: Mapping[Edge, Fit], record: Record, group: Group
+    reading: Reading, fits: Mapping[Edge, Fit], record: Record, group: Group, given: Given
 ) -> Iterator[str]:
     for role, node in reading.nodes.items():
         if not reading.scales[role].stated:
             yield f"{NAMES[role]}: nothing states the unit"
         if evidence.of_range(record.of(node), node.bounds, role) < _LEAVES:
             yield f"{NAMES[role]} leaves its range"
-        if sum(one.label.role is role for one in group.all) > 1:
+        if role not in given.nodes and sum(one.label.role is role for one in group.all) > 1:
             yield f"{NAMES[role]}: several nodes have this name"
     for edge, own in fits.items():
         if own.reversed_share > _AGAINST:

@@ -66,7 +66,8 @@ def judge(
 
 def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdict:
     others = {one.node: one.label.role for one in group.all if not one.label.is_relevant}
-    if ports.is_directional(group) and not {Role.P1, Role.P2} <= set(given.nodes):
+    is_answered = {Role.P1, Role.P2} <= set(given.nodes)
+    if given.ports or (ports.is_directional(group) and not is_answered):
         of_ports = _of_ports(group, record, given, rating)
         if of_ports is not None:
             return replace(of_ports, others=others)
@@ -266,7 +267,8 @@ def _of_ports(group: Group, record: Record, given: Given, rating: Rating) -> Ver
     """Return the verdict on a valve with four ports; None if signals of it are missing."""
     found = ports.edges_of(group, record, given)
     if found is None:
-        return None
+        missing = ports.question_of_missing(group, given)
+        return Verdict(group.name, None, missing, {}) if given.ports else None
     if given.ports:
         fault = Question("; ".join(found.faults)) if found.faults else None
         return Verdict(group.name, found.reading, fault, {}, edges=found.fits)
