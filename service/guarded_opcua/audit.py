@@ -220,7 +220,7 @@ class Audit:
 
     def _said(self, what: str, node: ua.NodeId, actor: Actor, code: int) -> str:
         who = actor.user
-        target, status = ascii(node.to_string())[1:121], ua.StatusCode(code).name
+        target, status = ascii(node.to_string())[1:-1][:120], ua.StatusCode(code).name
         _log.info("%s %s by %s at %s: %s", what, target, who, actor.host, status)
         return f"{what} {target} by {who} at {actor.host}: {status}"
 

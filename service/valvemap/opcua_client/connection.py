@@ -464,6 +464,8 @@ def _trusted(
         if refused.code == ua.StatusCodes.BadCertificateUntrusted:
             mark = thumbprint(first_certificate(server.shown))
             advice = f": compare the thumbprint, then `valvemap trust {mark}`"
+        elif refused.code == ua.StatusCodes.BadCertificateHostNameInvalid:
+            advice = "; with `valvemap connect`, --trust-server does so"
         raise SourceRejected(f"{settings.url}: {refused}{advice}") from refused
     for known in (certificate, load_certificate(own.certificate)):
         if warning := expiry_warning(known):
@@ -511,7 +513,8 @@ def _fragment(uri: str | None) -> str:
 _REFUSED_CERTIFICATE = "our certificate is refused; the server must trust it"
 _FINAL: dict[int, str] = {
     ua.StatusCodes.BadUserAccessDenied: "user or password are wrong, or lack the right",
-    ua.StatusCodes.BadIdentityTokenRejected: "user or password are refused",
+    ua.StatusCodes.BadIdentityTokenRejected: "user or password are refused; without a user, "
+    "the server takes none that is anonymous",
     ua.StatusCodes.BadIdentityTokenInvalid: "this kind of user is not accepted",
     ua.StatusCodes.BadSecurityChecksFailed: _REFUSED_CERTIFICATE,
     ua.StatusCodes.BadSecurityPolicyRejected: "the server does not offer this security",
