@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import valvemap
-from support.processes import free_port, rig_url, running, service_url, wait_for
+from support.processes import free_port, program, rig_url, service_url, wait_for
 from valvemap.cli import run
 from valvemap.config.models import Config
 
@@ -180,7 +180,7 @@ def test_the_demo_runs_from_the_wheel_alone(built, tmp_path):
         "VALVEMAP_SERVER__URL": service_url(service),
         "PYTHONPATH": "",
     }
-    with running("demo", env=env, log=log, python=python, cwd=tmp_path) as process:
+    with program(python, "-u", "-m", "valvemap", "demo", env=env, log=log, cwd=tmp_path) as process:
         wait_for(log, "samples; RMSE", process, timeout=600.0)
     assert process.returncode == 0
 

@@ -74,9 +74,11 @@ class CpuTimes:
 
 
 def used() -> float:
-    """Processor seconds of this process and of its reaped children."""
+    """Processor seconds of this process, of its reaped children and of commands in forks."""
+    from support.command_forks import Fork  # here: ranking needs none of it
+
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    return Fork.spent_s + sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 def ranked(folder: Path, shown: int = 40) -> str:

@@ -9,6 +9,9 @@ import sys
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
+
+from support.command_forks import can_fork, command_server
 
 READY_S = 120.0
 
@@ -37,22 +40,36 @@ def service_url(port: int) -> str:
 
 def run(*arguments: str, env: dict[str, str] | None = None, timeout: float = READY_S):
     """Run ``valvemap`` to its end; the answer has returncode, stdout and stderr."""
-    return subprocess.run(
-        [sys.executable, "-m", "valvemap", *arguments],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        env={**os.environ, **(env or {})},
-        timeout=timeout,
-        check=False,
-    )
+    with TemporaryFile("w+", encoding="utf-8") as out, TemporaryFile("w+", encoding="utf-8") as err:
+        process = _started(arguments, env, None, (0, out.fileno(), err.fileno()))
+        try:
+            process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise
+        out.seek(0)
+        err.seek(0)
+        return subprocess.CompletedProcess(arguments, process.returncode, out.read(), err.read())
 
 
 @contextmanager
-def running(*arguments: str, python: Path | str = sys.executable, **more):
+def running(
+    *arguments: str,
+    env: dict[str, str] | None = None,
+    stdin: str = "",
+    log: Path,
+    cwd: Path | None = None,
+):
     """Run ``valvemap`` in the background, its output in ``log``; interrupted at the end."""
-    with program(python, "-u", "-m", "valvemap", *arguments, **more) as process:
-        yield process
+    theirs, ours = os.pipe()
+    with os.fdopen(ours, "wb") as end_of_stdin, log.open("wb") as out:
+        try:
+            process = _started(arguments, env, cwd, (theirs, out.fileno(), out.fileno()))
+        finally:
+            os.close(theirs)
+        with _interrupted(process, stdin, end_of_stdin):
+            yield process
 
 
 @contextmanager
@@ -73,19 +90,40 @@ def program(
             stderr=subprocess.STDOUT,
             env={**os.environ, **(env or {})},
         )
-        try:
-            process.stdin.write(stdin.encode())
-            process.stdin.flush()
+        with process.stdin, _interrupted(process, stdin, process.stdin):
             yield process
-        finally:
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-            try:
-                process.wait(20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            process.stdin.close()
+
+
+@contextmanager
+def _interrupted(process, stdin, end_of_stdin):
+    try:
+        end_of_stdin.write(stdin.encode())
+        end_of_stdin.flush()
+        yield
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _started(arguments, env, cwd, standard):
+    """``valvemap`` in a fork, or in a new Python where that may behave otherwise."""
+    environment = {**os.environ, **(env or {})}
+    if can_fork(environment):
+        return command_server().start(arguments, environment, cwd, standard)
+    stdin, stdout, stderr = standard
+    return subprocess.Popen(
+        [sys.executable, "-u", "-m", "valvemap", *arguments],
+        cwd=cwd,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=stderr,
+        env=environment,
+    )
 
 
 def wait_for(log: Path, text: str, process=None, timeout: float = READY_S) -> str:
