@@ -101,7 +101,6 @@ def test_samples_before_damaged_text_are_read_in_either_way(file):
     assert len(found[0][1][0]) > 8 * 490_000
 
 
-@pytest.mark.alone
 def test_a_file_of_the_service_is_parsed_by_arrow_in_two_fifths_of_the_time(file, monkeypatch):
     n = 200_000
     rng = np.random.default_rng(0)
