@@ -1,11 +1,8 @@
 """The source adapter: an OPC UA client that returns arrays and never retries."""
 
-from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-
-from asyncua import ua
 
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import SourceLost, SourceRejected
@@ -16,14 +13,13 @@ from valvemap.opcua_client.connection import (
     SourceSettings,
     Ticket,
     open_connection,
-    status_name,
 )
-from valvemap.opcua_source.history import NEVER, Holes, Knowledge, SourceHistory
+from valvemap.opcua_source.command_writing import write_to_nodes
+from valvemap.opcua_source.filled_changes import FilledChanges
 from valvemap.opcua_source.item_watch import ItemWatch
 from valvemap.opcua_source.position import Mark, Position, position_from_bytes, position_to_bytes
 from valvemap.opcua_source.recall import recall
-from valvemap.opcua_source.received import Left, Part, Tally
-from valvemap.opcua_source.records import overflown
+from valvemap.opcua_source.received import Left, Tally
 from valvemap.opcua_source.source_clock import SourceClock
 from valvemap.opcua_source.source_nodes import (
     HEARTBEAT,
@@ -86,10 +82,9 @@ class OpcUaSource:
         self._ticket: Ticket | None = None
         self._left: Left | None = None
         self._left_at = 0.0
-        self._parts: deque[Part] = deque()  # received, not returned yet
-        self._knowledge = Knowledge(len(self._valves) * PER_VALVE)
-        self._history = SourceHistory()
-        self._mark: Mark | None = None
+        self._filled = FilledChanges(
+            len(self._valves) * PER_VALVE, settings.history_s, settings.warm_start_s
+        )
         self._holds_back = False
         self._known_position: Position | None = None
         self._subscription: Subscription | None = None
@@ -142,8 +137,9 @@ class OpcUaSource:
         self._connection, self._subscription = connection, subscription
         self._source_clock.follow(connection)
         self._watch.start(connection, subscription)
-        if self._history_s > 0.0:
-            self._history.over(connection, (item.node for item in subscription.watched.items))
+        self._filled.read_history_over(
+            connection, (item.node for item in subscription.watched.items)
+        )
 
     async def receive(self) -> DataChanges:
         """Wait for data changes and return all received ones, in order and in our units.
@@ -160,71 +156,28 @@ class OpcUaSource:
             self._ready = None
         changes = DataChanges.empty()
         while not len(changes):
-            if not self._parts:
+            if not self._filled.parts:
                 if self._subscription is None:
                     raise SourceLost(f"{self._settings.url}: not connected")
-                self._parts += await self._subscription.receive()
-            changes = await self._next()
+                self._filled.parts += await self._subscription.receive()
+            changes = await self._filled.next(self.started, self._tally)
         return self._scales(changes)
-
-    async def _next(self) -> DataChanges:
-        """Return the next changes: received ones, or missed ones from the history before them."""
-        whole = 0
-        for part in self._parts:
-            if len(self._holes_before(part)):
-                break
-            self._knowledge.note(part.changes)
-            whole += 1
-        if whole:
-            parts = [self._parts.popleft() for _ in range(whole)]
-            last = parts[-1]
-            known_to = self._knowledge.known_to.copy()
-            self._mark = Mark(last.subscription, last.message, known_to, self.started)
-            return DataChanges.concatenate([part.changes for part in parts])
-        return await self._missed(self._parts[0])
-
-    @property
-    def _history_s(self) -> float:
-        return max(self._settings.history_s, self._settings.warm_start_s)
-
-    def _holes_before(self, part: Part) -> Holes:
-        """Return the gaps before a message that the source's history may fill."""
-        known, changes = self._knowledge, part.changes
-        if not self._history.is_there:
-            return Holes.none()
-        if part.behind_gap:
-            known.doubt()
-        if part.overflows:
-            known.doubt(changes.item[overflown(changes.status)])
-        if not known.doubtful.any():
-            return Holes.none()
-        return known.holes(changes, round(self._history_s * 1e9))
-
-    async def _missed(self, part: Part) -> DataChanges:
-        """Read the oldest missed changes before a message; empty if the history has none."""
-        known = self._knowledge
-        changes, read, reached = await self._history.read(self._holes_before(part))
-        known.fill(read, reached)
-        self._tally.from_history += len(changes)
-        before = self._mark or Mark(0, 0, known.known_to, self.started)
-        self._mark = replace(before, known_to=known.known_to.copy())
-        return changes
 
     @property
     def mark(self) -> Mark | None:
         """The position of the last returned changes; None before the first."""
-        return self._mark
+        return self._filled.mark
 
     def hold_back(self) -> None:
         """Acknowledge messages from now on only after `commit`, so that the source keeps them."""
         self._holds_back = True
         if self._subscription is not None:
-            self._subscription.hold_back()
+            self._subscription.acknowledgements.hold_back()
 
     def commit(self, mark: Mark) -> None:
         """Acknowledge all messages up to a mark: their changes are stored."""
         if self._subscription is not None:
-            self._subscription.commit(mark.subscription, mark.message)
+            self._subscription.acknowledgements.commit(mark.subscription, mark.message)
 
     def position(self, mark: Mark) -> bytes:
         """Return the position of a mark as bytes, for `resume_at` after a restart."""
@@ -239,7 +192,7 @@ class OpcUaSource:
 
         Returns False if the position is damaged or belongs to another source; it is ignored then.
         """
-        items = len(self._knowledge.known_to)
+        items = len(self._filled.knowledge.known_to)
         latest = self._clock.now() + _MOST_AHEAD_NS
         self._known_position = position_from_bytes(position, self._binding, items, latest)
         if self._known_position is None:
@@ -301,8 +254,8 @@ class OpcUaSource:
     def inherit(self, estate: Estate) -> None:
         """Continue with the state of another source that was closed."""
         ours = divided(estate, self._valves)
-        self._knowledge, self._tally, self._ticket = ours.knowledge, ours.tally, ours.ticket
-        self._parts.extend(part for part in ours.parts if len(part.changes))
+        self._filled.knowledge, self._tally, self._ticket = ours.knowledge, ours.tally, ours.ticket
+        self._filled.parts.extend(part for part in ours.parts if len(part.changes))
         self._left, self._left_at, self._surplus = ours.left, ours.left_at, ours.surplus
 
     async def write_required_U(self, valve: int, U: float) -> None:
@@ -341,40 +294,12 @@ class OpcUaSource:
         """
         if self._connection is None:
             raise SourceLost(f"{self._settings.url}: not connected")
-        own = {role: self._writable.get((valve, role)) for role in commands}
-        targets = {role: target for role, target in own.items() if target is not None}
-        refused = {
-            role: f"valve {self._valves[valve].valve} has no node {role}"
-            for role in commands.keys() - targets
-        }
-        if not targets:
-            return refused
-        labels = ", ".join(target.label for target in targets.values())
-        values = [self._value(valve, role, commands[role], of) for role, of in targets.items()]
-        with self._connection.errors(f"writing {labels}"):
-            answers = await self._connection.session.write(ua.WriteParameters(NodesToWrite=values))
-        for (role, target), status in zip(targets.items(), answers, strict=True):
-            if not status.is_good():
-                refused[role] = (
-                    f"{target.label} does not take {commands[role]:g} at {self._settings.url}: "
-                    f"{status_name(status.value)}"
-                )
-        return refused
+        return await write_to_nodes(self._connection, self._valves, self._writable, valve, commands)
 
     async def _write(self, valve: int, role: str, number: float) -> None:
         refused = await self.write_commands(valve, {role: number})
         if refused:
             raise SourceRejected(refused[role])
-
-    def _value(self, valve: int, role: str, number: float, target: WritableNode) -> ua.WriteValue:
-        if role != HEARTBEAT:
-            number = self._valves[valve].measure(role).scaling(role).back(float(number))
-        value = round(number) if target.type not in _FLOATS else number
-        return ua.WriteValue(
-            NodeId=target.node,
-            AttributeId=ua.AttributeIds.Value,
-            Value=ua.DataValue(ua.Variant(value, target.type), StatusCode=None),
-        )
 
     @property
     def is_held(self) -> bool:
@@ -397,7 +322,7 @@ class OpcUaSource:
     def _leave(self, subscription: Subscription) -> None:
         left = subscription.left()
         self._left, self._left_at = left, self._clock.monotonic()
-        self._parts += left.buffer
+        self._filled.parts += left.buffer
 
     async def _take_over(self, connection: Connection) -> Subscription | None:
         """Resume the subscription of the previous connection, if the server still has it."""
@@ -427,7 +352,7 @@ class OpcUaSource:
         return None
 
     def _resume(self, position: Position, nodes: Sequence[MonitoredNode]) -> None:
-        self._knowledge.known_to[:] = position.known_to
+        self._filled.knowledge.known_to[:] = position.known_to
         self._left, self._left_at = position.left(nodes), self._clock.monotonic()
 
     async def _check_nodes(self, connection: Connection) -> CheckedNodes:
@@ -446,8 +371,9 @@ class OpcUaSource:
 
     async def _subscribe(self, connection: Connection) -> Subscription:
         nodes = await self._check_nodes(connection)
-        self._begin_earlier(nodes.monitored)
-        self._knowledge.doubt()
+        source_now = self._clock.now() + round(self.clock_offset_s * 1e9)
+        self._filled.begin_earlier(nodes.monitored, source_now)
+        self._filled.knowledge.doubt()
         return await subscribe(
             connection,
             nodes.monitored,
@@ -457,18 +383,11 @@ class OpcUaSource:
             hold_back=self._holds_back,
         )
 
-    def _begin_earlier(self, nodes: Sequence[MonitoredNode]) -> None:
-        """At the first start, mark the last ``warm_start_s`` as missed: the history fills them."""
-        known_to, warm_start_s = self._knowledge.known_to, self._settings.warm_start_s
-        if warm_start_s > 0.0 and (known_to == NEVER).all():
-            now = self._clock.now() + round(self.clock_offset_s * 1e9)
-            known_to[[node.item for node in nodes]] = now - round(warm_start_s * 1e9)
-
     def _estate(self) -> Estate:
         return Estate(
             self._valves,
-            self._knowledge,
-            tuple(self._parts),
+            self._filled.knowledge,
+            tuple(self._filled.parts),
             self._tally,
             self._ticket,
             self._left,
@@ -501,4 +420,3 @@ class _Binding:
 
 
 _MOST_AHEAD_NS = 86_400_000_000_000  # 1 day; limit on a stored time ahead of our clock
-_FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

@@ -57,7 +57,7 @@ async def subscribe(
         _check_pace(result)
     subscription = Subscription(connection, result, tally, clock, table)
     if hold_back:
-        subscription.hold_back()
+        subscription.acknowledgements.hold_back()
     subscription.watched.expect(nodes)
     subscription.start()
     try:

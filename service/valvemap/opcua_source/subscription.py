@@ -6,7 +6,6 @@ message is acknowledged with the next request.
 """
 
 import asyncio
-from collections import deque
 from collections.abc import Sequence
 
 from asyncua import ua
@@ -16,6 +15,7 @@ from valvemap.clock import Clock
 from valvemap.errors import SourceError, SourceLost
 from valvemap.opcua_client.connection import Connection, status_name
 from valvemap.opcua_client.responses import Senseless
+from valvemap.opcua_source.acknowledgements import Acknowledgements
 from valvemap.opcua_source.decoding import (
     Message,
     PublishResponse,
@@ -33,7 +33,6 @@ _STALL_S = 1.0  # a wait longer than its timeout by this: our process was stalle
 LOST_KEEP_ALIVES = 3
 _LONGEST_ANSWER_S = 1.5  # added to the missing keep-alives
 _MAX_REPUBLISH = 100
-_MOST_KEPT_BACK = 10_000  # messages; more than a server retains
 NOTIFICATIONS_PER_PUBLISH = 100_000
 _MOST_CHANGES = 2 * NOTIFICATIONS_PER_PUBLISH  # some servers exceed the limit
 _GOOD_TRANSFERRED = 0x002D0000
@@ -51,9 +50,9 @@ class Subscription:
         table: ItemTable,
     ) -> None:
         self.watched = WatchedItems(connection, created.SubscriptionId, tally, clock, table)
+        self.acknowledgements = Acknowledgements(created.SubscriptionId)
         self._created = created
         self._tidies = False
-        self._kept_back: deque[int] | None = None  # messages not committed yet
         self._behind_gap = False
         self._connection = connection
         self._session = connection.session
@@ -66,7 +65,6 @@ class Subscription:
         self._silence = silent_s + min(connection.settings.timeout_s, _LONGEST_ANSWER_S)
         self._heard = clock.monotonic()
         self._next: int | None = None
-        self._acknowledgements: list[ua.SubscriptionAcknowledgement] = []
         self._in_turn = asyncio.Lock()
         self._buffer: list[Part] = []
         self._buffered = 0
@@ -84,39 +82,25 @@ class Subscription:
         return Left(
             self._created,
             self._next,
-            tuple(self._acknowledgements),
+            tuple(self.acknowledgements.unsent),
             buffer,
             self.watched.items,
-            None if self._kept_back is None else tuple(self._kept_back),
+            self.acknowledgements.kept_back,
             self._behind_gap,
         )
 
     def go_on_from(self, left: Left) -> None:
         """Start from the state of a previous connection."""
         self._next = left.next_message
-        self._acknowledgements = list(left.acknowledgements)
+        self.acknowledgements.continue_from(left.acknowledgements, left.kept_back)
         self.watched.watch(left.items)
         self._tidies = True
-        if left.kept_back is not None:
-            self._kept_back = deque(left.kept_back, _MOST_KEPT_BACK)
         self._behind_gap = left.behind_gap
-
-    def hold_back(self) -> None:
-        """Acknowledge from now on only committed messages."""
-        self._kept_back = deque(maxlen=_MOST_KEPT_BACK)
 
     @property
     def created(self) -> ua.CreateSubscriptionResult:
         """The server's response to CreateSubscription."""
         return self._created
-
-    def commit(self, subscription: int, message: int) -> None:
-        """Acknowledge all messages up to ``message``."""
-        if self._kept_back is None or subscription != self._id:
-            return
-        while self._kept_back and (message - self._kept_back[0]) % 2**32 < 2**31:
-            number = self._kept_back.popleft()
-            self._acknowledgements.append(_acknowledgement(self._id, number))
 
     @property
     def waits(self) -> bool:
@@ -198,13 +182,12 @@ class Subscription:
     async def _publish_for_ever(self) -> None:
         while True:
             await self._room.wait()
-            acknowledgements, self._acknowledgements = self._acknowledgements, []
             request = ua.PublishRequest()
-            request.Parameters.SubscriptionAcknowledgements = acknowledgements
+            sent = request.Parameters.SubscriptionAcknowledgements = self.acknowledgements.take()
             try:
                 data = await self._session.request(request, timeout=0)
             except ua.uaerrors.BadTooManyPublishRequests:
-                self._acknowledgements = acknowledgements + self._acknowledgements
+                self.acknowledgements.unsent[:0] = sent
                 if len(self._publishers) > 1:
                     self._publishers = {
                         p for p in self._publishers if p is not asyncio.current_task()
@@ -246,11 +229,11 @@ class Subscription:
     def _tidy(self, response: PublishResponse) -> None:
         """Acknowledge received messages that the previous connection did not acknowledge."""
         self._tidies = False
-        known = {ack.SequenceNumber for ack in self._acknowledgements} | set(self._kept_back or ())
+        known = self.acknowledgements.known
         for number in response.available:
             heard = self._next is not None and 0 < (self._next - number) % 2**32 < 2**31
             if heard and number not in known:
-                self._acknowledge(number)
+                self.acknowledgements.add(number)
 
     def _came_before(self, message: Message) -> bool:
         return self._next is not None and message.sequence_number != self._next
@@ -258,7 +241,7 @@ class Subscription:
     def _accept(self, message: Message) -> None:
         """Buffer a message and acknowledge it, so that it is not requested again."""
         self._keep(message)
-        self._acknowledge(message.sequence_number)
+        self.acknowledgements.add(message.sequence_number)
         self._next = _after(message.sequence_number)
 
     async def _fill_gap(self, response: PublishResponse) -> None:
@@ -269,7 +252,7 @@ class Subscription:
         gap = (number - self._next) % 2**32
         if gap >= 2**31:
             _log.warning("%s: message %d came twice", self._settings.url, number)
-            self._acknowledge(number)
+            self.acknowledgements.add(number)
             return
         beyond = max(gap - _MAX_REPUBLISH, 0)
         for _ in range(gap - beyond):
@@ -310,12 +293,6 @@ class Subscription:
             self._miss(ahead[0])
             self._next = _ahead(begin, ahead[0])
 
-    def _acknowledge(self, number: int) -> None:
-        if self._kept_back is not None:
-            self._kept_back.append(number)
-        else:
-            self._acknowledgements.append(_acknowledgement(self._id, number))
-
     def _keep(self, message: Message) -> None:
         changes = self.watched.changes_of(message)
         if not len(changes):
@@ -339,10 +316,6 @@ class Subscription:
     def _fail(self, error: SourceError) -> None:
         self._failure = self._failure or error
         self._arrived.set()
-
-
-def _acknowledgement(subscription: int, number: int) -> ua.SubscriptionAcknowledgement:
-    return ua.SubscriptionAcknowledgement(SubscriptionId=subscription, SequenceNumber=number)
 
 
 def _after(number: int) -> int:
