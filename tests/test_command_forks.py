@@ -1,4 +1,4 @@
-"""A command in a fork is what it is in a new Python: output, code, environment, signals, files."""
+"""A command in a fork and in a new Python: equal output, code, environment, signals, files."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ def rig(tmp_path):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--version"], ["trust", "nobody"], ["check-config", "räum.toml"]],
+    [["--version"], ["trust", "unknown"], ["check-config", "räum.toml"]],
 )
 def test_it_prints_and_returns_the_same(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -71,7 +71,7 @@ def test_one_that_is_killed_says_so(rig):
     process, _ = rig
     process.kill()
     assert process.wait(30) == -signal.SIGKILL
-    process.send_signal(signal.SIGINT)  # nobody else gets it
+    process.send_signal(signal.SIGINT)  # no other process gets it
 
 
 def test_it_holds_no_file_of_another(rig, tmp_path):

@@ -1,4 +1,4 @@
-"""``valvemap`` commands in forks of a process that has imported what they import, which takes 2 s.
+"""``valvemap`` commands in forks of a process that has imported their modules, which takes 2 s.
 
 A fork has its own arguments, environment, folder, standard files, signals and exit code, and ends
 as Python ends. It is no start of Python: what judges a start runs `subprocess`.

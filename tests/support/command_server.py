@@ -1,4 +1,4 @@
-"""Forks for each order from a process that has imported what ``valvemap`` commands import.
+"""Forks for each order from a process that has imported the modules of ``valvemap`` commands.
 
     python -P -u tests/support/command_server.py FD
 
@@ -55,7 +55,7 @@ def served(door):
 
 
 def begun(pid, said, standard):
-    """Write the fork's number; returns what is ready when it ends."""
+    """Write the fork's number; returns a descriptor that is ready when the fork ends."""
     os.write(said, f"{pid}\n".encode())
     for one in standard:
         os.close(one)
