@@ -31,8 +31,8 @@ def of_queues(world, live, keeper):
     """Each queue is within its bound."""
     if keeper._rows > world.case.history_rows:
         world.violated(f"{keeper._rows} rows buffered")
-    if len(live._to_publish) > world.case.valves:
-        world.violated(f"{len(live._to_publish)} valves queued for publication")
+    if len(live._publisher) > world.case.valves:
+        world.violated(f"{len(live._publisher)} valves queued for publication")
     if live.identification.arrivals.pending().max() > MOST_PENDING:
         world.violated("too many samples wait")
     for server in world.servers:

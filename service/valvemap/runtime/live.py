@@ -2,13 +2,11 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import structlog
-from numpy.typing import NDArray
 
 from valvemap.clock import Clock
 from valvemap.errors import SourceError, ValvemapError
@@ -20,7 +18,6 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
 from valvemap.pipeline.result_ports import COMPLETE, ResultSink
-from valvemap.pipeline.results import Results
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore, KeptElsewhere
 from valvemap.runtime.dynamics import LiveDynamics
@@ -28,11 +25,12 @@ from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.led_valves import LedValves
 from valvemap.runtime.past import PastKeeper
-from valvemap.runtime.publishing_turns import PublishingTurns
 from valvemap.runtime.restoring import REMEDY, by_reason, restore
+from valvemap.runtime.result_publisher import ResultPublisher
 from valvemap.runtime.sample_ages import SampleAges
 from valvemap.runtime.service_health import ServiceHealth
 from valvemap.runtime.state_keeper import POSITION, StateKeeper
+from valvemap.runtime.valve_log import ValveLog
 
 OLD = 2.0  # times `stale_after_s`; a sample older than this makes results Bad
 BEHIND_S = 1.0  # s; a preview with a longer backlog takes no more samples until compilation ends
@@ -113,21 +111,29 @@ class LiveService:
         self._held_s = np.zeros(len(identification.plans))  # time in the reorder buffer, s
         self._held_until = now
         self._heard_at = np.full(len(identification.plans), now)  # last change of their source
-        self._lost = np.zeros(len(identification.plans), np.bool_)
-        self._doubted = np.zeros(len(identification.plans), np.bool_)  # implausible, and logged
-        self._old = np.zeros(len(identification.plans), np.bool_)
+        self._valve_log = ValveLog(identification)
         self._remarks: Mapping[int, tuple[str, ...]] = {}  # as published
         self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # estimated pace
         if identification.journal is not None:
             self._changes_per_s = FEWEST_AT_ONCE / LEARN_S  # its kernels run interpreted
         self._is_whole = asyncio.Event()
         self._end_by = math.inf
-        self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
         self._samples_wait = False
         self.keeper = StateKeeper(
             identification, source, store, clock, settings.checkpoint_interval_s
         )
         self._ages = SampleAges(len(identification.plans), source, clock)
+        self._publisher = ResultPublisher(
+            identification,
+            sink,
+            past,
+            clock,
+            self._ages,
+            share=settings.publish_share,
+            budget_s=settings.publish_budget_s,
+            stale_after_s=settings.stale_after_s,
+        )
+        self._lost, self._old = self._publisher.lost, self._publisher.old
         self.health = ServiceHealth(
             identification, source, sink, store, self.keeper, past, clock, self._ages
         )
@@ -136,7 +142,7 @@ class LiveService:
         self._under_way = False
         self._connected = np.zeros(len(identification.plans), np.bool_)
         self._newest_U = np.full(len(identification.plans), np.nan)
-        led = LedValves(identification, self._situation, self._note_new)
+        led = LedValves(identification, self._situation, self._publisher.note_new)
         self._feed_forward = FeedForwardWriter(led, len(identification.plans), source, clock)
 
     def note_states_elsewhere(self, kept: KeptElsewhere) -> None:
@@ -152,7 +158,7 @@ class LiveService:
         self.identification.take_over(whole)  # nothing was awaited since the last call
         self.health.start_state = COMPLETE
         self._is_whole.set()
-        self._note_new(range(len(self._lost)))
+        self._publisher.note_new(range(len(self._lost)))
 
     async def start(self, known: Sequence[Checkpoint] = ()) -> None:
         """Restore the checkpoints and publish all sensors as lost until samples arrive.
@@ -176,9 +182,9 @@ class LiveService:
             log.warning(
                 "states left aside, these start afresh", why=by_reason(refused), remedy=REMEDY
             )
-        self._note_new(range(len(self._lost)))
-        while len(self._to_publish):  # in turns, so that clients are served in between
-            await self._publish_until(self._clock.monotonic())
+        self._publisher.note_new(range(len(self._lost)))
+        while len(self._publisher):  # in turns, so that clients are served in between
+            await self._publisher.publish_until(self._clock.monotonic())
             await asyncio.sleep(0.0)
 
     async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:
@@ -261,12 +267,11 @@ class LiveService:
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._record(valve, batch)
-        self._note_new(samples)
+        self._publisher.note_new(samples)
         self._log_failures()
-        self._say_what_is_doubted()
-        self._say_what_was_found()
+        self._valve_log.note_changes()
         await self._feed_forward.write(self._own(own))
-        await self._publish_in_turn()
+        await self._publisher.publish_in_turn(samples_wait=self._samples_wait)
         if not self._under_way and len(samples):
             self._under_way = True
             log.info("first results published")
@@ -287,7 +292,7 @@ class LiveService:
                 self.identification.stop(valve, Step.HISTORY, error)
         for failure in self.identification.failures.take_new():
             log_failure(failure)
-            self._note_new([self._numbers[failure.valve]])
+            self._publisher.note_new([self._numbers[failure.valve]])
 
     async def tick(self, valves: Times | None = None) -> None:
         """Run the tasks that are due; only ``valves`` are fed forward."""
@@ -297,7 +302,7 @@ class LiveService:
         await self._wait_no_longer(now)
         await self._doubt(now)
         await self._feed_forward.write(own[self._feed_forward.are_due(own, now)])
-        await self._publish_in_turn()
+        await self._publisher.publish_in_turn(samples_wait=self._samples_wait)
         if now >= self._map_due:
             parts = max(1, math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO))
             self._map_due = now + self._settings.map_interval_s / parts
@@ -317,7 +322,7 @@ class LiveService:
         silent_now = np.flatnonzero(stale)
         if len(silent_now):
             source_now = self._ages.source_now()[silent_now]
-            self._note_new(self.identification.say_overdue(silent_now, source_now))
+            self._publisher.note_new(self.identification.say_overdue(silent_now, source_now))
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         await self._doubt_old(ages)
 
@@ -328,10 +333,10 @@ class LiveService:
         if len(old):
             self._old[old] = True
             await self._sink.doubt(old)
-            self._note_new(old.tolist())
+            self._publisher.note_new(old.tolist())
 
     async def _show_health(self, now: float) -> None:
-        await self.health.show_if_due(now, late=self._to_publish.late)
+        await self.health.show_if_due(now, late=self._publisher.late)
 
     async def _wait_no_longer(self, now: float) -> None:
         """Flush the reorder buffer of valves whose samples have waited longer than `reorder_s`.
@@ -365,25 +370,6 @@ class LiveService:
             await self._past.end()
         return await self.keeper.keep(end)
 
-    def _say_what_is_doubted(self) -> None:
-        """Log each valve once when estimation stops as implausible, and once when it resumes."""
-        implausible = self.identification.implausible()
-        for valve in np.flatnonzero(self._doubted & ~implausible).tolist():
-            self._doubted[valve] = False
-            name = self.identification.plans[valve].name
-            log.info("learnt from again", valve=name, why="its pressures have been right for long")
-        for valve in np.flatnonzero(implausible & ~self._doubted).tolist():
-            self._doubted[valve] = True
-            name = self.identification.plans[valve].name
-            why = [finding.sentence for finding in self.identification.plausibility.findings(valve)]
-            remedy = "mend the configuration, or insist = true for this valve"
-            log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
-
-    def _say_what_was_found(self) -> None:
-        for valve in self.identification.stamping.newly_found():
-            name = self.identification.plans[valve].name
-            log.info("signals", valve=name, how="; ".join(self.identification.timing(valve)))
-
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:
             self._lost[valve] = True
@@ -398,8 +384,8 @@ class LiveService:
                 )
             log.warning("sensors lost", valve=name, why=why)
         if valves:
-            self._note_new(valves)
-            await self._publish_all()
+            self._publisher.note_new(valves)
+            await self._publisher.publish_until(math.inf)
 
     def _note_remarks(self) -> None:
         """Publish what the source says of each valve's nodes, where that changed."""
@@ -411,61 +397,7 @@ class LiveService:
         self._remarks = remarks
         for valve in changed:
             self.identification.note_source(valve, remarks.get(valve, ()))
-        self._note_new(changed)
-
-    def _note_new(self, valves: Iterable[int]) -> None:
-        self._to_publish.add(valves, self._clock.monotonic())
-
-    async def _publish_in_turn(self) -> None:
-        """Publish what the budget and the share of time allow."""
-        began = self._clock.monotonic()
-        if not self._to_publish.are_due(began):
-            return
-        await self._publish_until(began + self._settings.publish_budget_s)
-        now = self._clock.monotonic()
-        self._to_publish.pause(began, now, samples_wait=self._samples_wait)
-
-    async def _publish_all(self) -> None:
-        await self._publish_until(np.inf)
-
-    async def _publish_until(self, end: float) -> None:
-        while len(self._to_publish):
-            was_late = self._to_publish.late
-            some = self._to_publish.next(self._clock.monotonic())
-            late = self._to_publish.late
-            if late and not was_late:
-                log.warning("results are published late", remedy="fewer valves, or more CPU")
-            old = self._old | late | self._soon_old()
-            for results in self.identification.results.of(some, self._lost, old):
-                try:
-                    await self._show(results)
-                except ValvemapError:
-                    raise
-                except Exception:  # noqa: BLE001 - a bulkhead: the failing valve is found next
-                    await self._show_alone(results.valves.tolist(), old)
-            if self._clock.monotonic() >= end:
-                break
-
-    async def _show(self, results: Results) -> None:
-        await self._sink.publish(results)
-        if self._past is not None:
-            self._past.note(results)
-
-    async def _show_alone(self, valves: Sequence[int], old: NDArray[np.bool_]) -> None:
-        """Publish valve by valve; stop the lane of a valve that raises, and publish it as Bad."""
-        for valve in valves:
-            try:
-                for results in self.identification.results.of([valve], self._lost, old):
-                    await self._show(results)
-            except Exception as error:  # noqa: BLE001 - a bulkhead: the others are published
-                self.identification.stop(valve, Step.PUBLICATION, error)
-                with suppress(Exception):  # the failure itself is logged
-                    await self._sink.publish(self.identification.results.unknown(valve))
-
-    def _soon_old(self) -> NDArray[np.bool_]:
-        """Mask (M,) of valves whose newest sample will be too old before the next publication."""
-        then = self._ages.of() + self._to_publish.round_s
-        return (then > self._settings.stale_after_s) & ~self.identification.holds()
+        self._publisher.note_new(changed)
 
     def _situation(self, valve: int) -> Situation:
         armed = self.identification.armed.is_armed(valve)
