@@ -1,4 +1,4 @@
-"""The server forgets what was received, or with commits what was stored."""
+"""Received messages are acknowledged, or with commits only stored ones."""
 
 from valvemap.opcua_source.acknowledgements import Acknowledgements
 

@@ -9,7 +9,7 @@ log = structlog.get_logger(__name__)
 
 
 class ValveLog:
-    """Compares the valves with what was logged of them."""
+    """Compares the valves with their last log lines."""
 
     def __init__(self, identification: Identification) -> None:
         self._identification = identification
