@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -75,7 +76,7 @@ class CommandServer:
         self._orders = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with suppress(OSError):  # another worker has started it
             self._process = _start()
-        self._orders.connect(_ADDRESS)
+        _connect(self._orders)
         assert self._orders.recv(1), "the process that forks has ended"
 
     def start(self, arguments, environment, folder, standard):
@@ -94,6 +95,18 @@ class CommandServer:
 
 
 command_server = cache(CommandServer)
+
+
+def _connect(orders):
+    """Connect, also between the moments at which another worker binds the address and listens."""
+    last = time.monotonic() + 5.0
+    while True:
+        try:
+            return orders.connect(_ADDRESS)
+        except ConnectionRefusedError:
+            if time.monotonic() > last:
+                raise
+            time.sleep(0.01)
 
 
 def _start():
