@@ -65,6 +65,19 @@ async def test_each_change_is_one_event_and_a_life_goes_as_annex_b_says(plant, l
     assert await listener.act("Acknowledge", came) == Codes.BadEventIdUnknown  # of an old one
 
 
+async def test_an_alarm_of_the_clock_that_a_late_sample_ends_does_not_end_before_it_began(
+    plant, listener
+):
+    await plant.lose_sensors()
+    (came,) = await listener.next()
+    assert came.state == ("SensorLost", True, False, True, True)
+    await plant.take_samples()  # of ten minutes before
+    (gone,) = await listener.next()
+    assert gone.state == ("SensorLost", False, False, True, True)
+    assert gone["Time"] == came["Time"]
+    assert gone["EventId"] != came["EventId"]
+
+
 async def test_what_cannot_be_done_is_refused_with_the_reason(plant, listener):
     await plant.set_lag(0.3)
     (came,) = await listener.next()

@@ -158,6 +158,25 @@ def test_silence_is_a_loss_by_the_clock_too_but_not_where_signals_come_on_change
     assert of(patient, "SensorLost").count == 0
 
 
+def test_no_transition_of_an_alarm_is_dated_before_the_one_before_it(known):
+    """A late sample ends what the clock began, and operators' clocks differ from the source's."""
+    known.overdue(np.array([0]), np.array([START + 303 * S]))
+    raised = of(known, "SensorLost")
+    assert (raised.active, raised.at) == (True, START + 303 * S)
+    watch(known, *later(1, first_s=301))
+    ended = of(known, "SensorLost")
+    assert (ended.active, ended.at) == (False, raised.at)
+    assert known.acknowledge(0, Alarm.SENSOR_LOST, said_at(400))
+    assert known.states.confirm(0, Alarm.SENSOR_LOST, said_at(350))
+    assert of(known, "SensorLost").at == START + 400 * S
+    known.overdue(np.array([0]), np.array([START + 310 * S]))
+    again = of(known, "SensorLost")
+    assert (again.active, again.count, again.at) == (True, 2, START + 400 * S)
+    known.acknowledge(0, Alarm.SENSOR_LOST, said_at(500))
+    watch(known, *later(1, first_s=501))
+    assert of(known, "SensorLost").at == START + 501 * S
+
+
 def test_after_a_time_away_nothing_counts_as_lost(known):
     known.was_away()
     watch(known, *later(5, first_s=900))
@@ -219,9 +238,9 @@ def test_a_change_stays_until_it_is_acknowledged_and_the_next_one_comes_anew(kno
     assert report.text.startswith("The flow changed by -4 l/min, since 2027-01-15 08:05:00 UTC.")
     found(1, -4.0)
     assert of(known, "Changed").count == 1
-    assert known.acknowledge(0, Alarm.CHANGED, said_at(301))
+    assert known.acknowledge(0, Alarm.CHANGED, said_at(304))
     report = of(known, "Changed")
-    assert (report.active, report.acked, report.at) == (False, True, START + 301 * S)
+    assert (report.active, report.acked, report.at) == (False, True, START + 304 * S)
     assert not known.acknowledge(0, Alarm.CHANGED, said_at(302))
     found(1, -4.0)
     assert not of(known, "Changed").active

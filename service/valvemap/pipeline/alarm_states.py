@@ -120,7 +120,7 @@ class AlarmStates:
         self._remarks.update(said)
 
     def _moved(self, m: int, a: int, remark: Remark) -> None:
-        self.conditions.at[m, a] = remark.t
+        self.conditions.at[m, a] = max(remark.t, self.conditions.at[m, a])
         self.conditions.version[m] += 1
         self.remark(m, a, remark)
 

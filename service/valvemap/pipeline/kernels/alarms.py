@@ -65,7 +65,8 @@ class Conditions(NamedTuple):
     ``over`` is the time from which the limit is exceeded, 0 if it is not; ``since`` the start of
     the last activation, ``at`` its last activation, deactivation or acknowledgement, both UTC ns;
     ``value`` the largest value during it; ``detail`` (M, A, 2) and ``causes`` (M, A, 3) describe
-    it; ``came`` counts activations; ``version`` (M,) counts changes of any alarm.
+    it; ``came`` counts activations; ``version`` (M,) counts changes of any alarm. ``at`` never
+    decreases: clocks of service and source differ, and samples arrive late.
     """
 
     over: Times
@@ -186,7 +187,7 @@ def _step(
         if x < release or (x <= limit and release == limit):
             conditions.active[m, a] = False
             conditions.over[m, a] = 0
-            conditions.at[m, a] = t
+            conditions.at[m, a] = max(t, conditions.at[m, a])
             conditions.version[m] += 1
         return False
     if not x > limit:
@@ -201,7 +202,7 @@ def _step(
     conditions.active[m, a] = True
     conditions.acked[m, a] = False
     conditions.since[m, a] = conditions.over[m, a]
-    conditions.at[m, a] = t
+    conditions.at[m, a] = max(t, conditions.at[m, a])
     conditions.came[m, a] += 1
     conditions.version[m] += 1
     return True
