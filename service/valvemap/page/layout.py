@@ -8,13 +8,6 @@ from valvemap.vocabulary.edges import EDGES, LINE_PARTS, PARTS
 
 ROOT = "Identification"
 VERSION = f"{ROOT}.NodeVersion"  # changes when valves are added or removed
-NO_ESTIMATORS = frozenset(
-    {
-        *EDGES,
-        *("Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"),
-        *("Commission", "Dynamics"),
-    }
-)
 START = "Service.Start"  # how far the service's start is; kernels are compiled at the first one
 PREFERRED = "Auto"
 
@@ -71,6 +64,15 @@ class Part:
 
     name: str
     kind: PartKind
+
+
+def estimators_of(objects: Sequence[str], frame_names: Sequence[str]) -> tuple[str, ...]:
+    """Return which objects of a valve are estimators: those whose status is in the frame.
+
+    >>> estimators_of(("RLS", "Inverse"), ("RLS.Status", "Inverse.RequiredU"))
+    ('RLS',)
+    """
+    return tuple(name for name in objects if f"{name}.Status" in frame_names)
 
 
 def axis_of(name: str, objects: Sequence[str]) -> Part | None:

@@ -12,7 +12,6 @@ from valvemap.page.drawn_maps import DrawnMaps
 from valvemap.page.figures import Figures
 from valvemap.page.judgement import Severity
 from valvemap.page.layout import (
-    NO_ESTIMATORS,
     ROOT,
     START,
     VERSION,
@@ -20,6 +19,7 @@ from valvemap.page.layout import (
     PartKind,
     Valve,
     axis_of,
+    estimators_of,
     part_of,
 )
 from valvemap.page.machine_parts import MachineParts
@@ -184,9 +184,9 @@ class Observer:
         for name, columns in zip(folders, frame_names, strict=True):
             below = await self.client.browse(name)
             objects = [c.id.rpartition(".")[2] for c in below if not (c.is_variable or c.is_method)]
-            estimators = tuple(e for e in objects if e not in NO_ESTIMATORS)
-            if estimators and columns.value:
-                found.append(Valve(name, estimators, tuple(columns.value)))
+            frame = tuple(columns.value or ())
+            if estimators := estimators_of(objects, frame):
+                found.append(Valve(name, estimators, frame))
             elif axis := axis_of(name, objects):
                 parts.append(axis)
         if (*found, *parts) != self.places or not self.generation:
