@@ -73,7 +73,7 @@ async def test_values_can_be_followed_beside_events_and_given_up(plant, client):
 
 async def test_a_variable_without_a_history_says_so(client):
     found = await client.courses(
-        [("Valvistor.RLS.Status", "Average"), ("Valvistor.Signals.Q", "Maximum")],
+        [("Valvistor.RLS.Adaptation", "Average"), ("Valvistor.Signals.Q", "Maximum")],
         (START, START + 10 * S),
         S,
     )

@@ -107,7 +107,17 @@ async def test_a_trend_asks_for_averages(client):
     assert values == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("name", ["RLS.Status", "RLS.ParameterVector", "Diagnostics.Aligned"])
+@pytest.mark.parametrize("name", ["RLS.Status", "Inverse.RequiredUStatus"])
+async def test_statuses_are_whole_numbers_and_good(client, name):
+    node = await node_of(client, name)
+    found = await node.read_raw_history(moment(0), moment(N), 0)
+    whole = [value for value in found if value.StatusCode.name != "BadBoundNotFound"]
+    assert whole
+    assert {value.StatusCode.name for value in whole} == {"Good"}
+    assert {value.Value.VariantType for value in whole} == {ua.VariantType.Int32}
+
+
+@pytest.mark.parametrize("name", ["RLS.Adaptation", "RLS.ParameterVector", "Diagnostics.Aligned"])
 async def test_what_is_not_kept_says_so(client, name):
     node = await node_of(client, name)
     assert ua.AccessLevel.HistoryRead not in await node.get_access_level()

@@ -13,6 +13,7 @@ from support.browser import Visit, axe, chromium, serious
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
 
@@ -173,6 +174,46 @@ async def test_when_the_estimate_was_uncertain_is_a_band_over_the_trend_from_the
         await lanes.wait_for()
         told = (await lanes.get_attribute("aria-label")).split("Estimate of ")[1]
         assert re.fullmatch(r"\w+: ok from \S+ to \S+; uncertain from \S+ to \S+; ok from .*", told)
+        assert visitor.problems == []
+
+
+async def test_where_sample_and_answer_were_extrapolated_is_a_band_after_a_reload(browser):
+    shown, _ = alarmed()
+    beyond = time.time_ns() - 300 * S, time.time_ns() - 200 * S
+    whole = shown.courses
+    of_status = {
+        "V1.RLS.Status": Status.EXTRAPOLATING,
+        "V1.Inverse.RequiredUStatus": InverseStatus.EXTRAPOLATING,
+    }
+
+    async def beyond_the_map(asked, span, every_ns):
+        found = []
+        for (id_, kind), course in zip(asked, await whole(asked, span, every_ns), strict=True):
+            code = of_status.get(id_)
+            if code is None:
+                found.append(course)
+                continue
+            values = []
+            for t, value in zip(course.times, course.values, strict=True):
+                is_ = beyond[0] <= t < beyond[1]
+                is_part = t - every_ns < beyond[0] and kind == "Minimum"  # begins within it
+                values.append(float(code) if is_ and not is_part else value)
+            found.append(replace(course, values=values))
+        return found
+
+    shown.courses = beyond_the_map
+    async with visit(browser, shown) as (visitor, _):
+        await visitor.open("trend/V1?span=600")
+        await visitor.page.locator("canvas.lanes[aria-label*='extrapolating']").wait_for()
+        await visitor.page.reload()
+        lanes = visitor.page.locator("canvas.lanes[aria-label*='extrapolating']")
+        await lanes.wait_for()
+        _, estimate, answer = (await lanes.get_attribute("aria-label")).split(". ")
+        partly, beyond_ = r"partly extrapolating from \S+ to \S+", r"extrapolating from \S+ to \S+"
+        assert re.fullmatch(f"Estimate of RLS: ok from .*; {partly}; {beyond_}", estimate)
+        assert re.fullmatch(
+            r"Answer to the demand: ok from .*; extrapolating from .*; ok from .*", answer
+        )
         assert visitor.problems == []
 
 

@@ -125,7 +125,9 @@ async def test_results_are_kept_part_by_part(keeper, store):
     assert set(found) == {"V1.RLS", "V2.RLS", "V1.Inverse", "V2.Inverse"}
     assert found["V2.RLS"].t.tolist() == [10, 20]
     assert found["V2.RLS"].columns["Residual"].tolist() == [3.0, 3.0]
+    assert found["V2.RLS"].columns["Status"].tolist() == [GOOD, GOOD]
     assert found["V1.Inverse"].columns["RequiredU"].tolist() == [50.0]
+    assert found["V1.Inverse"].columns["RequiredUStatus"].tolist() == [GOOD]
 
 
 async def test_what_is_lost_is_noted_right_behind_the_last_sample(keeper, store):

@@ -77,6 +77,19 @@ def test_they_are_those_of_the_values_also_of_late_ones(path):
         check_tiers(store, 18_500)
 
 
+def test_what_the_service_states_of_itself_is_good_while_the_results_are_uncertain(path):
+    codes = np.repeat(np.array([0, 0x4000_0000, 0x8000_0000], np.uint32), 100)
+    columns = {"Residual": np.ones(300), "Status": np.repeat([0.0, 6.0, 3.0], 100)}
+    with HistoryFile(path) as store:
+        store.save([Piece("V1.RLS", START + np.arange(300) * S // 10, codes, columns)])
+        list(settling(store))
+        assert store.read("V1.RLS", "Status", *EVER, most=999).codes.tolist() == [0] * 300
+        assert store.read("V1.RLS", "Residual", *EVER, most=999).codes.tolist() == codes.tolist()
+        span = START, START + 30 * S, WIDTHS[0]
+        assert store.cells("V1.RLS", "Status", *span).high.tolist() == [0.0, 6.0, 3.0]
+        assert store.cells("V1.RLS", "Residual", *span).good.tolist() == [100, 0, 0]
+
+
 def test_values_are_read_again_bit_by_bit(path):
     odd = np.random.default_rng(0).integers(0, 2**64, 5_000, np.uint64).view(np.float64)
     given = Piece(SERIES, START + np.arange(5_000), np.zeros(5_000, np.uint32), {"Q": odd})

@@ -185,14 +185,17 @@ class ShownService:
         return sorted(found, key=lambda alarm: -alarm.t)[:most]
 
     async def courses(self, asked, span, every_ns):
-        """A value of each interval: its number since 1970, modulo 100."""
+        """A value of each interval: its number since 1970, modulo 100; of a status, always 0."""
         self._check()
         self.history.append((tuple(asked), span, every_ns))
         if not self.keeps_history:
             return [Course(0x8072_0000, [], [], []) for _ in asked]
         times = list(range(span[0], span[1], every_ns))
         values = [float(t // every_ns % 100) for t in times]
-        return [Course(0, times, values, [0] * len(times)) for _ in asked]
+        return [
+            Course(0, times, [0.0] * len(times) if id_.endswith("Status") else values, codes)
+            for (id_, _), codes in ((one, [0] * len(times)) for one in asked)
+        ]
 
     async def permitted(self, ids):
         self._check()

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 from valvemap.config.models import Config
 from valvemap.storage.history_cells import WIDTHS
 from valvemap.storage.history_spans import LEAST_RESULTS, LEAST_ROWS
-from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
+from valvemap.vocabulary.quantities import HISTORY_QUANTITIES, Kind
 from valvemap.vocabulary.signals import PUBLISHED
 
 DAY_S: Final = 86_400.0
@@ -13,6 +13,7 @@ _SIGNAL: Final = 1.3  # bytes per value; packed, of transmitters with 2 decimals
 _RESULT: Final = 5.2  # bytes per value; packed
 _CELL_OF_SIGNAL: Final = 6.0  # bytes per cell and signal, packed
 _CELL_OF_RESULT: Final = 20.0  # bytes per cell and result, packed
+_NUMBERS: Final = sum(q.kind is Kind.NUMBER for q in HISTORY_QUANTITIES)  # codes take no room
 _PAGES: Final = 1.1  # of the file per byte of a column
 
 
@@ -81,7 +82,7 @@ def _estimated(config: Config) -> _Rates:
     signals = results = fine = coarse = 0.0
     for valve in config.valves:
         per_day = DAY_S * 1e3 / config.source_of(valve).publishing_interval_ms
-        values = len(valve.estimators) * len(HISTORY_QUANTITIES)
+        values = len(valve.estimators) * _NUMBERS
         signals += per_day * _SIGNAL * len(PUBLISHED)
         results += per_day * _RESULT * values
         cell = _CELL_OF_SIGNAL * len(PUBLISHED) + _CELL_OF_RESULT * values  # bytes

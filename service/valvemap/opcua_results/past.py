@@ -9,12 +9,12 @@ import numpy as np
 from asyncua import ua
 
 from guarded_opcua import Cells, Event, PastEvent, Records, Span
-from valvemap.opcua_results.information_model import ROOT
+from valvemap.opcua_results.information_model import DYNAMICS, ROOT
 from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.store_ports import PastStore
-from valvemap.runtime.past import REQUIRED_U
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.edges import split_id
+from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
@@ -24,14 +24,15 @@ _ESTIMATED: Final = frozenset(quantity.name for quantity in HISTORY_QUANTITIES)
 _OF_AXES: Final = frozenset(quantity.name for quantity in AXIS_QUANTITIES)
 _PARTS: Final = {
     "Signals": frozenset(PUBLISHED),
-    "Inverse": frozenset({REQUIRED_U}),
+    "Inverse": frozenset({REQUIRED_U, REQUIRED_U_STATUS}),
+    DYNAMICS: frozenset(),
 }
 
 
 def has_past(id_: str) -> bool:
     """Whether the history of a variable of the results server is stored.
 
-    >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Residual", "V1.RLS.Status")]
+    >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Status", "V1.RLS.Adaptation")]
     [True, True, False]
     >>> [has_past(id_) for id_ in ("Press.Leakage", "Press.Reason")]
     [True, False]

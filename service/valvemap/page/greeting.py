@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from valvemap.page.judgement import INVERSE_SEVERITIES, Reason
+from valvemap.page.judgement import INVERSE_SEVERITIES, STATUS_SEVERITIES, Reason
 from valvemap.page.layout import family_of, part_of
 from valvemap.page.machine_parts import words_of_codes
 from valvemap.page.observer import Observer
@@ -46,9 +46,9 @@ def greeting(observer: Observer) -> dict[str, Any]:
             if q.heading
         ],
         "words": {
-            "status": [(status.label, status.sentence) for status in Status],
+            "status": [(s.label, s.sentence, STATUS_SEVERITIES[s]) for s in Status],
             "adaptation": [(state.label, state.sentence) for state in Adaptation],
-            "inverse": [(INVERSE_SEVERITIES[s], s.sentence) for s in InverseStatus],
+            "inverse": [(INVERSE_SEVERITIES[s], s.sentence, s.label) for s in InverseStatus],
             "reason": [(reason.label, reason.sentence, reason.is_old) for reason in Reason],
             "health": [(health.label, health.sentence) for health in DeviceHealth],
             "codes": words_of_codes(),

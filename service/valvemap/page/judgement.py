@@ -98,6 +98,7 @@ _BY_STATUS: Mapping[int, Reason] = {
     Status.FAILED: Reason.FAILED,
     Status.UNRELIABLE: Reason.MISFIT,
 }
+STATUS_SEVERITIES = {status: _BY_STATUS.get(status, Reason.OK).severity for status in Status}
 _BY_HEALTH: Mapping[int, Reason] = {
     DeviceHealth.MAINTENANCE_REQUIRED: Reason.MAINTENANCE,
     DeviceHealth.OFF_SPEC: Reason.OFF_SPEC,

@@ -21,7 +21,8 @@ from valvemap.page.layout import Valve
 from valvemap.page.ports import Client
 from valvemap.page.seen import Seen
 from valvemap.readings import ConditionChange
-from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
+from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS
+from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
 STEPS_MS: Final = (
@@ -73,16 +74,16 @@ class Trend:
 def recorded(valve: Valve) -> tuple[str, ...]:
     """Return the names of a valve's variables that have a history.
 
-    >>> recorded(Valve("V1", ("RLS",), ()))[-3:]
-    ('RLS.ResidualRmse', 'RLS.NoiseStd', 'Inverse.RequiredU')
+    >>> recorded(Valve("V1", ("RLS",), ()))[-4:]
+    ('RLS.NoiseStd', 'RLS.Status', 'Inverse.RequiredU', 'Inverse.RequiredUStatus')
     """
     of_estimators = (
         f"{estimator}.{quantity.name}"
         for estimator in valve.estimators
-        for quantity in ESTIMATOR_QUANTITIES
-        if quantity.in_history
+        for quantity in HISTORY_QUANTITIES
     )
-    return (*(f"Signals.{name}" for name in PUBLISHED), *of_estimators, "Inverse.RequiredU")
+    answers = (f"Inverse.{name}" for name in (REQUIRED_U, REQUIRED_U_STATUS))
+    return (*(f"Signals.{name}" for name in PUBLISHED), *of_estimators, *answers)
 
 
 class Trends:

@@ -4,7 +4,7 @@ import asyncio
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import structlog
@@ -17,11 +17,11 @@ from valvemap.pipeline.axis_ports import AxisResults
 from valvemap.pipeline.result_ports import PastCounters
 from valvemap.pipeline.results import AlarmChange, Results
 from valvemap.pipeline.store_ports import PastStore, Piece
+from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import Quality
 
-REQUIRED_U: Final = "RequiredU"
 MOST_ROWS: Final = 1_000_000  # rows buffered: 60 MB; further rows are dropped and counted
 SERIES_PER_S: Final = 500  # series saved per s, 0.1 ms each; more series lengthen the interval
 FORGET_EVERY_S: Final = 60.0
@@ -224,7 +224,10 @@ def pieces_of(axis: str, results: AxisResults, *, with_map: bool) -> list[Piece]
         columns = {name: np.array([value]) for name, value in results.numbers.items()}
         pieces.append(Piece(axis, t, _CODES[[quality]], columns))
     if np.isfinite(results.required.U):
-        answer = {REQUIRED_U: np.array([results.required.U])}
+        answer = {
+            REQUIRED_U: np.array([results.required.U]),
+            REQUIRED_U_STATUS: np.array([float(results.required.status)]),
+        }
         pieces.append(Piece(results_of(axis, _INVERSE), t, _CODES[[Quality.GOOD]], answer))
     return pieces
 
@@ -272,9 +275,10 @@ def _noted(results: Results) -> Iterator[_Noted]:
     """Yield the rows of each estimator, of the inverse map, and of signals that are Bad."""
     valves, inverse, signals = results.valves, results.inverse, results.signals
     for name, found in results.estimators.items():
-        columns = {q.name: getattr(found, q.field) for q in HISTORY_QUANTITIES}
+        columns = {q.name: _numbers(getattr(found, q.field)) for q in HISTORY_QUANTITIES}
         yield _Noted(name, valves, found.quality, found.t, columns)
-    yield _Noted(_INVERSE, valves, inverse.quality, inverse.t, {REQUIRED_U: inverse.required_U})
+    answer = {REQUIRED_U: inverse.required_U, REQUIRED_U_STATUS: _numbers(inverse.status)}
+    yield _Noted(_INVERSE, valves, inverse.quality, inverse.t, answer)
     if signals is not None:
         lost = signals.quality == Quality.BAD
         columns = dict(zip(PUBLISHED, signals.values[lost].T, strict=True))
@@ -317,6 +321,10 @@ def _by_valve(
             failed[name] = error
         else:
             yield piece
+
+
+def _numbers(values: NDArray[Any]) -> Floats:
+    return np.asarray(values, np.float64)
 
 
 def _codes(quality: Codes) -> NDArray[np.uint32]:

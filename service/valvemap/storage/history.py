@@ -14,7 +14,7 @@ from valvemap.pipeline.store_ports import Past, PastCells, Piece
 from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
 from valvemap.storage.history_blocks import CODES, SEALED, T
-from valvemap.storage.history_cells import WIDTHS, width_of
+from valvemap.storage.history_cells import WIDTHS, codes_of, width_of
 from valvemap.storage.history_mending import check_blocks, take_over
 from valvemap.storage.history_order import in_order, joined, nothing
 from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
@@ -428,7 +428,7 @@ class HistoryFile(Closing):
         found = self._rows.examined(self._reader, series, block, (T, CODES, column))
         if column not in found.parts:  # the series had no such column then, or it is damaged
             return nothing()
-        past = Past(found.t, found.columns[column], found.columns[CODES])
+        past = Past(found.t, found.columns[column], codes_of(column, found.columns[CODES]))
         first, behind = np.searchsorted(past.t, low), np.searchsorted(past.t, high, side="right")
         return past[slice(int(first), int(behind))]  # high + 1 may be beyond int64
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.store_ports import PastCells
 from valvemap.storage.history_blocks import CODES, SEALED, T, base_of
+from valvemap.vocabulary.history_columns import OWN_WORDS
 
 WIDTHS: Final = (10 * 10**9, 300 * 10**9)  # ns; for spans of hours, and of weeks
 ROWS: Final = "n"
@@ -48,6 +49,11 @@ def name_of(column: str, field: str) -> str:
     return f"{column}.{field}"
 
 
+def codes_of(column: str, codes: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Return the StatusCodes of one column, from those of the rows."""
+    return np.zeros_like(codes) if column in OWN_WORDS else codes
+
+
 def cells_of(columns: Columns, width: int) -> dict[str, NDArray[Any]]:
     """Return the cells of rows by time: the columns of a tier."""
     t, codes = columns[T], columns[CODES]
@@ -61,7 +67,7 @@ def cells_of(columns: Columns, width: int) -> dict[str, NDArray[Any]]:
     number = np.repeat(np.arange(len(places)), np.diff(places, append=len(t)))
     for name, values in columns.items():
         if name not in {T, CODES}:
-            found |= _column(name, t, codes, values, number, found[T])
+            found |= _column(name, t, codes_of(name, codes), values, number, found[T])
     return found
 
 

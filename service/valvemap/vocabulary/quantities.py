@@ -161,6 +161,7 @@ ESTIMATOR_QUANTITIES: Final = (
         statuses=Status,
         undetermined=Undetermined.NEVER,
         in_frame=True,
+        in_history=True,
         series="valvemap_estimator_status",
     ),
     Quantity(

@@ -9,11 +9,11 @@ const MOST_LANES = 4; // of alarms
 const INSET = 6; // px before the name of a lane
 const SEVERITY = ["--good", "--note", "--warning", "--alarm"];
 const FONT = "11px system-ui, sans-serif";
-const SILENT = "no samples";
+const SILENT = "no samples", ANSWER = "Answer";
 const DOUBTS = [["ok", 0], ["partly uncertain", 1], ["uncertain", 2]]; // of an estimate: label, severity
 
-/** `span()` is [from, to] in ms, `begin()` the first time of a value; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history. */
-export function trendLanes({ live, valve, span, begin, changes, areAllKnown, silences, estimator, doubts }) {
+/** `span()` is [from, to] in ms, `begin()` the first time of a value; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history, `statuses()` the {from, to, label, severity} of its statuses but ok, `answers()` those of the answer to the demand. */
+export function trendLanes({ live, valve, span, begin, changes, areAllKnown, silences, estimator, doubts, statuses, answers }) {
   const canvas = h("canvas.lanes", { role: "img", "aria-label": "State" });
 
   /** Spans of alarms of this valve and of the service; none begins before anything is known. */
@@ -66,15 +66,15 @@ export function trendLanes({ live, valve, span, begin, changes, areAllKnown, sil
     ctx.restore();
   }
 
-  /** Spans of the estimate's status, with its label. */
-  const estimates = () => doubts().map(({ from, to, doubt }) => ({ from, to, label: DOUBTS[doubt][0], severity: DOUBTS[doubt][1] }));
+  /** Spans of the estimate's quality; its statuses over them, which say why. */
+  const estimates = () => [...doubts().map(({ from, to, doubt }) => ({ from, to, label: DOUBTS[doubt][0], severity: DOUBTS[doubt][1] })), ...statuses()];
 
-  /** A lane for the state, one for the estimate where a history is kept, and one for each alarm: how long it was active. */
+  /** A lane for the state, one for the estimate and one for the answers where a history is kept, and one for each alarm: how long it was active. */
   function draw(chart) {
     const found = active(), laneOf = ({ source, name }) => `${source === "Service" ? "Service " : ""}${name}`;
     const kinds = [...new Set(found.map(laneOf))].slice(0, MOST_LANES), [from, to] = span();
     const isSeen = (one) => (one.to ?? to) > from && one.from < to;
-    const standing = [["State", states().filter(isSeen)], [estimator, estimates().filter(isSeen)]].filter(([, spans], k) => k === 0 || spans.length);
+    const standing = [["State", states().filter(isSeen)], [estimator, estimates().filter(isSeen)], [ANSWER, answers().filter(isSeen)]].filter(([, spans], k) => k === 0 || spans.length);
     canvas.style.height = `${(kinds.length + standing.length) * LANE}px`;
     const { context } = pen(canvas), [left, width] = [chart.bbox.left, chart.bbox.width].map((x) => x / devicePixelRatio);
     context.font = FONT;
@@ -84,8 +84,8 @@ export function trendLanes({ live, valve, span, begin, changes, areAllKnown, sil
     const written = (text, at, lane, colour, align = "left") => { context.textAlign = align; context.fillStyle = css(colour); context.fillText(text, at, (lane + 0.5) * LANE); };
     const told = ({ label, from: a, to: b }) => `${label}${a > 0 ? ` from ${clock(a)}` : ""} ${b === null ? "on" : `to ${clock(b)}`}`;
     const said = [...standing[0][1], ...found.map((one) => ({ ...one, label: spaced(laneOf(one)) }))].map(told);
-    const estimate = standing[1] ? `. Estimate of ${estimator}: ${standing[1][1].map(told).join("; ")}` : "";
-    canvas.setAttribute("aria-label", `State and alarms: ${said.join("; ") || "none known"}${estimate}`);
+    const others = standing.slice(1).map(([name, spans]) => `. ${name === ANSWER ? "Answer to the demand" : `Estimate of ${name}`}: ${spans.map(told).join("; ")}`).join("");
+    canvas.setAttribute("aria-label", `State and alarms: ${said.join("; ") || "none known"}${others}`);
     standing.forEach(([name, spans], lane) => {
       written(name, left - INSET, lane, "--soft", "right");
       for (const one of spans) {

@@ -23,10 +23,22 @@ export function tabled(series, found, shift = 0) {
       made.of.forEach((columns) => columns.forEach((column) => column.push(null)));
     }
     made.t.push(t);
-    found.courses.forEach((course, c) => course.forEach((of, j) => made.of[c][j].push(Number.isFinite(of[k]) ? shownOf(of[k], series[c]) : null)));
+    series.forEach((one, c) => found.courses[c].forEach((of, j) => made.of[c][j].push(Number.isFinite(of[k]) ? shownOf(of[k], one) : null)));
   }
   made.newest = (made.t.at(-1) ?? 0) * 1000 + found.step / 2 - shift;
   return made;
+}
+
+/** Spans of equal status codes in course `of`: {from, to, code, isPart} in ms. Of several codes within one interval, the largest is shown, as a part. */
+export function codeSpans(found, of) {
+  const spans = [], [, least, largest] = found.courses[of] ?? [[], [], []];
+  largest.forEach((code, k) => {
+    if (!Number.isFinite(code)) return;
+    const from = found.start + k * found.step, to = from + found.step, isPart = least[k] !== code, last = spans.at(-1);
+    if (last?.code === code && last.isPart === isPart && from - last.to <= GAP_STEPS * found.step) last.to = to;
+    else spans.push({ from, to, code, isPart });
+  });
+  return spans;
 }
 
 /** Spans in which course `of` was 0 certain, 1 partly, 2 not at all: {from, to, doubt} in ms; none where no course has a value. */

@@ -2,11 +2,11 @@
 
 import { shadeSpans, timeChart } from "../charts.js";
 import { css, h, mark, onTheme, say } from "../dom.js";
-import { clock, fixed, KINDS, NAN, span as spanText, spaced } from "../format.js";
+import { clock, fixed, INVERSE_STATUS, KINDS, NAN, span as spanText, spaced, STATUS } from "../format.js";
 import { merged } from "../intervals.js";
 import { bounded, isFromAfar, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
 import { trendLanes } from "../trend_lanes.js";
-import { addNewest, doubtSpans, emptyRows, joined, tabled } from "../trend_rows.js";
+import { addNewest, codeSpans, doubtSpans, emptyRows, joined, tabled } from "../trend_rows.js";
 import { told } from "../trust.js";
 import { decimals, inUnits, shown } from "../units.js";
 
@@ -14,6 +14,7 @@ const REFRESH_MS = 30000; // what is live is read again so often, from the histo
 const ASK_MS = 250; // between two reads while zooming
 const CURSOR_STEPS = 60; // over a span
 const DAY_MS = 86400e3;
+const NOT_ASKED = 5; // of InverseStatus: no demand, or no number
 const BEFORE = [[0, "nothing"], [3600e3, "an hour before"], [86400e3, "a day before"], [7 * 86400e3, "a week before"]];
 
 export function trendView(root, { live, ask, valve, query, keep }) {
@@ -24,8 +25,9 @@ export function trendView(root, { live, ask, valve, query, keep }) {
     ["Signals.U", "U", "%", "--line-1"], ["Signals.T", "T", "°C", "--line-2"],
     ["Signals.p1", "p₁", "bar", "--line-1"], ["Signals.p2", "p₂", "bar", "--line-2"], ["Signals.dp", "Δp", "bar", "--line-3"],
   ];
+  const CODES = [`${estimator}.Status`, "Inverse.RequiredUStatus"]; // of the estimate, of the answer to the demand
   const names = SERIES.map(([name]) => name), PREDICTED = 1;
-  let rows = emptyRows(SERIES, state.span), doubts = [], others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
+  let rows = emptyRows(SERIES, state.span), doubts = [], codes = CODES.map(() => []), others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
@@ -35,7 +37,14 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   const otherValve = h("select", { "aria-label": "Compare with valve", onchange: () => go({ other: otherValve.value }) },
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name, kind }) => name !== valve.name && !kind).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
-  const lanes = trendLanes({ live, valve, span: () => [from(), to()], begin: () => (rows.t.length ? 1000 * rows.t[0] - rows.step / 2 : Infinity), changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences, estimator, doubts: () => doubts });
+  const lanes = trendLanes({ live, valve, span: () => [from(), to()], begin: () => (rows.t.length ? 1000 * rows.t[0] - rows.step / 2 : Infinity), changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences, estimator, doubts: () => doubts,
+    statuses: () => codes[0].filter(({ code }) => code).map(worded(STATUS, ([label, , severity]) => [label, severity])), answers: () => codes[1].filter(({ code }) => code !== NOT_ASKED).map(worded(INVERSE_STATUS, ([severity, , label]) => [label, severity])) });
+  function worded(words, parts) {
+    return ({ from: a, to: b, code, isPart }) => {
+      const [label, severity] = words[code] ? parts(words[code]) : [`code ${code}`, 1];
+      return { from: a, to: b, label: isPart ? `partly ${label}` : label, severity };
+    };
+  }
   const charts = [["Flow", [0, 1]], ["Residual Q − Q̂", [2]], ["Control voltage and oil temperature", [4, 5]], ["Pressures", [6, 7, 8]]];
   const bodies = charts.map(() => h("div.chart.fit"));
   const readout = h("tbody"), when = h("h2"), list = h("ol.marks");
@@ -116,13 +125,13 @@ export function trendView(root, { live, ask, valve, query, keep }) {
     mark(root, "reading", true);
     const [a, b] = [from(), to()], step = stepOf(state.span), { other: otherName, before: otherAt } = state;
     const otherOf = live.valves.find(({ name }) => name === otherName)?.primary ?? estimator;
-    const wanted = ask("trend", live.trend(valve.name, names, a, b, step));
+    const wanted = ask("trend", live.trend(valve.name, [...names, ...CODES], a, b, step));
     const compared = otherName || otherAt ? ask("compared", live.trend(otherName || valve.name, names.map((name) => (otherName ? name.replace(estimator, otherOf) : name)), a - otherAt, b - otherAt, step)) : null;
     const found = await wanted, other = await compared;
     isReading = false;
     if (!found) return;
     failed = found.error ?? "";
-    if (!found.error) { rows = tabled(SERIES, found); doubts = found.kept ? doubtSpans(found, PREDICTED) : []; source = { kept: found.kept, since: found.since }; }
+    if (!found.error) { rows = tabled(SERIES, found); doubts = found.kept ? doubtSpans(found, PREDICTED) : []; codes = CODES.map((_, k) => codeSpans(found, names.length + k)); source = { kept: found.kept, since: found.since }; }
     const isSame = otherName === state.other && otherAt === state.before; // else another read follows
     others = other && !other.error && isSame ? tabled(SERIES, other, otherAt) : null;
     mark(root, "compared", others ? otherName || "before" : "");
