@@ -25,19 +25,28 @@ VIEWS = (
 SIZES = {"desk": (1280, 800), "large": (1920, 1080), "tablet": (820, 1180)}
 RIG = "opc.tcp://127.0.0.1:1/rig/"
 _PLANT = tuple(f"V{k}" for k in range(1, 13))
-_HEIGHT = """() => { // how low texts, charts and fields reach; an empty card uses nothing
-    const view = document.querySelector('main');
-    const walk = document.createTreeWalker(view, NodeFilter.SHOW_TEXT), low = [];
-    const range = document.createRange();
-    while (walk.nextNode()) {
-        if (!walk.currentNode.data.trim()) continue;
-        range.selectNodeContents(walk.currentNode);
-        low.push(range.getBoundingClientRect().bottom);
-    }
-    for (const one of view.querySelectorAll('canvas, input, button')) {
-        low.push(one.getBoundingClientRect().bottom);
-    }
-    return Math.min(Math.max(...low), innerHeight) / innerHeight;
+_USED = """() => { // share of the height of each column that texts, charts and fields take
+    const margin = 16, [view] = document.querySelectorAll('main > :last-child');
+    const columns = [...view.children].filter((one) => one.offsetParent);
+    return columns.map((column) => {
+        const found = [[0, column.getBoundingClientRect().top]], range = document.createRange();
+        const add = ({ top, bottom }) => found.push([top - margin, bottom + margin]);
+        const walk = document.createTreeWalker(column, NodeFilter.SHOW_TEXT);
+        while (walk.nextNode()) {
+            if (!walk.currentNode.data.trim()) continue;
+            range.selectNodeContents(walk.currentNode);
+            add(range.getBoundingClientRect());
+        }
+        for (const one of column.querySelectorAll('canvas, input, button')) {
+            if (one.offsetParent) add(one.getBoundingClientRect());
+        }
+        let used = 0, end = 0;
+        for (const [top, bottom] of found.sort((a, b) => a[0] - b[0])) {
+            used += Math.max(Math.min(bottom, innerHeight) - Math.max(top, end), 0);
+            end = Math.max(end, Math.min(bottom, innerHeight));
+        }
+        return used / innerHeight;
+    });
 }"""
 
 
@@ -318,8 +327,14 @@ async def test_units_are_the_same_everywhere_and_kept(browser):
         assert "1450" in values
 
 
-@pytest.mark.parametrize("view", ["valve/V1", "map/V1", "alarms", "overview", "trend/V1"])
-async def test_a_large_screen_is_used(browser, view):
+@pytest.mark.parametrize(
+    ("view", "of"),
+    [
+        *((view, min) for view in ("valve/V1", "map/V1", "alarms", "overview")),
+        ("trend/V1", max),  # the list beside the charts is as long as what happened
+    ],
+)
+async def test_a_large_screen_is_used(browser, view, of):
     now = time.time_ns()
     alarms = [Alarm(source=name, t=now - k * 60 * S) for k, name in enumerate(_PLANT)]
     shown = ShownService(names=_PLANT, alarms=alarms)
@@ -327,7 +342,25 @@ async def test_a_large_screen_is_used(browser, view):
         await visitor.open(view)
         await visitor.page.locator("main h1").wait_for()
         await visitor.page.wait_for_timeout(1_500)
-        assert await visitor.page.evaluate(_HEIGHT) >= 0.75
+        used = await visitor.page.evaluate(_USED)
+        assert len(used) == 2
+        assert of(used) >= 0.75
+
+
+async def test_an_alarm_shows_the_signals_around_it_and_another_one_those_around_that(browser):
+    shown, _ = alarmed()
+    shown.alarms.append(Alarm(source="V2", name="Residual", t=time.time_ns() - 60 * S))
+    async with visit(browser, shown, size=(1920, 1080)) as (visitor, _):
+        page = visitor.page
+        await visitor.open("alarms")
+        for source in ("V1", "V2"):
+            await page.locator(".alarm-list button", has_text=source).click()
+            await page.locator(".alarm-trend canvas").first.wait_for()
+            while not any(f"{source}.Signals.p2" in dict(asked) for asked, *_ in shown.history):
+                await page.wait_for_timeout(50)
+        assert await page.locator(".alarm-trend canvas").count() == 3
+        await visitor.open("alarms?alarm=Service%2FLoad")
+        assert visitor.problems == []
 
 
 async def test_the_worst_valve_is_first_with_its_health_and_alarms_beside(browser):

@@ -5,6 +5,7 @@ import { h, mark, say } from "../dom.js";
 import { clock, counted, GUIDES, span, spaced } from "../format.js";
 import { activeSpans, endedSpans, merged, parts } from "../intervals.js";
 import { inUnits } from "../units.js";
+import { alarmTrend } from "./alarm_trend.js";
 
 const TABS = [["active", "Active"], ["unacked", "Not acknowledged"], ["past", "Past"]];
 const PAST_MS = 30 * 86400e3;
@@ -20,7 +21,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
   const list = h("ul.alarm-list", { "aria-label": "Alarms" }), note = h("p.words"), detail = h("section.card.alarm-detail", { "aria-live": "off" });
   root.append(h("div.head", {}, h("h1", {}, "Alarms"), tabs, h("span.fill"), search), h("div.alarm-grid", {}, h("section.card.alarm-side", {}, list, note), detail));
 
-  const comment = h("input", { name: "comment", maxlength: 200, autocomplete: "off" }), done = h("p.words", { role: "status" }), hint = h("p.words");
+  const comment = h("input", { name: "comment", maxlength: 200, autocomplete: "off" }), done = h("p.words", { role: "status" }), hint = h("p.words"), around = alarmTrend(live);
   const STEPS = { Acknowledge: ({ acked }) => !acked, Confirm: ({ acked, confirmed }) => acked && !confirmed, Comment: () => true };
   const present = () => live.alarms.find((one) => keyOf(one) === detail.dataset.alarm?.split("@")[0]);
   const steps = Object.fromEntries(Object.entries(STEPS).map(([name, isDue]) => [name, writer(name, {
@@ -102,7 +103,8 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
     }
     const end = alarm.until ?? (alarm.active ? Date.now() : alarm.t), length = Math.max(AROUND_S, Math.min(3 * (end - alarm.t) / 1000, 86400));
     const isOngoing = alarm.active && Date.now() - alarm.t < 4 * 3600e3;
-    const trend = isOngoing ? `span=${Math.round(Math.max(AROUND_S, 1.5 * (Date.now() - alarm.t) / 1000))}&at=${Math.round(alarm.t / 1000)}` : `span=${Math.round(length)}&end=${Math.round(alarm.t / 1000 + length / 2)}&at=${Math.round(alarm.t / 1000)}`;
+    const seconds = isOngoing ? Math.max(AROUND_S, 1.5 * (Date.now() - alarm.t) / 1000) : length, to = isOngoing ? Date.now() : alarm.t + 500 * length;
+    const trend = `span=${Math.round(seconds)}${isOngoing ? "" : `&end=${Math.round(to / 1000)}`}&at=${Math.round(alarm.t / 1000)}`;
     const hadFocus = detail.contains(document.activeElement) ? document.activeElement : null;
     detail.replaceChildren(
       h("header", {}, h("h2.big", {}, `${alarm.source} · ${spaced(alarm.name)}`), h("span.badge", { "data-severity": alarm.active ? alarm.severity : 1 }, stateOf(alarm)), h("span.fill"),
@@ -115,8 +117,10 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
       isService ? null : live.part(alarm.source) ? h("p.links", {}, h("a.button", { href: live.hrefOf(alarm.source) }, "Line")) : h("p.links", {}, h("a.button", { href: `#/trend/${encodeURIComponent(alarm.source)}?${trend}` }, "Trend at that time"),
         h("a.button", { href: `#/map/${encodeURIComponent(alarm.source)}?at=${Math.round(alarm.t)}` }, "Place in the map"),
         h("a.button", { href: `#/valve/${encodeURIComponent(alarm.source)}` }, "Valve")),
+      around.element,
       h("form.form.remark", { onsubmit: (event) => { event.preventDefault(); steps[alarm.acked ? "Comment" : "Acknowledge"].act(); } },
         h("label", {}, "Comment", comment), h("div.buttons", {}, hint, Object.values(steps).map(({ button }) => button)), done));
+    around.show(alarm.source, alarm, [to - 1000 * seconds, to], askOfChosen);
     showButtons();
     if (hadFocus?.isConnected) hadFocus.focus();
   }
@@ -158,5 +162,5 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
   mark(root, "stale", live.old !== null);
   update();
   readPast();
-  return () => { clearInterval(slow); live.removeEventListener("alarms", onAlarms); live.removeEventListener("standing", again); for (const what of ["change", "rights"]) user.removeEventListener(what, update); };
+  return () => { around.close(); clearInterval(slow); live.removeEventListener("alarms", onAlarms); live.removeEventListener("standing", again); for (const what of ["change", "rights"]) user.removeEventListener(what, update); };
 }
