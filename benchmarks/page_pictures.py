@@ -54,7 +54,7 @@ PICTURES = (
     Picture("rig", "rig/Arm", "Injected"),
     Picture("overview", "overview", "valve changed"),
     Picture("timeline", "timeline", "found an abrupt change"),
-    Picture("alarms", "alarms?alarm=Arm%2FChanged", "What to do", look_s=5.0),
+    Picture("alarms", "alarms?alarm=Arm%2FChanged", "What to do", look_s=20.0),
     Picture("trend", "trend/Arm?span=600", "from the service's history", look_s=15.0),
     Picture("map", "map/Boom", _ANSWERED, look_s=10.0),
     Picture("map", "map/Boom", _ANSWERED, look_s=10.0, theme="dark"),
