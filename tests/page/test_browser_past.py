@@ -246,6 +246,22 @@ async def test_what_is_extrapolated_is_grey_on_the_map_and_a_band_of_the_section
         assert visitor.problems == []
 
 
+async def test_the_longest_verdict_on_an_answer_stays_within_its_card(browser):
+    class Guessing(ShownService):
+        async def call(self, owner, method, inputs):
+            found = await super().call(owner, method, inputs)
+            is_asked = method == "Invert"
+            return [(*one[:3], InverseStatus.EXTRAPOLATING) for one in found] if is_asked else found
+
+    async with visit(browser, Guessing()) as (visitor, _):
+        await visitor.open("map/V1")
+        verdict = visitor.page.locator(".inverse .badge", has_text="U is a guess")
+        await verdict.wait_for()
+        ends = "one => [one, one.closest('.card')].map(of => of.getBoundingClientRect().right)"
+        own, card = await verdict.evaluate(ends)
+        assert own < card
+
+
 async def test_a_long_trend_follows_nothing_and_still_goes_on(browser):
     """One value a second is enough for it, which the page reads of every valve anyway."""
     shown = ShownService()
