@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.connect_eighth import EIGHTH
 from benchmarks.connect_fifth import FIFTH
 from benchmarks.connect_fourth import FOURTH
 from benchmarks.connect_plants import Plant, contradicted, plant
@@ -161,7 +162,7 @@ def main() -> None:
         own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]
         found = [outcome(one) for one in own if one.asks is not findable]
         print(table(title, found, show=asked.show))
-    sets = {"fourth": FOURTH, "fifth": FIFTH, "sixth": SIXTH, "seventh": SEVENTH}
+    sets = {"fourth": FOURTH, "fifth": FIFTH, "sixth": SIXTH, "seventh": SEVENTH, "eighth": EIGHTH}
     for name, made in sets.items():
         own = [make(s) for make in made.values() for s in few]
         known = [outcome(one) for one in own if not one.asks]
