@@ -1,6 +1,6 @@
 """The cells of some lines of a CSV file, by column: as text, or parsed by Arrow."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.storage import columns
+from valvemap.storage.cell_units import without_unit
 from valvemap.storage.clock_times import Clock
 from valvemap.storage.columns import CellError
 from valvemap.storage.dates import DateForm
@@ -30,7 +31,8 @@ class TextForm(NamedTuple):
     """How a file writes times and numbers.
 
     ``grouping`` is the mark between groups of digits; ``days`` are the places of dates and of times
-    of day, where these are two columns; ``clock`` reads times of day where there are no dates.
+    of day, where these are two columns; ``clock`` reads times of day where there are no dates;
+    ``units`` are those inside the cells, by column.
     """
 
     separator: str = ","
@@ -38,6 +40,7 @@ class TextForm(NamedTuple):
     grouping: str = ""
     days: tuple[int, int] | None = None
     clock: Clock | None = None
+    units: Mapping[int, str] = {}
 
 
 class TextCells:
@@ -50,6 +53,8 @@ class TextCells:
             pairs = zip(self._columns[day], self._columns[clock], strict=True)
             joined = [f"{x.strip()} {y.strip()}" for x, y in pairs]
             self._columns[day] = self._columns[clock] = joined
+        for place, unit in form.units.items():
+            self._columns[place] = without_unit(self._columns[place], unit)
         self._form = form
         self._separator = form.separator
 

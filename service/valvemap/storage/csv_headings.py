@@ -88,8 +88,9 @@ def _are_units(cells: Sequence[str]) -> bool:
     """Whether each cell is a unit, or says that there is none; and one is a unit."""
     texts = [cell.strip(_BRACKETS) for cell in cells]
     said = [text for text in texts if text not in _NONE]
-    return bool(said) and all(_is_unit(text) for text in said)
+    return bool(said) and all(map(is_unit, said))
 
 
-def _is_unit(text: str) -> bool:
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit that recordings have."""
     return text.casefold() in TIME_UNITS or known_unit(text) is not None or is_of_others(text)

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from valvemap.errors import NoRecording, RecordingError, ValvemapError
 from valvemap.model.samples import Codes, Samples
+from valvemap.plant.unit_texts import split_unit
 from valvemap.storage import columns
+from valvemap.storage.cell_units import number_and_unit, units_of
 from valvemap.storage.clock_times import Clock, day_and_clock, is_clock
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import Cells, TextCells, TextForm
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 
 _HEADER_LIMIT = 65_536
+_TEXTS = ("valve", "quality")  # columns in which a unit behind a number is none
 _SAID_FIRST = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # Excel's own first line
 _PEEKED = 64  # lines used to detect the date format
 _RECOGNISED = 3_000  # lines used to recognise foreign headings
@@ -85,6 +88,11 @@ class CsvReader:
                 encoding = _encoding(unpacked.peek(_PEEK))
             self._text = io.TextIOWrapper(unpacked, encoding=encoding, newline="")
             self._separator, self._header, skipped, first = self._read_header(layout)
+            found = units_of(self._rows_of(first))
+            self._units = {n: unit for n, unit in found.items() if self._header[n] not in _TEXTS}
+            for place, unit in self._units.items():
+                if split_unit(self._header[place])[1] is None:
+                    self._header[place] += f" [{unit}]"
             self._long: LongColumns | None = None
             self._layout = layout
             self._columns, peeked = self._find(f"{path}, line {skipped}", first)
@@ -95,7 +103,8 @@ class CsvReader:
         self._valves: dict[str, int] = {}
         with _Faults(path, lambda: 0):
             peeked += islice(self._text, max(_PEEKED - len(peeked), 0))
-        self._skipped = skipped
+        is_headless = self._long is not None and self._long.is_a_row(self._header)
+        self._skipped = skipped - is_headless
         self._lines = chain(peeked, self._text)
         place = self._columns.parts[0].t if self._long is None else self._long.time
         self._form = self._form_of(self._rows_of(peeked[:_PEEKED]), place)
@@ -137,11 +146,16 @@ class CsvReader:
             peeked = [*first, *islice(self._text, _RECOGNISED)]
         rows = self._rows_of(peeked)
         numeric = [
-            all(is_number(row[place]) or columns.is_missing(row[place]) for row in rows)
+            all(
+                is_number(number_and_unit(row[place])[0]) or columns.is_missing(row[place])
+                for row in rows
+            )
             for place in range(len(self._header))
         ]
         self._long = long_columns(self._header, rows, numeric)
         if self._long is not None:
+            if self._long.is_a_row(self._header):
+                peeked = [self._first_line, *peeked]
             return Columns((), None, None, ()), peeked
         return self._recognised(rows, numeric, refusal), peeked
 
@@ -183,7 +197,9 @@ class CsvReader:
             raise RecordingError(f"{self._path} is empty: a recording begins with t,U,p1,p2,Q")
         if layout.header is None:
             found = headings_of(lines, said)
+            self._first_line = lines[found.lines - 1]
             return found.separator, found.names, number + found.lines, lines[found.lines :]
+        self._first_line = line
         separator = said or max(SEPARATORS, key=line.count)
         width = len(cells_of(line, separator))
         if len(layout.header) != width:
@@ -202,7 +218,7 @@ class CsvReader:
             cells = [f"{row[days[0]]} {row[days[1]]}" for row in rows]
         has_clock = days is None and bool(cells) and all(map(is_clock, cells))
         clock = Clock() if has_clock else None
-        return TextForm(self._separator, date_form(cells), grouping, days, clock)
+        return TextForm(self._separator, date_form(cells), grouping, days, clock, self._units)
 
     def chunks(self) -> Iterator[tuple[str, Samples]]:
         """Yield (valve, samples), chunk by chunk.
@@ -283,10 +299,12 @@ class CsvReader:
             cells = TextCells(rows, self._form)
             try:
                 t = cells.times(place.time, unit)
-                values = cells.numbers(place.value, self._header[place.value])
+                tags, bare = place.tagged(rows)
+                plain = self._form._replace(days=None, units={})
+                values = TextCells(bare, plain).numbers(0, self._header[place.value])
             except CellError as error:
                 raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
-            long.add(t, [row[place.tag] for row in rows], values)
+            long.add(t, tags, values)
         if problem is not None:
             raise problem
         for valve, samples in long.samples(self._rows):
@@ -355,6 +373,8 @@ class CsvReader:
     def _parser(self, peeked: Sequence[str]) -> "ArrowParser | None":
         """Return Arrow's parser for the file, if it reads its first lines."""
         found = self._columns
+        if self._units:
+            return None
         two_columns = self._form.days is not None or self._form.clock is not None
         if self._long is not None or two_columns or find_spec("pyarrow") is None:
             return None

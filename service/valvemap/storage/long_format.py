@@ -1,6 +1,7 @@
 """Recordings in long format: a row per value, with its time and the name of its signal."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -11,6 +12,10 @@ from numpy.typing import NDArray
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.plant.names import tokens
+from valvemap.plant.unit_texts import split_unit
+from valvemap.storage import columns
+from valvemap.storage.cell_units import number_and_unit
+from valvemap.storage.csv_headings import is_number, is_unit
 from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
     DEFAULT_VALVE,
@@ -33,11 +38,30 @@ _LEAST_REPEATS: Final = 2  # rows per tag at the beginning of a file, on average
 
 @dataclass(frozen=True)
 class LongColumns:
-    """The columns of times, names and values."""
+    """The columns of times, names, values and their units; -1: the file has none of these."""
 
     time: int
     tag: int
     value: int
+    unit: int = -1
+
+    def is_a_row(self, header: Sequence[str]) -> bool:
+        """Whether the cells that were taken for headings are a row: the file has no headings."""
+        return is_number(number_and_unit(header[self.value])[0])
+
+    def tagged(self, rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+        """Return the names of N rows with their units, and the cells of their values alone."""
+        cells = [number_and_unit(row[self.value]) for row in rows]
+        units = [
+            of_cell or (row[self.unit].strip() if self.unit >= 0 else "")
+            for row, (_, of_cell) in zip(rows, cells, strict=True)
+        ]
+        names = [row[self.tag] for row in rows]
+        shown = [
+            f"{name} [{unit}]" if unit and not split_unit(name)[2] else name
+            for name, unit in zip(names, units, strict=True)
+        ]
+        return shown, [[number] for number, _ in cells]
 
 
 def long_columns(
@@ -47,19 +71,22 @@ def long_columns(
 
     >>> rows = [["0", "p1", "180"], ["0", "Q", "30"], ["1", "p1", "181"], ["1", "Q", "31"]]
     >>> long_columns(["time", "tag", "value"], rows, [True, False, True])
-    LongColumns(time=0, tag=1, value=2)
+    LongColumns(time=0, tag=1, value=2, unit=-1)
     """
     time = time_column(headings, numeric)
+    if any(is_number(number_and_unit(heading)[0]) for heading in headings):
+        time = _rising(rows)  # they are a row: the file has no headings
     if time is None:
         return None
     texts = [n for n, is_number in enumerate(numeric) if not is_number and n != time]
     values = [n for n, is_number in enumerate(numeric) if is_number and n != time]
     named = [n for n in values if _VALUE_WORDS & set(tokens(headings[n]))]
     chosen = named or values
-    tags = [n for n in texts if _are_tags([row[n] for row in rows])]
+    units = [n for n in texts if all(is_unit(row[n].strip()) for row in rows)]
+    tags = [n for n in texts if n not in units and _are_tags([row[n] for row in rows])]
     if not tags or len(chosen) != 1:
         return None
-    return LongColumns(time, tags[0], chosen[0])
+    return LongColumns(time, tags[0], chosen[0], units[0] if units else -1)
 
 
 class LongRows:
@@ -183,6 +210,16 @@ def pivot(times: Times, tag: NDArray[np.intp], values: Floats, tags: int) -> tup
     newest = np.maximum.accumulate(np.where(there, np.arange(len(distinct))[:, None], -1), axis=0)
     held = np.take_along_axis(table, np.maximum(newest, 0), axis=0)
     return distinct, np.where(newest >= 0, held, np.nan)
+
+
+def _rising(rows: Sequence[Sequence[str]]) -> int | None:
+    """Return the first column of times that never fall, and do rise; None if there is none."""
+    for place, cells in enumerate(zip(*rows, strict=True)):
+        with suppress(columns.CellError):
+            steps = np.diff(columns.times(cells))
+            if (steps >= 0).all() and (steps > 0).any():
+                return place
+    return None
 
 
 def _are_tags(cells: Sequence[str]) -> bool:
