@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.connect_eighth import EIGHTH
 from benchmarks.connect_fifth import FIFTH
 from benchmarks.connect_fourth import FOURTH
-from benchmarks.connect_plants import Plant, contradicted, plant
+from benchmarks.connect_plants import Plant, contradicted, misstated, plant
 from benchmarks.connect_second import SECOND
 from benchmarks.connect_seventh import SEVENTH
 from benchmarks.connect_sixth import SIXTH
@@ -157,6 +157,9 @@ def main() -> None:
     print(table("labels right, nothing moves", still, show=asked.show))
     against = [outcome(contradicted(s)) for s in seeds[: max(50, len(seeds) // 4)]]
     print(table("contradicted", against, show=asked.show))
+    for wrong, title in ((False, "flow's unit stated once"), (True, "the same, wrong")):
+        flows = [outcome(misstated(s, wrong=wrong)) for s in seeds[: max(50, len(seeds) // 4)]]
+        print(table(title, flows, show=asked.show))
     few = seeds[: max(1, len(seeds) // 20)]
     for findable, title in ((True, "as vendors write them"), (False, "cannot be known")):
         own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]

@@ -281,8 +281,8 @@ def command_below_zero(seed: int) -> Plant:
         seed, "Rig|V|", ("Inlet pressure", "p1", "bar"), ("Outlet pressure", "p2", "bar"),
         ("Flow", "Q", "l/min"),
     )  # fmt: skip
-    site.add("Rig|V|Command", -site.true["U"], "±V", stated=False, bounds=(-10.0, 10.0))
-    return site.plant("the valve opens below zero", asks=True)
+    site.add("Rig|V|Command", -site.true["U"], "±V", stated=False, bounds=(-10.0, 10.0), role="U")
+    return site.plant("the valve opens below zero")
 
 
 def drop_turned_round(seed: int) -> Plant:

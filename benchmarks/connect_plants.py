@@ -15,6 +15,7 @@ from valvemap.pipeline.units import Quantity, Unit, unit_of
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.reading import Record
+from valvemap.plant.unit_texts import split_unit
 
 Floats = NDArray[np.float64]
 SECONDS: Final = 10.0
@@ -414,6 +415,31 @@ def contradicted(seed: int) -> Plant:
         record=Record(values, base.record.step_s),
         asks=True,
     )
+
+
+FLOW_UNITS: Final = ("l/min", "m³/h", "l/s", "cm³/s", "gpm")
+
+
+def misstated(seed: int, *, wrong: bool = True) -> Plant:
+    """Return a plant whose property states another unit of flow than the meter has, or its own.
+
+    Nothing else states it, and no name plate is given.
+    """
+    base = plant(seed, shape="folder")
+    rng = np.random.default_rng([11, seed])
+    true, stated = (str(name) for name in rng.choice(FLOW_UNITS, 2, replace=False))
+    stated = stated if wrong else true
+    node, Q = base.truth["0"]["Q"]
+    candidates = [
+        one if one.node != node else replace(
+            one, unit=unit(stated), bounds=None, path=(*one.path[:-1], split_unit(one.path[-1])[0])
+        )
+        for one in base.candidates
+    ]  # fmt: skip
+    values = {**base.record.values, node: raw_of(Q, true)[0]}
+    record = Record(values, base.record.step_s)
+    kind = f"{true}, stated {stated}"
+    return replace(base, kind=kind, candidates=tuple(candidates), record=record, asks=wrong)
 
 
 def unit(name: str) -> Unit:

@@ -1,10 +1,12 @@
 """Assignments of a valve's variables to roles, by their labels."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import islice, product
 from typing import Final
 
 from valvemap.plant.candidates import Candidate
+from valvemap.plant.companions import factor_of, multiplied
 from valvemap.plant.grouping import Group
 from valvemap.plant.reading import WITH_DIFFERENCE, WITH_PRESSURES, Given, Reading, Record
 from valvemap.plant.roles import Role
@@ -49,7 +51,14 @@ def scales_of(role: Role, node: Candidate, record: Record, given: Given) -> list
     if role in given.scales:
         return [given.scales[role]]
     values = record.of(node)
-    return scales(node, role, values, assume=given.assume)
+    plain = scales(node, role, values, assume=given.assume)
+    beside = node.companion
+    factor = None if beside is None else factor_of(beside, record.of(beside))
+    if beside is None or factor is None:
+        return plain
+    whole = replace(node, largest=None)
+    product_of = scales(whole, role, values * factor, assume=given.assume)
+    return multiplied(beside, factor, product_of, plain)
 
 
 def lacks(nodes: Mapping[Role, Candidate]) -> bool:

@@ -9,6 +9,7 @@ from valvemap.pipeline.units import Quantity, Unit
 from valvemap.plant.concepts import CARRIERS, QUANTITIES, Concept
 from valvemap.plant.names import concepts, tokens
 from valvemap.plant.roles import LEARNT, QUANTITY, Role, evidence_of_name
+from valvemap.plant.span_texts import raw_and_scaled
 from valvemap.plant.unit_texts import is_of_others, known_unit, split_unit
 
 _OF_DESCRIPTION: Final = 0.5  # weight of a description's words against the name's
@@ -21,6 +22,7 @@ _QUALIFIERS: Final = frozenset(
     {
         Concept.BEFORE, Concept.BEHIND, Concept.SUPPLY, Concept.TANK, Concept.CONSUMER,
         Concept.PORT_A, Concept.PORT_B, Concept.PILOT, Concept.DIFFERENCE, Concept.ACTUAL,
+        Concept.VALVE,
     }
 )  # fmt: skip
 _LENGTHS: Final = frozenset({"mm", "cm", "m", "um", "µm", "inch"})
@@ -34,7 +36,8 @@ class Candidate:
     """One variable: node (or heading), names from the root down, unit and range as stated.
 
     ``symbol`` is the unit's text where it is none of ours; ``largest`` the largest value of an
-    integer data type, None of a floating one.
+    integer data type, None of a floating one; ``companion`` the node beside it that holds its
+    factor.
     """
 
     node: str
@@ -45,6 +48,7 @@ class Candidate:
     description: str = ""
     symbol: str = ""
     largest: float | None = None
+    companion: "Candidate | None" = None
 
     @cached_property
     def label(self) -> "Label":
@@ -57,13 +61,14 @@ class Label:
     """What name, description and unit of a variable say.
 
     ``units`` are the stated units, one if name and property agree; ``evidence`` is the log
-    likelihood ratio of each role.
+    likelihood ratio of each role. ``statements`` counts the places that state the unit.
     """
 
     name: str
     concepts: Mapping[Concept, float]
     units: tuple[Unit, ...]
     evidence: Mapping[Role, float]
+    statements: int = 1
 
     @cached_property
     def role(self) -> Role:
@@ -84,21 +89,26 @@ class Label:
 
 def _label(candidate: Candidate) -> Label:
     name, in_name, symbol_in_name = split_unit(_last_part(candidate.path[-1]))
-    if len(candidate.path) > 1 and _only_qualifies(name):
+    if len(candidate.path) > 1:
         above, unit_above, _ = split_unit(_last_part(candidate.path[-2]))
         if _is_of_a_signal(above):
-            name, in_name = f"{above} {name}", in_name or unit_above
+            in_name = in_name or unit_above
+            name = f"{above} {name}" if _only_qualifies(name) else name
     _, in_text, _ = split_unit(candidate.description)
     stated = candidate.unit or known_unit(candidate.symbol)
     units = tuple(dict.fromkeys(unit for unit in (stated, in_name) if unit is not None))
     if not units and in_text is not None:
         units = (in_text,)
+    statements = sum(unit in units for unit in (stated, in_name, in_text) if unit is not None)
     found = concepts(name)
     said = concepts(candidate.description) if candidate.description else {}
     symbols = [s for s in (candidate.symbol, symbol_in_name) if is_of_others(s)]
     whole = _WHOLE_NAME if len(tokens(name)) == 1 and 1.0 in found.values() else 1.0
     described = units
-    if in_text is not None and all(unit.quantity is Quantity.ELECTRICAL for unit in units):
+    spans = raw_and_scaled(candidate.description, None) if candidate.description else None
+    if spans is not None and spans[1].unit is not None and _is_raw(units, spans[0].unit):
+        described = (*(u for u in units if u.quantity is Quantity.ELECTRICAL), spans[1].unit)
+    elif in_text is not None and all(unit.quantity is Quantity.ELECTRICAL for unit in units):
         described = (*units, in_text)  # what the current stands for
     evidence = {}
     for role in Role:
@@ -108,7 +118,15 @@ def _label(candidate: Candidate) -> Label:
         if role in LEARNT or score > 0.0 or symbols:
             score += _of_units(role, tuple(dict.fromkeys(described)), symbols)
         evidence[role] = score + _WRITABLE * candidate.writable
-    return Label(name, found, units, evidence)
+    return Label(name, found, units, evidence, max(statements, 1))
+
+
+def _is_raw(stated: Iterable[Unit], raw: Unit | None) -> bool:
+    """Whether the stated units are that of the raw numbers: mA, V, or % of a span."""
+    return all(
+        unit.quantity is Quantity.ELECTRICAL or (raw is not None and unit.quantity is raw.quantity)
+        for unit in stated
+    )
 
 
 def _only_qualifies(name: str) -> bool:

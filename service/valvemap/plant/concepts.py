@@ -386,7 +386,7 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "tags": "px",
     },
     Concept.DIFFERENCE: {
-        "en": "differential difference delta drop diff",
+        "en": "differential difference delta drop diff loss",
         "de": "differenz differenzdruck druckdifferenz druckabfall wirkdruck",
         "fr": "differentielle differentiel perte chute",
         "es": "diferencial diferencia caida",
@@ -435,7 +435,7 @@ WORDS: Final[Mapping[Concept, Mapping[str, str]]] = {
         "sv": "arvarde matt",
         "tr": "gercek olculen",
         "ru": "фактическое измеренное",
-        "ja": "実測 実際 フィードバック",
+        "ja": "実測 実際 実績 フィードバック",
         "ko": "실제 실측 피드백",
         "tags": "pv fb mes mess",
     },

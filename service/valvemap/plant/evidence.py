@@ -142,6 +142,12 @@ def rests(signals: Mapping[Role, Signal]) -> bool:
     return signals[Role.U].top < _HARDLY_OPEN and not signals[Role.Q].moves
 
 
+def of_size(values: Mapping[Role, Floats], times: float) -> float:
+    """Judge a valve whose flow is ``times`` as large by the sizes of valves, against this one."""
+    k = coefficient(values)
+    return _of_size(times * k) - _of_size(k) if k > 0.0 else 0.0
+
+
 def of_direction(values: Mapping[Role, Floats]) -> float:
     """Judge pressures of which the one behind the valve is the higher one all the time."""
     dp = pressure_drop(values)
@@ -251,6 +257,14 @@ def _of_rating(signals: Mapping[Role, Signal], k: float, rating: Rating) -> dict
         plateau = (_LEAST_RATED * opened**2 * rated, 1.5 * rated, 0.3, 0.15)
         found["Q contradicts the rated flow"] = _on_plateau(k, plateau)
     return found
+
+
+def _of_size(k: float) -> float:
+    """Return the log density of a coefficient: log-normal, most of it on the usual plateau."""
+    low, high, _, _ = COEFFICIENT
+    spread = log(high / low) / 4.0  # two standard deviations on either side
+    off = log(k / (low * high) ** 0.5) / spread
+    return -0.5 * off * off
 
 
 def _of_oil(T: float) -> float:

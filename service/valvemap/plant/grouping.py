@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from valvemap.plant.candidates import Candidate
+from valvemap.plant.companions import with_companions
 from valvemap.plant.names import concept_of, tokens
 from valvemap.plant.roles import Role
 from valvemap.plant.unit_texts import split_unit
@@ -66,14 +67,14 @@ class Group:
     def watched(self) -> tuple[Candidate, ...]:
         """All variables, and those of other valves with which they are compared."""
         others = (*(one.nodes for one in self.unmetered), *(nodes for _, nodes in self.neighbours))
-        return tuple(
-            dict.fromkeys((*self.all, *(one for nodes in others for one in nodes.values())))
-        )
+        known = (*self.all, *(one for nodes in others for one in nodes.values()))
+        factors = (one.companion for one in known if one.companion is not None)
+        return tuple(dict.fromkeys((*known, *factors)))
 
 
 def group(candidates: Iterable[Candidate]) -> list[Group]:
     """Return the valves' variables; variables that cannot belong to a valve are left out."""
-    every = list(candidates)
+    every = with_companions(candidates)
     relevant = [one for one in every if one.label.is_relevant]
     if not relevant:
         return []

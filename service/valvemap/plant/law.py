@@ -125,7 +125,7 @@ def fit(
     rows, parts = columns.shape
     own = columns[:, : parts - len(others)]
     left = best.left * rows / max(rows - parts - 1, 1)
-    residual, noise = left, min(_noise(Q), left) + _LEAST_NOISE**2 * total
+    residual, noise = left, min(noise_variance(Q), left) + _LEAST_NOISE**2 * total
     moving = sum(float(part.std()) > _MOVES * float(np.abs(part).max()) for part in others)
     without_U, _ = _least_squares(_lagged(columns[:, [0]], lag), Q)
     falls = without_U > _TELLS * max(left, noise) and _falls(U, weights[: own.shape[1]])
@@ -192,7 +192,9 @@ def moves(values: Floats) -> bool:
     >>> moves(np.sin(np.arange(50) / 5)), moves(np.ones(50))
     (True, False)
     """
-    return len(values) >= LEAST_ROWS and float(np.var(values)) > 4.0 * _noise(values) + 1e-12
+    return (
+        len(values) >= LEAST_ROWS and float(np.var(values)) > 4.0 * noise_variance(values) + 1e-12
+    )
 
 
 def quantile(values: Floats, share: float) -> float:
@@ -224,7 +226,7 @@ def _parts(U: Floats, dp: Floats, at: Floats | None = None) -> list[Floats]:
     return [root, *(root * np.maximum(there - knot, 0.0) for knot in knots)]
 
 
-def _noise(values: Floats) -> float:
+def noise_variance(values: Floats) -> float:
     """Return the variance of the noise by the second differences, which a movement hardly has."""
     return (quantile(np.abs(np.diff(values, n=2)), 0.5) / _NOISE_STEPS) ** 2
 
@@ -265,7 +267,9 @@ def _lagged(columns: Floats, steps: float) -> Floats:
 
 def _reversed_share(dp: Floats, Q: Floats) -> float:
     """Return the share of the samples of a clear flow against the pressures; 0 without flow."""
-    least = max(_CLEAR_FLOW * float(np.abs(Q).max(initial=0.0)), _CLEAR_NOISE * _noise(Q) ** 0.5)
+    least = max(
+        _CLEAR_FLOW * float(np.abs(Q).max(initial=0.0)), _CLEAR_NOISE * noise_variance(Q) ** 0.5
+    )
     clear = (np.abs(dp) > _CLEAR_DP) & (np.abs(Q) > least)
     if not clear.any():
         return 0.0

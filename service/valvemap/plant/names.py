@@ -9,13 +9,22 @@ from typing import Final
 
 from valvemap.plant.concepts import COMPACT, PORT_LETTERS, QUANTITIES, WORDS, Concept
 
-_KKS = re.compile(r"(?<![A-Z])\d{0,2}[A-Z]{3}\d{2}(C[PTFG])\d{3}")
+_KKS = re.compile(
+    r"(?<![A-Z])\d{0,2}[A-Z]{3}\d{2}(?P<device>AA|C[PTFGL])\d{3}(?:[ ._-]*(?P<signal>[XY]Q)\d{2})?"
+)
 _KKS_CONCEPTS: Final[Mapping[str, Concept]] = {
+    "AA": Concept.VALVE,
     "CP": Concept.PRESSURE,
     "CT": Concept.TEMPERATURE,
     "CF": Concept.FLOW,
     "CG": Concept.OPENING,
+    "CL": Concept.LEVEL,
 }
+_KKS_OF_VALVES: Final[Mapping[str, tuple[Concept, ...]]] = {
+    "XQ": (Concept.SPOOL, Concept.ACTUAL),  # an analogue value that comes from the device
+    "YQ": (Concept.COMMAND,),  # one that goes to it
+}
+_INSIDE: Final = 0.7  # certainty of a word inside a compound
 _SHORTEST_INSIDE, _SHORTEST_AT_AN_END = 5, 4  # letters of a word found inside a compound
 UNSPACED: Final = "\u3040-\u30ff\u4e00-\u9fff\uac00-\ud7a3"
 """Letters of Japanese, Chinese and Korean, which stand together as one word."""
@@ -25,6 +34,8 @@ _WHOLE = re.compile(rf"[pqut][12]|[a-z]+|[{UNSPACED}]+|[{_CYRILLIC}]+|\d+")
 _IS_UNSPACED = re.compile(f"[{UNSPACED}]")
 _STROKED: Final = str.maketrans("łøđı", "lodi")  # letters that no accent is taken off
 _ABBREVIATED = re.compile(r"[b-df-hj-np-tv-z]{3,5}")
+_LETTER_AND_NUMBER = re.compile(r"[pqut][12]")
+_OF_DESIGNATION: Final = 0.5  # certainty of what a letter and its number tell beside a word
 _PIECE = re.compile(r"p[12](?!\d)|[a-z]+|\d+")
 
 
@@ -57,16 +68,19 @@ def concepts(text: str) -> dict[Concept, float]:
     meanings = list(_meanings(words))
     designations = set(_designations(words))
     parts = [
-        (place, concept, certainty) for place, concept, certainty in meanings
+        (place, concept, certainty if place not in designations else _OF_DESIGNATION * certainty)
+        for place, concept, certainty in meanings
         if place not in designations or concept not in QUANTITIES
-    ]  # fmt: skip
+    ]
     if not any(concept in QUANTITIES for _, concept, _ in parts):
         parts = meanings
     for _, concept, certainty in parts:
         found[concept] = max(certainty, found.get(concept, 0.0))
     code = _KKS.search(text.upper())
     if code is not None:
-        found = {_KKS_CONCEPTS[code[1]]: 1.0}
+        found = {_KKS_CONCEPTS[code["device"]]: 1.0}
+        if code["device"] == "AA":
+            found |= dict.fromkeys(_KKS_OF_VALVES.get(code["signal"] or "", ()), 1.0)
     if Concept.PRESSURE in found and Concept.PILOT in found:
         found.pop(Concept.COMMAND, None)
     if Concept.PRESSURE not in found:
@@ -80,9 +94,10 @@ def concept_of(word: str) -> Mapping[Concept, float]:
 
 
 def _designations(words: Sequence[str]) -> Iterator[int]:
-    """Yield the places of letters that may designate a device, as in V5 or Y1."""
-    for place, (word, following) in enumerate(pairwise(words)):
-        if len(word) == 1 and word.isalpha() and following.isdigit():
+    """Yield the places of letters that may designate a device, as in V5, Y1 or P2.Pressure."""
+    for place, (word, following) in enumerate(pairwise((*words, ""))):
+        is_numbered = len(word) == 1 and word.isalpha() and following.isdigit()
+        if is_numbered or _LETTER_AND_NUMBER.fullmatch(word):
             yield place
 
 
@@ -121,7 +136,9 @@ def _of_word(word: str) -> Mapping[Concept, float]:
     if _ABBREVIATED.fullmatch(word):
         return _of_abbreviation(word)
     found = {
-        concept: 0.7 for concept, known in _KNOWN.items() if any(_holds(word, k) for k in known)
+        concept: max(_certainty(word, k) for k in known)
+        for concept, known in _KNOWN.items()
+        if any(_holds(word, k) for k in known)
     }
     longest = {
         concept: max(len(k) for k in _KNOWN[concept] if _holds(word, k))
@@ -156,6 +173,13 @@ def _skeleton(word: str) -> str:
     """Return a word without vowels behind its first letter, doubled consonants once."""
     plain = word[:1] + re.sub(r"[aeiou]", "", word[1:])
     return re.sub(r"(.)\1+", r"\1", plain)
+
+
+def _certainty(word: str, known: str) -> float:
+    """Return the certainty of a word inside another one; Chinese and Japanese part no words."""
+    if not _holds(word, known):
+        return 0.0
+    return 1.0 if _IS_UNSPACED.match(known) and len(known) > 1 else _INSIDE
 
 
 def _ends(word: str, concept: Concept) -> bool:

@@ -23,6 +23,7 @@ from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import Role
 from valvemap.plant.scales import Scale, mistaken, reversed_command
 from valvemap.plant.scores import BACKWARDS, Scores
+from valvemap.plant.unit_systems import of_mistaken_flow
 
 SWAPPED: Final = log(0.005 / 6)  # prior of two given signals swapped
 REVERSED: Final = log(0.005)  # prior of a valve that is shut at the upper end of U
@@ -171,7 +172,23 @@ def _in_other_units(
         first = roles[0]
         for scale in mistaken(reading.scales[first], first):
             what = f"{' and '.join(roles)} {'is' if len(roles) == 1 else 'are'} {scale.reason}"
-            yield {**reading.scales, **dict.fromkeys(roles, scale)}, MISTAKEN, what
+            prior = _of_flow_unit(reading, scale) if first is Role.Q else MISTAKEN
+            yield {**reading.scales, **dict.fromkeys(roles, scale)}, prior, what
+
+
+def _of_flow_unit(reading: Reading, scale: Scale) -> float:
+    """Return the prior of another unit of Q, which no law contradicts: by systems and sizes."""
+    own, other = reading.scales[Role.Q].measure.unit, scale.measure.unit
+    if own is None or other is None or not reading.fit.moves:  # noise has no size
+        return MISTAKEN
+    stated = {
+        role: one.measure.unit
+        for role, one in reading.scales.items()
+        if one.stated and one.measure.unit is not None
+    }
+    label = reading.nodes[Role.Q].label
+    odds = of_mistaken_flow(stated, other, label.statements)
+    return odds + evidence.of_size(reading.values, float(other.factor / own.factor))
 
 
 def _mistakable(reading: Reading, given: Given) -> Iterator[Sequence[Role]]:

@@ -110,7 +110,8 @@ def _as_described(candidate: Candidate, role: Role, values: Floats) -> Iterator[
     of_scaled = Measure(unit=scaled.unit)
     stated = candidate.unit or known_unit(candidate.symbol)
     if stated is not None:
-        if stated.quantity is Quantity.ELECTRICAL:
+        is_share = stated.quantity is Quantity.OPENING and raw.is_share
+        if stated.quantity is Quantity.ELECTRICAL or is_share:
             yield Scale(of_raw, 0.0, "span as described")
         return
     fitting = [

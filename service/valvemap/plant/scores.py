@@ -165,6 +165,10 @@ def _of_range(node: Candidate, role: Role, scale: Scale, raw: Floats) -> float:
     if node.bounds is None:
         return 0.0
     measure = scale.measure
+    if node.companion is not None and measure.raw is not None and measure.scaled is not None:
+        (low, high), (least, most) = measure.raw, measure.scaled
+        products = least + (raw - low) * ((most - least) / (high - low))
+        return max(evidence.of_range(own, node.bounds, role) for own in (raw, products))
     if measure.raw is not None and measure.scaled == node.bounds:
         return evidence.of_range(raw, measure.raw, role)
     stated = next((u for u in node.label.units if u == measure.unit), None)

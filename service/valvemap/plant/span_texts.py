@@ -36,6 +36,11 @@ class Span:
         """Whether it is that of an electrical signal, or of counts."""
         return self.unit is None or self.unit.quantity is Quantity.ELECTRICAL
 
+    @property
+    def is_share(self) -> bool:
+        """Whether it is in %, as an opening, or as a share of another span, is."""
+        return self.unit is not None and self.unit.quantity is Quantity.OPENING
+
 
 def spans_in(text: str) -> Iterator[Span]:
     """Yield the spans in a text.
@@ -52,15 +57,27 @@ def spans_in(text: str) -> Iterator[Span]:
             yield Span(low, high, known_unit(found["unit"] or ""))
 
 
-def raw_and_scaled(text: str, quantity: Quantity) -> tuple[Span, Span] | None:
-    """Return the raw span in a text and the values of a quantity that it stands for, if any.
+def _is_rawer(one: Span, other: Span) -> bool:
+    """Whether numbers of one span stand for those of another."""
+    return not other.is_raw and (one.is_raw or (one.is_share and not other.is_share))
 
+
+def raw_and_scaled(text: str, quantity: Quantity | None) -> tuple[Span, Span] | None:
+    """Return the raw span in a text and the values that it stands for, if any.
+
+    ``quantity`` is that of the values; None: any.
+
+    >>> raw, scaled = raw_and_scaled("0-100 % = 0-400 bar", Quantity.PRESSURE)
+    >>> raw.ends, scaled.ends
+    ((0.0, 100.0), (0.0, 400.0))
     >>> raw, scaled = raw_and_scaled("uscita 0..27648 = 0..100 %", Quantity.OPENING)
     >>> raw.ends, scaled.ends
     ((0.0, 27648.0), (0.0, 100.0))
     """
     for one, other in pairwise(spans_in(text)):
-        raw, scaled = (one, other) if one.is_raw else (other, one)
-        if raw.is_raw and scaled.unit is not None and scaled.unit.quantity is quantity:
+        raw, scaled = (one, other) if _is_rawer(one, other) else (other, one)
+        if not _is_rawer(raw, scaled) or scaled.unit is None:
+            continue
+        if quantity is None or scaled.unit.quantity is quantity:
             return raw, scaled
     return None

@@ -41,6 +41,7 @@ _SHARES: Final[Mapping[str, tuple[float, Mapping[Quantity, Mapping[str, float]]]
 }
 """Systems by prior probability, and the shares of their units."""
 _RARE: Final = 1e-3  # of a unit that is not in the table
+_WRONG_FLOW: Final = 0.05  # of the units stated for flows; no value shows a wrong one at once
 _ONE_KIND: Final = 0.97  # of two pressures that have one unit
 
 USUAL: Final[Mapping[Quantity, tuple[str, ...]]] = {
@@ -48,6 +49,24 @@ USUAL: Final[Mapping[Quantity, tuple[str, ...]]] = {
     **{quantity: tuple(shares) for quantity, shares in _SHARES["metric"][1].items()},
 }
 """The units that a number without a unit may have, the likeliest first."""
+
+
+def of_mistaken_flow(stated: Mapping[Role, Unit], true: Unit, times: int) -> float:
+    """Return the log odds that the unit stated ``times`` times for Q is wrong, and ``true`` right.
+
+    A wrong statement is as probable as its unit is usual, which cancels what makes it likely:
+    only how usual the true unit is beside the other stated ones is left.
+
+    >>> from valvemap.pipeline.units import unit_of
+    >>> bar, m3_h, l_min = (unit_of(symbol) for symbol in ("bar", "m³/h", "l/min"))
+    >>> stated = {Role.P1: bar, Role.Q: m3_h}
+    >>> [round(of_mistaken_flow(stated, l_min, times), 1) for times in (1, 2)]
+    [-3.2, -6.2]
+    """
+    others = dict(stated)
+    others.pop(Role.Q, None)
+    usual = _log_probability(others | {Role.Q: true}) - _log_probability(others)
+    return times * log(_WRONG_FLOW) - log(1.0 - _WRONG_FLOW) + usual
 
 
 def of_guesses(stated: Mapping[Role, Unit], guessed: Mapping[Role, Unit]) -> float:

@@ -2,6 +2,7 @@
 
 import re
 import unicodedata
+from collections.abc import Mapping
 from typing import Final
 
 from valvemap.pipeline.units import QUANTITY_OF, Quantity, Unit, unit_of
@@ -41,6 +42,36 @@ _ALSO: Final = {
     "pc": "%",
     "proz": "%",
 }
+_UNIT_WORDS: Final[Mapping[str, str]] = {
+    word: symbol
+    for symbol, words in {
+        "l": "litre litres liter liters litro litros litri litrow litra",
+        "m3": "cubic_metre cubic_metres cubic_meter cubic_meters kubikmeter metre_cube "
+        "metres_cubes metro_cubico metros_cubicos metri_cubi",
+        "gal": "gallon gallons us_gallons galones galloni",
+        "min": "minute minutes minuto minuti minuta minute minut",
+        "h": "hour hours stunde stunden heure heures hora horas ora ore godzine",
+        "s": "second seconds sekunde sekunden seconde secondes segundo segundos secondo secondi",
+    }.items()
+    for word in words.split()
+}  # fmt: skip
+_PER: Final = re.compile(r"[ _]*(?:/|\bper\b|\bpro\b|\bpar\b|\bpor\b|\bal\b|\ball'|\bna\b)[ _]*")
+_WHOLE_UNITS: Final[Mapping[str, str]] = {
+    "gal/min": "gpm",
+    "megapascal": "MPa",
+    "kilopascal": "kPa",
+    "pascal": "Pa",
+    "millibar": "mbar",
+    "pounds/square inch": "psi",
+    "degrees celsius": "°C",
+    "degree celsius": "°C",
+    "grad celsius": "°C",
+    "degrees fahrenheit": "°F",
+    "prozent": "%",
+    "per cent": "%",
+    "pourcent": "%",
+}
+"""Units that are written out, by the words for their parts, or whole."""
 _SINGLE: Final = frozenset("cfCFKV%")  # letters that are units behind a low line
 _OTHERS = """
 mm cm m µm um inch in mm/s m/s m/min cm/s in/s rpm 1/min u/min min-1 r/min tr/min n kn mn nm knm
@@ -96,8 +127,23 @@ def _split(plain: str) -> tuple[str, Unit | None, str]:
 def known_unit(text: str) -> Unit | None:
     """Return the unit of a text in any spelling; None if no signal of a valve has it."""
     plain = unicodedata.normalize("NFKC", text).strip().casefold()
-    unit = unit_of(_ALSO.get(plain, plain)) or unit_of(plain.replace("_", "/"))
+    unit = (
+        unit_of(_ALSO.get(plain, plain))
+        or unit_of(plain.replace("_", "/"))
+        or unit_of(_written_out(plain))
+    )
     return unit if unit is not None and unit.quantity in _OURS else None
+
+
+def _written_out(plain: str) -> str:
+    """Return the symbol of a unit that is written out, else the text.
+
+    >>> [_written_out(text) for text in ("litres per minute", "gallons/minute", "kilopascal")]
+    ['l/min', 'gpm', 'kPa']
+    """
+    parts = [part.strip().replace(" ", "_") for part in _PER.split(plain)]
+    symbols = "/".join(_UNIT_WORDS.get(part, part.replace("_", " ")) for part in parts)
+    return _WHOLE_UNITS.get(plain) or _WHOLE_UNITS.get(symbols, symbols)
 
 
 def is_of_others(text: str) -> bool:

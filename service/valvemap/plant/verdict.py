@@ -8,6 +8,7 @@ import numpy as np
 
 from valvemap.foreign_text import printable
 from valvemap.plant import evidence, ports
+from valvemap.plant.concepts import Concept
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.law import Fit
@@ -22,6 +23,9 @@ ACCEPTED: Final = 0.95  # probability of a reading that is taken without a quest
 _NAMED: Final = 0.02  # probability of a reading that a question names
 _LEAST_NAMED, _MOST_NAMED = 2, 12
 _CLEAR: Final = -2.0  # nats; a contradiction that is named
+_SIDES: Final = frozenset(
+    {Concept.BEFORE, Concept.BEHIND, Concept.SUPPLY, Concept.TANK, Concept.CONSUMER}
+)
 _NAMED_INSTEAD: Final = frozenset({Role.SPOOL, Role.POSITION, Role.PILOT})
 
 
@@ -81,11 +85,16 @@ def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdi
         return Verdict(group.name, named, _one_meter(group, named), others, least_U)
     if best.missing:
         return Verdict(group.name, best, _missing(group, best, record, rating), others)
-    twin = None if Role.Q in given.nodes else other_meter(best, found)
+    twin = None if Role.Q in given.nodes else other_meter(best, group, record)
     is_clear = best.probability >= ACCEPTED and not best.mistake and not best.beside
     if is_clear and twin is None:
         return Verdict(group.name, best, None, others, least_U)
-    question = _ambiguous(group.name, found) if twin is None else _meters(group.name, best, twin)
+    if twin is None:
+        question = _ambiguous(group.name, found)
+    else:
+        kept = {role: node.node for role, node in best.nodes.items()}
+        answered = replace(given, nodes={**kept, Role.Q: twin.node})
+        question = _meters(group.name, best, readings(group, record, answered, rating)[0])
     return Verdict(group.name, best, question, others, least_U)
 
 
@@ -94,6 +103,9 @@ def _ambiguous(valve: str, found: Sequence[Reading]) -> Question:
     whole = [r for r in found if not r.missing]
     near = [r for r in whole if r.probability > _NAMED][:_MOST_NAMED]
     near = near if len(near) >= _LEAST_NAMED else whole[:_LEAST_NAMED]
+    if _differing(near) == [Role.Q] and _is_of_unit_alone(near):  # name each unit of the flow
+        near += [r for r in whole if r not in near and _differing([near[0], r]) == [Role.Q]
+                 and _is_of_unit_alone([near[0], r])]  # fmt: skip
     labelled = [r for r in found if not (r.mistake or r.missing or r.beside)][:1]
     shown = list(dict.fromkeys([r.key for r in (*near, *labelled)]))
     by_key = {r.key: r for r in found}
@@ -115,17 +127,20 @@ def _question(
         and best.nodes[role].symbol
         and not best.nodes[role].label.units
     ]
+    by_labels = _differing([r for r in options if not r.mistake])
     unstated = [
         role
-        for role in differing
+        for role in by_labels
         if role in best.assumed and len({_node_of(r, role) for r in options}) == 1
     ]
     if any(r.beside for r in options) and not best.mistake:
         about = f"Q: its meter may measure {_others(options)}, too, which has none of its own"
     elif foreign:
         about = "; ".join(foreign)
-    elif unstated and unstated == differing and not best.mistake:
-        about = f"{what}: nothing states the unit"
+    elif unstated and unstated == by_labels and not best.mistake:
+        about = f"{', '.join(by_labels)}: nothing states the unit"
+    elif differing == [Role.Q] and _is_of_unit_alone(options):
+        about = "Q: its unit is stated, but valves of the size that follows from it are less usual"
     elif best.mistake:
         about = f"{what}: the values contradict the labels"
     elif against:
@@ -135,6 +150,12 @@ def _question(
     else:
         about = f"{what}: ambiguous"
     return Question(about, tuple(_option(valve, r, differing or list(r.nodes)) for r in options))
+
+
+def _is_of_unit_alone(options: Sequence[Reading]) -> bool:
+    """Whether the readings name one meter in several units of flow, one of them as it is stated."""
+    nodes = {reading.nodes[Role.Q].node for reading in options}
+    return len(nodes) == 1 and any(r.scales[Role.Q].stated or r.mistake for r in options)
 
 
 def _against(reading: Reading) -> tuple[str, ...]:
@@ -221,8 +242,26 @@ def _missing(group: Group, best: Reading, record: Record, rating: Rating) -> Que
         ]
         there = f" ({'; '.join(instead[:3])})" if instead else ""
         parts.append(f"{role}: no node was found{there}")
-    options = _instead(group, best, record, rating) if len(best.missing) == 1 else ()
+    options: list[Option] = []
+    if len(best.missing) == 1:
+        options += _instead(group, best, record, rating)
+        options += _as_difference(group, best, record, rating)
     return Question("; ".join(parts), tuple(options))
+
+
+def _as_difference(group: Group, best: Reading, record: Record, rating: Rating) -> Iterator[Option]:
+    """Yield the reading in which the only pressure is that of a transmitter of Δp."""
+    pressures = {Role.P1, Role.P2}
+    alone = pressures & set(best.nodes)
+    if not set(best.missing) <= pressures or len(alone) != 1:
+        return
+    (side,) = alone
+    if _SIDES.intersection(best.nodes[side].label.concepts):
+        return  # its name says on which side of the valve it is
+    kept = {role: node.node for role, node in best.nodes.items() if role is not side}
+    found = readings(group, record, Given({**kept, Role.DP: best.nodes[side].node}), rating)
+    if found and not found[0].missing:
+        yield _option(group.name, found[0], [Role.DP])
 
 
 def _instead(group: Group, best: Reading, record: Record, rating: Rating) -> Iterator[Option]:
