@@ -155,6 +155,16 @@ def test_play_and_spool_are_found_by_the_residual(block):
     assert error(machine(), result.fit) < 0.3
 
 
+def test_a_slow_spool_is_found_too():
+    one = machine()
+    slow = one.model_copy(
+        update={"valve": one.valve.model_copy(update={"natural_frequency_hz": 9.0})}
+    )
+    found = identify(of(played(slow)), GEOMETRY).fit.regression
+    assert found.spool_hz == pytest.approx(9.0, rel=0.1)
+    assert found.play_percent == pytest.approx(2.0, abs=0.3)
+
+
 @pytest.mark.parametrize(
     ("without", "status", "words"),
     [

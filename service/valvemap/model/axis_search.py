@@ -21,7 +21,7 @@ _MISSING_SHARE: Final = 0.5
 _MODULUS_GPa: Final = (0.1, 2.0)
 _LEAST_SWING: Final = 10.0  # %; U must reach it in both directions
 _PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0)  # %
-_LAGS_S: Final = (0.0, 0.012, 0.025, 0.04, 0.06)  # s; 1/f of the spool
+_LAGS_S: Final = (0.0, 0.012, 0.025, 0.04, 0.06, 0.09, 0.13, 0.18)  # s; 1/f of the spool
 _PLAY_STEPS: Final = (0.5, 0.125, 0.03)  # %
 _LAG_STEPS_S: Final = (0.006, 0.003, 0.0015, 0.0008)  # s
 _MOST_PLAY, _MOST_LAG_S = 10.0, 0.2
@@ -198,10 +198,15 @@ def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegressio
     first = min(((play, _LAGS_S[1]) for play in _PLAYS), key=loss)
     best = min((with_best_play(lag_s, first[0]) for lag_s in _LAGS_S), key=loss)
     for step in _LAG_STEPS_S:
-        beside = [
-            with_best_play(min(max(best[1] + d, 0.0), _MOST_LAG_S), best[0]) for d in (step, -step)
-        ]
-        best = min((best, *beside), key=loss)
+        while True:
+            beside = [
+                with_best_play(min(max(best[1] + d, 0.0), _MOST_LAG_S), best[0])
+                for d in (step, -step)
+            ]
+            better = min(beside, key=loss)
+            if loss(better) >= loss(best):
+                break
+            best = better
     return _with(regression, best)
 
 
