@@ -3,17 +3,61 @@
 ``python -m benchmarks.axis_tracking [--seeds 2] [--first 50] [--picture FILE]``: one table of
 `paper.motion`, which the paper's report judges, too. Each seed is another valve, load and
 programme. ``--picture`` draws the four after the damage, at the first seed, with the longest
-delay.
+delay. ``--lead`` compares the living map with and without the lead by the spool found instead, of
+valves whose spool is drawn from 8 to 25 Hz.
 """
 
 import argparse
+import copy
 from collections.abc import Mapping
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.axis import machine
-from paper.motion import RATE_HZ, Course, cases, commissioned, side_by_side
+from paper.motion import RATE_HZ, Course, cases, commissioned, side_by_side, tracked
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.feedforward import FeedForward
+from valvemap_rig.machine import Machine
+
+SLOW_HZ = (8.0, 25.0)  # range of the spools whose delay is worth a lead
+SETTLED_S = 6.0  # s; two moves, after which the change from the table is over
+
+
+def slow_spool(seed: int) -> Machine:
+    """Return the axis of a seed with a slow spool."""
+    drawn = machine(seed)
+    hz = float(np.random.default_rng([seed, 1]).uniform(*SLOW_HZ))
+    valve = drawn.valve.model_copy(update={"natural_frequency_hz": hz})
+    return drawn.model_copy(update={"valve": valve})
+
+
+def leading(axis: Axis) -> Axis:
+    """Return a copy of an axis whose demand is advanced by the delay of its spool."""
+    other = copy.deepcopy(axis)
+    other.plan = replace(axis.plan, feed_forward=FeedForward((-100.0, 100.0), leads=True))
+    return other
+
+
+def compare_lead(seed: int, delays: list[int]) -> None:
+    """Print a seed's errors with and without lead."""
+    slow = slow_spool(seed)
+    axis, state = commissioned(seed, slow)
+    hz = slow.valve.natural_frequency_hz
+    print(f"{seed} spool {hz:.1f} Hz, lead {1e3 * leading(axis).lead_s:.0f} ms", flush=True)
+    for delay in delays:
+        for drawn in cases(seed):
+            case = replace(drawn, start_s=max(drawn.start_s, SETTLED_S))
+            without, with_lead = (
+                tracked(seed, slow, case, state, "external", one, delay).rms
+                for one in (copy.deepcopy(axis), leading(axis))
+            )
+            print(
+                f"{seed} {10 * delay:3d} ms  {case.name}: living map {without:.2f}, with lead "
+                f"{with_lead:.2f}; {with_lead / without:.2f} (< 1)",
+                flush=True,
+            )
 
 
 def drawn(courses: Mapping[str, Course], file: str) -> None:
@@ -42,7 +86,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=50)
     parser.add_argument("--delays", type=int, nargs="*", default=[1, 6])
     parser.add_argument("--picture")
+    parser.add_argument("--lead", action="store_true")
     options = parser.parse_args()
+    if options.lead:
+        for seed in range(options.first, options.first + options.seeds):
+            compare_lead(seed, options.delays)
+        return
     print(
         "seed  latency  case, RMS of the error in mm, living over fixed map and over table (bars)"
     )

@@ -264,6 +264,7 @@ def feed_forward_of(valve: ValveConfig | AxisConfig) -> FeedForward | None:
         max_age_s=given.max_age_s,
         max_width_percent=given.max_width_percent,
         has_heartbeat=valve.nodes.heartbeat is not None,
+        leads=given.lead,
     )
 
 

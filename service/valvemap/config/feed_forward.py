@@ -40,6 +40,10 @@ class FeedForwardConfig(Section):
     max_width_percent: float = Field(
         10.0, gt=0.0, le=100.0, description="widest 95 % interval of U"
     )
+    lead: bool = Field(
+        default=False,
+        description="advance the demand, by its own slope, by the identified delay of the spool",
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

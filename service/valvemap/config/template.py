@@ -100,6 +100,7 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 # fallback_percent = 0
 # max_age_s = 0.5 # of the newest sample
 # max_width_percent = 10 # of the 95 % interval of U
+# lead = true # advance the demand by the identified delay of the spool
 
 # [valves.gate.Q] # off unless given
 # low = -5

@@ -14,7 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
+from valvemap.model.axis import (
+    SPOOL_DAMPING,
+    AxisGeometry,
+    AxisRegression,
+    AxisSamples,
+    AxisState,
+)
 from valvemap.model.axis_basis import SIZE, leakage_share
 from valvemap.model.axis_fit import AxisFit, fit, moved, with_map
 from valvemap.model.axis_inverse import AxisTable, axis_table, invert
@@ -23,6 +29,7 @@ from valvemap.model.axis_search import AxisResult, identify
 from valvemap.model.axis_travel import Travel
 from valvemap.model.estimator import key_of
 from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
+from valvemap.model.lead import DemandCourse, lead_in_words, led, spool_delay
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
@@ -33,7 +40,7 @@ from valvemap.pipeline.edges import MOST_WAITING, paired
 from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.pipeline.kept_watches import pack_watch, unpack_watch
-from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality, Status
+from valvemap.vocabulary.statuses import DELIVERS, AxisStatus, InverseStatus, Quality, Status
 
 LEARNT, WATCH, ALARMS = "Axis", "AxisWatch", "AxisAlarms"  # names of the stored parts
 WINDOW_S: Final = 200.0  # s of movement; length of a search: more does not move play and spool
@@ -127,7 +134,7 @@ class Axis:
         self.newest_U = np.nan  # of the newest sample, %
         self._newest: tuple[float, ...] = (np.nan,) * 6  # x, T, pA, pB, pS, pT
         self.t = 0  # of the newest sample, UTC ns
-        self._demand = np.nan
+        self._demand, self._course = np.nan, DemandCourse()
         self._held_U = np.nan
 
     def take_line(self, line: int, samples: Samples) -> None:
@@ -281,14 +288,23 @@ class Axis:
 
     def demand(self, v: float) -> None:
         """Demand a speed, mm/s; NaN withdraws the demand."""
-        self._demand = v
+        self._demand, self._course = v, self._course.after(self.t, v)
+
+    @property
+    def lead_s(self) -> float:
+        """By how much the demand is advanced, s; 0: it is not, or the map has no spool yet."""
+        settings = self.plan.feed_forward
+        if self._known is None or settings is None or not settings.leads:
+            return 0.0
+        return spool_delay(self._known.map.spool_hz, SPOOL_DAMPING)
 
     def required(self) -> RequiredU:
         """Return the signal for the demanded speed at the newest sample's pressures.
 
         Half the play is added on the side from which U is approached.
         """
-        answer = self.invert(self._demand)
+        advance = self._course.advance(self.t, self.lead_s)
+        answer = led(self.invert, self._demand, advance, lambda found: found.status in DELIVERS)
         if not np.isfinite(answer.U) or self._known is None:
             self._held_U = np.nan
             return answer
@@ -336,6 +352,8 @@ class Axis:
             if self._refused is not None:
                 status, sentence = self._refused.status, self._refused.sentence
                 left_out = {k: n for k, n in self._refused.left_out.items() if k != "used"}
+        elif self.plan.feed_forward is not None and self.plan.feed_forward.leads:
+            sentence = f"{sentence} {lead_in_words(self.lead_s)}"
         findings = None if self._watch is None else self._watch.condition.findings()
         required = self.required()
         return AxisResults(

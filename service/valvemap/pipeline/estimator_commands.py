@@ -9,6 +9,7 @@ from valvemap.model.capabilities import Forgetful
 from valvemap.model.inversion import Inversion
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.demand_leads import DemandLeads
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.valve_state import Required
 from valvemap.vocabulary.statuses import Status
@@ -21,10 +22,13 @@ class EstimatorCommands:
     ----------
     valves
         The valves.
+    leads
+        By how much their demands are advanced.
     """
 
-    def __init__(self, valves: AllValves) -> None:
+    def __init__(self, valves: AllValves, leads: DemandLeads) -> None:
         self._valves = valves
+        self._leads = leads
 
     def reset(self, valve: str, estimator: str) -> None:
         """Reset the estimator; the operator's settings remain. A failed lane resumes."""
@@ -91,6 +95,7 @@ class EstimatorCommands:
         """Set the standing demand; NaN withdraws it."""
         fleet, m = self._valves.named(valve)
         fleet.demand(m, Q, dp)
+        self._leads.note_demand(self._valves.numbers[valve], fleet.last_t(m), Q)
 
     def required(self, valve: int) -> tuple[Required, Status]:
         """Return the answer to a valve's standing demand, and its estimator's status."""
@@ -99,6 +104,6 @@ class EstimatorCommands:
             with self._valves.bulkhead(valve, Step.INVERSE, inverse):
                 plan, state = self._valves.inverted(valve)
                 status = state.lanes[plan.inverse].status
-                answer = valve_state.required(plan, state)
+                answer = valve_state.required(plan, state, self._leads.advance(valve, state.t))
                 return answer, Status.WARMING_UP if status is None else status
         return valve_state.NOTHING_REQUIRED, Status.FAILED

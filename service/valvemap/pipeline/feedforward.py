@@ -55,6 +55,8 @@ class FeedForward:
         Largest width of the answer's 95 % interval.
     has_heartbeat : bool
         Whether the source monitors a heartbeat.
+    leads : bool
+        Whether the demand is advanced by the delay of the spool, where that is identified.
     """
 
     U_range: tuple[float, float] = (0.0, 100.0)
@@ -64,6 +66,7 @@ class FeedForward:
     max_age_s: float = 0.5
     max_width_percent: float = 10.0
     has_heartbeat: bool = False
+    leads: bool = False
 
 
 @dataclass(frozen=True)

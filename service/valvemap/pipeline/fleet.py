@@ -465,6 +465,10 @@ class Fleet:
         """Flow and pressure drop demanded of the given valves (K, 2); NaN without a demand."""
         return np.asarray(self._demand[chosen])
 
+    def last_t(self, m: int) -> int:
+        """Time of the newest sample of one valve, UTC ns."""
+        return int(self._t[m])
+
     def last_T(self, m: int) -> float:
         """Last measured temperature of one valve, °C."""
         return float(self._T[m])

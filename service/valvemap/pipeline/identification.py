@@ -25,6 +25,7 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
 from valvemap.pipeline.call_journal import Call, CallJournal, changes_state
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.demand_leads import DemandLeads
 from valvemap.pipeline.dynamics_reference import DynamicsReferences, Outcome
 from valvemap.pipeline.dynamics_results import DynamicsResults
 from valvemap.pipeline.estimator_commands import EstimatorCommands
@@ -120,7 +121,8 @@ class Identification:
         self._valves = self.valves = valves = AllValves(plans, arrivals.timing, waits or ())
         self._intake = self.plausibility = intake = SampleIntake(valves, arrivals)
         self.maps = maps = MapsAndSurveys(valves, intake)
-        self._commands = self.answers = commands = EstimatorCommands(valves)
+        self._leads = DemandLeads(valves.plans)
+        self._commands = self.answers = commands = EstimatorCommands(valves, self._leads)
         self._references = references = DynamicsReferences()
         self._approved = approved = ApprovedMaps(valves, self._commands, references)
         self._alarms = alarms = AllAlarms(valves, service_alarms)
@@ -214,12 +216,13 @@ class Identification:
     @changes_state
     def note_dynamics(self, valve: int, found: DynamicsResults) -> None:
         """Note the dynamics of one valve; its results show them from now on."""
-        self._results.note_dynamics(valve, found)
+        self._results.note_dynamics(valve, self._leads.noted(valve, found))
 
     @changes_state
     def judge_dynamics(self, valve: int, outcome: Outcome, t: int) -> None:
         """Compare a fit of samples up to ``t`` (UTC ns) with the valve's reference, and note it."""
-        self._results.note_dynamics(valve, self._references.judge(valve, outcome, t))
+        found = self._references.judge(valve, outcome, t)
+        self._results.note_dynamics(valve, self._leads.noted(valve, found))
 
     def timing(self, valve: int) -> tuple[str, ...]:
         """Describe how each of a valve's signals is stamped."""

@@ -22,6 +22,7 @@ from valvemap.model.inverse_map import inverse_table, invert
 from valvemap.model.inversion import Inversion
 from valvemap.model.kernels import lack_of_fit
 from valvemap.model.kernels import residual_spread as of_spread
+from valvemap.model.lead import led
 from valvemap.model.residual_spread import TWO_SIDED_95, ResidualSpread
 from valvemap.model.samples import Codes, Floats, Samples
 from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
@@ -187,11 +188,19 @@ class Required(NamedTuple):
 NOTHING_REQUIRED = Required(np.nan, np.nan, np.nan, InverseStatus.NOT_FINITE)
 
 
-def required(plan: ValvePlan, state: ValveState) -> Required:
-    """Return U for the standing demand, approached so that hysteresis is passed through."""
+def required(plan: ValvePlan, state: ValveState, advance: float = 0.0) -> Required:
+    """Return U for the standing demand, approached so that hysteresis is passed through.
+
+    ``advance`` (l/min) is added to the demanded flow, as far as the answers deliver up to there.
+    """
     if np.isnan(state.demand_Q) or np.isnan(state.demand_dp):
         return NOTHING_REQUIRED
-    answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
+    answer = led(
+        lambda Q: demanded(plan, state, Q, state.demand_dp, np.nan),
+        state.demand_Q,
+        advance,
+        lambda found: found.status[0] in DELIVERS,
+    )
     lane, U = state.lanes[plan.inverse], answer.U
     moving = answer.status[0] in DELIVERS and not lane.frozen
     if moving and isinstance(lane.estimator, PathDependent):
