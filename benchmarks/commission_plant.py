@@ -243,9 +243,10 @@ class Loop:
             return
         self.log.rows += self.waiting
         _, U, p1, p2, Q = self.waiting[-1]
+        came = samples_of(self.waiting)
         self.arrived, self.waiting = now, []
         Q = np.nan if kind == "bad samples" else Q
-        self.seen = replace(self.seen, U=U, p1=p1, p2=p2, Q=Q)
+        self.seen = replace(self.seen, U=U, p1=p1, p2=p2, Q=Q, came=came)
         if self.estimator is not None and len(self.log.rows) - self.taken >= LEARN_S / SAMPLE_S:
             self.catch_up()
 

@@ -297,6 +297,7 @@ class CommissionRun:
             self._seen, age_s=now - self._arrived, operator_age_s=age_s, operator_late_s=late_s
         )
         self.state, command = step(self._settings, before, self._seen, now)
+        self._seen = replace(self._seen, came=Samples.empty())
         await self._write(command)
         changed = (before.phase, before.reason) != (self.state.phase, self.state.reason)
         if changed or now >= self._due["note"]:
@@ -335,7 +336,8 @@ class CommissionRun:
         last = samples[-1:]
         U, p1, p2, Q = (float(x[0]) for x in (last.U, last.p1, last.p2, last.Q))
         good = bool(last.quality[0] == Quality.GOOD)
-        self._seen = replace(self._seen, U=U, p1=p1, p2=p2, Q=Q, good=good)
+        came = Samples.concatenate([self._seen.came, samples])
+        self._seen = replace(self._seen, U=U, p1=p1, p2=p2, Q=Q, good=good, came=came)
 
     def _learn(self, now: float) -> None:
         """Start a fit in a thread when one is due; the kernels release the interpreter's lock."""

@@ -1,8 +1,11 @@
 """Whether the flow still answers to U: a likelihood ratio that waits for no fixed time. Pure.
 
-Two explanations of the newest openings Q/√Δp are compared, from every sample of a short memory on:
+Two explanations of the newest openings Q/√Δp are compared, from every sample of a short memory on.
+The memory goes by the source's clock and by every sample's U, so that it is the same however late
+and in whatever bunches the samples are delivered:
 
-- the spool *follows* U, behind some play: the opening is the map's there, but for a constant;
+- the spool *follows* U, behind some play and lag: the opening is the map's there, but for a
+  constant;
 - the spool *stands*: the opening is a constant.
 
 The map's own standard deviation and the meter's noise weigh both, so a map that is not known yet,
@@ -18,8 +21,10 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Floats
 
-PLAYS: Final = (0.0, 0.02, 0.04, 0.08, 0.12)  # shares of the range of U that a play or lag may take
+PLAYS: Final = (0.0, 0.02, 0.04, 0.08, 0.12)  # shares of the range of U that a play may take
+LAGS_S: Final = (0.0, 0.05)  # s; of the spool behind each play: after a pause U moves by jumps
 TRAVEL: Final = 0.01  # share of the range of U between two remembered samples
+EVERY_NS: Final = 40_000_000  # ns; between them by the source's clock, else their errors are one
 FORETOLD: Final = 0.1  # share of the range of U in a stretch by which a map is judged
 PROVEN: Final = 2  # stretches that a map must have foretold
 MOST: Final = 40  # remembered samples
@@ -97,25 +102,42 @@ class Proof:
 
 @dataclass(frozen=True)
 class Answers:
-    """Memory: rows of (opening, √Δp, U behind each of `PLAYS`), and when the newest arrived, s."""
+    """Memory: rows of (opening, √Δp, U behind each of `PLAYS` and `LAGS_S`).
+
+    ``t`` is the time of the newest sample, ``kept`` that of the newest row, ns by the source's
+    clock; ``spools`` is U behind each play and lag at the newest sample.
+    """
 
     rows: tuple[tuple[float, ...], ...] = ()
-    arrived: float = -math.inf
+    t: int = -(2**63)
+    kept: int = -(2**63)
+    spools: tuple[float, ...] = ()
 
-    def after(self, arrived: float, U: float, opening: float, s: float, span: float) -> "Answers":
-        """Return it with a sample, unless that is known or U has hardly moved."""
-        if arrived <= self.arrived:
+    def after(self, t: int, U: float, opening: float, s: float, span: float) -> "Answers":
+        """Return it with a sample, which is remembered unless U or time have hardly moved.
+
+        A sample that is not newer is known.
+        """
+        if t <= self.t:
             return self
-        if not self.rows:
-            return Answers(((opening, s, *(U for _ in PLAYS)),), arrived)
-        last = self.rows[-1][2:]
-        if abs(U - last[0]) < TRAVEL * span:
-            return replace(self, arrived=arrived)
-        spools = (
-            min(max(x, U - 0.5 * w * span), U + 0.5 * w * span)
-            for x, w in zip(last, PLAYS, strict=True)
-        )
-        return Answers((*self.rows[1 - MOST :], (opening, s, *spools)), arrived)
+        if not self.spools:
+            spools = (U,) * len(PLAYS) * len(LAGS_S)
+            return Answers(((opening, s, *spools),), t, t, spools)
+        spools = self._followed(1e-9 * (t - self.t), U, span)
+        if t - self.kept < EVERY_NS or abs(U - self.rows[-1][2]) < TRAVEL * span:
+            return replace(self, t=t, spools=spools)
+        return Answers((*self.rows[1 - MOST :], (opening, s, *spools)), t, t, spools)
+
+    def _followed(self, passed_s: float, U: float, span: float) -> tuple[float, ...]:
+        """Return where the spools are after ``passed_s`` towards U; those of a lag at its pace."""
+        found = list[float]()
+        for k, lag_s in enumerate(LAGS_S):
+            left = math.exp(-passed_s / lag_s) if lag_s > 0.0 else 0.0
+            before = self.spools[k * len(PLAYS) : (k + 1) * len(PLAYS)]
+            for x, w in zip(before, PLAYS, strict=True):
+                end = min(max(x, U - 0.5 * w * span), U + 0.5 * w * span)
+                found.append(end + left * (x - end))
+        return tuple(found)
 
 
 def standing(expected: Expected | None, answers: Answers) -> float:
@@ -129,7 +151,7 @@ def standing(expected: Expected | None, answers: Answers) -> float:
     opening, s = rows[:, 0], rows[:, 1]
     predicted, std = expected.at(rows[:, 2:].T, s)
     weight = 1.0 / (expected.wider * std) ** 2
-    known = (weight > 0.0).all(axis=0)  # of every play
+    known = (weight > 0.0).all(axis=0)  # of every play and lag
     if known.sum() < 3:
         return 0.0
     opening, predicted, weight = opening[known], predicted[:, known], weight[:, known]

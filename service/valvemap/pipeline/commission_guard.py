@@ -4,16 +4,21 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from valvemap.pipeline.commission_answer import STANDS, standing
+import numpy as np
+
+from valvemap.model.samples import Samples
+from valvemap.pipeline.commission_answer import STANDS, Answers, standing
 from valvemap.pipeline.commission_limits import Limits
 from valvemap.pipeline.commission_state import CommissionState, Reason, Seen, Settings, Watch
 from valvemap.vocabulary.commission import Phase
+from valvemap.vocabulary.statuses import Quality
 
 STILL_U: Final = 1.0  # %; change of U during the checks that shows another writer
 STUCK_SPAN: Final = 0.6  # share of the range of U without a change of the opening: stuck
 STUCK_CHANGE: Final = 0.08  # 1; change of Q/√Δp, share of the largest, below which it is none
 STALLED_S: Final = 0.4  # s without a heartbeat, after which the source may have the valve
 DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
+STEP_BACK_NS: Final = 1_000_000_000  # ns; of the source's clock, beyond the order of samples
 
 
 def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) -> CommissionState:
@@ -32,10 +37,10 @@ def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) ->
             U=(min(watch.U[0], seen.U), max(watch.U[1], seen.U)),
             opening=(min(watch.opening[0], opening), max(watch.opening[1], opening)),
             most=max(watch.most, abs(opening)),
-            answers=watch.answers.after(
-                now - seen.age_s, seen.U, opening, math.sqrt(abs(drop)), settings.limits.U_span
-            ),
         )
+    if usable:
+        answers = _answers(watch.answers, seen.came, settings.limits.U_span)
+        watch = replace(watch, answers=answers)
     beyond = now if usable and _is_beyond(settings.limits, seen) else state.beyond
     return replace(state, good_since=good_since, watch=watch, beyond=beyond)
 
@@ -108,6 +113,19 @@ def past_half_turn(settings: Settings, state: CommissionState) -> CommissionStat
         return state
     kept = Watch(commands=watch.commands, most=watch.most, answers=watch.answers)
     return replace(state, watch=kept)
+
+
+def _answers(answers: Answers, came: Samples, span: float) -> Answers:
+    """Return the memory with N samples; after a step back of the source's clock, theirs alone."""
+    good = came[came.quality == Quality.GOOD]
+    good = good[np.isfinite(good.U) & np.isfinite(good.Q) & (np.abs(good.dp) > DROP_TO_JUDGE)]
+    if len(good) and good.t[-1] < answers.t - STEP_BACK_NS:
+        answers = Answers()
+    s = np.sqrt(np.abs(good.dp))
+    columns = (good.t, good.U, good.Q / s, s)
+    for t, U, opening, root in zip(*(x.tolist() for x in columns), strict=True):
+        answers = answers.after(t, U, opening, root, span)
+    return answers
 
 
 def _is_beyond(limits: Limits, seen: Seen) -> bool:

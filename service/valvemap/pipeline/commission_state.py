@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
+from valvemap.model.samples import Samples
 from valvemap.pipeline.commission_answer import Answers, Expected
 from valvemap.pipeline.commission_limits import Limits, Point
 from valvemap.pipeline.commission_plan import Plan
@@ -81,6 +82,7 @@ class Settings:
 class Seen:
     """What a step knows: the newest sample (%, bar, l/min), its age (s), and the map's state.
 
+    ``came`` are the samples since the last step.
     ``error`` is the map's standard deviation (RMS, l/min); ``expected`` what the map predicts;
     ``route`` the next points to visit, with a number that changes with each new route.
     """
@@ -92,6 +94,7 @@ class Seen:
     p1: float = math.nan
     p2: float = math.nan
     Q: float = math.nan
+    came: Samples = field(default_factory=Samples.empty)
     operator_age_s: float = 0.0
     operator_late_s: float = 0.0
     abort: bool = False
