@@ -139,18 +139,18 @@ class LateDeliveries(Loop):
                 self._step(now, kind)
                 ratio = standing(self.seen.expected, self.state.watch.answers)
                 self.worst = max(self.worst, ratio)
-                due = now + float(rng.choice([PUBLISHED_S, rng.uniform(0.1, 0.4)]))
+                due = now + float(rng.choice([PUBLISHED_S, rng.uniform(0.1, 0.5)]))
         return self
 
 
 class Lagging(Plant):
-    """A plant whose spool lags by 50 ms."""
+    """A plant whose spool lags by 80 ms."""
 
     place = 0.0
 
     def measured(self, now):
         U = self.U
-        self.place += (U - self.place) * SAMPLE_S / (0.05 + SAMPLE_S)
+        self.place += (U - self.place) * SAMPLE_S / (0.08 + SAMPLE_S)
         self.U = self.place
         _, *others = super().measured(now)
         self.U = U
@@ -158,13 +158,13 @@ class Lagging(Plant):
 
 
 @pytest.mark.parametrize("name", ["ordinary, play 4 %", "two slopes, play 2 %"])
-@pytest.mark.parametrize("plant", [Plant, Lagging])
-def test_a_valve_that_follows_is_not_ended_by_late_deliveries(name, plant):
+@pytest.mark.parametrize(("plant", "seed"), [(Plant, 1), (Lagging, 1), (Lagging, 2)])
+def test_a_valve_that_follows_is_not_ended_by_late_deliveries(name, plant, seed):
     valve = VALVES[name]
     settings = settings_for(valve, sweep_s=14.0, most_s=26.0)
-    loop = LateDeliveries(plant(valve, 1), settings, estimator=estimator_of(valve)).run(20.0)
+    loop = LateDeliveries(plant(valve, seed), settings, estimator=estimator_of(valve)).run(20.0)
     assert loop.state.reason is not Reason.STUCK
-    assert loop.worst < 0.25 * STANDS
+    assert loop.worst < 0.5 * STANDS
 
 
 def test_a_map_is_believed_after_it_foretold_what_came():

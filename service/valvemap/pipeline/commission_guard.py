@@ -30,17 +30,19 @@ def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) ->
     older = sum(now - t > settings.follow_s for t, _ in watch.commands)
     watch = replace(watch, commands=watch.commands[max(older - 1, 0) :])  # one from before stays
     drop = seen.p1 - seen.p2
-    if usable and abs(drop) > DROP_TO_JUDGE:
-        opening = seen.Q / math.sqrt(abs(drop))
-        watch = replace(
-            watch,
-            U=(min(watch.U[0], seen.U), max(watch.U[1], seen.U)),
-            opening=(min(watch.opening[0], opening), max(watch.opening[1], opening)),
-            most=max(watch.most, abs(opening)),
-        )
     if usable:
         answers = _answers(watch.answers, seen.came, settings.limits.U_span)
         watch = replace(watch, answers=answers)
+    if usable and abs(drop) > DROP_TO_JUDGE:
+        opening = seen.Q / math.sqrt(abs(drop))
+        spool = watch.answers.spools[-1] if watch.answers.spools else seen.U  # the slowest
+        watch = replace(
+            watch,
+            U=(min(watch.U[0], seen.U), max(watch.U[1], seen.U)),
+            spool=(min(watch.spool[0], spool), max(watch.spool[1], spool)),
+            opening=(min(watch.opening[0], opening), max(watch.opening[1], opening)),
+            most=max(watch.most, abs(opening)),
+        )
     beyond = now if usable and _is_beyond(settings.limits, seen) else state.beyond
     return replace(state, good_since=good_since, watch=watch, beyond=beyond)
 
@@ -107,9 +109,9 @@ def has_stalled(settings: Settings, state: CommissionState, now: float) -> bool:
 
 
 def past_half_turn(settings: Settings, state: CommissionState) -> CommissionState:
-    """Forget the extremes once U has covered enough of its range with a changing opening."""
+    """Forget the extremes once the spool has covered enough with a changing opening."""
     watch = state.watch
-    if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
+    if watch.spool[1] - watch.spool[0] < STUCK_SPAN * settings.limits.U_span:
         return state
     kept = Watch(commands=watch.commands, most=watch.most, answers=watch.answers)
     return replace(state, watch=kept)
@@ -147,7 +149,7 @@ def _is_stuck(settings: Settings, state: CommissionState, seen: Seen) -> bool:
     watch = state.watch
     if standing(seen.expected, watch.answers) > STANDS:
         return True
-    if watch.U[1] - watch.U[0] < STUCK_SPAN * settings.limits.U_span:
+    if watch.spool[1] - watch.spool[0] < STUCK_SPAN * settings.limits.U_span:
         return False
     most = max(watch.most, settings.opening)
     return watch.opening[1] - watch.opening[0] < STUCK_CHANGE * most

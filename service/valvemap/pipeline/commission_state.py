@@ -107,10 +107,14 @@ class Seen:
 
 @dataclass(frozen=True)
 class Watch:
-    """Memory of the checks: newest commands and answers, extremes of U and of Q/√Δp."""
+    """Memory of the checks: newest commands and answers, extremes of U and of Q/√Δp.
+
+    ``spool`` are those of U behind the largest play and lag that a spool may have.
+    """
 
     commands: tuple[tuple[float, float], ...] = ()  # t, U
     U: tuple[float, float] = (math.inf, -math.inf)
+    spool: tuple[float, float] = (math.inf, -math.inf)
     opening: tuple[float, float] = (math.inf, -math.inf)
     most: float = 0.0
     answers: Answers = field(default_factory=Answers)
