@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.one_model_rows import HIDDEN, coloured, hidden
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
+from valvemap.model.kernels import flow_fit
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import InverseStatus
 
@@ -49,3 +51,24 @@ def test_a_gain_that_swings_without_a_name_leaves_no_wrong_answer_at_ok(seed):
     has_U = np.isin(status, (InverseStatus.OK, InverseStatus.UNCERTAIN))
     assert np.mean(error[has_U] > 3.0) > 0.1, "the toy version calls these OK"
     assert not (error[status == InverseStatus.OK] > 3.0).any()
+
+
+@pytest.mark.parametrize("cause", ["flow by p2", "offset that wanders"])
+def test_what_a_hidden_cause_adds_is_no_noise_of_the_meter(cause):
+    row = hidden("ordinary", HIDDEN[cause], 34)
+    flow_map = FlowMap()
+    state, _ = flow_map.update(flow_map.initial_state(), row.samples)
+    assert np.sqrt(state.scalars[flow_fit.VARIANCE]) > 2.0 * SIGMA, "the toy version's noise"
+    assert flow_map.noise_std(state) < 1.2 * SIGMA
+    demand, dp = row.truths[0](row.samples.U, row.samples.dp)[::37], row.samples.dp[::37]
+    found = invert(flow_map, state, demand, dp, 40.0)
+    off = np.abs(row.truths[0](found.U, dp) - demand) > 3.0 * SIGMA
+    assert off[found.status == InverseStatus.UNCERTAIN].any(), "that it calls OK"
+    assert not off[found.status == InverseStatus.OK].any()
+
+
+def test_a_meter_whose_noise_is_slow_is_as_noisy_as_it_is():
+    row = coloured("ordinary", 20_000, 35)
+    flow_map = FlowMap()
+    state, _ = flow_map.update(flow_map.initial_state(), row.samples)
+    assert 0.7 * SIGMA < flow_map.noise_std(state) < 1.3 * SIGMA

@@ -136,8 +136,12 @@ class FlowMap:
         return flow_map_looks.invert(state, axes(self.U_range, self.dp_range), Q, dp, T)
 
     def noise_std(self, state: FlowMapState) -> float:
-        """Standard deviation σ of the flow meter's noise, l/min."""
-        return float(np.sqrt(state.scalars[flow_fit.VARIANCE]))
+        """Standard deviation of the flow meter's noise, l/min.
+
+        The slow part of σ² is the meter's only as far as no cause without a name moves the flow.
+        """
+        of_causes = state.scalars[flow_fit.SLOW] * float(flow_findings.hidden(state))
+        return float(np.sqrt(state.scalars[flow_fit.VARIANCE] * (1.0 - of_causes)))
 
     def form(self, state: FlowMapState, T: float) -> MapForm | None:
         """Return where the map is smooth at one temperature, see `flow_pieces`."""
