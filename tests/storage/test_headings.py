@@ -1,10 +1,12 @@
 """Recordings with foreign headings are read as their plain twin, or asked about."""
 
+import ast
 import shlex
 
 import numpy as np
 import pytest
 
+import valvemap
 from valvemap.cli import run
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Samples
@@ -162,6 +164,20 @@ def test_counts_are_asked_and_an_answer_reads_the_plain_twin(plain, tmp_path):
     samples = read(file, given=given)
     np.testing.assert_allclose(samples.p1, plain["p1"], atol=0.01)
     np.testing.assert_allclose(samples.Q, plain["Q"], atol=0.01)
+
+
+def test_an_answer_in_python_fits_as_the_command_does(plain, tmp_path):
+    file = tmp_path / "r.csv"
+    volts = [plain["t"], plain["U"] / 10.0, *(plain[name] for name in ("p1", "p2", "Q"))]
+    file.write_text(lines("Zeit;Stellwert;Druck vor;Druck nach;Durchfluss", volts))
+    with pytest.raises(RecordingError, match="in Python: ") as caught:
+        valvemap.fit(file)
+    said = [line for line in str(caught.value).splitlines() if "in Python: " in line]
+    wanted = next(line for line in said if "'U': '0..10:0..100'" in line and "'Q': 'l/min'" in line)
+    arguments = ast.parse(f"f({wanted.split('in Python: ')[1]})", mode="eval").body.keywords
+    answer = {one.arg: ast.literal_eval(one.value) for one in arguments}
+    fitted, same = valvemap.fit(file, **answer), valvemap.fit(plain)
+    assert fitted.predict(50, 100) == pytest.approx(same.predict(50, 100), abs=0.1)
 
 
 def test_swapped_pressures_are_asked_and_obeying_an_answer_replays(plain, tmp_path, capsys):

@@ -20,6 +20,7 @@ from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.grouping import Group, group
 from valvemap.plant.names import tokens
+from valvemap.plant.questions import Option
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import Role
 from valvemap.plant.scales import Scale
@@ -90,7 +91,10 @@ def recognise(begins: Beginning, layout: Layout, refusal: RecordingError) -> Col
     if any(verdict.question is not None and not verdict.question.options for verdict in open_):
         raise refusal
     if open_:
-        raise RecordingError("\n".join(line for v in open_ for line in _question(begins, v)))
+        alone = len(verdicts) == 1
+        raise RecordingError(
+            "\n".join(line for v in open_ for line in _question(begins, v, alone=alone))
+        )
     parts = tuple(_part(v.valve, v.reading, begins) for v in verdicts if v.reading is not None)
     used = {number for part in parts for number, _ in part.numbers.values()} | {begins.time}
     ignored = tuple(name for number, name in enumerate(begins.headings) if number not in used)
@@ -142,7 +146,7 @@ def _part(valve: str, reading: Reading, begins: Beginning) -> Part:
     return Part(valve, begins.time, numbers, seconds=factor, recognised=True)
 
 
-def _question(begins: Beginning, verdict: Verdict) -> Iterator[str]:
+def _question(begins: Beginning, verdict: Verdict, *, alone: bool) -> Iterator[str]:
     question = verdict.question
     if question is None:
         return
@@ -155,3 +159,15 @@ def _question(begins: Beginning, verdict: Verdict) -> Iterator[str]:
         yield f"     {printable(option.consequence)}"
         answers = " ".join(shlex.quote(answer) for answer in option.answers)
         yield f"     answer: valvemap replay {file} {answers}"
+        if alone:
+            yield f"     in Python: {printable(_in_python(option))}"
+
+
+def _in_python(option: Option) -> str:
+    """Return an answer as arguments of `valvemap.fit`, which have no valve's name."""
+    given: dict[str, dict[str, str]] = {"--signal": {}, "--scale": {}}
+    for answer in option.answers:
+        what, place, text = answer.split("=", 2)
+        role = place.rpartition(".")[2]
+        given[what]["p1" if role == Role.DP else role] = text
+    return f"columns={given['--signal']}, units={given['--scale']}"
