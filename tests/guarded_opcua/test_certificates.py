@@ -127,6 +127,7 @@ def test_a_refused_certificate_is_trusted_by_the_beginning_of_its_thumbprint(pki
     target = trust(pki, thumbprint(certificate)[:8].upper())
     assert load_certificate(target) == certificate
     assert rejected(pki) == ()
+    assert trust(pki, thumbprint(certificate)) == target  # the same, typed again
 
 
 def test_a_certificate_is_trusted_by_its_file_in_pem_form(pki, key, tmp_path):

@@ -22,6 +22,7 @@ KEY_BITS = 2048
 VALID_DAYS = 730
 WARN_DAYS = 30
 MAX_REJECTED = 100
+LEAST_DIGITS = 6  # of a thumbprint that is typed
 CERTIFICATE_SUFFIXES = {".der", ".cer", ".crt", ".pem"}
 
 
@@ -196,6 +197,8 @@ def rejected(pki: Pki) -> tuple[Path, ...]:
 def trust(pki: Pki, thumbprint_or_file: str | Path) -> Path:
     """Trust a refused peer by (a prefix of) its thumbprint, or any peer by its certificate file.
 
+    One that is trusted already remains so.
+
     Returns
     -------
     Path
@@ -209,7 +212,9 @@ def trust(pki: Pki, thumbprint_or_file: str | Path) -> Path:
     pki.make_folders()
     source = Path(thumbprint_or_file)
     if not source.is_file():
-        source = _rejected_by_thumbprint(pki, str(thumbprint_or_file))
+        source = _by_thumbprint(pki, str(thumbprint_or_file))
+        if source.parent == pki.trusted:
+            return source
     certificate = load_certificate(source)
     target = pki.trusted / f"{thumbprint(certificate)}.der"
     try:
@@ -333,16 +338,19 @@ def _general_name(host: str) -> x509.GeneralName:
         return x509.DNSName(host)
 
 
-def _rejected_by_thumbprint(pki: Pki, text: str) -> Path:
+def _by_thumbprint(pki: Pki, text: str) -> Path:
+    """Return the refused certificate that it fits, or the one that is trusted already."""
     wanted = text.lower().replace(":", "").replace(" ", "")
-    fitting = [file for file in rejected(pki) if len(wanted) >= 6 and _has_thumbprint(file, wanted)]
-    if len(fitting) == 1:
-        return fitting[0]
-    if fitting:
-        raise CertificateError(f"{text}: fits {len(fitting)} refused certificates; give more of it")
+    known = files_with(pki.trusted, CERTIFICATE_SUFFIXES)
+    for files in (rejected(pki), known) if len(wanted) >= LEAST_DIGITS else ():
+        fitting = [file for file in files if _has_thumbprint(file, wanted)]
+        if len(fitting) == 1:
+            return fitting[0]
+        if fitting:
+            raise CertificateError(f"{text}: fits {len(fitting)} certificates; give more of it")
     raise CertificateError(
-        f"{text}: neither a file nor the thumbprint (6 digits or more) of a certificate in "
-        f"{pki.rejected}"
+        f"{text}: neither a file nor the thumbprint ({LEAST_DIGITS} digits or more) of a "
+        f"certificate in {pki.rejected}"
     )
 
 
