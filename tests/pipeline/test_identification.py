@@ -117,6 +117,16 @@ def test_a_restart_goes_on_as_if_there_had_been_none(identification, fresh):
     assert restarted.results.one(0).estimators["RLS"].sample_count == 600
 
 
+def test_a_demand_stands_over_a_restart_and_is_named(identification, fresh):
+    identification.take_samples(0, plant(100))
+    assert identification.answers.demands() == {}
+    identification.do(Command.of("demand", "Valvistor", 60.0, 100.0))
+    restarted = fresh()
+    states = identification.states
+    restarted.restore([*states.checkpoints(), *states.memories()])
+    assert restarted.answers.demands() == {"Valvistor": (60.0, 100.0)}
+
+
 def test_states_of_another_configuration_are_left_aside(identification, fresh):
     identification.take_samples(0, plant(100))
     kept = identification.states.checkpoints()

@@ -175,6 +175,7 @@ async def _live(
     await server.commissions.follow(commissions.valves, commissions)
     ended = asyncio.Event()
     await live.start(known)
+    server.show_demands(plan.identification.answers.demands())
     log.info("results served", url=server.url)
     completing = asyncio.create_task(_complete(plan, live, ended))
     waits = plan.identification.journal is None and not was_warmed_up()

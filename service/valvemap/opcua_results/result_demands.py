@@ -1,6 +1,6 @@
 """The demands on the inverse maps: flow and pressure drop, as written by a client."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from inspect import isawaitable
@@ -41,6 +41,10 @@ class ResultDemands:
     def pressure_drop(self, valve: str, dp: float) -> Answer[None]:
         """Demand the current flow at another pressure drop (bar)."""
         return self._demand(valve, self._standing[valve][0], dp)
+
+    def stand(self, demands: Mapping[str, tuple[float, float]]) -> None:
+        """Take these demands as the standing ones of their valves."""
+        self._standing |= {name: of for name, of in demands.items() if name in self._standing}
 
     def follow(self, valves: Iterable[str], gone: Collection[str]) -> None:
         """Switch to other valves; added valves start without a demand."""

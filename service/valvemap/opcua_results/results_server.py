@@ -1,8 +1,9 @@
 """The results server: publishes the results to OPC UA clients and accepts operator commands."""
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 
+import numpy as np
 from asyncua import ua
 
 from guarded_opcua import (
@@ -22,6 +23,7 @@ from valvemap.opcua_results.axis_nodes import AxisNodes
 from valvemap.opcua_results.commission_nodes import CommissionNodes
 from valvemap.opcua_results.companions import add_companions
 from valvemap.opcua_results.information_model import (
+    INVERSE,
     NAMESPACE,
     NODE_VERSION,
     ROOT,
@@ -45,6 +47,7 @@ from valvemap.opcua_results.result_questions import ResultQuestions
 from valvemap.opcua_results.result_service import ResultService
 from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_types import VALVE, add_enumerations, add_types, type_of
+from valvemap.opcua_results.result_values import Shown
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
@@ -234,6 +237,15 @@ class ResultsServer(Startable):
         """Show how the run of one valve stands; fulfils `CommissionSink`."""
         if self._server is not None:
             self.commissions.show(valve, results)
+
+    def show_demands(self, demands: Mapping[str, tuple[float, float]]) -> None:
+        """Show demands that stand from before a restart, by valve: l/min, bar."""
+        now, good = self._clock.now(), int(ua.StatusCodes.Good)
+        self._demands.stand(demands)
+        for valve, values in demands.items():
+            for name, value in zip(("FlowDemand", "PressureDrop"), values, strict=True):
+                if not np.isnan(value):
+                    self._variables.show(valve, Shown(f"{INVERSE}.{name}", value, good, now))
 
     def take_no_commands(self) -> None:
         """Reject commands until another operator follows; queries are still answered."""

@@ -97,6 +97,16 @@ class EstimatorCommands:
         fleet.demand(m, Q, dp)
         self._leads.note_demand(self._valves.numbers[valve], fleet.last_t(m), Q)
 
+    def demands(self) -> dict[str, tuple[float, float]]:
+        """Return the standing demands by valve: flow, l/min, and pressure drop, bar."""
+        found = {}
+        for number, plan in enumerate(self._valves.plans):
+            fleet, m = self._valves.at(number)
+            Q, dp = fleet.demands(np.array([m]))[0].tolist()
+            if not (np.isnan(Q) and np.isnan(dp)):
+                found[plan.name] = Q, dp
+        return found
+
     def required(self, valve: int) -> tuple[Required, Status]:
         """Return the answer to a valve's standing demand, and its estimator's status."""
         inverse = self._valves.inverse(valve)

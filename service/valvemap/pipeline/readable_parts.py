@@ -61,6 +61,9 @@ class ReadableMaps(Protocol):
 class ReadableAnswers(Protocol):
     """Answers to standing demands; fulfilled by `EstimatorCommands`."""
 
+    def demands(self) -> Mapping[str, tuple[float, float]]:
+        """Return the standing demands by valve: flow, l/min, and pressure drop, bar."""
+
     def required(self, valve: int) -> tuple[Required, Status]:
         """Return the answer to a valve's standing demand, and its estimator's status."""
 
