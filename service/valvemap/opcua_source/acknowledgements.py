@@ -1,4 +1,4 @@
-"""Which messages of a subscription the server may forget."""
+"""Which messages of a subscription are acknowledged to the server."""
 
 from collections import deque
 from collections.abc import Iterable

@@ -231,7 +231,7 @@ class Arrivals:
         """Reset the alignment of these valves: the running numbers of their source restart.
 
         ``started`` is the start time of the source, UTC ns. Valves whose numbers have restarted
-        with it, before a kill, go on: the source may send the samples since then again.
+        with it, before a kill, continue: the source may send the samples since then again.
         """
         anew = valves[self.source_started[valves] != started]
         self.source_started[anew] = started
