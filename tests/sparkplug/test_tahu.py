@@ -165,7 +165,8 @@ def test_a_demand_and_an_acknowledgement_of_an_operator_have_their_effect(
         assert "usable sample" in data(text, f"{ALARM}/Text")[-1]
         host.command(VALVE, f"{ALARM}/Acknowledge", "seen by the shift")
         heard = host.once(lambda heard: data(heard, f"{ALARM}/Acked")[-1:] == [True])
-        assert data(heard, f"{ALARM}/Acked") == [False, True]
+        # changes alone are data: without False it was unacknowledged before, since a slow start
+        assert data(heard, f"{ALARM}/Acked") in ([False, True], [True])
         assert "seen by the shift" in asyncio.run(values_of(demo, ACTION))[0]
         done = host.once(lambda heard: data(heard, "MQTT/CommandsDone")[-1:] == [4])
         assert data(done, "MQTT/CommandsRefused") == []
