@@ -1,6 +1,8 @@
 """SIGTERM while a first start imports and compiles: the service ends at once, with 0."""
 
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -37,3 +39,35 @@ def test_a_first_start_ends_with_0(after_s, env, tmp_path):
         assert process.wait(MOST_S) == 0, log.read_text()
         assert time.monotonic() - began < MOST_S
     assert "Traceback" not in log.read_text(encoding="utf-8")
+
+
+_ENDING = """
+import threading, time
+from multiprocessing import util
+from valvemap.app.warm_up import _helpers
+from valvemap.config.loading import load_config
+
+spawn, starting, config = util.spawnv_passfds, threading.Event(), load_config()
+
+def slowly(path, arguments, fds):
+    number = spawn(path, arguments, fds)
+    if any("spawn_main" in str(one) for one in arguments):
+        starting.set()
+        time.sleep(0.5)
+    return number
+
+def help_us():
+    with _helpers(config, 1, 0):
+        pass
+
+util.spawnv_passfds = slowly
+threading.Thread(target=help_us, daemon=True).start()
+starting.wait()
+"""
+
+
+def test_an_end_while_another_process_is_started_leaves_it_its_arguments():
+    ended = subprocess.run(
+        [sys.executable, "-c", _ENDING], check=False, capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")

@@ -40,7 +40,7 @@ READ = {
 READ_OF_PARTS = {
     "results": {"of", "one", "unknown", "recommendation", "counters", "waited_for"},
     "maps": {"refresh", "refresh_all"},
-    "answers": {"required"},
+    "answers": {"required", "demands"},
     "armed": {"is_armed", "feed_forward"},
     "arrivals": {"waits", "pending"},
     "stamping": {"newly_found"},

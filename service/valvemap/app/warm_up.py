@@ -1,5 +1,6 @@
 """Compiles every kernel in advance, so that no sample waits for the compiler."""
 
+import atexit
 import gc
 import os
 import signal
@@ -143,6 +144,11 @@ class _Shared:
     helpers: tuple[SpawnProcess, ...]
 
 
+# A process that ends while it starts another would leave that one without its arguments.
+_starting = threading.Lock()
+atexit.register(_starting.acquire)
+
+
 @contextmanager
 def _helpers(config: Config, number: int, niceness: int) -> Iterator[_Shared]:
     """Run processes that take parts; wait for their ends."""
@@ -150,8 +156,9 @@ def _helpers(config: Config, number: int, niceness: int) -> Iterator[_Shared]:
     taken, done = context.Value("i", 0), context.Value("i", 0)
     given = config, taken, done, gc.get_threshold(), are_shortcuts_asked_for(), niceness
     helpers = [context.Process(target=_help, args=given, daemon=True) for _ in range(number)]
-    for helper in helpers:
-        helper.start()
+    with _starting:
+        for helper in helpers:
+            helper.start()
     yield _Shared(taken, done, tuple(helpers))
     for helper in helpers:
         helper.join()
