@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import valvemap
+from support.valve_at_work import N, valve_at_work
 from valvemap.cli import run
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Samples
@@ -14,18 +15,10 @@ from valvemap.plant.answers import parse_answers
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
 
-N = 600
-
 
 @pytest.fixture(scope="module")
 def plain():
-    """t (s), U (%), p1, p2 (bar), Q (l/min) of a valve at work."""
-    rng = np.random.default_rng(4)
-    t = np.arange(N) * 0.05
-    U = 50 + 30 * np.sin(0.9 * t) + 12 * np.sin(2.3 * t)
-    p1, p2 = 180 - 0.1 * U, 40 + 25 * np.sin(0.7 * t)
-    Q = 4 * (U / 100) ** 1.2 * np.sqrt(p1 - p2) + rng.normal(0, 0.2, N)
-    return {"t": t, "U": U, "p1": p1, "p2": p2, "Q": Q}
+    return valve_at_work()
 
 
 def read(path, **layout):
