@@ -6,7 +6,6 @@ before a step back, whose times lie in the future. A message whose newest time i
 our monotonic time than any before it is no late message: the clock was set forward.
 """
 
-from collections import defaultdict
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -55,11 +54,11 @@ class Known(NamedTuple):
 
     @classmethod
     def nothing(cls, count: int = 0) -> Self:
-        """Return what has the shape of ``count`` samples."""
+        """Return the arrays of ``count`` samples, without content."""
         return cls(np.full(count, NEVER), np.zeros(count, np.int64))
 
     def of_any_content(self) -> Self:
-        """Return what is known of the same samples in other units."""
+        """Return the same samples in other units."""
         return self._replace(digests=np.full_like(self.digests, ANY))
 
 
@@ -177,7 +176,7 @@ class ClockSteps:
             self._written[row] += n
 
     def known(self, v: int) -> Known:
-        """Return what a restarted service must know of a valve's samples to find repetitions."""
+        """Return the samples by which a restarted service finds repetitions."""
         if not (self._watched[v] and self._was_set_back(np.array([v]))[0]):
             return Known.nothing()
         row = self._row[v]
@@ -228,12 +227,13 @@ class ClockSteps:
 
         A clock that was set back may show a time twice.
         """
-        row, found = self._row[v], defaultdict[int, set[int]](set)
+        row = self._row[v]
+        found: dict[int, set[int]] = {}
         for time, digest in zip(
             self._times[row].tolist(), self._digests[row].tolist(), strict=True
         ):
-            found[time].add(digest)
-        return dict(found)
+            found.setdefault(time, set()).add(digest)
+        return found
 
     def _mark_repeated(
         self,
