@@ -17,19 +17,7 @@ async def write_to_nodes(
     valve: int,
     commands: Mapping[str, float],
 ) -> dict[str, str]:
-    """Write commands of one valve in one request; ``commands`` by role: U in %, load in bar.
-
-    ``writable`` are the nodes to write to, by valve and role.
-
-    Returns
-    -------
-    dict
-        By role, why the server rejected a command; empty if it took all of them.
-
-    Raises
-    ------
-    SourceLost
-    """
+    """Write commands as `OpcUaSource.write_commands` does; ``writable`` by valve and role."""
     own = {role: writable.get((valve, role)) for role in commands}
     targets = {role: target for role, target in own.items() if target is not None}
     refused = {

@@ -53,8 +53,8 @@ class ValveNodes:
     ``required_U`` (to which the feed-forward voltage is written), ``load`` (the set point of p2,
     which commissioning writes) and ``heartbeat`` (UInt32, incremented while U is written).
     ``measures`` holds by name the units of the signals and of the commands; ``insist`` accepts them
-    even if the source's EngineeringUnits or EURange differ. In messages, ``kind`` says what it is,
-    ``whole`` the valve whose edge or line it is, and ``words`` how its signals are called.
+    even if the source's EngineeringUnits or EURange differ. For messages: ``kind`` (valve or axis),
+    ``whole``, the valve of this edge or line, and ``words``, names of the signals.
     """
 
     valve: str
@@ -94,7 +94,7 @@ class ValveNodes:
 
     @property
     def title(self) -> str:
-        """What it is called in messages."""
+        """Its kind and name in messages."""
         return f"{self.kind} {self.whole or self.valve}"
 
     def word(self, name: str) -> str:

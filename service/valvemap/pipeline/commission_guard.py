@@ -109,7 +109,7 @@ def has_stalled(settings: Settings, state: CommissionState, now: float) -> bool:
 
 
 def past_half_turn(settings: Settings, state: CommissionState) -> CommissionState:
-    """Forget the extremes once the spool has covered enough with a changing opening."""
+    """Drop the extremes once the spool has covered enough with a changing opening."""
     watch = state.watch
     if watch.spool[1] - watch.spool[0] < STUCK_SPAN * settings.limits.U_span:
         return state

@@ -121,7 +121,7 @@ class SampleIntake:
         return gathered({**lines, **others})
 
     def _pass(self, samples: Samples, passed: Segments) -> None:
-        """Note good samples from which nothing is learnt: no sensor is lost meanwhile."""
+        """Note good samples from which nothing is learnt: no sensor is lost then."""
         good = passed.among(samples.quality != Quality.BAD)
         own = good.stops > good.starts
         t = samples.t[samples.quality != Quality.BAD]
