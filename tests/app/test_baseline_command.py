@@ -12,8 +12,8 @@ from valvemap.app.page_access import Watched, settings_of
 from valvemap.cli import run
 from valvemap.errors import CommandRejected
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.opcua_client.connection import Security
 from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import Security
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings

@@ -10,7 +10,7 @@ from support.page_attacks import Visitor
 from valvemap.app.dashboard import run_dashboard
 from valvemap.app.identities import PAGE_URI
 from valvemap.app.page_access import Watched
-from valvemap.opcua_client.connection import Security
+from valvemap.opcua_client.source_settings import Security
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.page.settings import PageSettings
 

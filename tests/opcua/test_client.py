@@ -28,7 +28,7 @@ from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
 from valvemap.opcua_client.transport import BoundedClient
 from valvemap.opcua_source import subscription as subscriptions
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from valvemap.opcua_source.source_nodes import parse_node_id
+from valvemap.opcua_source.node_ids import parse_node_id
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.signals import Signal
 

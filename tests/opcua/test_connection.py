@@ -4,7 +4,7 @@ import pytest
 from asyncua import ua
 
 from valvemap.errors import SourceLost, SourceRejected
-from valvemap.opcua_client.connection import source_errors, status_name
+from valvemap.opcua_client.source_errors import source_errors, status_name
 
 URL = "opc.tcp://plant:4840/"
 

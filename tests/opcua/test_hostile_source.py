@@ -21,8 +21,8 @@ from guarded_opcua import (
 )
 from support.lying_server import Lie, LyingServer, chunk, frame
 from valvemap.errors import SourceError, SourceLost
-from valvemap.opcua_client.connection import in_one_line
 from valvemap.opcua_client.session import BatchSession
+from valvemap.opcua_client.source_errors import in_one_line
 from valvemap.opcua_client.transport import BoundedClient
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from valvemap.opcua_source.decoding import decode_data_changes

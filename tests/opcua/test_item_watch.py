@@ -12,7 +12,8 @@ from asyncua import Server, ua
 from support.stream import until
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
 from valvemap.opcua_source.item_table import ItemTable
-from valvemap.opcua_source.source_nodes import look, wanted_nodes
+from valvemap.opcua_source.node_looks import look
+from valvemap.opcua_source.source_nodes import wanted_nodes
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.item_states import ItemState
 from valvemap.vocabulary.signals import PER_VALVE, Signal

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from asyncua import ua
 
+from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.monitored_items import Item
 from valvemap.opcua_source.position import Mark, position_from_bytes, position_to_bytes
-from valvemap.opcua_source.source_nodes import MonitoredNode
 
 NOW, ITEMS = 1_800_000_000_000_000_000, 6
 BINDING = "this source"

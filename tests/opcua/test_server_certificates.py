@@ -18,7 +18,8 @@ from guarded_opcua import (
 from support import certificate_cases as cases
 from support.impostor import Impostor
 from valvemap.errors import SourceLost, SourceRejected
-from valvemap.opcua_client.connection import Security, SourceSettings, open_connection
+from valvemap.opcua_client.connection import open_connection
+from valvemap.opcua_client.source_settings import Security, SourceSettings
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -66,8 +66,8 @@ from valvemap.opcua_source.members import (
     kind_of,
     taken,
 )
+from valvemap.opcua_source.node_ids import parse_node_id
 from valvemap.opcua_source.position import position_from_bytes
-from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.opcua_source.wire import DecodeError
 from valvemap.page.answering import request_of
 from valvemap.page.questions import Senseless as SenselessRequest

@@ -36,7 +36,7 @@ def baseline(
     """Approve a valve's map as reference, compare with it, restore it."""
     from valvemap.app.baseline import Action, act
     from valvemap.app.page_access import Watched
-    from valvemap.opcua_client.connection import Security
+    from valvemap.opcua_client.source_settings import Security
 
     if action not in set(Action):
         raise typer.BadParameter(f"ACTION {action!r}: allowed is one of {', '.join(Action)}")

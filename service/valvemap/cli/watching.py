@@ -41,7 +41,7 @@ def watched(
     """
     from valvemap.app.identities import PAGE_USER
     from valvemap.app.page_access import Watched
-    from valvemap.opcua_client.connection import Security
+    from valvemap.opcua_client.source_settings import Security
 
     if security not in set(Security):
         raise typer.BadParameter(f"security {security!r}: allowed is one of {', '.join(Security)}")

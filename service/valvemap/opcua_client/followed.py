@@ -14,9 +14,10 @@ from typing import Any, Final, Generic, TypeVar
 from asyncua import ua
 
 from valvemap.errors import SourceError, SourceLost, SourceRejected
-from valvemap.opcua_client.connection import Connection, status_name
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import in_chunks, operation_limits
 from valvemap.opcua_client.responses import decode_response
+from valvemap.opcua_client.source_errors import status_name
 
 _Name = TypeVar("_Name")
 _Item = TypeVar("_Item")

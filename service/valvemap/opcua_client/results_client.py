@@ -4,26 +4,17 @@ It uses standard services only and does not need the compiled decoding loops of 
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 from asyncua import ua
 
-from valvemap.clock import utc_ns
 from valvemap.errors import CommandRejected, SourceLost
 from valvemap.opcua_client.condition_events import (
     ConditionChange,
     condition_filter,
     condition_of,
 )
-from valvemap.opcua_client.connection import (
-    Connection,
-    Security,
-    SourceSettings,
-    open_connection,
-    status_name,
-)
+from valvemap.opcua_client.connection import Connection, open_connection
 from valvemap.opcua_client.followed import CLOSELY, Followed, Sampling
 from valvemap.opcua_client.history_reads import Course, read_aggregates, read_events
 from valvemap.opcua_client.requests import (
@@ -34,6 +25,17 @@ from valvemap.opcua_client.requests import (
     read_properties,
     read_values,
 )
+from valvemap.opcua_client.result_readings import (
+    Child,
+    Engineering,
+    Reading,
+    engineering,
+    is_permitted,
+    reading,
+    type_name,
+)
+from valvemap.opcua_client.source_errors import status_name
+from valvemap.opcua_client.source_settings import Security, SourceSettings
 
 __all__ = ["Child", "Engineering", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
@@ -47,36 +49,6 @@ _NO_HISTORY = (
 )
 _METHODS_AT_ONCE = 50  # calls per request, so that other requests are not blocked
 _LATE = 10  # queue size of a watched variable, for delayed publishing
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One value: None where there is none; ``code`` is its StatusCode, ``t`` source time, UTC ns.
-
-    Arrays are lists, matrices lists of lists.
-    """
-
-    value: Any
-    code: int
-    t: int
-
-
-@dataclass(frozen=True)
-class Engineering:
-    """Unit, range in it, and description of a variable; empty or None where not given."""
-
-    unit: str = ""
-    range: tuple[float, float] | None = None
-    description: str = ""
-
-
-@dataclass(frozen=True)
-class Child:
-    """A child node: its string identifier and whether it is a variable or a method."""
-
-    id: str
-    is_variable: bool
-    is_method: bool
 
 
 class ResultsClient:
@@ -178,7 +150,7 @@ class ResultsClient:
         """
         wanted = (ua.AttributeIds.DataType, ua.AttributeIds.ValueRank)
         answers = await self._attributes(ids, wanted, "reading types")
-        return [_type_name(kind, rank, self._index) for kind, rank in answers]
+        return [type_name(kind, rank, self._index) for kind, rank in answers]
 
     async def engineering(self, ids: Sequence[str]) -> list[Engineering]:
         """Return units, ranges and descriptions of variables.
@@ -193,7 +165,7 @@ class ResultsClient:
             pairs = await read_properties(connection, nodes, ("EngineeringUnits", "EURange"))
             texts = await read_attributes(connection, nodes, (ua.AttributeIds.Description,))
         return [
-            _engineering(information, span, text)
+            engineering(information, span, text)
             for (information, span), (text,) in zip(pairs, texts, strict=True)
         ]
 
@@ -210,7 +182,7 @@ class ResultsClient:
         nodes = [self._node(id_) for id_ in ids]
         with connection.errors("reading"):
             answers = await read_values(connection, nodes, ua.TimestampsToReturn.Source)
-        return [_reading(answer) for answer in answers]
+        return [reading(answer) for answer in answers]
 
     async def follow(self, ids: Collection[str], every_s: float) -> None:
         """Subscribe to exactly these variables, published every ``every_s``; none: unsubscribe.
@@ -247,7 +219,7 @@ class ResultsClient:
         """
         if self._followed is None:
             raise self._not_connected()
-        return [(id_, _reading(value)) for id_, value in self._followed.take()]
+        return [(id_, reading(value)) for id_, value in self._followed.take()]
 
     @property
     def lost(self) -> int:
@@ -316,7 +288,7 @@ class ResultsClient:
         """
         wanted = (ua.AttributeIds.UserAccessLevel, ua.AttributeIds.UserExecutable)
         answers = await self._attributes(ids, wanted, "reading the user's rights")
-        return [_is_permitted(level, executable) for level, executable in answers]
+        return [is_permitted(level, executable) for level, executable in answers]
 
     async def courses(
         self, asked: Sequence[tuple[str, str]], span: tuple[int, int], every_ns: int
@@ -438,44 +410,6 @@ class ResultsClient:
 
     def _node(self, id_: str | int) -> ua.NodeId:
         return ua.NodeId(id_, self._index if isinstance(id_, str) else 0)
-
-
-def _reading(answer: ua.DataValue) -> Reading:
-    value = answer.Value.Value if answer.Value is not None else None
-    if isinstance(value, ua.LocalizedText):
-        value = value.Text
-    code = answer.StatusCode.value if answer.StatusCode is not None else 0
-    time = answer.SourceTimestamp
-    return Reading(value, int(code), 0 if time is None else utc_ns(time))
-
-
-def _engineering(information: object, span: object, text: ua.DataValue) -> Engineering:
-    symbol = information.DisplayName.Text if isinstance(information, ua.EUInformation) else None
-    bounds = (span.Low, span.High) if isinstance(span, ua.Range) else None
-    given = None if text.Value is None else text.Value.Value
-    return Engineering(
-        symbol or "",
-        bounds if bounds is not None and all(map(isfinite, bounds)) else None,
-        (given.Text or "") if isinstance(given, ua.LocalizedText) else "",
-    )
-
-
-def _is_permitted(level: ua.DataValue, executable: ua.DataValue) -> bool:
-    """A variable has the one attribute, a method the other."""
-    if executable.Value is not None and executable.Value.Value is not None:
-        return bool(executable.Value.Value)
-    bits = level.Value.Value if level.Value is not None else None
-    return isinstance(bits, int) and bool(bits & ua.AccessLevel.CurrentWrite.mask)
-
-
-def _type_name(type_: ua.DataValue, rank: ua.DataValue, own: int) -> str | None:
-    is_scalar = rank.Value is not None and rank.Value.Value == ua.ValueRank.Scalar
-    node = type_.Value.Value if is_scalar and type_.Value is not None else None
-    if isinstance(node, ua.NodeId) and node.NamespaceIndex == own:
-        return "Int32"
-    if not isinstance(node, ua.NodeId) or node.NamespaceIndex != 0:
-        return None
-    return ua.ObjectIdNames.get(node.Identifier)
 
 
 def _variant(value: float | str) -> ua.Variant:

@@ -8,10 +8,11 @@ from asyncua import ua
 
 from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.foreign_text import printable, toml_string
-from valvemap.opcua_client.connection import Connection, in_one_line
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import children_of, namespaces_of, read_attributes
+from valvemap.opcua_client.source_errors import in_one_line
 from valvemap.opcua_source.members import Path, path_text
-from valvemap.opcua_source.source_nodes import parse_node_id
+from valvemap.opcua_source.node_ids import parse_node_id
 from valvemap.opcua_source.source_units import read_units
 from valvemap.opcua_source.type_definitions import numbers_of
 from valvemap.opcua_source.wire import NUMERIC_FORMATS

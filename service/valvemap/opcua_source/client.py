@@ -7,12 +7,13 @@ from functools import cached_property
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import SourceLost, SourceRejected
 from valvemap.model.estimator import key_of
-from valvemap.opcua_client.connection import (
-    Connection,
-    Security,
-    SourceSettings,
-    Ticket,
-    open_connection,
+from valvemap.opcua_client.connection import Connection, Ticket, open_connection
+from valvemap.opcua_client.source_settings import Security, SourceSettings
+from valvemap.opcua_source.checked_nodes import (
+    CheckedNodes,
+    MonitoredNode,
+    WritableNode,
+    check_nodes,
 )
 from valvemap.opcua_source.command_writing import write_to_nodes
 from valvemap.opcua_source.filled_changes import FilledChanges
@@ -21,15 +22,7 @@ from valvemap.opcua_source.position import Mark, Position, position_from_bytes, 
 from valvemap.opcua_source.recall import recall
 from valvemap.opcua_source.received import Left, Tally
 from valvemap.opcua_source.source_clock import SourceClock
-from valvemap.opcua_source.source_nodes import (
-    HEARTBEAT,
-    REQUIRED_U,
-    CheckedNodes,
-    MonitoredNode,
-    ValveNodes,
-    WritableNode,
-    check_nodes,
-)
+from valvemap.opcua_source.source_nodes import HEARTBEAT, REQUIRED_U, ValveNodes
 from valvemap.opcua_source.source_units import Scales, check_units
 from valvemap.opcua_source.subscribing import LIFETIME_S, subscribe, take_over
 from valvemap.opcua_source.subscription import Subscription

@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence
 
 from asyncua import ua
 
-from valvemap.opcua_client.connection import Connection, status_name
-from valvemap.opcua_source.source_nodes import HEARTBEAT, ValveNodes, WritableNode
+from valvemap.opcua_client.connection import Connection
+from valvemap.opcua_client.source_errors import status_name
+from valvemap.opcua_source.checked_nodes import WritableNode
+from valvemap.opcua_source.source_nodes import HEARTBEAT, ValveNodes
 
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}
 

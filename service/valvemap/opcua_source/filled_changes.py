@@ -5,11 +5,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from valvemap.opcua_client.connection import Connection
+from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.history import NEVER, Holes, Knowledge, SourceHistory
 from valvemap.opcua_source.position import Mark
 from valvemap.opcua_source.received import Part, Tally
 from valvemap.opcua_source.records import overflown
-from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.pipeline.data_changes import DataChanges
 
 

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from guarded_opcua.binary.encoding import instant
 from guarded_opcua.logs import bounded_logger
 from valvemap.errors import SourceLost
-from valvemap.opcua_client.connection import Connection, status_name
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.responses import Senseless
+from valvemap.opcua_client.source_errors import status_name
+from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.decoding import HistoryPiece, decode_history_response
-from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.opcua_source.wire import DecodeError
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.signals import PER_VALVE

@@ -17,21 +17,16 @@ from asyncua import ua
 from guarded_opcua.logs import bounded_logger
 from valvemap.clock import Clock
 from valvemap.errors import SourceError, SourceRejected
-from valvemap.opcua_client.connection import Connection, SourceSettings, status_name
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import namespaces_of
+from valvemap.opcua_client.source_errors import status_name
+from valvemap.opcua_client.source_settings import SourceSettings
+from valvemap.opcua_source.checked_nodes import CheckedNodes, MonitoredNode
 from valvemap.opcua_source.item_table import QUIET_S, ItemTable
 from valvemap.opcua_source.members import Member
 from valvemap.opcua_source.monitored_items import Item
-from valvemap.opcua_source.source_nodes import (
-    CheckedNodes,
-    Looked,
-    MonitoredNode,
-    ValveNodes,
-    Wanted,
-    copies_of,
-    look,
-    wanted_nodes,
-)
+from valvemap.opcua_source.node_looks import Looked, look
+from valvemap.opcua_source.source_nodes import ValveNodes, Wanted, copies_of, wanted_nodes
 from valvemap.opcua_source.subscription import Subscription
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.vocabulary.item_states import ItemState

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from asyncua import ua
 
 from valvemap.errors import SourceRejected
-from valvemap.opcua_client.connection import Connection, status_name
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import in_chunks, operation_limits
+from valvemap.opcua_client.source_errors import status_name
+from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.elements import of_one_variable
-from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.vocabulary.signals import PER_VALVE
 
 _log = logging.getLogger(__name__)

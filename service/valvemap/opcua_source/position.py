@@ -9,9 +9,9 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
+from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.monitored_items import Item
 from valvemap.opcua_source.received import Left
-from valvemap.opcua_source.source_nodes import MonitoredNode
 
 _FORMAT = 2
 _LARGEST = 2**32 - 1  # largest UInt32

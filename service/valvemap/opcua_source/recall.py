@@ -6,8 +6,8 @@ import numpy as np
 
 from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection
+from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.history import Holes, SourceHistory
-from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.pipeline.data_changes import DataChanges
 
 

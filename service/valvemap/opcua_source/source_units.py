@@ -8,16 +8,11 @@ import numpy as np
 from asyncua import ua
 
 from valvemap.errors import SourceRejected
-from valvemap.opcua_client.connection import Connection, in_one_line
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import read_properties
-from valvemap.opcua_source.source_nodes import (
-    LOAD,
-    REQUIRED_U,
-    CheckedNodes,
-    ValveNodes,
-    copies_of,
-    wanted_nodes,
-)
+from valvemap.opcua_client.source_errors import in_one_line
+from valvemap.opcua_source.checked_nodes import CheckedNodes
+from valvemap.opcua_source.source_nodes import LOAD, REQUIRED_U, ValveNodes, copies_of, wanted_nodes
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.units import (
     QUANTITY_OF,

@@ -13,8 +13,9 @@ from asyncua import ua
 from guarded_opcua.logs import bounded_logger
 from valvemap.clock import Clock
 from valvemap.errors import SourceError, SourceLost
-from valvemap.opcua_client.connection import Connection, status_name
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.responses import Senseless
+from valvemap.opcua_client.source_errors import status_name
 from valvemap.opcua_source.acknowledgements import Acknowledgements
 from valvemap.opcua_source.decoding import (
     Message,

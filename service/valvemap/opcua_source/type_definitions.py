@@ -11,8 +11,9 @@ from asyncua import ua
 from asyncua.ua.ua_binary import struct_to_binary
 
 from valvemap.errors import SourceRejected
-from valvemap.opcua_client.connection import Connection, in_one_line
+from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import in_chunks, read_attributes
+from valvemap.opcua_client.source_errors import in_one_line
 from valvemap.opcua_source.members import (
     DEEPEST,
     MOST_FIELDS,

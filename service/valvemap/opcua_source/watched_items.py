@@ -15,6 +15,7 @@ from guarded_opcua.logs import bounded_logger
 from valvemap.clock import Clock
 from valvemap.errors import SourceError
 from valvemap.opcua_client.connection import Connection
+from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.decoding import Message
 from valvemap.opcua_source.elements import (
     COMPOUND,
@@ -26,7 +27,6 @@ from valvemap.opcua_source.elements import (
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import Item, create_items, delete_items, enlarge_queues
 from valvemap.opcua_source.received import Tally
-from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.pipeline.data_changes import DataChanges
 
 _log = bounded_logger(__name__)
