@@ -9,6 +9,7 @@ from guarded_opcua.address_space.declarations import (
     Variable,
 )
 from guarded_opcua.address_space.insertion import many_nodes
+from guarded_opcua.address_space.node_sets import refer, refer_back
 from guarded_opcua.address_space.nodes import (
     add_method,
     add_object,
@@ -109,6 +110,8 @@ __all__ = [
     "instant",
     "load_certificate",
     "many_nodes",
+    "refer",
+    "refer_back",
     "rejected",
     "thumbprint",
     "trust",

@@ -88,7 +88,7 @@ async def test_an_address_that_is_not_ours_is_told(monkeypatch):
 
     monkeypatch.setattr("guarded_opcua.server.HardenedServer.namespace", nothing)
     server = HardenedServer(settings("opc.tcp://192.0.2.1:4840/x/", none_on_loopback=False))
-    monkeypatch.setattr("guarded_opcua.server._certificate", _no_certificate)
+    monkeypatch.setattr("guarded_opcua.server.server_certificate", _no_certificate)
     with pytest.raises(ServerError, match=r"192\.0\.2\.1:4840.*: cannot listen there"):
         await server.start()
 

@@ -28,11 +28,15 @@ def _mark_array(held: AttributeValue | None) -> None:
         content.is_array = True
 
 
-def refer(aspace: AddressSpace, source: ua.NodeId, kind: ua.NodeId, target: ua.NodeId) -> None:
-    """Add a forward reference to a node, without the inverse one."""
-    aspace[source].references.append(reference(kind, aspace[target], forward=True))
+def refer(aspace: AddressSpace, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
+    """Add a forward reference from a node to another.
+
+    The target gets the inverse reference from :func:`refer_back`; for a lazy folder, call that
+    when the folder is populated.
+    """
+    aspace[source].references.append(reference(ua.NodeId(kind), aspace[target], forward=True))
 
 
-def refer_back(aspace: AddressSpace, source: ua.NodeId, kind: ua.NodeId, target: ua.NodeId) -> None:
-    """Add the inverse reference to the target."""
-    aspace[target].references.append(reference(kind, aspace[source], forward=False))
+def refer_back(aspace: AddressSpace, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
+    """Add the inverse reference from a node to another that refers to it."""
+    aspace[target].references.append(reference(ua.NodeId(kind), aspace[source], forward=False))

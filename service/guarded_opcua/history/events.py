@@ -2,7 +2,7 @@
 
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Protocol, TypeVar
+from typing import Final, Protocol
 
 import numpy as np
 from asyncua import ua
@@ -10,8 +10,8 @@ from asyncua import ua
 from guarded_opcua.binary.encoding import encode_structure, nanoseconds_given
 from guarded_opcua.history.historian import EVER, Span
 from guarded_opcua.monitoring.event_filter import Event, EventFilter
+from guarded_opcua.turn import Turn
 
-T = TypeVar("T")
 MOST_EVENTS: Final = 500  # events filtered per page; bounds the cost of a request
 MOST_FIELDS: Final = 10_000  # fields in one response, 20 µs each
 MOST_BYTES: Final = 500_000  # bytes of one page, plus at most one event
@@ -32,16 +32,6 @@ class EventHistorian(Protocol):
         self, emitter: ua.NodeId, span: Span, skip: int, most: int
     ) -> Awaitable[Sequence[PastEvent]]:
         """Return up to ``most`` events of an object within a span, without the first ``skip``."""
-
-
-class Turn(Protocol):
-    """The scheduled turn of the running request."""
-
-    async def breathe(self) -> None:
-        """Yield to other connections if this request has used its time slice."""
-
-    async def outside(self, slow: Awaitable[T]) -> T:
-        """Await a slow operation with the turn released."""
 
 
 @dataclass(frozen=True)

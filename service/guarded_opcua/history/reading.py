@@ -23,7 +23,6 @@ from guarded_opcua.binary.records import Form, encode_records
 from guarded_opcua.history.events import (
     EventHistorian,
     PastEvents,
-    Turn,
     page_of_events,
     past_events,
 )
@@ -48,6 +47,7 @@ from guarded_opcua.history.processing import (
 )
 from guarded_opcua.monitoring.event_filter import EventFilter, EventFilterRefused
 from guarded_opcua.settings import Limits
+from guarded_opcua.turn import Turn
 
 _Codes = ua.StatusCodes
 MOST_TIMES = 1_000  # times of one variable in one request; each is a lookup

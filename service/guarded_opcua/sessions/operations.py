@@ -1,17 +1,66 @@
 """Operations of one request: a failed operation sets only its own status (Part 4)."""
 
-from collections.abc import Awaitable, Callable, Iterable
-from typing import TypeVar
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from typing import Any, TypeVar
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 
+from guarded_opcua.binary.encoding import encode_results, encode_structure, ticks_of_ns
+from guarded_opcua.clock import Clock
 from guarded_opcua.logs import bounded_logger
+from guarded_opcua.sessions.requests import Request
+from guarded_opcua.settings import Limits
 
 _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 
 T = TypeVar("T")
+
+
+class Operations:
+    """Checks the number of a request's operations, answers them, encodes their results."""
+
+    def __init__(self, limits: Limits, clock: Clock) -> None:
+        self._limits = limits
+        self._clock = clock
+
+    def check_count(self, operations: Sequence[Any] | None, most: int | None = None) -> None:
+        """Check that there are operations, and at most ``most``; None: the server's limit.
+
+        Raises
+        ------
+        ServiceError
+            BadNothingToDo, BadTooManyOperations.
+        """
+        if not operations:
+            raise ServiceError(_Codes.BadNothingToDo)
+        if len(operations) > (self._limits.operations if most is None else most):
+            raise ServiceError(_Codes.BadTooManyOperations)
+
+    async def each(
+        self,
+        request: Request,
+        operations: Sequence[T],
+        answer: Callable[[T], Awaitable[bytes]],
+        refusal: Callable[[int], bytes],
+    ) -> list[bytes]:
+        """Answer the operations in turns of the request; see :func:`answer_each`."""
+        most = self._limits.response_bytes
+        return await answer_each(operations, answer, refusal, request.turn.breathe, most)
+
+    def results(self, request: Request, kind: int, *results: Sequence[bytes]) -> bytes:
+        """Return the encoded response of a kind, with one or more arrays of encoded results."""
+        return encode_results(kind, request.handle, self.ticks(), *results)
+
+    def ticks(self) -> int:
+        """Return the time of a response: 100 ns since 1601."""
+        return ticks_of_ns(self._clock.now())
+
+
+def refusal(result: type) -> Callable[[int], bytes]:
+    """Return an encoder of results of this type that hold only a status code."""
+    return lambda code: encode_structure(result(StatusCode=ua.StatusCode(code)))
 
 
 async def answer_each(

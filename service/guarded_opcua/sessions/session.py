@@ -100,6 +100,11 @@ class Session:
         return self.principal is not None and not self.closed
 
     @property
+    def user(self) -> str:
+        """Return the name of the logged-in user; empty before the log-in."""
+        return "" if self.principal is None else self.principal.name
+
+    @property
     def role(self) -> Role:
         """Return the role of the logged-in user."""
         if self.principal is None:

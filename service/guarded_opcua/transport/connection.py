@@ -16,7 +16,7 @@ from guarded_opcua.allowance import Allowance
 from guarded_opcua.binary.bounded_decoding import Budget, Reader, decode, decode_slowly
 from guarded_opcua.binary.encoding import encode_publish_response, ticks_of_ns
 from guarded_opcua.logs import bound_asyncua, bounded_logger
-from guarded_opcua.sessions.services import Request
+from guarded_opcua.sessions.requests import Request
 from guarded_opcua.subscriptions.publish_queue import PublishRequest
 from guarded_opcua.subscriptions.subscription import Message
 from guarded_opcua.transport.channel import Channel

@@ -1,12 +1,15 @@
-"""Offered security policies, user tokens and endpoint descriptions (Part 4, 7.14)."""
+"""The endpoint: its URL, and the offered policies, user tokens, descriptions (Part 4, 7.14)."""
 
+import ipaddress
 from typing import Any
+from urllib.parse import urlparse
 
 from asyncua import ua
 from asyncua.crypto import security_policies
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import rsa
 
+from guarded_opcua.errors import ConfigurationError
 from guarded_opcua.security.identity import ANONYMOUS, CERTIFICATE, USERNAME
 from guarded_opcua.settings import ServerSettings
 
@@ -19,6 +22,37 @@ _SECURED = (
     (security_policies.SecurityPolicyAes256Sha256RsaPss, 80),
 )
 _TOKEN_POLICY = security_policies.SecurityPolicyBasic256Sha256.URI
+
+
+def check_endpoint(settings: ServerSettings) -> None:
+    """Check the endpoint's URL, and that its security fits where it listens.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    parsed = urlparse(settings.url)
+    try:
+        complete = parsed.scheme == "opc.tcp" and parsed.hostname and parsed.port is not None
+    except ValueError:
+        complete = False
+    if not complete:
+        raise ConfigurationError(
+            f"{settings.url}: an endpoint like opc.tcp://127.0.0.1:4840/path/ is needed"
+        )
+    if settings.none_on_loopback and parsed.hostname not in ("127.0.0.1", "::1"):
+        raise ConfigurationError(
+            f"{settings.url}: without security a server listens on 127.0.0.1 or ::1 only"
+        )
+    if settings.pki is None and not settings.none_on_loopback:
+        raise ConfigurationError(f"{settings.url}: a server on the network needs a PKI folder")
+
+
+def endpoint_url(settings: ServerSettings, port: int | None) -> str:
+    """Return the endpoint's URL; ``port`` is the one that is listened on, None before the start."""
+    parsed = urlparse(settings.url)
+    port = parsed.port if port is None else port
+    return parsed._replace(netloc=f"{_bracketed(parsed.hostname or '')}:{port}").geturl()
 
 
 def offered_policies(
@@ -93,3 +127,10 @@ def _endpoint(
         TransportProfileUri=_TRANSPORT,
         SecurityLevel=level,
     )
+
+
+def _bracketed(host: str) -> str:
+    try:
+        return f"[{host}]" if ipaddress.ip_address(host).version == 6 else host
+    except ValueError:
+        return host

@@ -17,6 +17,8 @@ from guarded_opcua import (
     add_object,
     add_property,
     add_variable,
+    refer,
+    refer_back,
 )
 from valvemap.opcua_results.information_model import DEVICE_HEALTH, IDENTIFICATION
 from valvemap.pipeline.nameplate import Nameplate
@@ -51,7 +53,8 @@ class Companions:
 
         Call this before the valve's folder is deferred with ``add_later``.
         """
-        self.server.refer(self.device_set, ua.ObjectIds.Organizes, owner)
+        aspace = self.server.address_space
+        refer(aspace, self.device_set, ua.ObjectIds.Organizes, owner)
 
     @property
     def device_set(self) -> ua.NodeId:
@@ -64,7 +67,8 @@ class Companions:
         Optional properties that are not configured are left out; mandatory ones are Uncertain.
         """
         server = self.server
-        server.refer_back(self.device_set, ua.ObjectIds.Organizes, owner)
+        organizes = ua.ObjectIds.Organizes
+        refer_back(server.address_space, self.device_set, organizes, owner)
         own = await add_object(
             server,
             owner,
@@ -98,12 +102,13 @@ class Companions:
                 )
         if plate.location:
             tag = ua.NodeId(_I_MACHINE_TAG_NAMEPLATE, self.machinery)
-            server.refer(own, ua.ObjectIds.HasInterface, tag)
+            refer(server.address_space, own, ua.ObjectIds.HasInterface, tag)
 
     async def add_health(self, owner: ua.NodeId, whose: str) -> Variable:
         """Add the DeviceHealth of an owner, which the description calls ``whose``."""
         server = self.server
-        server.refer(owner, ua.ObjectIds.HasInterface, self._of_di(_I_DEVICE_HEALTH))
+        interface = self._of_di(_I_DEVICE_HEALTH)
+        refer(server.address_space, owner, ua.ObjectIds.HasInterface, interface)
         return await add_variable(
             server,
             owner,
