@@ -42,7 +42,7 @@ from valvemap.model.samples import Floats, Samples, Times
 from valvemap.storage.commission_files import RunFiles
 from valvemap.storage.recordings import read_recording
 from valvemap_rig.excitation import External
-from valvemap_rig.information_model import columns_of
+from valvemap_rig.publication import columns_of
 from valvemap_rig.scenario import BUILTIN, Scenario
 from valvemap_rig.server import RigServer
 from valvemap_rig.simulation import advance

@@ -16,7 +16,8 @@ from guarded_opcua import (
     many_nodes,
 )
 from valvemap_rig.fleet import FleetRecording, record, valve_names
-from valvemap_rig.information_model import FleetNodes, add_fleet, publish_fleet
+from valvemap_rig.information_model import FleetNodes, add_fleet
+from valvemap_rig.publication import publish_fleet
 from valvemap_rig.scenario import Scenario
 
 _log = logging.getLogger(__name__)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from guarded_opcua import Records, Span, Variable
-from valvemap_rig.information_model import Columns, RigNodes
+from valvemap_rig.information_model import RigNodes
+from valvemap_rig.publication import Columns
 
 _MOST_SAMPLES = 1_000_000  # samples of all valves together, 150 bytes each
 

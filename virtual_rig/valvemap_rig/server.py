@@ -21,18 +21,8 @@ from valvemap_rig.excitation import External
 from valvemap_rig.fault_words import fault_effect
 from valvemap_rig.faults import Fault, FaultError, commanded_fault
 from valvemap_rig.history import RigHistory
-from valvemap_rig.information_model import (
-    GOOD,
-    NOTHING,
-    Actions,
-    Columns,
-    RigNodes,
-    add_rig,
-    columns_of,
-    part,
-    playable,
-    publish,
-)
+from valvemap_rig.information_model import GOOD, RigNodes, add_rig, playable
+from valvemap_rig.publication import NOTHING, Columns, columns_of, part, publish
 from valvemap_rig.scenario import Scenario, faultable
 from valvemap_rig.simulation import (
     MOST_FAULTS,
@@ -44,6 +34,7 @@ from valvemap_rig.simulation import (
     is_over,
     own_command,
 )
+from valvemap_rig.unit_nodes import Actions
 
 _log = logging.getLogger(__name__)
 
