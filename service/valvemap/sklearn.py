@@ -7,12 +7,9 @@ from numpy.typing import ArrayLike
 
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Exponential, Forgetting
-from valvemap.model.least_squares_state import (
-    initial_state,
-    learn,
-    parameter_covariance,
-    predict,
-)
+from valvemap.model.least_squares_answers import parameter_covariance, predict
+from valvemap.model.least_squares_learning import learn
+from valvemap.model.least_squares_state import initial_state
 from valvemap.model.model_structures import FiveTerms, Structure
 from valvemap.model.samples import Floats, Samples
 

@@ -3,7 +3,8 @@ import pytest
 
 from valvemap.model.fleet import learn_fleet, member, stack
 from valvemap.model.forgetting import Adaptive, Directional, Exponential, SlidingWindow
-from valvemap.model.least_squares_state import initial_state, learn
+from valvemap.model.least_squares_learning import learn
+from valvemap.model.least_squares_state import initial_state
 from valvemap.model.model_structures import FiveTerms
 
 LENGTHS = [300, 0, 1, 700, 42]

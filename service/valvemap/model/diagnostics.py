@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc
 
-from valvemap.model.least_squares_state import RlsState, matrix_P
+from valvemap.model.least_squares_answers import matrix_P
+from valvemap.model.least_squares_state import RlsState
 from valvemap.model.samples import Floats, Samples
 from valvemap.vocabulary.statuses import Quality
 

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 
 from valvemap.model.estimator import State
 from valvemap.model.forgetting import Forgetting
-from valvemap.model.least_squares_state import RlsState, batch_of, learn_segments
+from valvemap.model.least_squares_learning import batch_of, learn_segments
+from valvemap.model.least_squares_state import RlsState
 from valvemap.model.place_grid import Grid
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace, field_names
 

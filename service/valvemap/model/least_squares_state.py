@@ -1,9 +1,9 @@
-"""State of recursive least squares, and its operations on plain arrays."""
+"""State of recursive least squares."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, TypeVar, assert_never
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -12,30 +12,23 @@ from valvemap.model.estimator import State
 from valvemap.model.flow_units import Powers, no_powers
 from valvemap.model.forgetting import (
     Adaptive,
-    Directional,
-    Exponential,
     Forgetting,
-    Resetting,
     SlidingWindow,
-    Subspace,
-    Variable,
 )
-from valvemap.model.kernels import reaction, rules, uncertainty
-from valvemap.model.kernels.change_detection import SUSPICIOUS, value_of
-from valvemap.model.kernels.factors import covariance, rotate_in
+from valvemap.model.forgetting_rules import rule_of
+from valvemap.model.kernels import reaction
+from valvemap.model.kernels.factors import rotate_in
 from valvemap.model.kernels.information_form import determine
 from valvemap.model.kernels.places import (
     DEVIATION,
     FIELDS,
     FIELDS_OF_VISITS,
     KNOWN,
-    LONGEST,
     NODES_A,
     NODES_B,
-    PROVEN,
     SPREAD,
 )
-from valvemap.model.kernels.recursion import Batch, Memory, evaluate, run
+from valvemap.model.kernels.recursion import Memory
 from valvemap.model.kernels.row_layout import (
     BEND,
     BLOCK_PRODUCT,
@@ -45,7 +38,6 @@ from valvemap.model.kernels.row_layout import (
     FACTORED,
     FILLED,
     FLOOR,
-    HASTE,
     HEAD,
     LAG,
     LAST_D,
@@ -66,7 +58,6 @@ from valvemap.model.kernels.row_layout import (
     SCALE,
     SIZE,
     SQUARE,
-    SQUARES,
     STALE,
     SUM,
     SUSPECT_TIME,
@@ -76,26 +67,16 @@ from valvemap.model.kernels.row_layout import (
     VISIT_POWER,
     VISIT_SQUARES,
     VISIT_SUM,
-    WEIGHT,
     Counts,
     Places,
     places,
-    size_of,
 )
-from valvemap.model.kernels.rules import EVERY_NTH, RESETTING, Rule
-from valvemap.model.kernels.stepwise import run_stepwise
-from valvemap.model.place_grid import Grid, nowhere
-from valvemap.model.samples import Codes, Flags, Floats, Segments, Singles, Times, Trace
-from valvemap.vocabulary.statuses import Adaptation
+from valvemap.model.kernels.rules import RESETTING
+from valvemap.model.samples import Codes, Floats, Singles, Times
 
 A = TypeVar("A", Floats, Times, Codes)
 
 NODES = NODES_A * NODES_B
-BEHIND = 0.9  # factor on the common part of recent innovations: the bias of a map that drifts
-EXACT = 1e-30  # relative to the largest pivot of P; smaller ones have no uncertainty
-LEAST = 1e-150  # pivot of P if all have no uncertainty
-REVISITS = 30.0  # visits of places before misfit can be judged
-MISFITS = 0.25  # ratio of misfit to noise, mean squares, from which the structure does not fit
 
 
 @dataclass(frozen=True)
@@ -261,196 +242,10 @@ def initial_state(
     return state
 
 
-def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats, Floats]:
-    """Xᵀ·theta (N,) at N rows of X and its standard deviation (N,); NaN if unknown."""
-    values, variances = np.empty(len(X)), np.empty(len(X))
-    evaluate(
-        state.theta,
-        state.R,
-        parameter_covariance(state, forgetting),
-        state.scale,
-        state.counters,
-        _writable(X),
-        values,
-        variances,
-    )
-    if _keeps(forgetting) and state.detector[HASTE] > PROVEN:
-        variances += BEHIND * max(0.0, float(state.detector[PRODUCT]))
-    return values, np.sqrt(variances)
-
-
-def _keeps(forgetting: Forgetting) -> bool:
-    """Whether a rule forgets nothing unless places drift."""
-    return isinstance(forgetting, Adaptive) and forgetting.lam == 1.0
-
-
-def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
-    """:class:`~valvemap.vocabulary.statuses.Adaptation` of M models from their detectors."""
-    reacting = reaction.reacts(detectors, REACTION)
-    if not _keeps(forgetting):
-        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
-    noise, seen = np.maximum(detectors[:, MISFIT_POWER], 0.0), detectors[:, REVISITED]
-    misfit = (detectors[:, MISFIT] > MISFITS * noise) & (noise > 0.0)
-    found = np.where(misfit, Adaptation.MISFIT, Adaptation.STEADY)
-    new = detectors[:, NEW] > np.maximum(detectors[:, FLOOR], detectors[:, MISFIT])
-    undecided = (seen < REVISITS) | (new & (detectors[:, NEW] > 0.0))
-    found = np.where(undecided, Adaptation.UNDECIDED, found)
-    found = np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found)
-    return np.where(reacting, Adaptation.REACTING, found).astype(np.uint8)
-
-
-def known_theta(state: RlsState) -> Floats:
-    """Theta (n,), NaN where the samples do not determine it."""
-    if is_determined(state):
-        return state.theta.copy()
-    n = len(state.rhs)
-    values, unknown = np.empty(n), np.full((n, n), np.nan)
-    known = _writable(state.theta), _writable(state.R), unknown, _writable(state.scale)
-    evaluate(*known, state.counters, np.eye(n), values, np.empty(n))
-    return values
-
-
-def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
-    """Covariance of theta (n, n): noise from the innovations; NaN while not determined."""
-    kind, scored = rule_of(forgetting, len(state.rhs)).kind, int(_keeps(forgetting))
-    if state.counters[FACTORED] and state.noise[WEIGHT]:
-        found = np.empty_like(state.R)
-        uncertainty.parameter_covariance(_writable(state.row), kind, scored, found)
-        return found
-    P = matrix_P(state)
-    if kind <= RESETTING and state.noise[WEIGHT] != state.noise[SQUARES]:
-        P = P @ _symmetric(state.spread) @ P
-    return np.asarray(P * _noise_variance(state))
-
-
-def variances(fleet: RlsState, forgetting: Forgetting) -> tuple[Floats, Flags]:
-    """Variance of each parameter of M models (M, n), and whether it is available (M,)."""
-    known = np.empty(fleet.theta.shape)
-    kind = rule_of(forgetting, fleet.rhs.shape[-1]).kind
-    scored = int(_keeps(forgetting))
-    uncertainty.parameter_variances(_writable(fleet.row), kind, scored, known)
-    return known, (fleet.counters[:, FACTORED] == 1) & (fleet.noise[:, WEIGHT] > 0.0)
-
-
-def parameter_variance(state: RlsState, forgetting: Forgetting) -> Floats:
-    """Variance of each parameter (n,), as `variances`; NaN while not determined."""
-    alone = RlsState(*(getattr(state, name)[None] for name in Memory._fields))
-    known, is_known = variances(alone, forgetting)
-    return known[0] if is_known[0] else np.diag(parameter_covariance(state, forgetting))
-
-
-def matrix_P(state: RlsState) -> Floats:
-    """P (n, n) of eqs. (17)-(28), the inverse information; NaN while theta is not determined."""
-    if not is_determined(state):
-        return np.full_like(state.R, np.nan)
-    if state.counters[FACTORED]:
-        return np.asarray(covariance(state.factor))
-    inverse = np.linalg.inv(state.R)  # triangular: no pivoting
-    return np.asarray(inverse @ inverse.T)
-
-
-def information(state: RlsState) -> Floats:
-    """P⁻¹ (n, n), the inverse of `matrix_P`; singular while theta is not determined."""
-    if state.counters[FACTORED]:
-        d = np.diag(state.factor)
-        d = np.maximum(d, max(EXACT * d.max(), LEAST))
-        V = np.tril(state.factor, -1) + np.eye(len(d))
-        inverse = np.linalg.inv(V)  # with ones on the diagonal: P itself may be singular
-        return np.asarray((inverse / d) @ inverse.T)
-    return np.asarray(state.R.T @ state.R)
-
-
-def is_determined(state: RlsState) -> bool:
-    """Whether the samples determine theta."""
-    return bool(state.counters[FACTORED]) or bool(np.diag(state.R).all())
-
-
-def _noise_variance(state: RlsState) -> float:
-    """σ² (NaN before the first innovation)."""
-    return float(state.noise[VARIANCE]) if state.noise[WEIGHT] else np.nan
-
-
-def learn(
-    state: RlsState,
-    forgetting: Forgetting,
-    X: Floats,
-    y: Floats,
-    t: Times,
-    usable: Codes,
-    thetas: Floats | None = None,
-    changes: Floats | None = None,
-    grid: Grid | None = None,
-) -> tuple[RlsState, Trace]:
-    """Update with N samples in sequence.
-
-    Parameters
-    ----------
-    state, forgetting
-        Previous state; its forgetting rule.
-    X, y, t, usable : (N, n), (N,), (N,), (N,)
-        Regressors, output, times; samples with ``usable`` 0 do not change the state.
-    thetas : (N, n), optional
-        Written: theta after each sample.
-    changes : (C, 3), optional
-        Written: the first C detected changes, see `RlsResult`.
-    grid : optional
-        Places of the samples; without it, `Adaptive` has a single place.
-    """
-    after = RlsState(*(np.array(getattr(state, name))[None] for name in Memory._fields))
-    batch = batch_of(X, y, t, usable, thetas, changes, grid)
-    learn_segments(after, forgetting, batch, Segments.one(len(y)))
-    trace = Trace(
-        predicted=batch.predicted, residual=batch.residual, early=batch.early, status=batch.status
-    )
-    return RlsState(*(getattr(after, name)[0] for name in Memory._fields)), trace
-
-
-def learn_segments(
-    states: RlsState, forgetting: Forgetting, batch: Batch, segments: Segments
-) -> None:
-    """Update many models with their samples, in place; ``states`` have a leading axis."""
-    n = states.rhs.shape[-1]
-    size, rule = size_of(n), rule_of(forgetting, n)
-    match forgetting:
-        case Resetting() | SlidingWindow():
-            run_stepwise(size, memory_of(states), rule, batch, segments)
-        case _:
-            run(size, memory_of(states), rule, batch, segments)
-
-
-def batch_of(
-    X: Floats,
-    y: Floats,
-    t: Times,
-    usable: Codes,
-    thetas: Floats | None = None,
-    changes: Floats | None = None,
-    grid: Grid | None = None,
-) -> Batch:
-    """Pack samples and output arrays for a kernel."""
-    N, n = X.shape
-    where = nowhere(n) if grid is None else grid
-    return Batch(
-        t=_writable(t),
-        X=_writable(X),
-        y=_writable(y),
-        usable=_writable(usable),
-        a=_writable(where.a),
-        b=_writable(where.b),
-        nodes=_writable(where.nodes),
-        predicted=np.empty(N),
-        residual=np.empty(N),
-        early=np.empty(N),
-        status=np.empty(N, np.uint8),
-        thetas=np.empty((0, n)) if thetas is None else thetas,
-        changes=np.empty((0, 3)) if changes is None else changes,
-    )
-
-
 _places_of = lru_cache(maxsize=64)(places)
 
 
-def _writable(array: A) -> A:
+def writable(array: A) -> A:
     """Return the array or a copy: the kernel is compiled for plain writable arrays only."""
     return np.require(array, requirements=["C", "W", "A"])
 
@@ -465,33 +260,3 @@ def _square(triangle: Floats, n: int) -> Floats:
     square = np.zeros((n, n))
     square[np.tril_indices(n)] = triangle
     return square
-
-
-def _symmetric(lower: Floats) -> Floats:
-    return np.asarray(lower + np.tril(lower, -1).T)
-
-
-@lru_cache(maxsize=64)
-def rule_of(forgetting: Forgetting, n: int) -> Rule:
-    """Return the rule's numbers for n parameters."""
-    match forgetting:
-        case Exponential(lam):
-            rule = Rule(rules.EXPONENTIAL, lam)
-        case Variable(lam, least):
-            rule = Rule(rules.VARIABLE, lam, least)
-        case Resetting(lam, information):
-            rule = Rule(rules.RESETTING, lam, information)
-        case Directional(lam):
-            rule = Rule(rules.DIRECTIONAL, lam)
-        case Subspace(lam):
-            rule = Rule(rules.SUBSPACE, lam)
-        case SlidingWindow():
-            rule = Rule(rules.WINDOW, forgetting.lam)
-        case Adaptive(lam, least, threshold):
-            slowest = 1.0 - lam if lam < 1.0 else 1.0 / LONGEST
-            most = np.log(max(1.0, (1.0 - least) / slowest))
-            limits = value_of(SUSPICIOUS, n), value_of(threshold, n)
-            rule = Rule(rules.SUBSPACE, lam, least, *limits, EVERY_NTH, float(most))
-        case _:
-            assert_never(forgetting)
-    return rule

@@ -22,20 +22,18 @@ from valvemap.model.forgetting import (
 from valvemap.model.kernels.change_detection import FEWEST_BETWEEN
 from valvemap.model.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
 from valvemap.model.kernels.rules import LARGEST
-from valvemap.model.least_squares_state import (
-    RlsState,
+from valvemap.model.least_squares_answers import (
     adaptations,
-    flow_powers,
     information,
-    initial_state,
     is_determined,
     known_theta,
-    learn,
     parameter_covariance,
     parameter_variance,
     predict,
     variances,
 )
+from valvemap.model.least_squares_learning import learn
+from valvemap.model.least_squares_state import RlsState, flow_powers, initial_state
 from valvemap.model.linear_map import LinearParameters
 from valvemap.model.model_structures import (
     FiveTerms,
