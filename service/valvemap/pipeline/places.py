@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError
-from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Singles, Times
+from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Times
 from valvemap.pipeline.kernels import places as kernel
 from valvemap.pipeline.kernels.places import Record, Scratch, Seen
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
+from valvemap.pipeline.map_errors import MapErrors, shown_std
 from valvemap.vocabulary.statuses import Adaptation
 
 FIRST_LOOK: Final = 128  # samples until the maps are first evaluated at places left
@@ -31,51 +32,12 @@ LATEST_LOOK: Final = 4096  # samples; most between evaluations
 GROWTH: Final = 1  # an evaluation after every 1/GROWTH of the age: at first it doubles
 LOST: Final = 4.0  # times the variance of Q over places; a larger mean squared error is useless
 FEWEST_PLACES: Final = 8  # places; with fewer, nothing is recommended
-NEIGHBOURS: Final = 2.0  # weight of the mean over all places in the error of each
 CERTAIN: Final = 3.0  # standard errors by which errors exceed the noise before intervals widen
 OUTLYING_ALL, OUTLYING = 100.0, 25.0  # times the median square, of all and of one; larger: clipped
 EXACT: Final = 1e-30  # (l/min)²; the square of a map without errors: 0 is one not evaluated
 LATEST: Final = 0.05  # share of an earlier squared error that a later look back leaves at least
 CLEARLY: Final = 2.0  # times; a squared error so much larger than another is another kind
 SURE: Final = 0.9  # probability of being better at which another estimator is recommended
-
-
-@dataclass(frozen=True)
-class MapErrors:
-    """What one estimator's errors at a valve's places say of its map elsewhere.
-
-    Attributes
-    ----------
-    axes, seen
-        The valve's places.
-    past : (places,)
-        Error of the newest map at each place, l/min.
-    noise, excess : float
-        Mean square of the noise in these errors, and of the rest, (l/min)².
-    tail, multiple : float
-        95 % quantile of these errors over that of a Gaussian of the same mean square; factor on the
-        published interval, so that it holds 95 % of new visits.
-    """
-
-    axes: Floats
-    seen: Times
-    past: Singles
-    noise: float
-    excess: float
-    tail: float
-    multiple: float
-
-    def widened(self, own: Floats, U: Floats, dp: Floats, T: Floats) -> Floats:
-        """Return the standard deviation (N,) of the map; ``own`` is the estimator's."""
-        found, near = np.empty(len(U), np.int64), np.empty(len(U))
-        U, dp, T = (np.require(x, np.float64, ["C", "A", "W"]) for x in (U, dp, T))
-        kernel.places_of(U, dp, T, self.axes, self.seen, found, near)
-        overall = self.noise + self.excess
-        past = np.where(found >= 0, self.past[found].astype(np.float64) ** 2, overall)
-        past = overall + near * (past - overall)
-        shown = _shown(past, self.noise, self.excess, self.tail)
-        factor = self.multiple if self.multiple > kernel.TOLERATED else 1.0
-        return factor * np.fmax(own, shown) + 0.0 * own
 
 
 @dataclass(frozen=True)
@@ -264,7 +226,7 @@ class Places:
         lane[kernel.LOST] = float(P >= FEWEST_PLACES and square > LOST * float(np.var(Q)))
         place = self._record.places[m, e]
         place[known, kernel.PAST] = errors
-        shown = np.fmax(std, _shown(errors**2, noise, excess, tail))
+        shown = np.fmax(std, shown_std(errors**2, noise, excess, tail))
         place[known, kernel.STD] = np.nan_to_num(shown, nan=0.0, posinf=0.0)
 
     def _noise(
@@ -470,14 +432,6 @@ def _clipped(errors: Floats) -> Floats:
     of_each = np.median(squares, axis=1, keepdims=True)
     clipped: Floats = np.minimum(squares, np.fmax(OUTLYING_ALL * of_all, OUTLYING * of_each))
     return clipped
-
-
-def _shown(past: Floats, noise: float, excess: float, tail: float) -> Floats:
-    """Standard deviation of a map that errors ``past`` (squared) at places show, without noise."""
-    if excess <= 0.0:
-        return np.zeros_like(past)
-    local = (past + NEIGHBOURS * (noise + excess)) / (1.0 + NEIGHBOURS)
-    return tail * np.sqrt(np.maximum(local - noise, 0.0))
 
 
 def _sure(squares: Floats, best: int) -> float:

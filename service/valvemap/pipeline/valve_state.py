@@ -33,9 +33,9 @@ from valvemap.pipeline.alarms import RULES, Alarm
 from valvemap.pipeline.edges import Part
 from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.kernels import score as of_score
+from valvemap.pipeline.map_errors import MapErrors
 from valvemap.pipeline.meaning import Meaning
 from valvemap.pipeline.nameplate import BLANK, Nameplate
-from valvemap.pipeline.places import MapErrors
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.score import Score
 from valvemap.vocabulary.findings import Finding, FindingCode
