@@ -7,7 +7,8 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from valvemap.cli.demo import _View, _watch
+from valvemap.cli.demo import _View
+from valvemap.cli.demo_stage import _watch
 from valvemap.cli.rig_conditions import condition_line
 from valvemap.model.forgetting import Exponential
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares

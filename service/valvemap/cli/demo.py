@@ -5,29 +5,25 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, Protocol
+from typing import Annotated
 
 import numpy as np
 import typer
-from pydantic import SecretStr
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 
-from guarded_opcua import Role, ServerSettings, UserStore
 from valvemap.app.build import build_identification
-from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PAGE_URI, PRODUCT
 from valvemap.app.serve import serve
 from valvemap.app.signals import stop_on_signal
 from valvemap.app.staged_start import first_identification
-from valvemap.app.warm_up import warm_up
 from valvemap.cli import feedforward, tracking
+from valvemap.cli.demo_stage import Stage
 from valvemap.cli.demo_view import WAITING, Verdict, status_table, verdict_table
 from valvemap.cli.logs import set_up_logs
 from valvemap.cli.output import terminal
 from valvemap.cli.rig_conditions import conditions_in, start_in
 from valvemap.cli.rig_kernels import keep_rig_kernels
-from valvemap.cli.under_demo import page_process, rig_process
+from valvemap.cli.under_demo import rig_process
 from valvemap.clock import SystemClock
 from valvemap.config.loading import load_config
 from valvemap.config.logs import LogConfig
@@ -41,8 +37,7 @@ from valvemap.pipeline.identification import Identification
 from valvemap_rig.condition import AS_NEW, Condition
 from valvemap_rig.scenario import Scenario, VerificationPoints, load_scenario, verification_points
 
-_REFRESH_S = 1.0
-_LINE_S = 5.0
+_COMPILING = "compiling: a minute at the very first start ..."
 _MOST_MB = 100  # of the history, which is deleted with the demo's folder
 
 
@@ -86,18 +81,13 @@ async def _demo(
 ) -> None:
     identification = first_identification(config)
     view = _View(identification, scenario)
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
-    stop = asyncio.Event()
-    with stop_on_signal(stop):
-        async with rig_process(config.source.url, name, password, view.follow) as rig_url:
-            if stop.is_set():
+    stage = Stage.of(config, console, writes=False)
+    with stop_on_signal(stage.stop):
+        async with rig_process(config.source.url, name, stage.password, view.follow) as rig_url:
+            if stage.stop.is_set():
                 return
-            serving = asyncio.ensure_future(
-                serve(config, stop, _settings(config, users), identification, view.count)
-            )
-            async with page_process(config.server.url, rig_url) as page:
-                _say_where(console, config, rig_url, password, page)
-                await _show(view, console, stop, serving, duration)
+            serving = serve(config, stage.stop, stage.settings, identification, view.count)
+            await stage.show(serving, view, rig_url, duration)
     console.print(verdict_table(view.verdicts()))
 
 
@@ -105,26 +95,19 @@ async def _feed_forward_demo(
     config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
 ) -> None:
     """Commission, then follow a flow with three maps until the scenario ends."""
-    console.print("compiling: a minute at the very first start ...")
+    console.print(_COMPILING)
     identification = build_identification(config)
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
-    config = _writing(config, password)
-    stop = asyncio.Event()
-    with stop_on_signal(stop):
-        await _compile(config, stop, console)
-        if stop.is_set():
+    stage = Stage.of(config, console, writes=True)
+    with stop_on_signal(stage.stop):
+        if not await stage.compile():
             return
         await asyncio.to_thread(feedforward.commission, identification, scenario)
-        async with rig_process(config.source.url, name, password, lambda _: None) as rig_url:
+        async with rig_process(config.source.url, name, stage.password, lambda _: None) as rig_url:
             course = feedforward.Course(identification, SystemClock().now())
             armed = feedforward.arm(identification)
-            serving = asyncio.ensure_future(
-                serve(config, stop, _settings(config, users), identification, course.take)
-            )
             end = feedforward.END_S if duration is None else min(duration, feedforward.END_S)
-            async with page_process(config.server.url, rig_url) as page:
-                _say_where(console, config, rig_url, password, page, armed)
-                await _show(course, console, stop, serving, end)
+            serving = serve(stage.config, stage.stop, stage.settings, identification, course.take)
+            await stage.show(serving, course, rig_url, end, armed)
     console.print(course.table())
 
 
@@ -132,128 +115,32 @@ async def _axis_demo(folder: Path, duration: float | None, console: Console) -> 
     """Commission, then follow the same moves with four feed-forwards."""
     scenario = load_scenario(tracking.SCENARIO)
     config = _axis_config(scenario, folder)
-    console.print("compiling: a minute at the very first start ...")
+    console.print(_COMPILING)
     identification = build_identification(config)
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
-    config = _writing(config, password)
-    stop = asyncio.Event()
-    with stop_on_signal(stop):
-        await _compile(config, stop, console)
-        if stop.is_set():
+    stage = Stage.of(config, console, writes=True)
+    with stop_on_signal(stage.stop):
+        if not await stage.compile():
             return
         console.print("commissioning: five minutes of work in half a minute ...")
-        await asyncio.to_thread(tracking.commission, config, scenario)
+        await asyncio.to_thread(tracking.commission, stage.config, scenario)
         course = tracking.Course(scenario, SystemClock())
 
         def follow(line: str) -> None:
             if (start_ns := start_in(line)) is not None:
                 course.begin(start_ns)
 
-        async with rig_process(config.source.url, scenario.name, password, follow) as rig_url:
-            serving = asyncio.ensure_future(
-                serve(
-                    config,
-                    stop,
-                    _settings(config, users),
-                    identification,
-                    on_axis_samples=course.take,
-                )
-            )
+        url, name = config.source.url, scenario.name
+        async with rig_process(url, name, stage.password, follow) as rig_url:
             end = tracking.END_S if duration is None else min(duration, tracking.END_S)
-            async with page_process(config.server.url, rig_url) as page:
-                _say_where(console, config, rig_url, password, page)
-                await _show(course, console, stop, serving, end)
+            serving = serve(
+                stage.config,
+                stage.stop,
+                stage.settings,
+                identification,
+                on_axis_samples=course.take,
+            )
+            await stage.show(serving, course, rig_url, end)
     console.print(course.table())
-
-
-def _writing(config: Config, password: str) -> Config:
-    """Return the configuration of a service that may write at the rig, as its operator."""
-    writer = {"user": "operator", "password": SecretStr(password)}
-    return config.model_copy(update={"source": config.source.model_copy(update=writer)})
-
-
-async def _compile(config: Config, stop: asyncio.Event, console: Console) -> None:
-    def say(done: int, of: int) -> None:
-        console.print(f"compiled {done} of {of} parts")
-
-    await asyncio.to_thread(warm_up, config, say, stop.is_set)
-
-
-def _settings(config: Config, users: UserStore) -> ServerSettings:
-    return ServerSettings(
-        url=config.server.url,
-        application_uri=APPLICATION_URI,
-        application_name=APPLICATION_NAME,
-        namespace_uri=APPLICATION_URI,
-        users=users,
-        none_on_loopback=True,
-        gateways=frozenset({PAGE_URI}),
-        product=PRODUCT,
-    )
-
-
-def _say_where(
-    console: Console, config: Config, rig_url: str, password: str, page: str, *more: str
-) -> None:
-    console.print(f"page      {page}", soft_wrap=True)
-    console.print(f"rig       {rig_url}")
-    console.print(f"service   {config.server.url}")
-    console.print("security  None, on this machine only; anonymous may look")
-    console.print(f"operator  user operator, password {password}")
-    for line in more:
-        console.print(line, soft_wrap=True)
-    console.print("Ctrl-C ends it.\n")
-
-
-class _Watched(Protocol):
-    """A view that the demo shows while it runs."""
-
-    def table(self) -> Table:
-        """Table for a terminal."""
-
-    def lines(self) -> list[str]:
-        """Lines for a log."""
-
-
-async def _show(
-    view: _Watched,
-    console: Console,
-    stop: asyncio.Event,
-    serving: "asyncio.Future[None]",
-    duration: float | None,
-) -> None:
-    """Refresh the table, or print lines if the console is no terminal, until the end; then stop."""
-    try:
-        await _watch(view, console, stop, serving, duration)
-    finally:
-        stop.set()
-        await serving
-
-
-async def _watch(
-    view: _Watched,
-    console: Console,
-    stop: asyncio.Event,
-    serving: "asyncio.Future[None]",
-    duration: float | None,
-) -> None:
-    loop = asyncio.get_running_loop()
-    end = None if duration is None else loop.time() + duration
-    pause = _REFRESH_S if console.is_terminal else _LINE_S
-    with Live(console=console, auto_refresh=False, transient=True) as live:
-        while not stop.is_set() and not serving.done():
-            left = pause if end is None else min(pause, end - loop.time())
-            if left <= 0:
-                return
-            stopped = asyncio.ensure_future(stop.wait())
-            ends: set[asyncio.Future[Any]] = {stopped, serving}
-            await asyncio.wait(ends, timeout=left, return_when=asyncio.FIRST_COMPLETED)
-            stopped.cancel()
-            if console.is_terminal:
-                live.update(view.table(), refresh=True)
-            else:
-                for line in view.lines():
-                    console.print(line, soft_wrap=True)
 
 
 class _View:
