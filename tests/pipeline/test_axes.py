@@ -144,7 +144,7 @@ def test_samples_of_one_line_alone_do_not_pile_up(samples):
     line_A, _ = lines_of(samples)
     for start in range(0, 12_000, 1_000):
         one.take_line(0, line_A[start : start + 1_000])
-    assert len(one._unmet[0][0]) == axes.MOST_WAITING
+    assert len(one._unmet[0].t) == axes.MOST_WAITING
     assert one.job() is None
 
 

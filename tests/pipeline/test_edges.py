@@ -10,7 +10,7 @@ from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
 from valvemap.opcua_source.source_nodes import ValveNodes, copies_of
 from valvemap.opcua_source.source_units import Scales
-from valvemap.pipeline.edges import MOST_WAITING
+from valvemap.pipeline.edges import MOST_WAITING, NEVER_MET, matched
 from valvemap.pipeline.operator_ports import Command
 from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import LineEdge, Quality, Status
@@ -225,3 +225,21 @@ def test_a_node_that_several_items_share_is_monitored_once_and_reaches_all(confi
     wanted = np.lexsort((changes.item, changes.source_time))
     for name in ("item", "value", "source_time"):
         assert (getattr(spread, name)[order] == getattr(changes, name)[wanted]).all(), name
+
+
+@pytest.mark.parametrize("lacks", [0, 1, 2])
+@pytest.mark.parametrize("cut", [1, 3, 100])
+def test_a_sample_that_one_row_lacks_before_a_step_back_costs_that_sample_alone(lacks, cut):
+    hour = 3_600 * 10**9
+    t = np.concatenate([np.arange(10), np.arange(10) + 11 - hour, np.arange(10) + 30])
+    streams = [t if k != lacks else np.delete(t, [9, 20]) for k in range(3)]
+    waiting, last, met = [t[:0]] * 3, np.array([NEVER_MET]), []
+    for first in range(0, len(t), cut):
+        waiting = [
+            np.concatenate([one, new[first : first + cut]])
+            for one, new in zip(waiting, streams, strict=True)
+        ]
+        rows, past = matched(waiting, last, MOST_WAITING)
+        met += waiting[0][rows[0]].tolist()
+        waiting = [one[first:] for one, first in zip(waiting, past, strict=True)]
+    assert met == np.delete(t, [9, 20]).tolist()

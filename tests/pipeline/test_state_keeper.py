@@ -17,7 +17,8 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.runtime.state_keeper import POSITION, StateKeeper
+from valvemap.runtime.kept_position import POSITION
+from valvemap.runtime.state_keeper import StateKeeper
 
 VALVES = 3
 SAMPLES = 40  # of each valve

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import structlog
 
+from support.small_plant import FakeSource
 from valvemap.errors import StateFileLost, StorageError
 from valvemap.model.axis import AxisGeometry
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis, AxisPlan
 from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.live import LiveService, LiveSettings
@@ -32,12 +35,15 @@ def disk():
 
 @pytest.fixture
 def keeper(disk, clock):
-    return AxisKeeper([Axis(AxisPlan("Press", AxisGeometry(63, 45, 800, 1, 1)))], disk, clock, 10.0)
+    axes = [Axis(AxisPlan("Press", AxisGeometry(63, 45, 800, 1, 1)))]
+    arrivals = Arrivals(["A", "B"], Alignment(AlignmentSettings(), ((), ())))
+    return AxisKeeper(axes, arrivals, FakeSource(), disk, clock, 10.0)
 
 
 async def turn(live, keeper, clock, seconds=10.0):
     clock.advance(seconds)
-    await keeper.keep_if_due()
+    keeper.keep_if_due()
+    await keeper.settle()
     await live.tick()
     await live.keeper.settle()
 

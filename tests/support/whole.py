@@ -16,7 +16,7 @@ from support.stream import SIGNALS
 from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
 from valvemap.pipeline.provenance import ALARMS, MEMORY
-from valvemap.runtime.live import POSITION
+from valvemap.runtime.kept_position import POSITION
 from valvemap.storage.checkpoints import LOG, CheckpointFile
 
 GATES = "{ U = { max_rate_per_s = 400.0 }, T = { frozen_s = 1e6 }, Q = { spike = 60.0 } }"

@@ -2,26 +2,29 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+import structlog
+
 from valvemap.app.build import alignment_of, feed_forward_of, timing_of
-from valvemap.app.connections import build_axis_sources
 from valvemap.clock import Clock
 from valvemap.config.axes import AxisConfig
 from valvemap.config.models import Config
 from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import AxisPlan
+from valvemap.pipeline.axis_arrivals import LINES
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import KeptElsewhere, Piece
 from valvemap.runtime.axes import AxisTap, LiveAxes
-from valvemap.runtime.led_axes import LINES
-from valvemap.runtime.sources import supervise_all
+from valvemap.runtime.sources import Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.storage.checkpoints import CheckpointFile
+
+log = structlog.get_logger(__name__)
 
 
 class AxisServer(Protocol):
@@ -39,7 +42,7 @@ async def run_axes(
     server: AxisServer,
     clock: Clock,
     stop: asyncio.Event,
-    ready: Callable[[], Awaitable[None]],
+    sources: Sources,
     supervision: SupervisorSettings,
     note_states: Callable[[KeptElsewhere], None],
     tap: AxisTap | None = None,
@@ -47,7 +50,7 @@ async def run_axes(
 ) -> None:
     """Identify the axes of a configuration until ``stop`` is set; without axes, show none.
 
-    ``ready`` is awaited before the first samples; ``note_states`` gets the keeper of the states,
+    ``sources`` are their servers; ``note_states`` gets the keeper of the states,
     ``tap`` the samples, ``keep`` rows for the history.
 
     Raises
@@ -59,7 +62,6 @@ async def run_axes(
         await server.follow_axes([], None)
         return
     with CheckpointFile(axes_file(config)) as store:
-        sources = build_axis_sources(config, ready)
         live = build_live_axes(config, server, sources, store, clock, tap, keep)
         await server.follow_axes(live.names, live)
         live.start()
@@ -68,6 +70,8 @@ async def run_axes(
             await supervise_all(sources, live, clock, stop, supervision)
         finally:
             await live.finish()
+            if store.renewed:
+                log.warning("state file was lost while in use", file=str(store.path))
 
 
 def build_live_axes(

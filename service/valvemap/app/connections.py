@@ -2,7 +2,6 @@
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from typing import Final
 
 from guarded_opcua import (
     Limits,
@@ -22,6 +21,7 @@ from valvemap.config.secret_files import read_secret
 from valvemap.config.valves import EdgeConfig, LineConfig, ValveConfig
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.pipeline.axis_arrivals import LINES, line_words
 from valvemap.pipeline.units import QUANTITY_OF
 from valvemap.runtime.live import LiveSettings
 from valvemap.runtime.sources import Part, Sources
@@ -93,17 +93,12 @@ def _of_valve(valve: ValveConfig) -> ValveNodes:
 
 
 def _of_axes(config: Config) -> _Rows:
-    return [(axis.source, _of_line(axis, *line)) for axis in config.axes for line in _LINES]
+    return [(axis.source, _of_line(axis, line)) for axis in config.axes for line in range(LINES)]
 
 
-_LINES: Final = (("pS", "pA"), ("pB", "pT"))  # before and behind the edge that extends
-
-
-def _of_line(axis: AxisConfig, p1: str, p2: str) -> ValveNodes:
-    piston = "position" if axis.nodes.speed is None else "speed"
-    is_led = p1 == _LINES[0][0]  # the first row of an axis
-    other = "T" if is_led else "set_position"
-    words = {"U": "U", "p1": p1, "p2": p2, "Q": piston, "T": other}
+def _of_line(axis: AxisConfig, line: int) -> ValveNodes:
+    is_led = line == 0  # the first row of an axis
+    words = line_words(line, has_speed=axis.nodes.speed is not None)
     measures = {signal: axis.signals.measure(word) for signal, word in words.items()}
     measures["required_U"] = axis.signals.measure("required_U")
     return ValveNodes(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from guarded_opcua import ServerSettings
 from valvemap.app.build import build_identification
-from valvemap.app.connections import build_server_settings, build_sources
+from valvemap.app.connections import build_axis_sources, build_server_settings, build_sources
 from valvemap.app.staged_start import Compilation
 from valvemap.config.models import Config
 from valvemap.pipeline.identification import Identification
@@ -19,6 +19,7 @@ class Plan:
     settings: ServerSettings
     identification: Identification
     source: Sources
+    axis_source: Sources
     compiled: Compilation
     given_settings: ServerSettings | None
     after_another: bool
@@ -37,4 +38,13 @@ def make_plan(
     compiled = Compilation(config)
     wait = compiled.ended if identification.journal is None else None
     source = build_sources(config, wait)  # until then samples wait at the source
-    return Plan(config, settings, identification, source, compiled, server_settings, after_another)
+    return Plan(
+        config,
+        settings,
+        identification,
+        source,
+        build_axis_sources(config, compiled.ended),
+        compiled,
+        server_settings,
+        after_another,
+    )

@@ -12,7 +12,6 @@ from guarded_opcua import HardenedError, ServerSettings
 from valvemap.app.axes import run_axes
 from valvemap.app.commissions import Commissions
 from valvemap.app.connections import (
-    build_axis_sources,
     build_history,
     build_live_settings,
     build_server_settings,
@@ -196,7 +195,7 @@ async def _live(
                 server,
                 clock,
                 ended,
-                plan.compiled.ended,
+                plan.axis_source,
                 supervision,
                 live.note_states_elsewhere,
                 on_axis_samples,
@@ -290,6 +289,7 @@ async def _following(
             continue
         log.info("configuration taken over", valves=len(following.config.valves))
         following.source.succeed(plan.source)
+        following.axis_source.succeed(plan.axis_source)
         ended.set()
         return following
 
@@ -303,5 +303,5 @@ async def _checked(plan: Plan, reload: Reload) -> Plan | None:
     following = make_plan(config, plan.given_settings, after_another=True)
     await following.compiled.ended()
     await following.source.check()
-    await build_axis_sources(config).check()
+    await following.axis_source.check()
     return following

@@ -26,6 +26,7 @@ from valvemap.opcua_results.information_model import (
     FINDINGS,
     INVERSE,
     ROOT,
+    WAITING,
     VariableNode,
     sentences_of,
 )
@@ -33,7 +34,14 @@ from valvemap.opcua_results.past import ResultsPast, has_past
 from valvemap.opcua_results.result_alarms import ResultAlarms
 from valvemap.opcua_results.result_health import ResultHealth
 from valvemap.opcua_results.result_variables import ResultVariables, add_described
-from valvemap.opcua_results.valve_variables import arming_variables, finding_variables
+from valvemap.opcua_results.valve_variables import (
+    arming_variables,
+    counter_name,
+    counter_variable,
+    finding_variables,
+    waiting_variable,
+)
+from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.axis_tracking import SPAN_S, AxisTracking
 from valvemap.pipeline.operator_ports import Answer
@@ -122,7 +130,7 @@ class AxisNodes:
         parent = await add_object(
             server, folder, f"{name}.{DIAGNOSTICS}", description="What has changed at the axis."
         )
-        for node in finding_variables(name):
+        for node in (*finding_variables(name), *arrival_variables(name)):
             await self._add_variable(parent, node)
         await add_set_reference(server, parent, name, operator)
         parent = await add_object(
@@ -193,6 +201,11 @@ def axis_variables(axis: str) -> tuple[VariableNode, ...]:
         of("LeftOut", "Intervals that were left out, by reason, in words.", _TEXT, dimensions=(0,)),
         of("U", "Positions of the spool at which Flow of each edge is given, %.", dimensions=(0,)),
     )
+
+
+def arrival_variables(axis: str) -> tuple[VariableNode, ...]:
+    """Return the variables of the arrival of samples: what is waited for, and counters."""
+    return waiting_variable(axis), *(counter_variable(axis, name) for name in COUNTER_NAMES)
 
 
 def edge_variables(axis: str, edge: str) -> tuple[VariableNode, ...]:
@@ -286,6 +299,9 @@ def values_of(results: AxisResults) -> Iterator[tuple[str, Any, int]]:
     yield FINDINGS, [one.sentence for one in findings], known_code
     yield FINDING_CODES, [int(one.code) for one in findings], known_code
     yield FINDING_PROBABILITIES, [one.probability for one in findings], known_code
+    yield WAITING, list(results.waiting), int(_CODES.Good)
+    for counter, n in results.counters.items():
+        yield counter_name(counter), n, int(_CODES.Good)
     code = int(_CODES.BadNoCommunication if results.is_stale else _CODES.Good)
     yield f"{INVERSE}.RequiredU", required.U, code
     yield f"{INVERSE}.RequiredULower", required.lower, code

@@ -22,6 +22,8 @@ from valvemap.opcua_results.information_model import (
     VariableNode,
     sentences_of,
 )
+from valvemap.pipeline.alignment import COUNTER_NAMES as OF_ALIGNMENT
+from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
 from valvemap.pipeline.results import ValveDescription
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import (
@@ -227,7 +229,7 @@ def _camel_case(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 
-_KEPT = {"lane_failures"}  # part of the checkpoint
+_KEPT = {*OF_ALIGNMENT, *OF_GATE, "lane_failures"}  # part of the checkpoint
 
 
 COUNTERS = {

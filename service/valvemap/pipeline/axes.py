@@ -30,13 +30,14 @@ from valvemap.model.axis_travel import Travel
 from valvemap.model.estimator import key_of
 from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
 from valvemap.model.lead import DemandCourse, lead_in_words, led, spool_delay
-from valvemap.model.samples import Floats, Samples, Times
+from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.axis_alarms import AxisAlarms
+from valvemap.pipeline.axis_memory import NEWEST, AxisMemory, Unmet
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
 from valvemap.pipeline.axis_tracking import Tracking
 from valvemap.pipeline.axis_watch import AxisWatch, Balance, balance
 from valvemap.pipeline.axis_window import AxisWindow
-from valvemap.pipeline.edges import MOST_WAITING, paired
+from valvemap.pipeline.edges import MOST_WAITING, NEVER_MET, matched
 from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.pipeline.kept_watches import pack_watch, unpack_watch
@@ -53,7 +54,6 @@ REFIT_S: Final = 5.0  # s of movement between two fits of the sums
 SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # up to these differences the sums continue
 _RATED_BAR: Final = 70.0
 _LONGEST_STEP_S: Final = 1.0  # s; a longer step from sample to sample counts as this
-_NO_TIME: Final = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,8 @@ class Axis:
         self, plan: AxisPlan, on_samples: Callable[[AxisSamples], None] | None = None
     ) -> None:
         self.plan, self._on_samples = plan, on_samples
-        self._unmet: list[tuple[Times, Floats]] = [(_NO_TIME, np.empty((5, 0)))] * 2
+        self._unmet, self.unpaired = [Unmet.nothing(), Unmet.nothing()], 0
+        self._met = np.array([NEVER_MET])  # time of their last match
         self._rest, self._travel = Rest.initial(), Travel.initial()
         self._window = AxisWindow(WINDOW_S, MOST_SAMPLES)
         self._since: list[AxisSamples] | None = None  # while a search runs
@@ -132,31 +133,32 @@ class Axis:
         self._watch: AxisWatch | None = None
         self.alarms, self._tracking = AxisAlarms(), Tracking()
         self.newest_U = np.nan  # of the newest sample, %
-        self._newest: tuple[float, ...] = (np.nan,) * 6  # x, T, pA, pB, pS, pT
+        self._newest: tuple[float, ...] = (np.nan,) * NEWEST  # x, T, pA, pB, pS, pT
         self.t = 0  # of the newest sample, UTC ns
         self._demand, self._course = np.nan, DemandCourse()
         self._held_U = np.nan
 
     def take_line(self, line: int, samples: Samples) -> None:
         """Take samples of line A (0) or B (1); they count once the other line's have come."""
-        t, values = self._unmet[line]
         good = samples.quality == Quality.GOOD
         columns = (samples.U, samples.p1, samples.p2, samples.Q, samples.T)
         new = np.where(good, np.stack(columns), np.nan)
-        self._unmet[line] = np.concatenate([t, samples.t]), np.concatenate([values, new], axis=1)
+        self._unmet[line] = self._unmet[line].and_then(samples.t, new)
         self._meet()
 
     def _meet(self) -> None:
-        (t_A, of_A), (t_B, of_B) = self._unmet
-        rows, of, past_A, past_B = paired(t_A, t_B, MOST_WAITING)
-        self._unmet = [(t_A[past_A:], of_A[:, past_A:]), (t_B[past_B:], of_B[:, past_B:])]
+        A, B = self._unmet
+        (rows, of), (past_A, past_B) = matched([A.t, B.t], self._met, MOST_WAITING)
+        self._unmet = [A.without(past_A), B.without(past_B)]
+        self.unpaired += int(past_A) - len(rows)
         if len(rows):
-            U, pS, pA, moved, T = of_A[:, rows]
-            _, pB, pT, _, set_position = of_B[:, of]
+            t = A.t[rows]
+            U, pS, pA, moved, T = A.values[:, rows]
+            _, pB, pT, _, set_position = B.values[:, of]
             if self.plan.is_tracked:
-                self._tracking.take(t_A[rows], moved, set_position)
+                self._tracking.take(t, moved, set_position)
             piston = {"v" if self.plan.has_speed else "x": moved}
-            self.take(AxisSamples.of(t_A[rows], U=U, pA=pA, pB=pB, pS=pS, pT=pT, T=T, **piston))
+            self.take(AxisSamples.of(t, U=U, pA=pA, pB=pB, pS=pS, pT=pT, T=T, **piston))
 
     def take(self, samples: AxisSamples) -> None:
         """Take whole samples; where the axis rests, they give the present pressures alone.
@@ -381,6 +383,29 @@ class Axis:
         if self._watch is not None:
             found[WATCH] = pack_watch(self._watch, self.key)
         return found
+
+    @property
+    def memory(self) -> AxisMemory:
+        """What is kept beside what has been learnt."""
+        unmet_A, unmet_B = self._unmet
+        newest = np.array([self.newest_U, *self._newest])
+        return AxisMemory(
+            (unmet_A, unmet_B),
+            self._met.copy(),
+            self._rest,
+            self._travel,
+            self.t,
+            newest,
+            self.unpaired,
+        )
+
+    def remember(self, memory: AxisMemory) -> None:
+        """Continue with this memory."""
+        self._unmet, self.unpaired = list(memory.unmet), memory.unpaired
+        self._met = memory.met.copy()
+        self._rest, self._travel, self.t = memory.rest, memory.travel, memory.t
+        self.newest_U, *newest = memory.newest.tolist()
+        self._newest = tuple(newest)
 
     @property
     def learnt(self) -> Learnt | None:

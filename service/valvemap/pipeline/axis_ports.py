@@ -1,7 +1,7 @@
 """The results of axes, and the ports that show and demand them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -60,7 +60,8 @@ class AxisResults:
     ``left_out`` has the number of intervals by reason; ``used_s`` is the movement learnt from, s.
     ``findings`` are the changes since the reference, None: there is no reference yet. ``is_stale``:
     no sample has come for long. ``alarms`` are all alarms of the axis. ``tracking`` is renewed once
-    a second; None: there is no set position.
+    a second; None: there is no set position. ``counters`` are those of the arrival of samples, by
+    name; ``waiting`` says why no samples come, a sentence for each signal at fault.
     """
 
     status: AxisStatus
@@ -76,6 +77,8 @@ class AxisResults:
     is_stale: bool = False
     alarms: tuple[AlarmReport, ...] = ()
     tracking: AxisTracking | None = None
+    counters: Mapping[str, int] = field(default_factory=dict)
+    waiting: tuple[str, ...] = ()
 
     @property
     def numbers(self) -> dict[str, float]:

@@ -9,7 +9,7 @@ own flow; everything behind is as for a valve with one edge.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from valvemap.vocabulary.signals import MEASURED
 
 LEAK: Final = "Leak"  # the estimator of a line
 MOST_WAITING: Final = 4_096  # samples of an edge that wait for those of its line, and vice versa
+NEVER_MET: Final = int(np.iinfo(np.int64).min)
+UNKNOWN: Final = {"dropped": np.array(0), "met": np.array([NEVER_MET])}  # of states that lack it
 
 Flags = NDArray[np.bool_]
 
@@ -45,7 +47,7 @@ class Part:
 
 @dataclass(frozen=True)
 class _Kept(State):
-    """The state of one edge: side of U, own samples and the line's leakage that wait."""
+    """The state of one edge: side of U, own samples and the line's leakage that wait, losses."""
 
     state: Any
     t: Any
@@ -53,11 +55,20 @@ class _Kept(State):
     quality: Any
     line_t: Any
     leakage: Any
+    dropped: Any
+    met: Any
+
+    state_version: ClassVar[int] = 3  # 2: neither losses nor the time of the last match
+
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Add the count of the samples that never met their line's, and the last that did."""
+        return arrays | UNKNOWN if version == "2" else {}
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
         nan = {n: Contents(getattr(self, n)).or_nan() for n in ("values", "leakage")}
-        times = {n: Contents(getattr(self, n)).any_time() for n in ("state", "t", "line_t")}
+        times = {n: Contents(getattr(self, n)).any_time() for n in ("state", "t", "line_t", "met")}
         return {**nan, **times, "quality": Contents(self.quality).within(0, 2)}
 
 
@@ -69,14 +80,15 @@ class _Waiting:
         self.own = Samples.empty()
         self.line_t: Times = np.empty(0, np.int64)
         self.leakage: Floats = np.empty(0)
+        self.met = np.array([NEVER_MET])
 
     def meet(self, most: int) -> tuple[Samples, Floats, int]:
         """Return the samples that have met the line's, its leakage, and the number dropped."""
-        rows, of, past_own, past_line = paired(self.own.t, self.line_t, most)
+        (rows, of), (past_own, past_line) = matched([self.own.t, self.line_t], self.met, most)
         samples, leakage = self.own[rows], self.leakage[of]
         self.own = self.own[slice(past_own, None)]
         self.line_t, self.leakage = self.line_t[past_line:], self.leakage[past_line:]
-        return samples, leakage, past_own - len(rows)
+        return samples, leakage, int(past_own) - len(rows)
 
 
 class Splitter:
@@ -175,7 +187,11 @@ class Splitter:
             return None
         waiting = self._edges[number][1]
         own = waiting.own
-        kept = _Kept(waiting.state, own.t, own.values, own.quality, waiting.line_t, waiting.leakage)
+        kept = _Kept(
+            *(waiting.state, own.t, own.values, own.quality, waiting.line_t, waiting.leakage),
+            dropped=np.array(self.dropped[number]),
+            met=waiting.met,
+        )
         return kept.to_bytes(key)
 
     def from_bytes(self, number: int, data: bytes, key: str) -> None:
@@ -199,32 +215,43 @@ class Splitter:
             quality=np.zeros(N, np.uint8),
             line_t=np.zeros(L, np.int64),
             leakage=np.zeros(L),
+            **UNKNOWN,
         )
         kept.check(like)
+        self.dropped[number] = int(kept.dropped)
         waiting = self._edges[number][1]
         waiting.state = kept.state
         waiting.own = Samples.from_values(kept.t, kept.values, kept.quality)
-        waiting.line_t, waiting.leakage = kept.line_t, kept.leakage
+        waiting.line_t, waiting.leakage, waiting.met = kept.line_t, kept.leakage, kept.met
 
 
-def paired(own: Times, other: Times, most: int) -> tuple[Times, Times, int, int]:
-    """Pair the samples of two rows of signals by their times; ``most`` of either may wait.
+def matched(streams: Sequence[Times], last: Times, most: int) -> tuple[Times, Times]:
+    """Match the samples of several rows of signals by their times; ``most`` of each may wait.
+
+    ``last`` (1,), UTC ns, is the time of the last match; it is advanced.
 
     Returns
     -------
-    rows, of
-        The rows (n,) of the pairs.
-    past_own, past_other
-        Where the samples begin that wait on; those before are paired or dropped.
+    rows
+        The rows of the matches within each stream, (streams, n).
+    past
+        Where the samples begin that wait on, (streams,); those before are matched or dropped.
 
     Examples
     --------
-    >>> paired(np.array([1, 2, 4]), np.array([2, 3]), 10)
-    (array([1]), array([0]), 2, 2)
+    >>> matched([np.array([1, 2, 4]), np.array([2, 3])], np.array([NEVER_MET]), 10)
+    (array([[1],
+           [0]]), array([2, 2]))
     """
-    rows, of = np.empty((2, min(len(own), len(other))), np.int64)
-    n, past_own, past_other = kernel.meet(own, other, rows, of)
-    return rows[:n], of[:n], max(past_own, len(own) - most), max(past_other, len(other) - most)
+    lengths = [len(t) for t in streams]
+    rows = np.empty((len(streams), min(lengths)), np.int64)
+    past = np.zeros(len(streams), np.int64)
+    if not min(lengths):
+        n = 0
+    else:
+        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+        n = kernel.meet(np.concatenate(streams), starts, last, rows, past)
+    return rows[:, :n], np.maximum(past, np.array(lengths) - most)
 
 
 def gathered(parts: Mapping[int, Samples]) -> ByValve:

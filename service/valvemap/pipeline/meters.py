@@ -9,8 +9,7 @@ valve with a meter of its own. Learnt are the samples that say as much of a valv
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Samples
 from valvemap.model.shared_meter import SharedMeter, SharedMeterState
 from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.edges import gathered
+from valvemap.pipeline.edges import NEVER_MET, UNKNOWN, gathered, matched
 from valvemap.vocabulary.signals import MEASURED
 from valvemap.vocabulary.statuses import Quality
 
@@ -42,12 +41,22 @@ class _Kept(State):
     P: Any
     sums: Any
     held: Any
+    dropped: Any
+    met: Any
+
+    state_version: ClassVar[int] = 3  # 2: neither losses nor the time of the last match
+
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Add the count of the samples that never met the others', and the last that did."""
+        return arrays | UNKNOWN if version == "2" else {}
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
         return {
             "values": Contents(self.values).or_nan(),
             "t": Contents(self.t).any_time(),
+            "met": Contents(self.met).any_time(),
             "quality": Contents(self.quality).within(0, 2),
             "sums": Contents(self.sums).within(0.0),
         }
@@ -68,23 +77,16 @@ class _Meter:
     def begin_again(self) -> None:
         self.state = self.law.initial_state()
         self.waiting = [Samples.empty() for _ in self.valves]
+        self.met = np.array([NEVER_MET])
 
     def meet(self, most: int) -> tuple[list[Samples], list[int]]:
         """Return the samples with equal times, and of each valve the number dropped."""
-        times = [own.t for own in self.waiting]
-        if not all(map(len, times)):
-            reached = None
-            common = np.empty(0, np.int64)
-        else:
-            reached = min(int(t[-1]) for t in times)
-            common = reduce(np.intersect1d, times)
-        met, dropped = [], []
-        for k, own in enumerate(self.waiting):
-            met.append(own[np.searchsorted(own.t, common)])
-            past = 0 if reached is None else int(np.searchsorted(own.t, reached, side="right"))
-            past = max(past, len(own) - most)
-            dropped.append(past - len(common))
-            self.waiting[k] = own[slice(past, None)]
+        rows, past = matched([own.t for own in self.waiting], self.met, most)
+        met = [own[own_rows] for own, own_rows in zip(self.waiting, rows, strict=True)]
+        dropped = (past - rows.shape[1]).tolist()
+        self.waiting = [
+            own[slice(first, None)] for own, first in zip(self.waiting, past.tolist(), strict=True)
+        ]
         return met, dropped
 
     def share(self, met: Sequence[Samples]) -> tuple[list[Samples], list[Flags]]:
@@ -182,7 +184,11 @@ class Meters:
         own, known = meter.waiting[place], meter.state
         if place:
             known = SharedMeterState(np.zeros(0), np.zeros((0, 0)), np.zeros(0), np.zeros((0, 2)))
-        kept = _Kept(own.t, own.values, own.quality, known.weights, known.P, known.sums, known.held)
+        kept = _Kept(
+            *(own.t, own.values, own.quality, known.weights, known.P, known.sums, known.held),
+            dropped=np.array(self.dropped[number]),
+            met=meter.met,
+        )
         return kept.to_bytes(_key(key, meter, place))
 
     def from_bytes(self, number: int, data: bytes, key: str) -> None:
@@ -210,10 +216,13 @@ class Meters:
             P=np.zeros((n, n)),
             sums=np.zeros(sums),
             held=np.zeros((0 if place else len(meter.valves), 2)),
+            **UNKNOWN,
         )
         kept.check(like)
+        self.dropped[number] = int(kept.dropped)
         meter.waiting[place] = Samples.from_values(kept.t, kept.values, kept.quality)
         if not place:
+            meter.met = kept.met
             meter.state = SharedMeterState(kept.weights, kept.P, kept.sums, kept.held)
 
 

@@ -331,6 +331,7 @@ class ResultTables:
         rejected = fleet.rejections()[self._valves.places[valves]]
         aligned = self._arrivals.counts(valves)
         aligned[:, _MISSING] += self._intake.splitter.dropped[valves]
+        aligned[:, _MISSING] += self._intake.meters.dropped[valves]
         return np.column_stack((aligned, rejected))
 
 

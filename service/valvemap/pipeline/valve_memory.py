@@ -10,16 +10,20 @@ from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.arrivals import ArrivalsOfValve
-from valvemap.pipeline.clock_steps import MOST_KNOWN, Known
-from valvemap.pipeline.kept_waiting import contents_of_waiting
-from valvemap.pipeline.kernels import waiting as slots
+from valvemap.pipeline.clock_steps import Known
+from valvemap.pipeline.kept_arrivals import (
+    arrays_of_arrivals,
+    arrivals_from,
+    arrivals_like,
+    contents_of_arrivals,
+    length_of,
+)
 from valvemap.pipeline.kernels.gate import Memory
-from valvemap.pipeline.kernels.waiting import Waiting
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
 
-_TIMES = "last_time", "still_since", "moment", "source_started", "known_times", "known_digests"
+_TIMES = "last_time", "still_since", "moment"
 _MOST_SAMPLES = 2.0**53  # largest count that a float represents exactly
 
 
@@ -57,23 +61,17 @@ class _Kept(State):
     @classmethod
     def like(cls, other: Self, gate: QualityGate, alignment: Alignment) -> Self:
         """Return an initial state with as many samples and estimators as ``other``."""
-        waiting = alignment.nothing(1, _length(other.slots, 1))
-        waiting.order[0, slots.SIZE] = _length(other.slots, 1)
-        known = Known.nothing(min(_length(other.known_times, 0), MOST_KNOWN))
         memory, names = gate.initial_state(1), np.asarray(other.names)
         nothing = np.full(2, np.nan)
         return cls(
             *memory.memory,
             memory.bad_status,
-            *waiting,
-            source_started=np.array(0),
-            known_times=known.times,
-            known_digests=known.digests,
+            **arrivals_like(other, alignment),
             moment=np.array(0),
             T=nothing[0],
             demand=nothing,
             names=names,
-            lanes=np.zeros((_length(names, 0), 4)),
+            lanes=np.zeros((length_of(names, 0), 4)),
         )
 
     @classmethod
@@ -90,9 +88,8 @@ class _Kept(State):
         }
 
     def contents(self) -> Mapping[str, Contents]:
-        """Return the permitted content; ``order`` must count all stored samples."""
-        waiting = Waiting(*(getattr(self, name) for name in Waiting._fields))
-        found = contents_of_waiting(waiting)
+        """Return the permitted content."""
+        found = dict(contents_of_arrivals(self))
         for name in ("last", "window", "T", "demand"):
             found[name] = Contents(np.asarray(getattr(self, name))).or_nan()
         for name in _TIMES:
@@ -100,13 +97,6 @@ class _Kept(State):
         lanes = Contents(self.lanes).within(0.0, _MOST_SAMPLES, (slice(None), 0))
         lanes.within(-1.0, float(max(Status)), (slice(None), 3)).or_nan((slice(None), [1, 2]))
         return {**found, "lanes": lanes}
-
-
-def _length(array: Any, axis: int) -> int:  # noqa: ANN401 - unchecked content of a checkpoint
-    shape: tuple[int, ...] = np.shape(array)
-    if len(shape) <= axis:
-        raise StateMismatchError("an array of another shape")
-    return shape[axis]
 
 
 @dataclass(frozen=True)
@@ -166,10 +156,7 @@ class ValveMemory:
             window=memory.window,
             gate_counters=memory.counters,
             bad_status=self.gate.bad_status,
-            **self.arrivals.waiting._asdict(),
-            source_started=np.array(self.arrivals.source_started),
-            known_times=self.arrivals.known.times,
-            known_digests=self.arrivals.known.digests,
+            **arrays_of_arrivals(self.arrivals),
             moment=np.array(self.t),
             T=np.array(self.T),
             demand=np.array(self.demand),
@@ -195,11 +182,7 @@ class ValveMemory:
             of_gate = (kept.last, kept.last_time, kept.still_since, kept.window, kept.gate_counters)
             return cls(
                 gate=GateState(Memory(*of_gate), kept.bad_status),
-                arrivals=ArrivalsOfValve(
-                    Waiting(*(getattr(kept, name) for name in Waiting._fields)),
-                    int(kept.source_started),
-                    Known(kept.known_times, kept.known_digests),
-                ),
+                arrivals=arrivals_from(kept),
                 t=int(kept.moment),
                 T=float(kept.T),
                 demand=(float(kept.demand[0]), float(kept.demand[1])),

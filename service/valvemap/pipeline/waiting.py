@@ -30,7 +30,7 @@ def waited_for(
     optional
         Names of the valve's optional signals.
     nodes
-        Names of the signals in messages: name and node, if known.
+        Names of the signals in messages: that in the configuration, then the node, if known.
 
     Examples
     --------
@@ -47,7 +47,8 @@ def waited_for(
     for signal, name in signals:
         behind, said = latest - int(newest[signal]), nodes.get(name, name)
         if newest[signal] == NEVER:
-            found.append(f"{said} has sent no value: is nodes.{name} the right node?")
+            key = said.partition(" ")[0]
+            found.append(f"{said} has sent no value: is nodes.{key} the right node?")
         elif behind > max(SELDOM_NS, settings.hold_ns.get(signal, 0)):
             found.append(
                 f"{said} sent its last value {behind * 1e-9:.1f} s before the others: if it comes "

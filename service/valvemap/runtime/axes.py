@@ -11,11 +11,11 @@ import structlog
 from valvemap.clock import Clock
 from valvemap.errors import CommandRejected, SourceError
 from valvemap.model.axis import AxisSamples
-from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import ALARMS, LEARNT, WATCH, Axis, AxisPlan, Job
+from valvemap.pipeline.axes import Axis, AxisPlan, Job
+from valvemap.pipeline.axis_arrivals import LINES, awaited, counted
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.operator_ports import Command
@@ -26,7 +26,7 @@ from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
-from valvemap.runtime.led_axes import LINES, LedAxes
+from valvemap.runtime.led_axes import LedAxes
 from valvemap.runtime.past import pieces_of
 from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.vocabulary.statuses import AxisStatus
@@ -87,7 +87,7 @@ class LiveAxes:
         self._numbers = {plan.name: number for number, plan in enumerate(plans)}
         self._arrivals, self._sink, self._clock = arrivals, sink, clock
         self._stale_after_s = stale_after_s
-        self.keeper = AxisKeeper(self.axes, store, clock, checkpoint_interval_s)
+        self.keeper = AxisKeeper(self.axes, arrivals, source, store, clock, checkpoint_interval_s)
         self._held = ReorderWait(LINES * len(plans), reorder_s, now)
         self._connected = np.zeros(LINES * len(plans), np.bool_)
         self._heard_at = np.full(len(plans), -np.inf)
@@ -108,12 +108,7 @@ class LiveAxes:
 
     def start(self) -> None:
         """Resume from the stored states, and show every axis."""
-        for name, state, packed in self.keeper.stored():
-            if name in self._numbers and state in (LEARNT, WATCH, ALARMS):
-                try:
-                    self.axes[self._numbers[name]].resume(state, packed)
-                except StateMismatchError as error:
-                    log.warning("axis starts afresh", axis=name, state=state, why=str(error))
+        self.keeper.restore()
         for number in range(len(self.axes)):
             self._show(number)
 
@@ -130,6 +125,7 @@ class LiveAxes:
         self._arrivals.announce(changes, self._clock.monotonic())
         self._use(self._arrivals.take(changes))
         await self._writer.write(self._rows(valves))
+        self.keeper.mark = self._source.mark
 
     async def tick(self, valves: Times | None = None) -> None:
         """Flush overdue samples, begin the jobs that are due, mark stale results, save states."""
@@ -143,7 +139,7 @@ class LiveAxes:
                 self._show(number)
         rows = self._rows(valves)
         await self._writer.write(rows[self._writer.are_due(rows, now)])
-        await self.keeper.keep_if_due()
+        self.keeper.keep_if_due()
 
     async def lost(
         self,
@@ -220,11 +216,14 @@ class LiveAxes:
             number, line = divmod(row, LINES)
             if number in self._failed:
                 continue
+            axis = self.axes[number]
+            before = axis.t
             try:
-                self.axes[number].take_line(line, batch)
+                axis.take_line(line, batch)
             except Exception as error:  # noqa: BLE001 - a bulkhead: the other axes go on
                 self._fail(number, error)
-            self._heard_at[number] = now
+            if axis.t != before:  # both lines have come
+                self._heard_at[number] = now
         for number in {row // LINES for row in samples.segments.members.tolist()}:
             self._begin_job(number)
             if now - self._shown_at[number] >= SHOWN_S:
@@ -294,5 +293,14 @@ class LiveAxes:
         alarms = self.axes[number].alarms
         silent_s = 0.0 if rests else now - max(self._began_at, heard_at)
         alarms.judge(found, self._clock.now(), silent_s)
-        found = replace(found, alarms=alarms.reports())
+        axis, arrivals = self.axes[number], self._arrivals
+        has_speed, is_stale = axis.plan.has_speed, found.is_stale
+        found = replace(
+            found,
+            alarms=alarms.reports(),
+            counters=counted(arrivals, number, axis.unpaired),
+            waiting=awaited(
+                arrivals, self._source.remarks, number, has_speed=has_speed, is_stale=is_stale
+            ),
+        )
         return found if not found.is_stale else replace(found, required=RequiredU())

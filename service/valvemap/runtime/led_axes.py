@@ -5,10 +5,9 @@ from dataclasses import replace
 
 from valvemap.errors import CommandRejected
 from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_arrivals import LINES
 from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.vocabulary.statuses import FeedForwardStatus
-
-LINES = 2  # rows of signals of an axis; the first is led
 
 
 class LedAxes:

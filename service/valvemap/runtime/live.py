@@ -23,13 +23,14 @@ from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore, KeptElsew
 from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
+from valvemap.runtime.kept_position import resume_source
 from valvemap.runtime.led_valves import LedValves
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.restoring import REMEDY, by_reason, restore
 from valvemap.runtime.result_publisher import ResultPublisher
 from valvemap.runtime.sample_ages import SampleAges
 from valvemap.runtime.service_health import ServiceHealth
-from valvemap.runtime.state_keeper import POSITION, StateKeeper
+from valvemap.runtime.state_keeper import StateKeeper
 from valvemap.runtime.valve_log import ValveLog
 
 OLD = 2.0  # times `stale_after_s`; a sample older than this makes results Bad
@@ -165,16 +166,8 @@ class LiveService:
 
         ``known``, if not empty, replaces the stored checkpoints.
         """
-        kept, lost_place = [], False
-        for one in known or self._store.load():
-            if (one.valve, one.estimator) != POSITION:
-                kept.append(one)
-            elif not self._source.resume_at(one.state):
-                lost_place = True
-        self._source.hold_back()
-        refused = restore(self.identification, self._store, kept)
-        if lost_place:
-            refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
+        kept, lost_place = resume_source(self._source, known or self._store.load())
+        refused = {**restore(self.identification, self._store, kept), **lost_place}
         self.identification.was_away()
         self.health.states_refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # no sample has arrived yet

@@ -14,8 +14,8 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore
+from valvemap.runtime.kept_position import position_of
 
-POSITION = "Service", "Position"  # key of the source's position; no valve has this name
 KEPT_PER_S = 20  # valves saved per s, 3 MB, unless more are due
 KEPT_AT_ONCE = 64  # valves per save at most, 10 MB: longest that a shutdown waits for
 PACKED_AT_ONCE = 16  # valves packed, 1 ms each, between yields to the event loop
@@ -124,7 +124,7 @@ class StateKeeper:
                 return False
             states = await self._packed(some)
             if start + at_once >= M:
-                states += self._position(self.mark)
+                states += position_of(self._source, self.mark, self._clock)
             began = self._clock.monotonic()
             await asyncio.to_thread(self._store.save, states)
             self._saving_s = self._clock.monotonic() - began
@@ -158,7 +158,7 @@ class StateKeeper:
     async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
         """Save these valves; a refused save is counted and logged, and delays no batch."""
         try:
-            states = [*await self._packed(valves), *self._position(mark)]
+            states = [*await self._packed(valves), *position_of(self._source, mark, self._clock)]
             began = self._clock.monotonic()
             await asyncio.to_thread(self._store.save, states)
         except StateFileLost as error:
@@ -203,9 +203,3 @@ class StateKeeper:
                 self._identification.stop(valves[0], Step.CHECKPOINT, error)
                 return []
         return [one for valve in valves for one in self._states_of([valve])]
-
-    def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
-        if mark is None:
-            return []
-        state = self._source.position(mark)
-        return [Checkpoint(*POSITION, "", self._clock.now(), state, lam=None, frozen=False)]

@@ -17,23 +17,42 @@ _BAD = int(Quality.BAD)
 
 @kernel
 def meet(
-    own: NDArray[np.int64], line: NDArray[np.int64], rows: NDArray[np.int64], of: NDArray[np.int64]
-) -> tuple[int, int, int]:
-    """Pair the samples of equal times; return the number of pairs, and of rows of either used up.
+    times: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    last: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    past: NDArray[np.int64],
+) -> int:
+    """Match the samples of equal times of several streams; return the number of matches.
 
-    ``rows`` and ``of`` become the rows of the pairs. Of two different times at the front, the
-    earlier is dropped. The result for a stream does not depend on how it is cut.
+    ``times`` are those of stream after stream, stream k from ``starts[k]`` on. ``last`` (1,) is the
+    time of the last match, and is advanced. ``rows`` (streams, matches) become the rows of the
+    matches within each stream, ``past`` (streams,) the number of its rows that are used up.
+
+    Of different times at the front, the earliest are dropped. A stream whose front is not behind
+    the last match has stepped back; where another has not yet, the other's front is from before the
+    step, and is dropped. The result does not depend on how the streams are cut.
     """
-    n, i, k = 0, 0, 0
-    while i < len(own) and k < len(line):
-        if own[i] == line[k]:
-            rows[n], of[n] = i, k
-            n, i, k = n + 1, i + 1, k + 1
-        elif own[i] < line[k]:
-            i += 1
-        else:
-            k += 1
-    return n, i, k
+    past[:] = 0
+    n, streams = 0, len(past)
+    while True:
+        lowest, highest = times[-1], times[-1]
+        for k in range(streams):
+            i = starts[k] + past[k]
+            if i == starts[k + 1]:
+                return n
+            lowest = times[i] if k == 0 else min(lowest, times[i])
+            highest = times[i] if k == 0 else max(highest, times[i])
+        if lowest == highest:
+            for k in range(streams):
+                rows[k, n] = past[k]
+            last[0] = lowest
+            n += 1
+        has_stepped = lowest <= last[0] < highest
+        for k in range(streams):
+            front = times[starts[k] + past[k]]
+            if front > last[0] if has_stepped else front == lowest:
+                past[k] += 1
 
 
 @kernel
