@@ -8,6 +8,7 @@ from valvemap.vocabulary.signals import Signal
 
 SIMULATED_S: Final = 60.0
 REAL_FILES: Final = 0.1  # share of the seeds
+AXES: Final = 0.3  # share of the seeds
 CALM_S: Final = 15.0  # at the end: no faults, so that all that waits arrives
 
 
@@ -55,6 +56,7 @@ class Case:
     at which a second service is started on the same state file, ``calls`` of clients and
     ``commands`` of operators on estimators are (time, kind, valve). With ``reads`` the
     history is the real file, and clients read it: (time, part, valve, rows a page, backwards).
+    ``axis`` is the source of an axis' two lines, of which it has the numbers of two valves.
     """
 
     seed: int
@@ -74,6 +76,7 @@ class Case:
     calls: tuple[tuple[float, str, int], ...] = ()
     commands: tuple[tuple[float, str, int], ...] = ()
     reads: tuple[tuple[float, str, int, int, bool], ...] = ()
+    axis: SourceCase | None = None
 
     @property
     def valves(self):
@@ -82,6 +85,19 @@ class Case:
 
 def draw(seed):
     """Draw a case. Each kind of trouble is absent from many cases, so that it is seen alone."""
+    case, rng = draw_types(seed), random.Random(f"{seed} axis")
+    return replace(case, axis=_axis(rng) if rng.random() < AXES else None)
+
+
+def _axis(rng):
+    """A source of one axis: faster than those of valves, with the same faults."""
+    quiet_from = SIMULATED_S - CALM_S
+    source = replace(_source(rng, (0, 1), quiet_from), period_s=0.7)
+    return _coinciding(rng, source, quiet_from)
+
+
+def draw_types(seed):
+    """The plant with its faults, people, commands, and nodes that change, but for axes."""
     case, rng = draw_operators(seed), random.Random(f"{seed} types")
     return replace(case, sources=tuple(_retyped(rng, source) for source in case.sources))
 

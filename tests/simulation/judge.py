@@ -58,7 +58,7 @@ def of_start(world, identification, clients, before, said):
         excused = server.excused[valve]
         known = {*learnt, *waiting(world, identification, valve), *excused}
         passed = server.acknowledged[valve] | {k for v, k in behind if v == valve}
-        ahead = {k for k in passed - known if not _is_overtaken(world, server, k, excused)}
+        ahead = {k for k in passed - known if not is_overtaken(world, server, k, excused)}
         if ahead:
             world.violated(f"V{valve}: the position is ahead of the state by {sorted(ahead)[:5]}")
 
@@ -121,9 +121,13 @@ def _is_kept(world, row):
 
 def waiting(world, identification, valve):
     """The samples of a valve in its reorder buffer."""
-    one = identification._arrivals.of(valve).waiting
-    times = one.slots[0, :, slots.TIME].tolist()
+    times = times_waiting(identification._arrivals, valve)
     return {world.number_of[valve][t] for t in times if t in world.number_of[valve]}
+
+
+def times_waiting(arrivals, row):
+    """The times of the samples of a row of signals in its reorder buffer."""
+    return arrivals.of(row).waiting.slots[0, :, slots.TIME].tolist()
 
 
 def of_history(world, keeper):
@@ -144,7 +148,7 @@ def of_counts(world, identification):
         lost = set(range(min(learnt), max(learnt))) - set(learnt)
         excused = server.excused[valve] | waiting(world, identification, valve)
         dropped = excused - set(learnt)  # before the first learnt one, too: the first may wait
-        wrong = {k for k in lost - excused if not _is_overtaken(world, server, k, dropped)}
+        wrong = {k for k in lost - excused if not is_overtaken(world, server, k, dropped)}
         if wrong:
             world.violated(f"V{valve} lost {sorted(wrong)[:5]}, which the source had")
         if len(set(learnt)) < len(learnt):
@@ -159,7 +163,7 @@ def of_counts(world, identification):
             world.violated(f"V{valve} lost {len(lost)}, counted {named}")
 
 
-def _is_overtaken(world, server, k, dropped):
+def is_overtaken(world, server, k, dropped):
     """Whether a late sample lies behind a gap, whose end it need not wait for."""
     wait = reorder(world.case) / server.case.period_s
     messy = server.case.late or server.case.split

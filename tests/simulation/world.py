@@ -12,6 +12,7 @@ from unittest import mock
 import structlog
 
 from simulation import judge, people
+from simulation.axes import NO_JOB, Axes
 from simulation.draws import COMMANDS, SIMULATED_S, draw
 from simulation.history import Rows
 from simulation.installation import edited, fresh, installed, reorder
@@ -58,6 +59,7 @@ def simulate(seed, drawn=draw):
         ),
         mock.patch.object(past_module, "MOST_ROWS", world.case.history_rows),
         mock.patch.object(history_series, "BLOCK", _SEALED_ROWS),
+        NO_JOB,
     ):
         try:
             world.run()
@@ -112,13 +114,14 @@ class World:
     def __init__(self, case):
         self.case = case
         self.rng = random.Random(case.seed + 1)
-        self.time = VirtualTime(START)
+        self.time, self.start_ns = VirtualTime(START), START
         self.servers = [Server(part, self.time, self.rng, START) for part in case.sources]
         self.server_of = {v: server for server in self.servers for v in server.case.valves}
         self.number_of = {v: self._numbers(v) for v in self.server_of}  # sample by source time
         self.states, self.past, self.rows = StateFile(), PastFile(), None
         if case.reads:
             self.past, self.rows = RealPastFile(_FOLDER.name, self.time), Rows(self)
+        self.axes = None if case.axis is None else Axes(self)
         self.plant = installed(case)
         self.meanings = {}  # each configuration of a valve, by the text stored with its states
         self.lock_path = Path(_FOLDER.name) / "state"
@@ -161,6 +164,8 @@ class World:
                 self.plant = edited(self.plant, *edit)
                 self.counts[edit[0]] += 1
         judge.of_states(self)
+        if self.axes is not None:
+            self.axes.judge_states()
 
     def fresh(self):
         """An identification of the present configuration that has learnt nothing."""
@@ -193,12 +198,20 @@ class World:
             for client in self.clients:
                 client.alive = False  # a killed process says no good-bye
             lock.close()  # as the kernel does
-            self.states.refuses = True  # a dead process writes nothing
+            self._refuse(refuses=True)  # a dead process writes nothing
             self.past.die()
-        self.states.refuses = False
+        self._refuse(refuses=False)
         self.note(kind)
         if kind == "power":
-            self.states.lose_power()
+            for one in self._state_files():
+                one.lose_power()
+
+    def _state_files(self):
+        return [self.states] if self.axes is None else [self.states, self.axes.states]
+
+    def _refuse(self, *, refuses):
+        for one in self._state_files():
+            one.refuses = refuses
 
     def _forgotten(self, _loop, context):
         """An error that no task awaited; a lost connection at a kill is none."""
@@ -234,7 +247,10 @@ class World:
         supervision = SupervisorSettings(
             startup_timeout_s=0.0, tick_s=case.tick_s, connected_before=True
         )
-        supervising = asyncio.create_task(supervise_all(sources, live, clock, stop, supervision))
+        lives = [supervise_all(sources, live, clock, stop, supervision)]
+        if self.axes is not None:
+            lives.append(supervise_all(*self.axes.begin(settings), clock, stop, supervision))
+        supervising = asyncio.create_task(_together(lives))
         taking = _Taking(live, self.states)
         at_work = asyncio.create_task(self._others(live, settings, supervision))
         await self._watch(live, keeper, shown, until, supervising)
@@ -246,7 +262,10 @@ class World:
         live.end_soon()
         stop.set()
         await supervising
-        self.states.refuses = self.past.refuses = False
+        self._refuse(refuses=False)
+        self.past.refuses = False
+        if self.axes is not None:
+            await self.axes.end()
         if not await live.keep(within_s=live.time_left_s):
             self.counts["not all saved"] += 1
             return
@@ -302,7 +321,8 @@ class World:
         while time.elapsed < until and not supervising.done():
             now = time.elapsed
             troubles = {kind for first, last, kind in case.disks if first <= now < last}
-            self.states.refuses, self.past.refuses = "state" in troubles, "history" in troubles
+            self._refuse(refuses="state" in troubles)
+            self.past.refuses = "history" in troubles
             time.service_ahead_s = sum(by for at, by in case.service_steps if at <= now)
             for at, by in case.stalls:
                 if now - judge.SLACK_S < at <= now:
@@ -314,6 +334,10 @@ class World:
         if supervising.done():
             supervising.result()
             self.violated("the supervision ended")
+
+
+async def _together(lives):
+    await asyncio.gather(*lives)
 
 
 class _Taking:
