@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from valvemap.model.samples import Samples
 from valvemap.pipeline.commission import lost, start, step, written
 from valvemap.pipeline.commission_limits import MOST_STEP_S, Limits, Point, bounded
 from valvemap.pipeline.commission_plan import Plan, Uncertainty, route, sweep
@@ -24,12 +25,20 @@ LOADED = replace(
 )
 
 
+def sample(seen, t):
+    """The newest sample, taken at ``t`` s by a clock that is an hour ahead."""
+    at = np.array([round((3600.0 + t) * 1e9)])
+    values = (np.array([x]) for x in (seen.U, seen.p1, seen.p2, seen.Q, 40.0))
+    return Samples.of(at, *values)
+
+
 class Course:
     """Steps in simulated time; the valve follows its command at once."""
 
     def __init__(self, settings=SETTINGS, seen=GOOD, response_s=0.0):
         self.settings, self.seen, self.now, self.response_s = settings, seen, 0.0, response_s
         self.state, self.writes, self.loads = start(CommissionState(), 0.0), [], []
+        self.late_s = 0.0
 
     def steps(self, seconds, **seen):
         for _ in range(round(seconds / STEP_S)):
@@ -37,6 +46,7 @@ class Course:
             U = self.state.at.U if self.state.is_led else self.seen.U
             flow = {"Q": 0.1 * U * math.sqrt(100.0)} | seen
             self.seen = Seen(**{**vars(self.seen), "U": U, **flow})
+            self.seen = replace(self.seen, came=sample(self.seen, self.now - self.late_s))
             self.state, command = step(self.settings, self.state, self.seen, self.now)
             if command.U is not None:
                 self.writes.append((self.now, command.U))
@@ -158,6 +168,21 @@ def test_a_second_writer_is_seen_before_and_after_the_first_command():
     assert course.steps(1.0, U=0.0).reason is Reason.NOT_FOLLOWED
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.4, 0.8])
+def test_u_is_compared_with_the_commands_of_its_own_time(late_s):
+    """Samples that come later and later show U as it was; another writer is still seen."""
+    course = Course(replace(SETTINGS, follow_s=0.1))
+    course.steps(2.0)
+    past = dict(course.writes)
+    for _ in range(30):
+        course.late_s = min(course.late_s + 0.02, late_s)
+        then = course.now + STEP_S - course.late_s
+        was = [U for t, U in past.items() if t <= then]
+        assert course.steps(STEP_S, U=was[-1]).reason is Reason.NONE
+        past = dict(course.writes)
+    assert course.steps(1.0 + late_s, U=0.0).reason is Reason.NOT_FOLLOWED
+
+
 def test_a_stuck_spool_ends_the_run():
     course = Course()
     state = course.steps(8.0, Q=30.0)
@@ -209,6 +234,7 @@ def refused_for(steps):
     course.steps(2.0)
     for _ in range(steps):
         course.now += STEP_S
+        course.seen = replace(course.seen, came=sample(course.seen, course.now))
         course.state, command = step(SETTINGS, course.state, course.seen, course.now)
         refused = command != Command()
         course.state = written(course.state, Command(), course.now, refused=refused)

@@ -25,21 +25,34 @@ from valvemap.vocabulary.commission import Phase
 U, S = np.linspace(0.0, 100.0, 33), np.linspace(2.0, 14.0, 13)
 
 
-def linear(*, std=0.05, gain=0.14, known=True, wider=1.0):
+def linear(*, std=0.05, gain=0.14, known=True, number=0):
     """A valve of ``gain`` l/min/√bar per %."""
+    opening = np.tile(gain * U, (13, 1))
     return Expected(
-        U, S, np.tile(gain * U, (13, 1)), np.full((13, 33), std), np.full(33, known), wider
+        U, S, opening, np.full((13, 33), std), np.full(33, known), number, 10.0 * min(std, 0.05)
     )
 
 
-def ratio(expected, spool, steps=20, rate=2.0, seed=0, begin=20.0, std=0.05):
-    """The ratio after ``steps``; ``spool`` gives its place from the course of U until now."""
-    noise, answers, course = np.random.default_rng(seed), Answers(), []
+def after(answers, k, U, opening, expected=None):
+    """The memory with a sample at 40 ms times ``k``."""
+    return answers.after(40_000_000 * k, U, opening, 10.0, 100.0, expected)
+
+
+def ratio(expected, spool, steps=20, rate=2.0, seed=0, begin=20.0, std=0.05, refit=0):
+    """The ratio after ``steps``; ``spool`` gives its place from the course of U until now.
+
+    Each ``refit`` steps there is another map, off by a constant of its own.
+    """
+    noise, course = np.random.default_rng(seed), []
+    answers = Answers(proof=Proof(errors=(1.0, 1.0)))
     for k in range(steps):
         course.append(begin + rate * k)
         opening = 0.14 * spool(course) + noise.normal(0.0, std)
-        answers = answers.after(40_000_000 * k, course[-1], opening, 10.0, 100.0)
-    return standing(expected, answers)
+        if refit and k % refit == 0:
+            off = noise.normal(0.0, 1.0)
+            expected = replace(expected, opening=linear().opening + off, number=k)
+        answers = after(answers, k, course[-1], opening, expected)
+    return standing(answers)
 
 
 def follows(course):
@@ -53,7 +66,6 @@ def sticks(course):
 def test_a_spool_that_stands_is_told_from_the_travel_that_its_map_makes_significant():
     assert ratio(linear(), sticks) > STANDS
     assert ratio(linear(std=1.0), sticks) < 0.5 * STANDS
-    assert ratio(linear(wider=20.0), sticks) < 0.5 * STANDS
 
 
 def test_a_spool_that_follows_is_none_with_any_seed():
@@ -72,6 +84,39 @@ def test_an_error_that_the_map_has_in_common_is_none():
     assert ratio(linear(), lambda course: course[-1] + 15.0) < 0.5 * STANDS
 
 
+def test_maps_that_differ_by_a_constant_each_second_are_none():
+    assert max(ratio(linear(), follows, seed=k, refit=6) for k in range(50)) < 0.5 * STANDS
+    assert ratio(linear(), sticks, refit=6) > STANDS
+
+
+def test_a_play_that_was_learnt_is_not_waited_for():
+    """Six turns tell 4 %: at the next, a spool that stands shows before 12 % of travel."""
+
+    def at_turn(turn, begin, steps):
+        noise, answers = np.random.default_rng(0), Answers(proof=Proof(errors=(1.0, 1.0)))
+        course = 50.0 + np.abs((np.arange(turn + steps) + 10.0) % 40.0 - 20.0) * 2.0
+        spool = course[begin] - 2.0
+        for k in range(begin, turn + steps):
+            U = course[k]
+            if k <= turn:
+                spool = min(max(spool, U - 2.0), U + 2.0)
+            opening = 0.14 * spool + noise.normal(0.0, 0.02)
+            answers = after(answers, k, U, opening, linear(std=0.02))
+        return standing(answers)
+
+    assert at_turn(150, begin=150, steps=5) < STANDS
+    assert at_turn(150, begin=20, steps=6) > STANDS
+
+
+def test_a_map_that_learnt_the_standing_spool_does_not_hide_it():
+    answers = Answers(proof=Proof(errors=(1.0, 1.0)))
+    for k in range(14):
+        U, place = 20.0 + 2.0 * k, min(20.0 + 2.0 * k, 36.0)
+        expected = linear() if k < 12 else linear(gain=0.0, number=1)
+        answers = after(answers, k, U, 0.14 * place, expected)
+    assert standing(answers) > STANDS
+
+
 def test_a_flat_map_one_that_is_not_known_or_none_is_no_evidence():
     assert ratio(linear(gain=0.0), sticks) < 0.5 * STANDS
     assert ratio(linear(known=False), sticks) == 0.0
@@ -82,9 +127,9 @@ def test_a_flat_map_one_that_is_not_known_or_none_is_no_evidence():
 def test_memory_is_bounded_and_the_same_sample_counts_once():
     answers = Answers()
     for k in range(500):
-        answers = answers.after(40_000_000 * k, float(k % 100), 1.0, 10.0, 100.0)
+        answers = after(answers, k, float(k % 100), 1.0)
     assert len(answers.rows) == 40
-    assert answers.after(answers.t, 50.0, 1.0, 10.0, 100.0) is answers
+    assert after(answers, 499, 50.0, 1.0) is answers
 
 
 def swept(n=400, play=4.0):
@@ -137,8 +182,7 @@ class LateDeliveries(Loop):
             if now >= due:
                 self._publish(now, kind)
                 self._step(now, kind)
-                ratio = standing(self.seen.expected, self.state.watch.answers)
-                self.worst = max(self.worst, ratio)
+                self.worst = max(self.worst, standing(self.state.watch.answers))
                 due = now + float(rng.choice([PUBLISHED_S, rng.uniform(0.1, 0.5)]))
         return self
 
@@ -168,15 +212,15 @@ def test_a_valve_that_follows_is_not_ended_by_late_deliveries(name, plant, seed)
 
 
 def test_a_map_is_believed_after_it_foretold_what_came():
-    rng, proof = np.random.default_rng(1), Proof()
-    assert proof.wider == math.inf
-    course = np.linspace(10.0, 40.0, 100)
-    for _ in range(2):
-        right = 0.14 * course + rng.normal(0.0, 0.05, 100)
-        proof = proof.after(linear(), course, right, np.full(100, 10.0))
-    assert proof.wider == pytest.approx(1.0, abs=0.2)
-    proof = proof.after(linear(), course, 0.1 * course, np.full(100, 10.0))
-    assert proof.wider > 10.0
+    rng, answers = np.random.default_rng(1), Answers()
+    assert answers.proof.wider == math.inf
+    for k, U in enumerate(np.linspace(10.0, 40.0, 16)):
+        answers = after(answers, k, U, 0.14 * U + rng.normal(0.0, 0.05), linear())
+    assert answers.proof.wider == pytest.approx(1.0, abs=0.4)
+    for k, U in enumerate(np.linspace(40.0, 70.0, 16), start=16):
+        answers = after(answers, k, U, 0.1 * U, linear())
+    assert answers.proof.wider > 2.0
+    assert answers.begun_anew().proof.wider == answers.proof.wider
 
 
 @pytest.mark.parametrize("name", ["ordinary, no play", "two slopes, play 2 %"])

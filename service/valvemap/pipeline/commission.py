@@ -34,7 +34,6 @@ from valvemap.pipeline.commission_state import (
     Reason,
     Seen,
     Settings,
-    Watch,
 )
 from valvemap.vocabulary.commission import Phase
 
@@ -110,7 +109,8 @@ def written(
         state = replace(state, at=Point(state.at.U, command.load), accepted=now)
     if command.U is None:
         return state
-    watch = replace(state.watch, commands=(*state.watch.commands, (now, command.U)))
+    commands = state.watch.commands.wrote(state.stepped, now, command.U)
+    watch = replace(state.watch, commands=commands)
     return replace(state, at=Point(command.U, state.at.load), accepted=now, watch=watch)
 
 
@@ -165,7 +165,7 @@ def _begun(
     has_load = limits.load_range is not None
     load = min(max(seen.p2, limits.load_range[0]), limits.load_range[1]) if has_load else math.nan  # type: ignore[index]
     phase = Phase.REFINING if state.elapsed >= settings.plan.sweep_s else Phase.SWEEPING
-    state = replace(_enter(state, phase, Reason.NONE, now), watch=Watch(most=state.watch.most))
+    state = replace(_enter(state, phase, Reason.NONE, now), watch=state.watch.begun_anew())
     return state, _beat(settings, state, Command(seen.U, load if has_load else None), now)
 
 

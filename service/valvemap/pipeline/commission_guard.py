@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.samples import Samples
 from valvemap.pipeline.commission_answer import STANDS, Answers, standing
+from valvemap.pipeline.commission_follow import STEP_BACK_NS
 from valvemap.pipeline.commission_limits import Limits
-from valvemap.pipeline.commission_state import CommissionState, Reason, Seen, Settings, Watch
+from valvemap.pipeline.commission_state import CommissionState, Reason, Seen, Settings
 from valvemap.vocabulary.commission import Phase
 from valvemap.vocabulary.statuses import Quality
 
@@ -18,7 +18,6 @@ STUCK_SPAN: Final = 0.6  # share of the range of U without a change of the openi
 STUCK_CHANGE: Final = 0.08  # 1; change of Q/√Δp, share of the largest, below which it is none
 STALLED_S: Final = 0.4  # s without a heartbeat, after which the source may have the valve
 DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
-STEP_BACK_NS: Final = 1_000_000_000  # ns; of the source's clock, beyond the order of samples
 
 
 def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) -> CommissionState:
@@ -27,11 +26,12 @@ def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) ->
     may_move = waits_for(settings, seen) is Reason.NONE
     good_since = min(state.good_since, now) if may_move else math.inf
     watch = state.watch
-    older = sum(now - t > settings.follow_s for t, _ in watch.commands)
-    watch = replace(watch, commands=watch.commands[max(older - 1, 0) :])  # one from before stays
+    if len(seen.came):
+        commands = watch.commands.heard(int(seen.came.t[-1]), now)
+        watch = replace(watch, commands=commands.since(settings.follow_s))
     drop = seen.p1 - seen.p2
     if usable:
-        answers = _answers(watch.answers, seen.came, settings.limits.U_span)
+        answers = _answers(watch.answers, seen, settings.limits.U_span)
         watch = replace(watch, answers=answers)
     if usable and abs(drop) > DROP_TO_JUDGE:
         opening = seen.Q / math.sqrt(abs(drop))
@@ -93,8 +93,8 @@ def ending(settings: Settings, state: CommissionState, seen: Seen, now: float) -
         (Reason.OPERATOR, seen.abort),
         (Reason.OPERATOR_GONE, seen.operator_age_s > settings.operator_s),
         (Reason.PRESSURE, fresh and max(seen.p1, seen.p2) > high),
-        (Reason.NOT_FOLLOWED, fresh and state.is_led and not _follows(settings, state, seen, now)),
-        (Reason.STUCK, fresh and _is_stuck(settings, state, seen)),
+        (Reason.NOT_FOLLOWED, fresh and state.is_led and not _follows(settings, state, seen)),
+        (Reason.STUCK, fresh and _is_stuck(settings, state)),
         (Reason.NOT_TAKEN, now - state.refused_since > settings.follow_s),
         (Reason.OUTAGE, state.phase is Phase.PAUSED and now - state.since > settings.outage_s),
     ):
@@ -113,20 +113,19 @@ def past_half_turn(settings: Settings, state: CommissionState) -> CommissionStat
     watch = state.watch
     if watch.spool[1] - watch.spool[0] < STUCK_SPAN * settings.limits.U_span:
         return state
-    kept = Watch(commands=watch.commands, most=watch.most, answers=watch.answers)
-    return replace(state, watch=kept)
+    return replace(state, watch=watch.without_extremes())
 
 
-def _answers(answers: Answers, came: Samples, span: float) -> Answers:
-    """Return the memory with N samples; after a step back of the source's clock, theirs alone."""
-    good = came[came.quality == Quality.GOOD]
+def _answers(answers: Answers, seen: Seen, span: float) -> Answers:
+    """Return the memory with the samples; after a step back of the source's clock, theirs alone."""
+    good = seen.came[seen.came.quality == Quality.GOOD]
     good = good[np.isfinite(good.U) & np.isfinite(good.Q) & (np.abs(good.dp) > DROP_TO_JUDGE)]
     if len(good) and good.t[-1] < answers.t - STEP_BACK_NS:
-        answers = Answers()
+        answers = answers.begun_anew()
     s = np.sqrt(np.abs(good.dp))
     columns = (good.t, good.U, good.Q / s, s)
     for t, U, opening, root in zip(*(x.tolist() for x in columns), strict=True):
-        answers = answers.after(t, U, opening, root, span)
+        answers = answers.after(t, U, opening, root, span, seen.expected)
     return answers
 
 
@@ -135,19 +134,16 @@ def _is_beyond(limits: Limits, seen: Seen) -> bool:
     return any(not low <= x <= high for x, (low, high) in pairs)
 
 
-def _follows(settings: Settings, state: CommissionState, seen: Seen, now: float) -> bool:
-    """Whether the measured U is near a command of the last `follow_s`."""
+def _follows(settings: Settings, state: CommissionState, seen: Seen) -> bool:
+    """Whether the newest U is near a command of its own time."""
     commands = state.watch.commands
-    if not commands or now - commands[0][0] < settings.follow_s:
-        return True
-    near = [U for _, U in commands]
-    return min(near) - settings.follow_percent <= seen.U <= max(near) + settings.follow_percent
+    return commands.are_followed(seen.U, settings.follow_s, settings.follow_percent)
 
 
-def _is_stuck(settings: Settings, state: CommissionState, seen: Seen) -> bool:
+def _is_stuck(settings: Settings, state: CommissionState) -> bool:
     """Whether the flow stands: by the map, and where it is not known yet, over most of U."""
     watch = state.watch
-    if standing(seen.expected, watch.answers) > STANDS:
+    if standing(watch.answers) > STANDS:
         return True
     if watch.spool[1] - watch.spool[0] < STUCK_SPAN * settings.limits.U_span:
         return False

@@ -8,8 +8,7 @@ import numpy as np
 
 from valvemap.model.estimator import Estimator
 from valvemap.model.samples import Floats, Samples
-from valvemap.pipeline.commission_answer import Expected, Proof
-from valvemap.pipeline.commission_guard import DROP_TO_JUDGE
+from valvemap.pipeline.commission_answer import Expected
 from valvemap.pipeline.commission_limits import Point, Range
 from valvemap.pipeline.commission_plan import Uncertainty, route
 from valvemap.pipeline.commission_state import Settings
@@ -53,7 +52,7 @@ class Learnt:
 
     ``drops`` is the range of Δp that was seen, bar; ``supply`` what the pump gave; ``T`` the newest
     temperature, °C; ``noise2`` the mean square of what the map left of Q, robustly, (l/min)²;
-    ``proof`` how well it foretold what came next;
+    ``scatter2`` the meter's own, from successive samples;
     ``visited`` the number of samples near each of `POINTS_U` values of U, (POINTS_U,).
     """
 
@@ -63,7 +62,7 @@ class Learnt:
     T: float = np.nan
     supply: Supply = field(default_factory=Supply)
     noise2: float = 0.0
-    proof: Proof = field(default_factory=Proof)
+    scatter2: float = 0.0
     visited: Floats = field(default_factory=lambda: np.zeros(POINTS_U))
     expected: Expected | None = None
     error: float = np.nan
@@ -87,21 +86,16 @@ def learn(
         drops,
         float(T[-1]) if len(T) else before.T,
         before.supply.after(good),
-        _noise2(estimator, state, before, good),
-        _proof(before, good),
+        _averaged_in(before, before.noise2, _left2(estimator, state, good), len(good)),
+        _averaged_in(before, before.scatter2, _scatter2(good.Q), len(good)),
         before.visited + _visits(settings.limits.U_range, good.U),
     )
     judged = uncertainty(estimator, settings.limits.U_range, learnt)
     pace = settings.plan.pace(settings.limits)
     newest = Point(float(good.U[-1]), float(dp[-1]))
     moves = route(settings.limits, pace, at, newest, judged) if at.is_known else ()
-    return replace(
-        learnt,
-        expected=expected(estimator, settings.limits.U_range, learnt),
-        error=judged.rms,
-        route=moves,
-        number=before.number + 1,
-    )
+    learnt = replace(learnt, error=judged.rms, route=moves, number=before.number + 1)
+    return replace(learnt, expected=expected(estimator, settings.limits.U_range, learnt))
 
 
 def expected(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Expected | None:
@@ -117,14 +111,9 @@ def expected(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Expec
     Q, std = Q.reshape(POINTS_S, POINTS_U), std.reshape(POINTS_S, POINTS_U)
     floor = (FLOOR * learnt.supply.most) ** 2
     whole = np.sqrt(std**2 + max(learnt.noise2, floor))
+    meter = math.sqrt(max(learnt.scatter2, floor))
     known = learnt.visited >= VISITS  # beyond what was seen, a map may be too sure
-    return Expected(U, s, Q / s[:, None], whole / s[:, None], known, learnt.proof.wider)
-
-
-def _proof(before: Learnt, good: Samples) -> Proof:
-    drops = good[np.abs(good.dp) > DROP_TO_JUDGE]
-    s = np.sqrt(np.abs(drops.dp))
-    return before.proof.after(before.expected, drops.U, drops.Q / s, s)
+    return Expected(U, s, Q / s[:, None], whole / s[:, None], known, learnt.number, meter)
 
 
 def _visits(U_range: Range, U: Floats) -> Floats:
@@ -133,13 +122,23 @@ def _visits(U_range: Range, U: Floats) -> Floats:
     return np.bincount(near, minlength=POINTS_U).astype(np.float64)
 
 
-def _noise2(estimator: Estimator[Any], state: Any, before: Learnt, good: Samples) -> float:  # noqa: ANN401
-    """Mean of what maps left of Q until now: each batch's by its median, (l/min)²."""
+def _left2(estimator: Estimator[Any], state: Any, good: Samples) -> float:  # noqa: ANN401
+    """Mean square of what a map leaves of Q, by its median, (l/min)²."""
     Q, _ = estimator.predict(state, good.U, good.dp, good.T)
-    left = np.abs(good.Q - Q)
-    new = (1.4826 * float(np.median(left))) ** 2 if np.isfinite(left).all() else before.noise2
-    many = min(len(good) / max(before.samples + len(good), 1), 1.0)
-    return (1.0 - many) * before.noise2 + many * new
+    return (1.4826 * float(np.median(np.abs(good.Q - Q)))) ** 2
+
+
+def _scatter2(Q: Floats) -> float:
+    """Mean square of Q about the line through its neighbours, by the median, (l/min)²."""
+    if len(Q) < 3:
+        return math.nan
+    return (1.4826 * float(np.median(np.abs(np.diff(Q, 2))))) ** 2 / 6.0
+
+
+def _averaged_in(before: Learnt, mean: float, new: float, samples: int) -> float:
+    """Return the mean with that of a batch of so many samples; unchanged by one not known."""
+    share = samples / (before.samples + samples)
+    return mean + share * (new - mean) if math.isfinite(new) else mean
 
 
 def uncertainty(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Uncertainty:

@@ -1,12 +1,13 @@
 """What a commissioning run knows and remembers: settings, samples, state, commands. Pure."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
 from valvemap.model.samples import Samples
 from valvemap.pipeline.commission_answer import Answers, Expected
+from valvemap.pipeline.commission_follow import Commands
 from valvemap.pipeline.commission_limits import Limits, Point
 from valvemap.pipeline.commission_plan import Plan
 from valvemap.vocabulary.commission import Phase
@@ -112,12 +113,21 @@ class Watch:
     ``spool`` are those of U behind the largest play and lag that a spool may have.
     """
 
-    commands: tuple[tuple[float, float], ...] = ()  # t, U
+    commands: Commands = field(default_factory=Commands)
     U: tuple[float, float] = (math.inf, -math.inf)
     spool: tuple[float, float] = (math.inf, -math.inf)
     opening: tuple[float, float] = (math.inf, -math.inf)
     most: float = 0.0
     answers: Answers = field(default_factory=Answers)
+
+    def begun_anew(self) -> "Watch":
+        """Return it without what was seen before a pause; what it knows of map and clock stays."""
+        commands = replace(self.commands, writes=())
+        return Watch(commands, most=self.most, answers=self.answers.begun_anew())
+
+    def without_extremes(self) -> "Watch":
+        """Return it with the extremes to be seen anew."""
+        return Watch(self.commands, most=self.most, answers=self.answers)
 
 
 @dataclass(frozen=True)
