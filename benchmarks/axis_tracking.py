@@ -3,8 +3,8 @@
 ``python -m benchmarks.axis_tracking [--seeds 2] [--first 50] [--picture FILE]``: one table of
 `paper.motion`, which the paper's report judges, too. Each seed is another valve, load and
 programme. ``--picture`` draws the four after the damage, at the first seed, with the longest
-delay. ``--lead`` compares the living map with and without the lead by the spool found instead, of
-valves whose spool is drawn from 8 to 25 Hz.
+delay. ``--lead`` compares both maps with and without the lead by the spool found instead, beside
+the table, of valves whose spool is drawn from 8 to 25 Hz.
 """
 
 import argparse
@@ -40,24 +40,49 @@ def leading(axis: Axis) -> Axis:
     return other
 
 
+def frozen(axis: Axis) -> Axis:
+    """Return a copy of an axis that learns no more."""
+    other = copy.deepcopy(axis)
+    other.plan = replace(axis.plan, is_frozen=True)
+    return other
+
+
 def compare_lead(seed: int, delays: list[int]) -> None:
-    """Print a seed's errors with and without lead."""
+    """Print a seed's errors with and without lead, beside the table's and the fixed maps'."""
     slow = slow_spool(seed)
     axis, state = commissioned(seed, slow)
     hz = slow.valve.natural_frequency_hz
     print(f"{seed} spool {hz:.1f} Hz, lead {1e3 * leading(axis).lead_s:.0f} ms", flush=True)
-    for delay in delays:
-        for drawn in cases(seed):
-            case = replace(drawn, start_s=max(drawn.start_s, SETTLED_S))
-            without, with_lead = (
-                tracked(seed, slow, case, state, "external", one, delay).rms
-                for one in (copy.deepcopy(axis), leading(axis))
-            )
+    for drawn in cases(seed):
+        case = replace(drawn, start_s=max(drawn.start_s, SETTLED_S))
+        table = tracked(seed, slow, case, state, "table", None, 0).rms
+        for delay in delays:
+            errors = {
+                name: tracked(seed, slow, case, state, "external", one, delay).rms
+                for name, one in (
+                    ("fixed map", frozen(axis)),
+                    ("fixed map with lead", frozen(leading(axis))),
+                    ("living map", copy.deepcopy(axis)),
+                    ("living map with lead", leading(axis)),
+                )
+            }
+            led = errors["living map with lead"]
+            over = {
+                "living map": (led / errors["living map"], 1.0),
+                "fixed map with lead": (led / errors["fixed map with lead"], case.bars[0]),
+                "table": (led / table, case.bars[1]),
+            }
+            listed = ", ".join(f"{name} {error:.2f}" for name, error in errors.items())
+            shares = ", ".join(f"{shown(*one)} of the {name}" for name, one in over.items())
             print(
-                f"{seed} {10 * delay:3d} ms  {case.name}: living map {without:.2f}, with lead "
-                f"{with_lead:.2f}; {with_lead / without:.2f} (< 1)",
+                f"{seed} {10 * delay:3d} ms  {case.name}: table {table:.2f}, {listed}; {shares}",
                 flush=True,
             )
+
+
+def shown(share: float, bar: float) -> str:
+    """Return a share with its bar, where there is one."""
+    return f"{share:.2f}" if np.isnan(bar) else f"{share:.2f} (<= {bar})"
 
 
 def drawn(courses: Mapping[str, Course], file: str) -> None:
@@ -104,10 +129,7 @@ def main() -> None:
                 rms = {name: course.rms for name, course in courses.items()}
                 over = rms["living map"] / rms["fixed map"], rms["living map"] / rms["table"]
                 errors = ", ".join(f"{name} {error:.2f}" for name, error in rms.items())
-                shares = ", ".join(
-                    f"{share:.2f}" if np.isnan(bar) else f"{share:.2f} (<= {bar})"
-                    for share, bar in zip(over, case.bars, strict=True)
-                )
+                shares = ", ".join(map(shown, over, case.bars))
                 edges = " ".join(fault.edge or "" for fault in case.faults)
                 print(
                     f"{seed} {10 * delay:3d} ms  {case.name} {edges}: {errors}; {shares}",
