@@ -1,5 +1,6 @@
 """`fit`, `open_model` and `replay` take what a person types, and a model does what is asked."""
 
+import io
 import re
 import time
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import valvemap
+from valvemap.app.given import recordings_in
 from valvemap.config.models import Config
 from valvemap.errors import ConfigurationError, RecordingError, StorageError
 from valvemap.model.samples import Samples
@@ -58,7 +60,14 @@ def forms(folder):
         "pandas": frame,
         "pandas by time": moments.set_index("t"),
         "pandas in Berlin": moments.assign(t=moments.t.dt.tz_convert("Europe/Berlin")),
+        "pandas in New York": moments.assign(t=moments.t.dt.tz_convert("America/New_York")),
+        "pandas by time in New York": moments.set_index("t").tz_convert("America/New_York"),
+        "pandas by a named index": frame.set_index("t"),
+        "pandas by two levels": frame.assign(valve="Valvistor").set_index(["valve", "t"]),
         "pandas nullable": frame.convert_dtypes(),
+        "a structured array": frame.to_records(index=False),
+        "rows": frame.to_dict("records"),
+        "a batch of arrow": pa.RecordBatch.from_pydict(table),
         "polars": pl.DataFrame(table),
         "polars lazy": pl.LazyFrame(table),
         "polars by time": pl.DataFrame(table).with_columns(pl.from_epoch("t", "ns")),
@@ -80,7 +89,8 @@ def bits(recording):
 def test_the_same_samples_are_the_same_bits_in_every_form(folder):
     expected = bits(folder / "plant.parquet")
     for name, form in forms(folder).items():
-        assert bits(form) == expected, name
+        (recording,) = recordings_in(form)
+        assert bits(recording) == expected, name
 
 
 @pytest.mark.parametrize("t", [0.01 * np.arange(N), 1.7e9 + 0.001 * np.arange(N), np.arange(N)])
@@ -100,6 +110,8 @@ def test_durations_are_seconds():
     spent = pd.to_timedelta(pd.Series(table["t"]), unit="s")
     for t in (spent, spent.to_numpy()):
         assert bits(table | {"t": t}) == bits(table)
+    assert bits(pd.DataFrame(table | {"t": spent}).set_index("t")) == bits(table)
+    assert bits(pd.DataFrame(table).drop(columns="t").set_index(pd.Index(spent))) == bits(table)
 
 
 def test_a_fit_is_the_map_of_the_replay_from_every_form(folder):
@@ -174,6 +186,8 @@ def test_a_model_predicts_inverts_and_states_intervals(model):
             r"not Q \(2,\), dp \(3,\), T \(1,\)",
         ),
         (lambda model: model.interval(50, 100, T="warm"), "T is 'warm'; a number"),
+        (lambda model: model.predict(np.datetime64("2026"), 100), "U is np.datetime64.*; a number"),
+        (lambda model: model.to_frame("polars"), "U is 'polars'; a number, or an array"),
         (lambda model: model.plot("valve.jpg"), r"valve\.jpg: the name of a picture ends in \.png"),
         (lambda model: model.compare("nowhere.csv"), r"nowhere\.csv does not exist"),
     ],
@@ -244,6 +258,10 @@ MISTAKES = {
     "no file": ("nowhere.csv", RecordingError, r"nowhere\.csv does not exist"),
     "no kind": ("plant.xlsx", RecordingError, r"plant\.xlsx is not a recording: its name must end"),
     "a model": ("valve.json", ConfigurationError, r"valve\.json is a saved model: .*open_model"),
+    "an address": ("s3://plant/x.csv", RecordingError, r"'s3://plant/x\.csv' is an address"),
+    "a folder": (Path(__file__).parent, RecordingError, r"app is a folder: name its recordings"),
+    "no name": ("", RecordingError, r"'' is no recording"),
+    "an open file": (io.StringIO("t,U\n"), RecordingError, r"StringIO.* is no recording"),
     "a matrix": (np.zeros((3, 5)), RecordingError, r"a ndarray is no recording"),
     "no Q": ({"t": [1], "U": [1], "p1": [1], "p2": [0]}, RecordingError, r"dict: column Q is miss"),
     "text": (rows() | {"U": ["x"] * N}, RecordingError, r"dict, row 1: U is 'x', allowed is a num"),
@@ -269,6 +287,13 @@ def test_a_mistake_is_named_with_what_is_allowed(name):
         ({"columns": ["t", "U"]}, r"columns is \['t', 'U'\]; texts by signal are allowed"),
         ({"columns": {"volt": "U"}}, r"not 'volt'; is columns=\{'U': 'volt'\} meant\?"),
         ({"units": {"p3": "bar"}}, r"units\['p3'\]: t, U, p1, p2, Q, T are allowed"),
+        ({"columns": {"U": 1}}, r"columns\['U'\] is 1; a text is allowed"),
+        ({"estimator": ["RLS"]}, r"estimator is \['RLS'\]; one name is allowed"),
+        ({"valve": 3}, r"valve is 3; one name is allowed"),
+        ({"rated_flow": "60"}, r"rated_flow is '60'; a number of at least 0"),
+        ({"rated_drop": 0}, r"rated_drop is 0; a number above 0"),
+        ({"config": {}}, r"config is \{\}; a configuration .* or its path is allowed"),
+        ({"config": "nowhere.toml"}, r"nowhere\.toml: no such file"),
         ({"columns": {"u": "x"}}, r"columns\['u'\]: U, p1, .* valve, quality are allowed"),
         ({"columns": {"U": "signal"}}, r"column 'signal' .* is missing; found 't,U,p1"),
         ({"valve": "V7"}, r"valve V7 is not there; allowed is Valvistor"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from valvemap.app.given import layout_of, recordings_in
+from valvemap.app.given import layout_of, recordings_in, shown
 from valvemap.errors import ConfigurationError
 from valvemap.model.extrapolation import U_range_of, trusted
 from valvemap.model.inverse_map import invert
@@ -186,14 +186,12 @@ class Model(StoredModel):
         backend
             ``pandas``, ``polars`` or ``pyarrow``.
         """
-        from valvemap.storage.table_recordings import data_frame  # noqa: PLC0415 - an extra
+        from valvemap.storage.tables import data_frame  # noqa: PLC0415 - an extra
 
         _, _, low, high, _ = self.support.ranges
-        axes = (
-            np.linspace(*U_range_of(self.estimator), LEVELS_U) if U is None else np.ravel(U),
-            np.linspace(max(low, 0.0), high, LEVELS_DP) if dp is None else np.ravel(dp),
-        )
-        grid_U, grid_dp = np.meshgrid(*axes, indexing="ij")
+        U = np.linspace(*U_range_of(self.estimator), LEVELS_U) if U is None else U
+        dp = np.linspace(max(low, 0.0), high, LEVELS_DP) if dp is None else dp
+        grid_U, grid_dp = np.meshgrid(_numbers("U", U), _numbers("dp", dp), indexing="ij")
         given, _ = self._points(None, U=grid_U, dp=grid_dp)
         Q, std, guessed = self._predicted(given)
         half = TWO_SIDED_95 * np.hypot(std, self.noise_std)
@@ -266,12 +264,10 @@ class Model(StoredModel):
 def _numbers(name: str, given: ArrayLike) -> Floats:
     """Return an argument as numbers of at least one dimension."""
     try:
-        if given is None:
-            raise TypeError  # noqa: TRY301 - numpy would return NaN
+        if given is None or np.asarray(given).dtype.kind in "mM":
+            raise TypeError  # noqa: TRY301 - numpy would return NaN, or a count of days
         return np.atleast_1d(np.asarray(given, np.float64))
     except (TypeError, ValueError):
-        shown = repr(given)
-        shown = shown if len(shown) <= 60 and "\n" not in shown else f"a {type(given).__name__}"
         raise ConfigurationError(
-            f"{name} is {shown}; a number, or an array of numbers, is allowed"
+            f"{name} is {shown(given)}; a number, or an array of numbers, is allowed"
         ) from None

@@ -1,20 +1,27 @@
 """Arguments of scripts: recordings, units and columns in the form in which people type them."""
 
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.pipeline.units import QUANTITY_OF, UNITS, Measure, Unit, unit_of
 from valvemap.plant.answers import parse_answers
+from valvemap.plant.evidence import Rating
 from valvemap.plant.roles import Role
 from valvemap.storage.layout import Layout
-from valvemap.storage.table_recordings import ALLOWED, is_table
+from valvemap.storage.tables import ALLOWED, is_table, of_rows
 from valvemap.storage.time_units import TIME_UNITS
 from valvemap.vocabulary.signals import MEASURED
 
+if TYPE_CHECKING:
+    from valvemap.config.models import Config
+
+MOST_SHOWN: Final = 60  # characters of a value in a message
 OTHERS: Final = ("t", "valve", "quality")  # columns that are no signals
 
 
@@ -30,18 +37,73 @@ def recordings_in(given: object) -> list[Any]:
         if it is neither; names its type and the allowed ones.
     """
     if isinstance(given, str | os.PathLike):
-        return [Path(given)]
+        return [_file(given)]
     if is_table(given):
         return [given]
-    try:
-        parts = list(given)  # type: ignore[call-overload]
-    except TypeError:
-        parts = []
+    parts = list(given) if isinstance(given, Iterable) and not hasattr(given, "read") else []
+    rows = of_rows(parts)
+    if rows is not None:
+        return [rows]
     if not parts or not all(isinstance(x, str | os.PathLike) or is_table(x) for x in parts):
-        shown = repr(given)
-        shown = shown if len(shown) <= 60 and "\n" not in shown else f"a {type(given).__name__}"
-        raise RecordingError(f"{shown} is no recording; {ALLOWED} is allowed")
-    return [Path(x) if isinstance(x, str | os.PathLike) else x for x in parts]
+        raise RecordingError(f"{shown(given)} is no recording; {ALLOWED} is allowed")
+    return [_file(x) if isinstance(x, str | os.PathLike) else x for x in parts]
+
+
+def config_in(given: object) -> "Config | None":
+    """Return a configuration, that of a file, or None.
+
+    Raises
+    ------
+    ConfigurationError
+        if it is neither, or the file is invalid.
+    """
+    from valvemap.config.loading import load_config  # noqa: PLC0415 - a saved map needs neither
+    from valvemap.config.models import Config  # noqa: PLC0415
+
+    if isinstance(given, str | os.PathLike):
+        return load_config(given)
+    if given is None or isinstance(given, Config):
+        return given
+    raise ConfigurationError(
+        f"config is {shown(given)}; a configuration (valvemap.load_config) or its path is allowed"
+    )
+
+
+def rating_of(rated_flow: float, rated_drop: float) -> Rating:
+    """Return what a name plate states.
+
+    Raises
+    ------
+    ConfigurationError
+        if a value is no number that a name plate can state.
+    """
+    for what, value, is_allowed in (
+        ("rated_flow", rated_flow, lambda x: x >= 0.0),
+        ("rated_drop", rated_drop, lambda x: x > 0.0),
+    ):
+        if not isinstance(value, Real) or not math.isfinite(value) or not is_allowed(value):
+            sign = "of at least 0 (l/min; 0: unknown)" if what == "rated_flow" else "above 0 (bar)"
+            raise ConfigurationError(f"{what} is {shown(value)}; a number {sign} is allowed")
+    return Rating(flow_l_min=float(rated_flow), drop_bar=float(rated_drop))
+
+
+def name_in(what: str, given: object) -> list[str] | None:
+    """Return the name of a valve or estimator as a list of names; None if none is given.
+
+    Raises
+    ------
+    ConfigurationError
+        if it is no text.
+    """
+    if given is not None and not isinstance(given, str):
+        raise ConfigurationError(f"{what} is {shown(given)}; one name is allowed")
+    return None if given is None else [given]
+
+
+def shown(given: object) -> str:
+    """Return what was typed for a message: itself if it is short, else its type."""
+    text = repr(given)
+    return text if len(text) <= MOST_SHOWN and "\n" not in text else f"a {type(given).__name__}"
 
 
 def layout_of(units: Mapping[str, str] | None, columns: Mapping[str, str] | None) -> Layout:
@@ -70,7 +132,7 @@ def layout_of(units: Mapping[str, str] | None, columns: Mapping[str, str] | None
 
 
 def _checked(given: object, what: str, allowed: tuple[str, ...], example: str) -> dict[str, str]:
-    """Return a copy of texts by signal."""
+    """Return a copy of texts by signal; what is None is not given."""
     if given is None:
         return {}
     if not isinstance(given, Mapping):
@@ -78,12 +140,26 @@ def _checked(given: object, what: str, allowed: tuple[str, ...], example: str) -
             f"{what} is {given!r}; texts by signal are allowed: {what}={{{example!r}: '…'}}"
         )
     for name, text in given.items():
-        if name in allowed:
+        if name in allowed and (text is None or isinstance(text, str)):
             continue
+        if name in allowed:
+            raise ConfigurationError(f"{what}[{name!r}] is {shown(text)}; a text is allowed")
         known = ", ".join(allowed)
-        turned = f"; is {what}={{{text!r}: {name!r}}} meant?" if text in allowed else ""
+        turned = f"; is {what}={{{text!r}: {name!r}}} meant?" if str(text) in allowed else ""
         raise ConfigurationError(f"{what}[{name!r}]: {known} are allowed, not {name!r}{turned}")
-    return dict(given)
+    return {name: text for name, text in given.items() if text is not None}
+
+
+def _file(given: str | os.PathLike[str]) -> Path:
+    text = os.fspath(given)
+    if not text.strip():
+        raise RecordingError(f"{text!r} is no recording; {ALLOWED} is allowed")
+    if "://" in text:
+        raise RecordingError(
+            f"{text!r} is an address, and files are read: fetch it, or give a data frame, such as "
+            "pandas.read_csv(…)"
+        )
+    return Path(text).expanduser()
 
 
 def _seconds(text: str) -> float:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from valvemap.app.flow_model import Model
-from valvemap.app.given import recordings_in
+from valvemap.app.given import name_in, rating_of, recordings_in
 from valvemap.errors import ConfigurationError, RecordingError, StorageError
-from valvemap.plant.evidence import RATED_DROP_BAR, Rating
+from valvemap.plant.evidence import RATED_DROP_BAR
 from valvemap.storage.models import is_model, load_model, save_model
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def fit(
     rated_drop: float = RATED_DROP_BAR,
     valve: str | None = None,
     estimator: str | None = None,
-    config: "Config | None" = None,
+    config: "Config | str | os.PathLike[str] | None" = None,
     insist: bool = False,
     progress: "Progress" = lambda _file, _fraction: None,
 ) -> Model:
@@ -42,8 +42,9 @@ def fit(
     ----------
     recordings
         A path (CSV, Parquet), a data frame (pandas, polars, pyarrow; extra ``dataframes``), a dict
-        of arrays by column, or a list of these, in the order of time. Columns are t, U, p1, p2, Q
-        and optionally T, valve, quality; see :func:`valvemap.read_recording`.
+        of arrays by column, a structured array, a list of rows (dicts), or a list of the others, in
+        the order of time. Columns are t, U, p1, p2, Q and optionally T, valve, quality; see
+        :func:`valvemap.read_recording`.
     units
         Units that differ from %, bar, l/min, °C, by signal: ``{"p1": "psi", "Q": "gpm"}``; raw
         numbers and their values: ``{"U": "4..20:0..100%"}``; of times that are not in s:
@@ -59,7 +60,7 @@ def fit(
         Valve and estimator; by default a recording's only valve, and the recommended estimator
         (else Auto or the first). With an estimator, the others do not run.
     config
-        Configuration: valves and estimators, columns and units.
+        Configuration, or its path: valves and estimators, columns and units.
     insist
         Process implausible signals, too.
     progress
@@ -86,7 +87,7 @@ def fit(
         replay,
     )
 
-    given = recordings_in(recordings)
+    given, only = recordings_in(recordings), name_in("valve", valve)
     for file in given:
         if isinstance(file, Path) and is_model(file):
             raise ConfigurationError(f"{file} is a saved model: valvemap.open_model opens it")
@@ -94,13 +95,13 @@ def fit(
         given,
         config,
         progress=progress,
-        only=None if valve is None else [valve],
-        estimators=None if estimator is None else [estimator],
+        only=only,
+        estimators=name_in("estimator", estimator),
         insist=insist,
         units=units,
         columns=columns,
         U_range=U_range,
-        rating=Rating(flow_l_min=rated_flow, drop_bar=rated_drop),
+        rating=rating_of(rated_flow, rated_drop),
     )
     where = given[0] if isinstance(given[0], Path) else type(given[0]).__name__
     valve = _chosen(where, "valve", valve, list(report))
@@ -133,7 +134,7 @@ def open_model(
     file: object,
     valve: str | None = None,
     estimator: str | None = None,
-    config: "Config | None" = None,
+    config: "Config | str | os.PathLike[str] | None" = None,
     progress: "Progress" = lambda _file, _fraction: None,
 ) -> Model:
     """Load a model (.json), or identify one from recordings, as :func:`fit` does.
@@ -146,7 +147,7 @@ def open_model(
         Valve and estimator; by default a recording's only valve, and the recommended estimator
         (else Auto or the first).
     config
-        Configuration for a recording: valves and estimators, columns and units.
+        Configuration, or its path, for a recording: valves and estimators, columns and units.
     progress
         Called with a recording and the fraction done (0 to 1).
 

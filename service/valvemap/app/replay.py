@@ -1,5 +1,6 @@
 """Replays recordings through the pipeline of the live service and reports the fit."""
 
+import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
@@ -10,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from valvemap.app.build import build_layout, build_plans
-from valvemap.app.given import layout_of, recordings_in
+from valvemap.app.given import config_in, layout_of, recordings_in
 from valvemap.app.learnt_valve import BEST_FIT, LearntValve
 from valvemap.app.map_checks import MapCheck, check_maps, summed, verified_maps
 from valvemap.app.recorded_units import check_units
@@ -93,7 +94,7 @@ Report = Mapping[str, Mapping[str, EstimatorReport]]
 
 def replay(
     recordings: object,
-    config: Config | None = None,
+    config: Config | str | os.PathLike[str] | None = None,
     verify: object = None,
     progress: Progress = lambda _file, _fraction: None,
     tap: Tap = lambda _valve, _samples, _traces: None,
@@ -118,7 +119,8 @@ def replay(
         (CSV, Parquet), a data frame (pandas, polars, pyarrow; extra ``dataframes``) or a dict of
         arrays by column; ``recordings`` may be a list of them.
     config
-        Valves and estimators; without it the default estimators run on every valve found.
+        Valves and estimators, or the path of a file; without it the default estimators run on every
+        valve found.
     progress
         Called with the file (of a table, the name of its type) and the fraction done (0 to 1).
     tap
@@ -153,6 +155,7 @@ def replay(
     ------
     RecordingError, ConfigurationError
     """
+    config = config_in(config)
     if config is not None and U_range is not None:
         raise ConfigurationError("with a config, U_range is its valves.U_range_percent")
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}

@@ -19,7 +19,7 @@ from valvemap.errors import ConfigurationError
 S = TypeVar("S", bound=BaseSettings)
 
 
-def load_config(file: Path | None = None) -> Config:
+def load_config(file: str | os.PathLike[str] | None = None) -> Config:
     """Load ``file`` (TOML); without one, return the defaults, which fit the virtual rig.
 
     Raises
@@ -28,7 +28,7 @@ def load_config(file: Path | None = None) -> Config:
         if a value is invalid; names file (or environment variable), field, value and the allowed
         values.
     """
-    return load_settings(Config, file)
+    return load_settings(Config, None if file is None else Path(file))
 
 
 def load_settings(kind: type[S], file: Path | None) -> S:

@@ -303,6 +303,8 @@ def _suffix(path: Path) -> tuple[str, bool]:
     for suffix in (*PACKINGS, ".parquet"):
         if whole.endswith(suffix):
             return suffix, whole != name
+    if path.is_dir():
+        raise NoRecording(f"{path} is a folder: name its recordings, in the order of time")
     raise NoRecording(
         f"{path} is not a recording: its name must end in {', '.join(PACKINGS)} or .parquet"
     )

@@ -1,17 +1,13 @@
 """Recordings in memory: data frames (pandas, polars, pyarrow) and mappings of arrays."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
-from importlib import import_module
-from importlib.util import find_spec
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Final, Literal, cast
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.errors import RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
@@ -26,13 +22,8 @@ from valvemap.storage.layout import (
     find_columns,
     with_p2,
 )
+from valvemap.storage.tables import columns_of, narwhals, series_in, size_of
 from valvemap.storage.time_units import seconds_per_unit
-
-ALLOWED: Final = (
-    "a path, a data frame (pandas, polars, pyarrow), a dict of arrays by column, or a list of these"
-)
-
-BACKENDS: Final = ("pandas", "polars", "pyarrow")
 
 _RECOGNISED: Final = 3_000  # rows used to recognise foreign headings
 
@@ -43,7 +34,7 @@ class TableReader:
     """Reads a table chunk by chunk; its columns are those of a recording.
 
     Numbers may be of any numeric type, times also datetimes (UTC unless they have a zone). Missing
-    numbers are NaN. An index of datetimes is the time of a pandas frame without a column ``t``.
+    numbers are NaN. Valves may be integers. What an index gives: see `tables.columns_of`.
 
     Raises
     ------
@@ -53,10 +44,10 @@ class TableReader:
 
     def __init__(self, table: object, chunk_rows: int, layout: Layout) -> None:
         self.name = type(table).__name__
-        self._table = _columns_of(table, self.name)
+        self._table = columns_of(table, self.name)
         self._chunk_rows = chunk_rows
         self._columns = self._find(layout)
-        self._rows = _size(next(iter(self._table.values())), self.name)
+        self._rows = size_of(next(iter(self._table.values())), self.name)
         self._done = 0
         self.ignored = self._columns.ignored
 
@@ -143,90 +134,6 @@ class TableReader:
             raise RecordingError(f"{self.name}: column {name} is of type {error}") from None
 
 
-@lru_cache(maxsize=1)
-def _narwhals() -> ModuleType | None:
-    """Return narwhals, which data frames need, and mappings of arrays do not; loaded when used."""
-    return import_module("narwhals") if find_spec("narwhals") is not None else None
-
-
-def is_table(given: object) -> bool:
-    """Whether it is a data frame or a mapping of arrays."""
-    return isinstance(given, Mapping) or _frame(given) is not None
-
-
-def data_frame(table: Mapping[str, NDArray[Any]], backend: str) -> Any:  # noqa: ANN401 - of any library
-    """Return a data frame of a library: ``pandas``, ``polars`` or ``pyarrow``.
-
-    Raises
-    ------
-    ConfigurationError
-        if the library is unknown or not installed; names it.
-    """
-    if backend not in BACKENDS:
-        raise ConfigurationError(f"backend {backend!r}; {', '.join(BACKENDS)} are allowed")
-    nw = _narwhals()
-    if nw is None or find_spec(backend) is None:
-        missing = "narwhals" if nw is None else backend
-        raise ConfigurationError(f"a data frame of {backend} needs it: pip install {missing}")
-    kind = cast('Literal["pandas", "polars", "pyarrow"]', backend)
-    return nw.from_dict(dict(table), backend=kind).to_native()
-
-
-def _frame(given: object) -> Any:  # noqa: ANN401 - narwhals' frame of any library
-    """Return a data frame by narwhals; None if it is none."""
-    nw = _narwhals()
-    if nw is None:
-        return None
-    try:
-        frame = nw.from_native(given, pass_through=True)
-    except nw.exceptions.DuplicateError:
-        names = [str(name) for name in getattr(given, "columns", ())]
-        twice = ", ".join(dict.fromkeys(name for name in names if names.count(name) > 1))
-        kind = type(given).__name__
-        raise RecordingError(
-            f"{kind}: column {twice} stands there twice: rename or drop one"
-        ) from None
-    if isinstance(frame, nw.LazyFrame):
-        return frame.collect()
-    return frame if isinstance(frame, nw.DataFrame) else None
-
-
-def _columns_of(table: object, name: str) -> dict[str, object]:
-    nw = _narwhals() if not isinstance(table, Mapping) else None
-    if isinstance(table, Mapping):
-        found = {str(key): values for key, values in table.items()}
-    else:
-        frame = _frame(table)
-        if frame is None or nw is None:
-            hint = "" if nw else "; data frames need narwhals: pip install 'valvemap[dataframes]'"
-            raise RecordingError(f"a {name} is no recording; {ALLOWED} is allowed{hint}")
-        others = [key for key in frame.columns if not isinstance(key, str)]
-        if others:
-            raise RecordingError(
-                f"{name}: column {others[0]!r} has no text as its name: name the columns, such as "
-                "df.columns = ['t', 'U', 'p1', 'p2', 'Q']"
-            )
-        found = {key: frame[key] for key in frame.columns}
-        index = nw.maybe_get_index(frame)
-        if index is not None and "t" not in found and isinstance(index.to_numpy()[:0], np.ndarray):
-            series = nw.from_native(index.to_series(), series_only=True)
-            if series.dtype == nw.Datetime:
-                found["t"] = series
-    if not found:
-        raise RecordingError(f"{name} has no columns: a recording has t,U,p1,p2,Q")
-    sizes = {key: _size(values, f"{name}: column {key}") for key, values in found.items()}
-    if len(set(sizes.values())) > 1:
-        raise RecordingError(f"{name}: columns of equal length are allowed, not {sizes}")
-    return found
-
-
-def _size(values: object, where: str) -> int:
-    try:
-        return len(values)  # type: ignore[arg-type]
-    except TypeError:
-        raise RecordingError(f"{where} is {values!r}; an array of (N,) is allowed") from None
-
-
 def _plain(values: object) -> Column:
     """Return float64, int64, datetime64[ns], or texts.
 
@@ -237,11 +144,9 @@ def _plain(values: object) -> Column:
     CellError
         if a time is out of range.
     """
-    nw = None if isinstance(values, np.ndarray | list | tuple) else _narwhals()
-    if nw is not None:
-        series = nw.from_native(values, series_only=True, pass_through=True)
-        if isinstance(series, nw.Series):
-            return _of_series(series, nw)
+    series = series_in(values)
+    if series is not None:
+        return _of_series(series)
     array = np.asarray(values)
     if array.ndim != 1:
         raise TypeError(f"{array.dtype} and shape {array.shape}; (N,) is allowed")
@@ -258,8 +163,9 @@ def _plain(values: object) -> Column:
     raise TypeError(f"{array.dtype}; numbers, datetimes, durations and text are allowed")
 
 
-def _of_series(series: Any, nw: ModuleType) -> Column:  # noqa: ANN401 - narwhals' series of any library
-    kind = series.dtype
+def _of_series(series: Any) -> Column:  # noqa: ANN401 - narwhals' series of any library
+    nw, kind = narwhals(), series.dtype
+    assert nw is not None  # noqa: S101 - there is a series
     if kind == nw.Date:
         series = series.cast(nw.Datetime("us"))
         kind = series.dtype
@@ -328,4 +234,6 @@ def _qualities(where: str, column: Column) -> Codes:
 def _texts(where: str, column: Column) -> Sequence[str]:
     if isinstance(column, list):
         return column
-    raise RecordingError(f"{where} is of type {column.dtype}, not text")
+    if column.dtype.kind == "i":
+        return [str(number) for number in column.tolist()]
+    raise RecordingError(f"{where} is of type {column.dtype}, not text or integers")
