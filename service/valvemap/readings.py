@@ -80,6 +80,10 @@ class ConditionChange(Protocol):
         """Time of the change, UTC ns."""
 
     @property
+    def turned(self) -> int:
+        """Time at which it became active, or inactive, UTC ns; 0: unknown."""
+
+    @property
     def source(self) -> str:
         """Name of the valve, or ``Service``."""
 

@@ -49,6 +49,7 @@ async def test_each_change_is_one_event_and_a_life_goes_as_annex_b_says(plant, l
     (seen,) = await listener.next()
     assert seen.state == ("LagFound", True, True, False, True)
     assert (seen["Comment"].Text, seen["ClientUserId"]) == ("seen", "operator")
+    assert came["ActiveState/TransitionTime"] == seen["ActiveState/TransitionTime"] == came["Time"]
     await plant.set_lag(0.05)
     (gone,) = await listener.next()
     assert gone.state == ("LagFound", False, True, False, True)

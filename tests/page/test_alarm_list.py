@@ -34,6 +34,13 @@ def test_active_ones_come_first_then_the_severest():
     assert names == [("V1", "SensorLost"), ("V1", "LagFound"), ("V2", "Changed")]
 
 
+def test_an_alarm_is_active_since_it_began_whoever_acknowledged_it_later():
+    acked = replace(FIRST, acked=True, event=b"2", t=FIRST.t + 60 * S, begun=FIRST.t)
+    assert [row["since"] for row in heard(FIRST, acked)[0].rows()] == [FIRST.t / 1e6]
+    seen = replace(acked, active=False, t=FIRST.t + 90 * S)
+    assert [row["since"] for row in heard(seen)[0].rows()] == [seen.t / 1e6]
+
+
 def test_what_was_raised_before_the_page_looked_is_an_alarm_but_no_event():
     alarms, line = heard(FIRST, since=FIRST.t + 1)
     assert len(alarms.rows()) == 1

@@ -29,7 +29,7 @@ FIELDS = (
     *("EventId", "EventType", "SourceName", "Time", "Message", "Severity", "ConditionName"),
     *("BranchId", "Retain", "ActiveState/Id", "AckedState/Id", "ConfirmedState/Id"),
     *("EnabledState/Id", "Comment", "ClientUserId", "HighLimit", "LimitState/CurrentState/Id"),
-    *("ConditionClassId", "SuppressedOrShelved"),
+    *("ConditionClassId", "SuppressedOrShelved", "ActiveState/TransitionTime"),
 )
 
 

@@ -43,6 +43,11 @@ class Alarm:
     comment: str = ""
     user: str = ""
     event: bytes = b"1"
+    begun: int = 0
+
+    @property
+    def turned(self):
+        return (self.begun or self.t) if self.active else 0 if self.acked else self.t
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,8 @@ class Condition:
         Number of activations.
     changed
         Time of the last activation, deactivation, acknowledgement or confirmation, UTC ns.
+    begun
+        Time of the last activation, UTC ns.
     limit
         Limit of a limit alarm.
     comment, commented_by, commented
@@ -96,6 +98,7 @@ class Condition:
     message: str
     coming: int
     changed: int
+    begun: int = 0
     limit: float = 0.0
     comment: str = ""
     commented_by: str = ""
@@ -105,6 +108,13 @@ class Condition:
     def retain(self) -> bool:
         """Whether ConditionRefresh includes the condition."""
         return self.active or not self.acked or not self.confirmed
+
+    @property
+    def turned(self) -> int:
+        """Time at which ActiveState was entered, UTC ns; 0: unknown, a later one is kept alone."""
+        if self.active:
+            return self.begun
+        return 0 if self.acked else self.changed
 
     @property
     def event_id(self) -> bytes:
@@ -163,6 +173,7 @@ class Condition:
             "ConfirmedState/Id": _flag(self.confirmed),
             "ActiveState": _text("Active" if self.active else "Inactive"),
             "ActiveState/Id": _flag(self.active),
+            "ActiveState/TransitionTime": ua.Variant(instant(self.turned), _Types.DateTime),
             "InputNode": ua.Variant(ua.NodeId(), _Types.NodeId),
             "SuppressedOrShelved": _flag(False),  # noqa: FBT003 - a value
             **self._of_kind(),

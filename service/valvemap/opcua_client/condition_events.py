@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any, Final
 
 from asyncua import ua
@@ -12,6 +13,7 @@ _CONDITION: Final = ua.NodeId(ua.ObjectIds.ConditionType)
 _FIELDS: Final = (
     *("EventId", "EventType", "SourceName", "Time", "Message", "Severity", "ConditionName"),
     *("Retain", "ActiveState/Id", "AckedState/Id", "ConfirmedState/Id"),
+    "ActiveState/TransitionTime",
     *("Comment", "ClientUserId"),
 )
 
@@ -24,6 +26,8 @@ class ConditionChange:
     ----------
     t
         Time of the change, UTC ns.
+    turned
+        Time at which it became active, or inactive, UTC ns; 0: unknown.
     source, name
         The valve (or ``Service``), and the alarm's name.
     text
@@ -39,6 +43,7 @@ class ConditionChange:
     """
 
     t: int
+    turned: int
     source: str
     name: str
     text: str
@@ -69,11 +74,13 @@ def condition_of(values: Sequence[Any]) -> ConditionChange | None:
     if len(values) != len(_FIELDS):
         return None
     said = dict(zip(_FIELDS, values, strict=True))
+    turned = said["ActiveState/TransitionTime"]
     name, event, time = said["ConditionName"], said["EventId"], said["Time"]
     if not isinstance(name, str) or not isinstance(event, bytes) or time is None:
         return None
     return ConditionChange(
         t=utc_ns(time),
+        turned=utc_ns(turned) if isinstance(turned, datetime) else 0,
         source=_text(said["SourceName"]),
         name=name,
         text=_text(said["Message"]),

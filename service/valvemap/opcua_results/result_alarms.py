@@ -324,6 +324,7 @@ def _condition(key: ConditionKey, report: AlarmReport) -> Condition:
         message=report.text,
         coming=report.count,
         changed=report.at,
+        begun=report.since,
         limit=report.limit,
         comment=report.comment,
         commented_by=report.commented_by,

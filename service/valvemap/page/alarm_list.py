@@ -67,6 +67,7 @@ def row_of(change: ConditionChange) -> dict[str, Any]:
     """Return a change for the browser."""
     return {
         "t": change.t / 1e6,
+        "since": (change.turned or change.t) / 1e6,
         "source": change.source,
         "name": change.name,
         "text": change.text,

@@ -48,7 +48,10 @@ def greeting(observer: Observer) -> dict[str, Any]:
         "words": {
             "status": [(s.label, s.sentence, STATUS_SEVERITIES[s]) for s in Status],
             "adaptation": [(state.label, state.sentence) for state in Adaptation],
-            "inverse": [(INVERSE_SEVERITIES[s], s.sentence, s.label) for s in InverseStatus],
+            "inverse": [
+                (INVERSE_SEVERITIES[s], s.sentence, s.label, s is not InverseStatus.NOT_FINITE)
+                for s in InverseStatus  # the last: whether there was a demand to answer
+            ],
             "reason": [(reason.label, reason.sentence, reason.is_old) for reason in Reason],
             "health": [(health.label, health.sentence) for health in DeviceHealth],
             "codes": words_of_codes(),

@@ -6,11 +6,11 @@ export function activeSpans(changes, areAllKnown = true) {
   for (const change of [...changes].sort((a, b) => a.t - b.t)) {
     const key = `${change.source}/${change.name}`, since = open.get(key);
     if (change.active && !since) {
-      const begun = { source: change.source, name: change.name, from: change.t, to: null, severity: change.severity, text: change.text, raised: change };
+      const begun = { source: change.source, name: change.name, from: change.since ?? change.t, to: null, severity: change.severity, text: change.text, raised: change };
       open.set(key, begun);
       found.push(begun);
     } else if (!change.active && since) {
-      since.to = change.t;
+      since.to = change.since ?? change.t;
       open.delete(key);
     } else if (!change.active && !since && !found.some((one) => one.source === change.source && one.name === change.name)) {
       found.push({ source: change.source, name: change.name, from: areAllKnown ? -Infinity : change.t, to: change.t, severity: change.severity, text: change.text, raised: change });

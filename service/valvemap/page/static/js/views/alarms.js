@@ -39,7 +39,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
         return { ...one.raised, ...(one.to === null ? newest : {}), severity: one.severity, t: one.from, until: one.to, text: one.text || one.raised.text, user: newest.user, comment: newest.comment, active: one.to === null };
       }).filter(({ t }) => t > 0).sort((a, b) => b.t - a.t);
     }
-    return live.alarms.filter((alarm) => (tab === "active" ? alarm.active : !alarm.acked));
+    return live.alarms.filter((alarm) => (tab === "active" ? alarm.active : !alarm.acked)).map((alarm) => ({ ...alarm, t: alarm.since }));
   }
 
   function update() {
@@ -86,6 +86,9 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
     return acked ? (confirmed ? "dealt with" : "to confirm") : "ended, not seen";
   }
 
+  /** Since when it is so: active alarms since they began, others since they ended, or were acknowledged. */
+  const told = ({ active, acked, t }) => `${active ? "since" : acked ? "acknowledged" : "ended"} ${clock(t)}`;
+
   function drawDetail(alarm) {
     if (!alarm) { detail.hidden = true; delete detail.dataset.key; return; }
     detail.hidden = false;
@@ -108,7 +111,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
     const hadFocus = detail.contains(document.activeElement) ? document.activeElement : null;
     detail.replaceChildren(
       h("header", {}, h("h2.big", {}, `${alarm.source} · ${spaced(alarm.name)}`), h("span.badge", { "data-severity": alarm.active ? alarm.severity : 1 }, stateOf(alarm)), h("span.fill"),
-        h("span.muted", {}, alarm.until ? `${clock(alarm.t)} to ${clock(alarm.until)}, ${span((alarm.until - alarm.t) / 1000)}` : `since ${clock(alarm.t)}, ${span((Date.now() - alarm.t) / 1000)}`)),
+        h("span.muted", {}, alarm.until ? `${clock(alarm.t)} to ${clock(alarm.until)}, ${span((alarm.until - alarm.t) / 1000)}` : `${told(alarm)}, ${span((Date.now() - alarm.t) / 1000)}${alarm.active ? "" : " ago"}`)),
       h("dl.answers", {},
         h("dt", {}, "What was measured"), h("dd.measured", {}, measured || "Nothing more is known of it.", quantity ? h("small", {}, `Compared with its limit: ${quantity}.`) : null),
         causes.length ? [h("dt", {}, "What it may be"), h("dd", {}, h("ul", {}, causes.map((cause) => h("li", {}, cause))))] : [],

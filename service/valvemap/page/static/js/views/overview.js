@@ -150,7 +150,7 @@ export function overviewView(root, { live }) {
     needs.dataset.key = key;
     needs.replaceChildren(...some.map((alarm) => h("li", {}, h("a", { href: `#/alarms?show=${alarm.active ? "active" : "unacked"}&alarm=${encodeURIComponent(`${alarm.source}/${alarm.name}`)}` },
       h("span.badge", { "data-severity": alarm.active ? alarm.severity : 1 }, alarm.active ? "active" : alarm.acked ? "to confirm" : "ended, not seen"),
-      h("strong", {}, alarm.source), h("time.muted", {}, span((Date.now() - alarm.t) / 1000)), h("span.first", {}, `${spaced(alarm.name)}: ${inUnits(parts(alarm.text).measured)}`)))));
+      h("strong", {}, alarm.source), h("time.muted", {}, span((Date.now() - alarm.since) / 1000)), h("span.first", {}, `${spaced(alarm.name)}: ${inUnits(parts(alarm.text).measured)}`)))));
     const ofService = live.alarms.filter(({ source, active }) => source === "Service" && active).length;
     say(service, old || live.alarmTrouble ? "" : ofService ? `The service itself: ${counted(ofService, "active alarm")}.` : "The service itself has no active alarm.");
     say(needsNote, old ? `${old.why} ${old.advice}` : live.alarmTrouble ? `Alarms are not known: ${live.alarmTrouble}` : some.length ? (live.alarmCount > some.length ? `${live.alarmCount - some.length} more.` : "") : "Nothing: no alarm is active, and all are acknowledged.");

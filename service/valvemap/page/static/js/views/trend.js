@@ -14,7 +14,6 @@ const REFRESH_MS = 30000; // what is live is read again so often, from the histo
 const ASK_MS = 250; // between two reads while zooming
 const CURSOR_STEPS = 60; // over a span
 const DAY_MS = 86400e3;
-const NOT_ASKED = 5; // of InverseStatus: no demand, or no number
 const BEFORE = [[0, "nothing"], [3600e3, "an hour before"], [86400e3, "a day before"], [7 * 86400e3, "a week before"]];
 
 export function trendView(root, { live, ask, valve, query, keep }) {
@@ -38,7 +37,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
     h("option", { value: "" }, "no other valve"), live.valves.filter(({ name, kind }) => name !== valve.name && !kind).map(({ name }) => h("option", { value: name, selected: name === state.other }, name)));
   const before = h("select", { "aria-label": "Compare with time", onchange: () => go({ before: Number(before.value) }) }, BEFORE.map(([ms, text]) => h("option", { value: ms, selected: ms === state.before }, text)));
   const lanes = trendLanes({ live, valve, span: () => [from(), to()], begin: () => (rows.t.length ? 1000 * rows.t[0] - rows.step / 2 : Infinity), changes: () => changes, areAllKnown: () => isPastKnown, silences: () => rows.silences, estimator, doubts: () => doubts,
-    statuses: () => codes[0].filter(({ code }) => code).map(worded(STATUS, ([label, , severity]) => [label, severity])), answers: () => codes[1].filter(({ code }) => code !== NOT_ASKED).map(worded(INVERSE_STATUS, ([severity, , label]) => [label, severity])) });
+    statuses: () => codes[0].filter(({ code }) => code).map(worded(STATUS, ([label, , severity]) => [label, severity])), answers: () => codes[1].filter(({ code }) => INVERSE_STATUS[code]?.[3] ?? true).map(worded(INVERSE_STATUS, ([severity, , label]) => [label, severity])) });
   function worded(words, parts) {
     return ({ from: a, to: b, code, isPart }) => {
       const [label, severity] = words[code] ? parts(words[code]) : [`code ${code}`, 1];
@@ -217,7 +216,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
 
   function showMarks() {
     const found = [
-      ...lanes.active().map(({ from: a, to: b, severity, name, text, source: of, raised }) => ({ t: a, severity, head: `${of === "Service" ? "Service: " : ""}${spaced(name)}`, text: `${b === null ? "active" : a > 0 ? `${spanText((b - a) / 1000)} long` : `until ${clock(b)}`}. ${text.split(" It may be: ")[0]}`, href: `#/alarms?alarm=${encodeURIComponent(`${of}/${raised.name}`)}` })),
+      ...lanes.active().map(({ from: a, to: b, severity, name, text, source: of, raised }) => ({ t: a, severity, head: `${of === "Service" ? "Service: " : ""}${spaced(name)}`, text: `${b === null ? "active" : a > 0 && b > a ? `${spanText((b - a) / 1000)} long` : `until ${clock(b)}`}. ${text.split(" It may be: ")[0]}`, href: `#/alarms?alarm=${encodeURIComponent(`${of}/${raised.name}`)}` })),
       ...lanes.marks().map(({ t, severity, text, kind }) => ({ t, severity, head: KINDS[kind] ?? kind, text })),
     ].sort((a, b) => b.t - a.t).slice(0, 60);
     const key = JSON.stringify(found);
