@@ -1,7 +1,8 @@
 """The score of a reading: log likelihoods of its labels, units, ranges, magnitudes, and the law."""
 
-from collections.abc import Mapping
-from math import inf, log
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from math import inf, lgamma, log
 from typing import Final
 
 import numpy as np
@@ -15,12 +16,13 @@ from valvemap.plant.grouping import Group, Unmetered
 from valvemap.plant.law import Fit, fit
 from valvemap.plant.reading import Floats, Reading, Record
 from valvemap.plant.roles import Role
-from valvemap.plant.scales import Scale, scales
+from valvemap.plant.scales import COUNTS, Scale, scales
 from valvemap.plant.unit_systems import of_guesses
 
 BACKWARDS: Final = "p2 is above p1"  # in every unit
 _OF_OTHER_FLOWS: Final = ("Q does not move with U", "Q flows at U = 0")
-_UNLIKE: Final = -4.0  # nats
+_UNLIKE: Final = -4.0  # nats; two signals from different cards, two gauges of different spans
+_ENDS_OF_COUNTS: Final = frozenset(high for _, high in COUNTS)
 _ONE_METER: Final = log(0.1)  # prior that a meter measures a valve that has none, too
 
 
@@ -145,19 +147,41 @@ class Scores:
 
 def _of_units(chosen: Mapping[Role, Scale]) -> float:
     """Judge scales that nothing states: one system of units, one card, one kind of sensor."""
-    spans = {
-        abs(s.measure.raw[1]) for s in chosen.values() if not s.stated and s.measure.raw is not None
-    }
     units = {r: s.measure.unit for r, s in chosen.items() if s.measure.unit is not None}
     of_pressures = [chosen[role] for role in (Role.P1, Role.P2) if role in chosen]
     ends = {s.measure.scaled for s in of_pressures}
-    unlike = (len(spans) - 1 if spans else 0) + (
-        len(ends) > 1 and not all(s.stated for s in of_pressures)
+    unlike = len(ends) > 1 and not all(s.stated for s in of_pressures)
+    return (
+        _UNLIKE * unlike
+        + _of_cards(_spans(chosen))
+        + of_guesses(
+            {role: unit for role, unit in units.items() if chosen[role].stated},
+            {role: unit for role, unit in units.items() if chosen[role].guessed},
+        )
     )
-    return _UNLIKE * unlike + of_guesses(
-        {role: unit for role, unit in units.items() if chosen[role].stated},
-        {role: unit for role, unit in units.items() if chosen[role].guessed},
-    )
+
+
+def _spans(chosen: Mapping[Role, Scale]) -> list[float]:
+    """Return the ends of the raw spans that nothing states; stated ones too if both are counts."""
+    raw = [(abs(s.measure.raw[1]), s.stated) for s in chosen.values() if s.measure.raw is not None]
+    unstated = [end for end, stated in raw if not stated]
+    if not _ENDS_OF_COUNTS.intersection(unstated):
+        return unstated
+    return unstated + [end for end, stated in raw if stated and end in _ENDS_OF_COUNTS]
+
+
+def _of_cards(spans: Sequence[float]) -> float:
+    """Judge that signals come from different cards, against one for all (Ewens 1972).
+
+    The more signals share a span, the likelier the next one does, too.
+
+    >>> round(_of_cards([27_648.0, 32_767.0]), 1), round(_of_cards([27_648.0] * 4 + [4_095.0]), 1)
+    (-4.0, -5.4)
+    """
+    if not spans:
+        return 0.0
+    of_each = Counter(spans).values()
+    return _UNLIKE * (len(of_each) - 1) + sum(map(lgamma, of_each)) - lgamma(len(spans))
 
 
 def _of_range(node: Candidate, role: Role, scale: Scale, raw: Floats) -> float:

@@ -1,0 +1,28 @@
+"""Raw counts: the signals of a valve come from one kind of card."""
+
+import numpy as np
+import pytest
+
+from valvemap.plant.answers import parse_answers
+from valvemap.plant.roles import Role
+
+
+@pytest.fixture
+def counted(plant, moving):
+    """The signals of a valve as counts of 27,648, without unit or range."""
+    true = moving(seed=3)
+    true["U"] = np.clip(true["U"], 0, 100)
+    for name, role, span in (("Command", "U", 100.0), ("Inlet pressure", "p1", 400.0),
+                             ("Outlet pressure", "p2", 250.0), ("Flow", "Q", 150.0),
+                             ("Oil temperature", "T", 100.0)):  # fmt: skip
+        plant.add(name, np.round(true[role] / span * 27_648), largest=32_767.0)
+    return true
+
+
+def test_answered_spans_say_which_card_reads_the_others(plant, counted):
+    spans = [f"Plant.{role}=0..27648:0..{end}" for role, end in
+             (("p1", "400bar"), ("p2", "250bar"), ("Q", "150l/min"))]  # fmt: skip
+    (found,) = plant.verdicts(parse_answers((), spans))
+    assert found.question is None
+    assert found.reading.scales[Role.U].text == "0..27648:0..100%"
+    assert found.reading.values[Role.U] == pytest.approx(counted["U"], abs=0.01)
