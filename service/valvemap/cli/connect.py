@@ -185,7 +185,7 @@ def _question(verdict: "Verdict", command: str) -> "Iterator[str]":
         yield f"  {number}. {option.text} ({100 * option.probability:.0f} %)"
         yield f"     {option.consequence}"
         yield f"     answer: {command} {' '.join(map(shlex.quote, option.answers))}"
-    if not question.options and verdict.reading is not None:
+    if not question.options and verdict.reading is not None and verdict.reading.missing:
         wanted = (f"--signal={verdict.valve}.{role}=NODE" for role in verdict.reading.missing)
         yield f"  to name what is missing: {command} {' '.join(wanted)}"
     yield f"  to leave it out: {command} --skip={verdict.valve}"

@@ -14,7 +14,7 @@ from valvemap.plant.law import Fit, fit
 from valvemap.plant.questions import Option, Question
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import QUANTITY, Role
-from valvemap.plant.scales import Scale, scales
+from valvemap.plant.scales import Scale, reversed_command, scales
 from valvemap.vocabulary.edges import Edge
 
 NAMES: Final[Mapping[Role, str]] = {
@@ -120,7 +120,8 @@ def _faults(
     for role, node in reading.nodes.items():
         if not reading.scales[role].stated:
             yield f"{NAMES[role]}: nothing states the unit"
-        if evidence.of_range(record.of(node), node.bounds, role) < _LEAVES:
+        outside = evidence.of_range(record.of(node), node.bounds, role) < _LEAVES
+        if outside and role not in given.scales:
             yield f"{NAMES[role]} leaves its range"
         if role not in given.nodes and sum(one.label.role is role for one in group.all) > 1:
             yield f"{NAMES[role]}: several nodes have this name"
@@ -139,20 +140,76 @@ def physics_of(edge: Edge, law: Fit) -> str:
     return f"the orifice law explains {100 * law.explained:.0f} % of {line} while {edge} is open"
 
 
-def question_of_ports(group: Group, record: Record, found: Edges, base: Reading) -> Question:
+def question_of_faults(group: Group, record: Record, found: Edges, given: Given) -> Question:
+    """Ask with what contradicts the labels, and the readings of all edges without contradiction."""
+    return Question("; ".join(found.faults), tuple(_corrected(group, record, found, given)))
+
+
+def _corrected(group: Group, record: Record, found: Edges, given: Given) -> Iterator[Option]:
+    """Yield the readings that nothing contradicts once they are answered."""
+    nodes, own = found.reading.nodes, found.reading.scales
+    readings = {"as labelled": (nodes, own)}
+    if Role.U not in given.scales:
+        U = reversed_command(own[Role.U], np.array([-1.0, 1.0]))
+        readings["U > 0 opens PB and AT"] = nodes, {**own, Role.U: U}
+    if Role.QB in nodes and not {Role.Q, Role.QB} <= set(given.nodes):
+        changed = {Role.Q: Role.QB, Role.QB: Role.Q}
+        readings["QA and QB are exchanged"] = (
+            {role: nodes[changed.get(role, role)] for role in nodes},
+            {role: own[changed.get(role, role)] for role in nodes},
+        )
+    for text, (named, scaled) in readings.items():
+        answered = {role: replace(scale, stated=True) for role, scale in scaled.items()}
+        whole = Given({role: one.node for role, one in named.items()}, answered, ports=True)
+        edges = edges_of(group, record, whole)
+        if edges is not None and not edges.faults:
+            answers = [a for role in named for a in _answers_of(group.name, role, edges.reading)]
+            seen = ", ".join(_seen(role, edges.reading) for role in named)
+            yield Option(
+                f"{text}: {_all(edges)}", f"{seen}; {_explained(edges)}",
+                (f"--ports={group.name}", *answers), 0.5,
+            )  # fmt: skip
+
+
+def _answers_of(valve: str, role: Role, reading: Reading) -> tuple[str, str]:
+    name, unit = NAMES[role], reading.scales[role].text or QUANTITY[role].value
+    return (
+        f"--signal={valve}.{name}={reading.nodes[role].node}",
+        f"--scale={valve}.{name}={unit}",
+    )
+
+
+def _seen(role: Role, reading: Reading) -> str:
+    good = reading.values[role][np.isfinite(reading.values[role])]
+    seen = f"{good.min():.3g} … {good.max():.3g}" if len(good) else "no value of"
+    name = printable(reading.nodes[role].path[-1])
+    return f"{NAMES[role]} ({name}) {seen} {QUANTITY[role].value}"
+
+
+def _all(found: Edges) -> str:
+    lines = "both lines" if Role.QB in found.reading.nodes else "line A"
+    return f"all edges: {', '.join(found.fits)}, with the leakage of {lines}"
+
+
+def _explained(found: Edges) -> str:
+    said = [
+        f"the orifice law explains {100 * own.explained:.0f} % of the flow of {edge}"
+        for edge, own in found.fits.items()
+        if own.moves
+    ]
+    return "; ".join([*said, "a map of each edge ([valves.ports])"])
+
+
+def question_of_ports(
+    group: Group, record: Record, found: Edges, base: Reading, given: Given
+) -> Question:
     """Ask whether all edges are to be learnt, or one of them."""
-    options = []
+    options: list[Option] = []
     port = {one.label.role: one for one in group.all}
-    if not found.faults:
-        lines = "both lines" if Role.QB in found.reading.nodes else "line A"
-        said = [
-            f"the orifice law explains {100 * own.explained:.0f} % of the flow of {edge}"
-            for edge, own in found.fits.items()
-            if own.moves
-        ]
-        text = f"all edges: {', '.join(found.fits)}, with the leakage of {lines}"
-        consequence = "; ".join([*said, "a map of each edge ([valves.ports])"])
-        options.append(Option(text, consequence, (f"--ports={group.name}",), 0.5))
+    if found.faults:
+        options += _corrected(group, record, found, given)
+    else:
+        options.append(Option(_all(found), _explained(found), (f"--ports={group.name}",), 0.5))
     for role, meter, sign in ((Role.PA, Role.Q, 1), (Role.PB, Role.QB, -1)):
         flow = port.get(meter)
         if flow is not None:

@@ -286,7 +286,7 @@ def reversed_command(scale: Scale, values: Floats) -> Scale:
     own = scaling_of(unit, scale.measure.raw, scale.measure.scaled)
     raw = scale.measure.raw or (own.back(ends[0]), own.back(ends[1]))
     least, most = scale.measure.scaled or ends
-    wrong_way = (-least, -most) if both else (most, least)
+    wrong_way = (0.0 - least, 0.0 - most) if both else (most, least)
     measure = Measure(raw=raw, scaled=wrong_way)
     return Scale(measure, 0.0, f"shut at {raw[1]:g}", stated=False)
 

@@ -309,12 +309,12 @@ def _of_ports(group: Group, record: Record, given: Given, rating: Rating) -> Ver
         missing = ports.question_of_missing(group, given)
         return Verdict(group.name, None, missing, {}) if given.ports else None
     if given.ports:
-        fault = Question("; ".join(found.faults)) if found.faults else None
+        fault = ports.question_of_faults(group, record, found, given) if found.faults else None
         return Verdict(group.name, found.reading, fault, {}, edges=found.fits)
     two = tuple(one for one in group.all if one.label.role not in {Role.PA, Role.PB})
     whole = readings(Group(group.name, two), record, given, rating)
     if not whole or Role.U not in whole[0].nodes:
         return None
     base = next((r for r in whole if not (r.mistake or r.missing or r.beside)), whole[0])
-    question = ports.question_of_ports(group, record, found, base)
+    question = ports.question_of_ports(group, record, found, base, given)
     return Verdict(group.name, base, question, {}, 0.0)
