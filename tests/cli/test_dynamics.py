@@ -66,7 +66,7 @@ def test_the_rigs_spool_is_found_printed_and_written(folder, capsys):
     ("arguments", "code", "said"),
     [
         (["V1", "--from", "short.csv"], 1, "short.csv: 500 usable samples are too few"),
-        (["V1", "--from", "slow.csv"], 1, "slow.csv: samples every 100 ms are too seldom"),
+        (["V1", "--from", "slow.csv"], 1, "slow.csv: one sample every 100 ms is too slow"),
         (["V2", "--from", "steps.csv"], 2, "steps.csv has no such valve; there is V1"),
     ],
 )

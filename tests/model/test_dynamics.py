@@ -99,7 +99,7 @@ def test_t90_is_that_of_the_step_response(found):
     ("samples", "why"),
     [
         (stepped(2.0), "too few"),
-        (stepped(100.0, rate=10), "too seldom"),
+        (stepped(100.0, rate=10), "too slow"),
     ],
 )
 def test_what_cannot_tell_is_refused_with_a_sentence(samples, why):

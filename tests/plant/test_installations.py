@@ -119,6 +119,21 @@ def test_a_sheet_without_a_name_plate_says_what_to_compare_with_it(plant, moving
     assert refused.question.about == "no reading of its signals fits"
 
 
+def test_a_valve_that_stands_still_has_no_flow_to_compare_with_its_name_plate(plant, moving):
+    true = moving()
+    noise = np.random.default_rng(1).normal(0, 0.4, len(true["t"]))
+    for name, values, unit in (
+        ("Command", 0 * true["U"], "%"), ("p in", true["p1"], "bar"),
+        ("p out", true["p2"], "bar"), ("Flow", noise, "l/min"),
+    ):  # fmt: skip
+        plant.add(name, values, unit=unit)
+    (still,) = plant.verdicts()
+    assert still.question is None
+    (said,) = (row.reason for row in rows([still]) if row.signal == "Q")
+    assert "Q did not move" in said
+    assert "name plate" not in said
+
+
 def test_what_could_take_the_place_of_a_missing_signal_is_an_option(plant, moving):
     signals = moving()
     plant.add("Spool position", signals["U"], unit="%")

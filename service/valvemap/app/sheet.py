@@ -71,7 +71,7 @@ def _row(verdict: Verdict, reading: Reading, role: Role) -> Row:
 def _unrated(reading: Reading, drop_bar: float) -> Iterator[str]:
     """Yield what to compare with the name plate: a factor of Q contradicts nothing else."""
     k, U = coefficient(reading.values), np.abs(reading.values[Role.U])
-    if k > 0.0 and np.isfinite(U).any():
+    if reading.fit.moves and k > 0.0 and np.isfinite(U).any():
         yield (
             f"its factor is not checked: compare {k * drop_bar**0.5:.3g} l/min at {drop_bar:g} bar "
             f"and U = {np.nanmax(U):.0f} % with the name plate, or give --rated-flow"

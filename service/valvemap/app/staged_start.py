@@ -73,7 +73,7 @@ class Compilation:
             warm_up(self._config, self._note, lambda: self.is_over)
 
     def _note(self, done: int, of: int) -> None:
-        if (done, of) != self.parts:
+        if (done, of) != self.parts and done < of:
             log.info("compiling, at the first start only", part=done + 1, of=of)
         self.parts = done, of
 

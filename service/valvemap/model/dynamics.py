@@ -133,7 +133,7 @@ def fit_dynamics(samples: Samples) -> Dynamics | NotFitted:
         return _too_few(len(good))
     period = float(np.median(np.diff(good.t))) * 1e-9
     if not 0.0 < period <= 1.0 / LEAST_HZ:
-        why = f"samples every {1e3 * period:.3g} ms are too seldom: 100 Hz are needed"
+        why = f"one sample every {1e3 * period:.3g} ms is too slow: 100 Hz are needed"
         return NotFitted(DynamicsStatus.TOO_SLOW, why)
     good = _longest_stretch(good, period)
     if len(good) * period < LEAST_S or len(good) < LEAST_S * LEAST_HZ:
