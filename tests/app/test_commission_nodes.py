@@ -10,7 +10,7 @@ from asyncua import ua
 
 from support.feeding import PASSWORD, VALVE, Heard, ListeningRig, settings
 from support.processes import free_port
-from support.served import serving
+from support.served import Seen, serving
 from valvemap.app.serve import serve
 from valvemap.config.commission import CommissionConfig
 from valvemap.config.connections import ServerConfig, SourceConfig
@@ -26,12 +26,16 @@ pytestmark = pytest.mark.waits
 SCENARIO = BUILTIN["external"].model_copy(
     update={"excitation": External(sweep_s=3.1, p2_low_bar=30.0, p2_high_bar=190.0)}
 )
+OTHER = "Other"
 SLEW, LOW, HIGH = 300.0, 0.0, 80.0
 
 
 @asynccontextmanager
-async def staged(tmp_path, *, commanded=True, **commission):
-    """A rig that notes what is written, the service on it, and a client of the service."""
+async def staged(tmp_path, *more, **commission):
+    """A rig that notes what is written, the service on it, and a client of the service.
+
+    ``more`` are further valves.
+    """
     heard = Heard()
     of_rig = settings("opc.tcp://127.0.0.1:0/valvemap/rig/", "urn:valvemap:rig", "valvemap rig")
     rig = await ListeningRig.create(of_rig, SCENARIO, on_block=heard.samples)
@@ -46,13 +50,14 @@ async def staged(tmp_path, *, commanded=True, **commission):
         valves=(
             ValveConfig(
                 name=VALVE,
-                nodes=NodesConfig.of_rig(VALVE, commanded=commanded),
+                nodes=NodesConfig.of_rig(VALVE, commanded=True),
                 commission=CommissionConfig(
                     range_percent=(LOW, HIGH),
                     slew_percent_per_s=SLEW,
                     **{"operator_s": 5.0, "operator_late_s": 2.0} | commission,  # a busy machine
                 ),
             ),
+            *more,
         ),
     )
     of_service = settings(url, "urn:valvemap:service", "valvemap")
@@ -67,7 +72,8 @@ async def staged(tmp_path, *, commanded=True, **commission):
 
 async def call(seen, part, name, *arguments):
     owner = seen.node(part)
-    return await owner.call_method(ua.NodeId(f"{VALVE}.{part}.{name}", seen.index), *arguments)
+    method = ua.NodeId(f"{seen.owner}.{part}.{name}", seen.index)
+    return await owner.call_method(method, *arguments)
 
 
 async def until_taken(seen, name):
@@ -167,9 +173,18 @@ async def test_an_aborted_run_is_resumed_with_what_it_had_learnt(tmp_path):
         assert keeps_limits(heard)
 
 
-async def test_without_the_operators_heartbeat_the_run_ends(tmp_path):
-    async with staged(tmp_path, operator_s=1.0) as (seen, heard):
+async def test_a_run_waits_for_disarming_and_ends_without_the_operators_heartbeat(tmp_path):
+    other = ValveConfig(name=OTHER, nodes=NodesConfig.of_rig(VALVE))  # no node to write to
+    async with staged(tmp_path, other, operator_s=1.0) as (seen, heard):
         async with asyncio.timeout(60):
+            not_led = Seen(seen.client, seen.index, OTHER)
+            assert await not_led.value("Signals.U") is not None
+            with pytest.raises(ua.UaStatusCodeError, match="BadNodeIdUnknown"):
+                await call(not_led, "Commission", "Start", 0.0)
+            await call(seen, "Inverse", "Arm")
+            with pytest.raises(ua.UaStatusCodeError, match="BadInvalidState"):
+                await call(seen, "Commission", "Start", 0.0)
+            await call(seen, "Inverse", "Disarm")
             await call(seen, "Commission", "Start", 0.0)
             await seen.until("Commission.State", is_over)
         assert "no sign of the operator" in await seen.value("Commission.Reason")
@@ -184,17 +199,3 @@ async def test_the_end_of_the_service_ends_the_run_at_its_safe_u(tmp_path):
     assert heard.commands[-1][1] == 0.0
     assert heard.heartbeats[-1][1] == 0
     assert keeps_limits(heard)
-
-
-async def test_while_feed_forward_is_armed_a_run_is_refused(tmp_path):
-    async with staged(tmp_path) as (seen, _):
-        await call(seen, "Inverse", "Arm")
-        with pytest.raises(ua.UaStatusCodeError, match="BadInvalidState"):
-            await call(seen, "Commission", "Start", 0.0)
-        await call(seen, "Inverse", "Disarm")
-
-
-async def test_a_valve_without_a_node_to_write_to_has_no_runs(tmp_path):
-    async with staged(tmp_path, commanded=False) as (seen, _):
-        with pytest.raises(ua.UaStatusCodeError, match="BadNodeIdUnknown"):
-            await call(seen, "Commission", "Start", 0.0)

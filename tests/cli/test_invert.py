@@ -103,16 +103,25 @@ def test_a_demand_where_nothing_was_measured_is_called_extrapolating(
     assert run([*asked, "--T", "60", "--to", str(out), "--force"]) == 0
     assert answers(out)[0]["status"] == "EXTRAPOLATING"
     capsys.readouterr()
-    assert run(["export", model, "--to", str(tmp_path / "t.c"), "--dp-max", "150"]) == 0
+    few = ["--points-q", "9", "--points-dp", "7"]
+    assert run(["export", model, "--to", str(tmp_path / "t.c"), "--dp-max", "150", *few]) == 0
     assert "% of the points are extrapolated, and marked so" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("form", ["csv", "c", "st"])
-def test_a_model_is_exported_and_the_error_is_stated(folder, form, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("form", "size", "options"),
+    [
+        ("csv", "41 x 31", []),
+        ("c", "9 x 7", ["--points-q", "9", "--points-dp", "7"]),
+        ("st", "7 x 9", ["--points-q", "7", "--points-dp", "9"]),
+    ],
+)
+def test_a_model_is_exported_and_the_error_is_stated(folder, form, size, options, tmp_path, capsys):
     out = tmp_path / f"valve.{form}"
-    assert run(["export", str(folder / "all" / "V1.RLS.json"), "--to", str(out)]) == 0
+    model = str(folder / "all" / "V1.RLS.json")
+    assert run(["export", model, "--to", str(out), *options]) == 0
     assert "V1 by RLS" in out.read_text(encoding="utf-8").splitlines()[0]
-    assert "41 x 31 points at 40 °C, within" in capsys.readouterr().out
+    assert f"{size} points at 40 °C, within" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
