@@ -11,6 +11,7 @@ from valvemap.model.judged_sheet import Verdict, judge
 from valvemap.model.samples import Samples
 from valvemap.model.sheet import Figure, Measured, SheetError, make_sheet
 from valvemap.model.sheet_figures import KEYS
+from valvemap.model.sweep_fit import spool
 
 NEAR = {
     "rated_flow": 0.5,
@@ -27,6 +28,21 @@ NEAR = {
 def sheet_of(name, seed=7, **how):
     valve = VALVES[name]
     return make_sheet(swept(valve, seed, **how), RATED_BAR, valve.U_range), truth_of(valve)
+
+
+@pytest.mark.parametrize("play", [0.0, 0.3, 2.0, 250.0])
+@pytest.mark.parametrize("lag", [0.0, 0.02])
+@pytest.mark.parametrize("n", [1, 2, 7, 1000])
+def test_the_spool_follows_step_by_step(play, lag, n):
+    rng = np.random.default_rng(n)
+    U, dt = np.cumsum(rng.normal(0, 0.5, n)), rng.uniform(0.005, 0.02, n)
+    at = follows = float(U[0])
+    x = []
+    for to, share in zip(U, 1.0 - np.exp(-dt / lag) if lag else np.ones(n), strict=True):
+        at = min(max(at, to - play / 2), to + play / 2)
+        follows += share * (at - follows)
+        x.append(follows)
+    assert spool(U, dt, play, lag).tolist() == x
 
 
 def test_figures_are_near_the_truth_and_their_intervals_hold_it():

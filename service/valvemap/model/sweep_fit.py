@@ -87,15 +87,26 @@ def spool(U: Floats, dt: Floats, play: float, lag: float) -> Floats:
     >>> spool(np.array([0.0, 4.0, 8.0, 6.0]), np.full(4, 0.1), 2.0, 0.0)
     array([0., 3., 7., 7.])
     """
-    half = 0.5 * play
-    x = np.empty(len(U))
-    at = follows = float(U[0])
     shares = 1.0 - np.exp(-dt / lag) if lag > 0.0 else np.ones(len(U))
-    for n, (to, share) in enumerate(zip(U.tolist(), shares.tolist(), strict=True)):
-        at = min(max(at, to - half), to + half)
+    x, follows = [], float(U[0])
+    for at, share in zip(_behind_play(U, 0.5 * play).tolist(), shares.tolist(), strict=True):
         follows += share * (at - follows)
-        x[n] = follows
-    return x
+        x.append(follows)
+    return np.array(x)
+
+
+def _behind_play(U: Floats, half: float) -> Floats:
+    """Return the positions (N,): each U limits the one before to U ± half.
+
+    Two limits in sequence are limits again, so 2, 4, 8 … of them are joined at once.
+    """
+    low, high = U - half, U + half
+    many = 1
+    while many < len(U):
+        lower, upper = low[many:], high[many:]
+        low[many:], high[many:] = (np.clip(one[:-many], lower, upper) for one in (low, high))
+        many *= 2
+    return np.asarray(np.clip(U[0], low, high))
 
 
 def usable(samples: Samples) -> Samples:
