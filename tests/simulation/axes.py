@@ -45,6 +45,7 @@ class Axes:
         self.number_of = {t[k]: k for k in range(len(t) - 1, -1, -1)}
         self.states = StateFile()
         self.learnt = []  # samples (k) of both lines, in their order
+        self.of_A = []  # those of line A alone, by which the axis counts
         self.live = None
         axis = Axis(PLAN)
         regression = AxisRegression(PLAN.geometry, period_s=self.case.period_s, play_percent=2.0)
@@ -87,8 +88,20 @@ class Axes:
             tap=self._learn,
         )
         self.live.start()
+        self._note_line_A()
         self._judge_start(client)
         return sources, self.live
+
+    def _note_line_A(self):
+        axis = self.live.axes[0]
+        take_line = axis.take_line
+
+        def noted(line, samples):
+            if line == 0:
+                self.of_A += [self.number_of[t] for t in samples.t.tolist()]
+            take_line(line, samples)
+
+        axis.take_line = noted
 
     def show_axis(self, axis, results):
         """Implements `AxisSink`."""
@@ -118,7 +131,7 @@ class Axes:
         own = counts["aligned"] - len(axis._unmet[0].t)
         if own > len(self.learnt):
             self.world.violated(f"the axis restored {own} samples of {len(self.learnt)}")
-        del self.learnt[own:]
+        del self.learnt[own:], self.of_A[counts["aligned"] + axis.unpaired :]
         behind = {k for _, k in client.resumes_behind}
         acknowledged = set.union(*(self.server.acknowledged[line] for line in LINES))
         excused = set.union(*(self.server.excused[line] for line in LINES))
@@ -146,10 +159,11 @@ class Axes:
             world.violated(f"axis: lost {sorted(wrong)[:5]}, which the source had")
         world.counts["axis lost"] += len(lost)
         world.counts["axis learnt"] += len(learnt)
-        counts = self._counters()
-        is_exact = server.case.numbered and not server.case.restarts
-        if is_exact and counts["gaps"] + counts["missing"] != len(lost - self._waiting()):
-            world.violated(f"axis: lost {len(lost)}, counted {counts}")
+        counts, is_exact = self._counters(), server.case.numbered and not server.case.restarts
+        unmet = {self.number_of[t] for t in self.live.axes[0]._unmet[0].t.tolist()}
+        uncounted = set(range(min(self.of_A), max(self.of_A))) - set(learnt) - unmet
+        if is_exact and counts["gaps"] + counts["missing"] != len(uncounted):
+            world.violated(f"axis: lost {len(uncounted)}, counted {counts}")
 
     def judge_states(self):
         """The stored map is the bits of one undisturbed life over the same samples."""

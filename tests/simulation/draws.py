@@ -9,6 +9,7 @@ from valvemap.vocabulary.signals import Signal
 SIMULATED_S: Final = 60.0
 REAL_FILES: Final = 0.1  # share of the seeds
 AXES: Final = 0.3  # share of the seeds
+PORTS: Final = 0.15
 CALM_S: Final = 15.0  # at the end: no faults, so that all that waits arrives
 
 
@@ -56,7 +57,8 @@ class Case:
     at which a second service is started on the same state file, ``calls`` of clients and
     ``commands`` of operators on estimators are (time, kind, valve). With ``reads`` the
     history is the real file, and clients read it: (time, part, valve, rows a page, backwards).
-    ``axis`` is the source of an axis' two lines, of which it has the numbers of two valves.
+    ``axis`` is the source of an axis' two lines, of which it has the numbers of two valves. With
+    ``ports`` the three valves are a line and its two edges.
     """
 
     seed: int
@@ -77,6 +79,7 @@ class Case:
     commands: tuple[tuple[float, str, int], ...] = ()
     reads: tuple[tuple[float, str, int, int, bool], ...] = ()
     axis: SourceCase | None = None
+    ports: bool = False
 
     @property
     def valves(self):
@@ -86,7 +89,15 @@ class Case:
 def draw(seed):
     """Draw a case. Each kind of trouble is absent from many cases, so that it is seen alone."""
     case, rng = draw_types(seed), random.Random(f"{seed} axis")
-    return replace(case, axis=_axis(rng) if rng.random() < AXES else None)
+    case = replace(case, axis=_axis(rng) if rng.random() < AXES else None)
+    return _with_ports(rng, case) if rng.random() < PORTS else case
+
+
+def _with_ports(rng, case):
+    """One valve with ports in the place of the others; its configuration is not edited."""
+    quiet_from = SIMULATED_S - CALM_S
+    source = _coinciding(rng, _source(rng, (0, 1, 2), quiet_from), quiet_from)
+    return replace(case, sources=(source,), edits=(), calls=(), commands=(), reads=(), ports=True)
 
 
 def _axis(rng):

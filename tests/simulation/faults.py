@@ -11,9 +11,12 @@ from simulation.stores import StateFile
 from valvemap.errors import StorageError
 from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.edges import NEVER_MET
+from valvemap.pipeline.edges import kernel as edges_kernel
 from valvemap.pipeline.estimator_commands import EstimatorCommands
-from valvemap.pipeline.kept_states import MEMORY
+from valvemap.pipeline.kept_states import MEMORY, KeptStates
 from valvemap.runtime import sources as sources_module
+from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.state_keeper import StateKeeper
@@ -187,6 +190,39 @@ def a_deleted_node_that_nothing_counts():
     return mock.patch.object(Arrivals, "counts", without)
 
 
+def an_axis_memory_that_is_not_restored():
+    """An axis forgets in a restart what had arrived of its lines."""
+    return mock.patch.object(AxisKeeper, "_remember", return_value=None)
+
+
+def an_axis_that_acknowledges_early():
+    """Messages of an axis are acknowledged before its states are saved."""
+    keep = AxisKeeper._keep
+
+    async def early(self):
+        if self.mark is not None:
+            self._source.commit(self.mark)
+        await keep(self)
+
+    return mock.patch.object(AxisKeeper, "_keep", early)
+
+
+def rows_matched_by_time_alone():
+    """Of two rows of signals at work the one with the earlier time waits for nothing."""
+    meet = edges_kernel.meet
+
+    def by_time(times, starts, last, rows, past):
+        last[0] = NEVER_MET
+        return meet(times, starts, last, rows, past)
+
+    return mock.patch.object(edges_kernel, "meet", by_time)
+
+
+def an_edge_that_is_not_restored():
+    """The samples of an edge that wait for its line's are forgotten in a restart."""
+    return mock.patch.object(KeptStates, "_take_edge", return_value=None)
+
+
 FAULTS = (
     an_early_acknowledgement,
     a_lost_sync,
@@ -204,4 +240,8 @@ FAULTS = (
     settings_that_are_not_restored,
     a_reset_that_keeps_the_map,
     a_deleted_node_that_nothing_counts,
+    an_axis_memory_that_is_not_restored,
+    an_axis_that_acknowledges_early,
+    rows_matched_by_time_alone,
+    an_edge_that_is_not_restored,
 )

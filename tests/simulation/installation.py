@@ -5,9 +5,12 @@ from typing import Final
 
 import numpy as np
 
+from simulation.ports import NAMES, PARTS
+from valvemap.model.leakage import Leakage
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.edges import LEAK, Part
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.quality_gate import QualityGate
@@ -36,6 +39,7 @@ class Installed:
     pressure: float = 1.0
     command: float = 1.0
     accuracy: float = 0.0
+    part: Part | None = None
 
     @property
     def gains(self):
@@ -69,6 +73,11 @@ class Installed:
 
 def installed(case):
     """The first configuration of all valves."""
+    if case.ports:
+        return [
+            Installed(k, name, RLS if part.edge else LEAK, part=part)
+            for k, (name, part) in enumerate(zip(NAMES, PARTS, strict=True))
+        ]
     return [Installed(valve, f"V{valve}") for valve in range(case.valves)]
 
 
@@ -116,15 +125,18 @@ def fresh(case, plant):
 
 def _plan(one):
     also = {ALSO: RecursiveLeastSquares(p0=1e6)} if one.also else {}
+    own = Leakage() if one.estimator == LEAK else RecursiveLeastSquares()
     return ValvePlan(
         one.name,
         QualityGate(),
-        {one.estimator: RecursiveLeastSquares(), **also},
+        {one.estimator: own, **also},
         one.estimator,
         map_Q=(50.0, 100.0),
         map_dp=(50.0, 100.0),
         accuracy=SensorAccuracy(Q=one.accuracy),
         meaning=one.meaning,
+        part=one.part,
+        insist=one.estimator == LEAK,
     )
 
 

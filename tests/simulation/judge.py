@@ -1,8 +1,9 @@
 """What must be true of a simulated world: each function reports the promises that are broken."""
 
-from simulation import people
+from simulation import people, ports
 from simulation.installation import ALSO, MOST_PENDING, OWN, RLS, fresh, reorder
 from valvemap.pipeline.alignment import COUNTER_NAMES
+from valvemap.pipeline.edges import LEAK
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.provenance import MEMORY
 from valvemap.vocabulary.statuses import Quality
@@ -14,6 +15,8 @@ _CLOSE = 1e-9  # relative to the largest parameter; of a map converted to anothe
 def of_shown(world, shown):
     """Nothing older than announced is Good."""
     case, now = world.case, world.time.elapsed
+    if case.ports:
+        return  # an edge that U closes learns nothing, and is not old
     limit = case.stale_after_s + case.tick_s + SLACK_S + case.sink_s * 4
     if now < world.disturbed + case.tick_s + SLACK_S + case.sink_s * 4:
         return
@@ -47,7 +50,7 @@ def of_start(world, identification, clients, before, said):
     """
     behind = set().union(*(client.resumes_behind for client in clients))
     for valve, learnt in enumerate(world.learnt):
-        aligned = identification.results.counters(valve)["aligned"]
+        aligned = ports.learnt_samples(identification, valve)
         if aligned > len(learnt):
             world.violated(f"V{valve} restored {aligned} samples, {len(learnt)} were learnt")
         del learnt[aligned:]
@@ -55,7 +58,7 @@ def of_start(world, identification, clients, before, said):
         if _of_edit(world, identification, valve, before, said):
             server.excuse((valve, k) for k in range(server.taken))
         _of_commands(world, identification, valve)
-        excused = server.excused[valve]
+        excused = _excused(world, valve)
         known = {*learnt, *waiting(world, identification, valve), *excused}
         passed = server.acknowledged[valve] | {k for v, k in behind if v == valve}
         ahead = {k for k in passed - known if not is_overtaken(world, server, k, excused)}
@@ -69,7 +72,7 @@ def _of_edit(world, identification, valve, before, said):
     Returns whether the samples that waited belong to other nodes.
     """
     now, learnt = world.plant[valve], world.learnt[valve]
-    rows = [one for one in before if world.known_as(one, (RLS, OWN)) == valve]
+    rows = [one for one in before if world.known_as(one, (RLS, OWN, LEAK)) == valve]
     newest = max(rows, key=lambda one: one.t, default=None)
     lane = identification._valves.lane(now.name, now.estimator)
     then = None if newest is None else world.meanings[newest.meaning]
@@ -122,6 +125,7 @@ def _is_kept(world, row):
 def waiting(world, identification, valve):
     """The samples of a valve in its reorder buffer."""
     times = times_waiting(identification._arrivals, valve)
+    times += ports.times_unmet(identification, valve)
     return {world.number_of[valve][t] for t in times if t in world.number_of[valve]}
 
 
@@ -146,7 +150,7 @@ def of_counts(world, identification):
             continue
         server = world.server_of[valve]
         lost = set(range(min(learnt), max(learnt))) - set(learnt)
-        excused = server.excused[valve] | waiting(world, identification, valve)
+        excused = _excused(world, valve) | waiting(world, identification, valve)
         dropped = excused - set(learnt)  # before the first learnt one, too: the first may wait
         wrong = {k for k in lost - excused if not is_overtaken(world, server, k, dropped)}
         if wrong:
@@ -161,6 +165,12 @@ def of_counts(world, identification):
         if is_exact and counted != len(lost):
             named = {name: counters[name] for name in COUNTER_NAMES}
             world.violated(f"V{valve} lost {len(lost)}, counted {named}")
+
+
+def _excused(world, valve):
+    """The samples of a valve that its source may have lost: of an edge, those of its line, too."""
+    excused = world.server_of[valve].excused
+    return set.union(*(excused[row] for row in ports.rows_behind(world, valve)))
 
 
 def is_overtaken(world, server, k, dropped):
@@ -178,7 +188,7 @@ def of_states(world):
     again, restored = fresh(world.case, world.plant), fresh(world.case, world.plant)
     restored.restore(restored.states.review(world.states.load()).checkpoints)
     for valve, one in enumerate(world.plant):
-        n = restored.results.counters(valve)["aligned"]
+        n = ports.learnt_samples(restored, valve)
         del world.learnt[valve][n:]
         _of_commands(world, restored, valve)
         _relive(world, again, valve, one)

@@ -16,6 +16,7 @@ from simulation.axes import NO_JOB, Axes
 from simulation.draws import COMMANDS, SIMULATED_S, draw
 from simulation.history import Rows
 from simulation.installation import edited, fresh, installed, reorder
+from simulation.ports import give_signals
 from simulation.source import Client, Server
 from simulation.stores import PastFile, RealPastFile, StateFile
 from simulation.virtual_loop import DeadlockError, VirtualTime, process
@@ -116,6 +117,8 @@ class World:
         self.rng = random.Random(case.seed + 1)
         self.time, self.start_ns = VirtualTime(START), START
         self.servers = [Server(part, self.time, self.rng, START) for part in case.sources]
+        if case.ports:
+            give_signals(self.servers[0], self.rng)
         self.server_of = {v: server for server in self.servers for v in server.case.valves}
         self.number_of = {v: self._numbers(v) for v in self.server_of}  # sample by source time
         self.states, self.past, self.rows = StateFile(), PastFile(), None
