@@ -31,7 +31,7 @@ class Machine:
             Arrivals(
                 ["Press A", "Press B"],
                 Alignment(AlignmentSettings(), optional=optional),
-                Timing(TimingSettings(), optional=optional),
+                Timing(TimingSettings(), optional=optional, rests=True),
             ),
             self,
             FakeSource(),
@@ -86,6 +86,18 @@ async def test_an_axis_whose_pressure_never_came_is_silent():
     await machine.live.connected(restarted_at=None)
     await machine.sends(STALE_S + 0.5, (), lacking=(Signal.P2,))
     assert machine.is_silent
+
+
+@pytest.mark.parametrize("moved_s", [1.0, 6.0, 12.0])
+async def test_an_axis_whose_command_moved_at_the_start_is_not_silent_when_it_rests(moved_s):
+    machine = Machine()
+    await machine.live.connected(restarted_at=None)
+    await machine.sends(moved_s, SENSORS)
+    await machine.sends(8.0, (Signal.P1, Signal.P2, Signal.Q))
+    assert not machine.is_silent
+    assert not machine.shown["Press"].is_stale
+    newest = machine.live.axes[0].t
+    assert machine.clock.now() - newest < 2_000_000_000
 
 
 async def test_an_axis_that_comes_to_rest_keeps_its_results():

@@ -96,7 +96,7 @@ def build_live_axes(
     arrivals = Arrivals(
         names,
         alignment_of(config, optional, has_sequence),
-        timing_of(config, optional, has_sequence),
+        timing_of(config, optional, has_sequence, rests=True),
     )
     return LiveAxes(
         [plan_of(axis) for axis in config.axes],

@@ -94,9 +94,16 @@ def build_timing(config: Config) -> Timing | None:
 
 
 def timing_of(
-    config: Config, optional: tuple[tuple[str, ...], ...], has_sequence: tuple[bool, ...]
+    config: Config,
+    optional: tuple[tuple[str, ...], ...],
+    has_sequence: tuple[bool, ...],
+    *,
+    rests: bool = False,
 ) -> Timing | None:
-    """Return the detection of the timing of rows of signals; None if it is configured."""
+    """Return the detection of the timing of rows of signals; None if it is configured.
+
+    ``rests`` as in `Timing`.
+    """
     given = config.alignment
     if not given.finds_timing:
         return None
@@ -106,6 +113,7 @@ def timing_of(
         TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
         optional=optional,
         has_sequence=has_sequence,
+        rests=rests,
     )
 
 

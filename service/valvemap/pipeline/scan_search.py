@@ -29,6 +29,7 @@ CLEARLY: Final = 0.9  # ratio of misfits below which signals are used without in
 STEPS_OF_A_DEADBAND: Final = 8  # steps; with fewer no deadband is detected
 ABOUT_AS_SMALL: Final = 2.0  # times the smallest step; steps within this are of the deadband …
 MOST_STEPS: Final = 0.5  # … if at least this share of all steps is
+SENT_AGAIN: Final = 3  # values; fewer may have been sent again after a new connection
 _MEASURED: Final = tuple(s for s in SENSORS if s is not Signal.U)  # U is a command: no deadband
 _ENOUGH: Final = 24  # scans; with fewer the flow is not compared
 _TINY: Final = 1e-12
@@ -77,6 +78,13 @@ def is_stamped_alike(changes: Changed, there: NDArray[np.bool_]) -> bool:
     alike = whole & (own == own[:, :1]).all(axis=1)
     n = max(len(own), 1)
     return bool(alike.sum() >= ALIKE * n and (whole & ~alike).sum() <= BESIDE * n)
+
+
+def only_changes(changes: Changed, signal: int) -> bool:
+    """Whether the source was never seen to send a signal's value again unchanged."""
+    own = changes.signal == signal
+    x = changes.value[own][np.argsort(changes.time[own], kind="stable")]
+    return bool((np.diff(x) == 0.0).sum() < SENT_AGAIN)
 
 
 def find_scans(changes: Changed, there: NDArray[np.bool_]) -> Found | None:

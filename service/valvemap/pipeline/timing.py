@@ -27,6 +27,9 @@ __all__ = ["Timing", "TimingSettings", "TimingState"]
 class Timing:
     """Timing of V valves' signals; if ``fixed``, their timestamps are used as they are.
 
+    ``rests``: U is a command, which rests exactly. Unless the source is seen to send it unchanged,
+    it is held from change to change, also if it moved in all scans at the start.
+
     Examples
     --------
     >>> timing = Timing(TimingSettings(), optional=((),))
@@ -41,8 +44,9 @@ class Timing:
         has_sequence: Sequence[bool] = (),
         *,
         fixed: bool = False,
+        rests: bool = False,
     ) -> None:
-        self.settings = settings
+        self.settings, self._rests = settings, rests
         self._optional = list(optional)
         self._has_sequence = list(has_sequence or [False] * len(optional))
         self.valves = [self._fresh(number) for number in range(len(optional))]
@@ -168,6 +172,7 @@ class Timing:
             self.settings,
             optional=self._optional[number],
             has_sequence=self._has_sequence[number],
+            rests=self._rests,
         )
 
 

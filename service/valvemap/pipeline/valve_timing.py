@@ -18,9 +18,9 @@ from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import presence
 from valvemap.pipeline.kernels import scans as kernel
 from valvemap.pipeline.kernels.scans import NEVER, Changed, ScanRules, Scans
-from valvemap.pipeline.scan_search import Comes, Found, find_scans, is_stamped_alike
+from valvemap.pipeline.scan_search import Comes, Found, find_scans, is_stamped_alike, only_changes
 from valvemap.pipeline.timing_words import Words
-from valvemap.vocabulary.signals import PER_VALVE
+from valvemap.vocabulary.signals import PER_VALVE, Signal
 
 LISTEN_NS: Final = 5_000_000_000  # detection of the timing needs this long …
 LISTEN_VALUES: Final = 25  # … and this many values of the fastest signal, …
@@ -105,9 +105,14 @@ class ValveTiming:
     """Timing of one valve's signals."""
 
     def __init__(
-        self, settings: TimingSettings, *, optional: tuple[str, ...], has_sequence: bool
+        self,
+        settings: TimingSettings,
+        *,
+        optional: tuple[str, ...],
+        has_sequence: bool,
+        rests: bool = False,
     ) -> None:
-        self._settings = settings
+        self._settings, self._rests = settings, rests
         self._there = np.append(presence([optional])[0], has_sequence)
         self.stands = LISTENING
         self.found: Found | None = None
@@ -138,7 +143,7 @@ class ValveTiming:
                 break
             found = find_scans(first, self._there)
             if found is not None:
-                self._settle(found)
+                self._settle(found, first)
                 back, self._back = self._back, NOTHING
                 return self._into_scans(back)
             self._back, self._looked_at = _without_first(self._back, (end + 1) // 2), 0
@@ -150,7 +155,8 @@ class ValveTiming:
         enough = ENOUGH_PER_SIGNAL * int(self._there.sum())
         if len(back.time) < enough:
             return passed
-        if is_stamped_alike(_part(back, 0, enough), self._there):
+        alike = is_stamped_alike(_part(back, 0, enough), self._there)
+        if alike and not (self._rests and only_changes(_part(back, 0, enough), Signal.U)):
             self.stands, self._back = ALIKE, NOTHING
             return passed
         end = self._end()
@@ -162,7 +168,7 @@ class ValveTiming:
         if found is None:
             self.stands, self._back = ALIKE, NOTHING
             return passed
-        self._settle(found)
+        self._settle(found, _part(back, 0, end))
         rest = len(back.time) - end
         cut = max(len(passed.time) - rest, 0)
         self._into_scans(_part(back, 0, end))
@@ -202,7 +208,9 @@ class ValveTiming:
             (int(own[number - 1]) for own in places if len(own) >= number), default=len(signal)
         )
 
-    def _settle(self, found: Found) -> None:
+    def _settle(self, found: Found, heard: Changed) -> None:
+        if self._rests and only_changes(heard, Signal.U):
+            found.comes[Signal.U] = Comes.HELD
         self.found, self.stands, self._scans = found, IN_SCANS, _no_scans(_PENDING)
 
     def _into_scans(self, changes: Changed, *, flush: bool = False) -> Changed:
