@@ -7,6 +7,8 @@ import pytest
 from support.browser import Visit, chromium
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
+from valvemap.pipeline.alarms import RULES
+from valvemap.pipeline.alarms import Alarm as Alarms
 
 pytestmark = pytest.mark.chromium
 
@@ -46,5 +48,19 @@ async def test_damage_lasts_unless_told_otherwise():
         kind, duration = (visitor.page.locator(f"[name={x}]") for x in ("kind", "duration"))
         await kind.wait_for()
         assert await duration.input_value() == "0"
-        await kind.select_option("frozen.p2")
+        await kind.select_option("offset")
         assert await duration.input_value() == "10"
+        await kind.select_option("frozen.p2")  # it is named within the time
+        assert float(await duration.input_value()) >= 2 * RULES[Alarms.SENSOR_FROZEN].limit
+
+
+async def test_a_sentence_has_the_times_of_the_rest_of_the_page():
+    since = "since 2027-01-15 08:00:00 UTC"
+    shown = ShownService(alarms=[Alarm(text=f"The flow changed by -4.1 l/min, {since}.")])
+    async with served(shown, RIG) as (_, url), chromium() as browser:
+        context = await browser.new_context(timezone_id="Europe/Berlin", locale="de-DE")
+        visitor = Visit(await context.new_page(), url)
+        await visitor.open("alarms")
+        measured = await visitor.text(".alarm-detail dd.measured")
+        assert "since 15/01/2027 09:00:00." in measured
+        assert visitor.problems == []

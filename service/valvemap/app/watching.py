@@ -1,7 +1,7 @@
 """Observes signals at a source: their timing, values and noise; checks a configuration online."""
 
 import asyncio
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +9,11 @@ import numpy as np
 from valvemap.app.connections import build_axis_sources, build_source
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
+from valvemap.config.valves import EdgeConfig, LineConfig
 from valvemap.errors import SourceRejected
 from valvemap.opcua_source.client import OpcUaSource
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.vocabulary.signals import MEASURED, PER_VALVE
+from valvemap.vocabulary.signals import MEASURED, PER_VALVE, Signal
 
 FEW = 5  # values; a signal with fewer is treated as on change
 UNSTEADY = 5.0  # ratio of long to short intervals; a larger one means not cyclic
@@ -40,6 +41,8 @@ class Watched:
 async def check_online(config: Config, watch_s: float) -> list[str]:
     """Connect as `serve` would, monitor every signal, and return a line of statistics for each.
 
+    A node that several valves or edges read has one line, with its largest skew.
+
     Raises
     ------
     SourceLost, SourceRejected
@@ -50,7 +53,9 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
     if not config.valves:
         return lines
     changes = await changes_of(build_source(config), watch_s)
-    silent: list[str] = []
+    silent: dict[str, str] = {}
+    of_node: dict[str, list[tuple[str, str, Watched]]] = {}
+    advice: dict[str, None] = {}
     for number, valve in enumerate(config.valves):
         sources = {role: valve.nodes.source_of(role) for role in MEASURED}
         nodes = {
@@ -59,36 +64,46 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
             if (node := valve.nodes.of(name)) is not None
         }
         for role, seen in seen_of(changes, number, nodes, watch_s).items():
-            comes = "on change" if seen.on_change else "cyclic"
-            lines.append(
-                f"{valve.name}.{sources[role]}: {seen.rate_hz:.3g} Hz, {comes}, "
-                f"skew {seen.skew_ms:.3g} ms, {100 * seen.good:.0f} % good, "
-                f"mean {seen.mean:.4g}, noise {seen.noise:.2g}"
-            )
+            whose, name = valve.name, sources[role]
+            if isinstance(valve, EdgeConfig | LineConfig):
+                whose, name = valve.valve, valve.called.get(name, name)
+            of_node.setdefault(nodes[role], []).append((f"{whose}.{name}", role, seen))
             if seen.good == 0.0:
-                silent.append(f"{sources[role]} of valve {valve.name} (node '{nodes[role]}')")
-            lines += _advice(config, valve.name, role, seen)
+                silent[nodes[role]] = f"{name} of valve {whose} (node '{nodes[role]}')"
+            advice |= dict.fromkeys(_advice(config, f"{whose}.{name}", role, seen))
     if silent:
         raise SourceRejected(
-            f"{config.source.url}: nothing good came in {watch_s:g} s from {', '.join(silent)}; "
-            "is it the right node, and is it written?"
+            f"{config.source.url}: nothing good came in {watch_s:g} s from "
+            f"{', '.join(silent.values())}; is it the right node, and is it written?"
         )
-    return lines
+    return [*lines, *map(_line, of_node.values()), *advice]
 
 
-def _advice(config: Config, valve: str, role: str, seen: Watched) -> Iterator[str]:
+def _line(readers: Sequence[tuple[str, str, Watched]]) -> str:
+    """Describe a node by the statistics of the reader with the largest skew."""
+    names = list(dict.fromkeys(name for name, _, _ in readers))
+    also = f" (also {', '.join(names[1:])})" if len(names) > 1 else ""
+    _, role, seen = max(readers, key=lambda reader: reader[2].skew_ms)
+    comes, unit = "on change" if seen.on_change else "cyclic", Signal.of(role).unit
+    return (
+        f"{names[0]}{also}: {seen.rate_hz:.3g} Hz, {comes}, skew {seen.skew_ms:.3g} ms, "
+        f"{100 * seen.good:.0f} % good, mean {seen.mean:.4g} {unit}, noise {seen.noise:.2g} {unit}"
+    )
+
+
+def _advice(config: Config, name: str, role: str, seen: Watched) -> Iterator[str]:
     """Yield the settings that the observed timing of a signal requires."""
     if config.alignment.finds_timing:
         return
     held = {str(name): s for name, s in config.alignment.hold_s.items()}.get(role, 0.0)
     if seen.on_change and held < seen.longest_s:
         yield (
-            f"{valve}.{role}: hint: it comes on change, {seen.longest_s:.1f} s apart: "
+            f"{name}: hint: it comes on change, {seen.longest_s:.1f} s apart: "
             f"alignment.hold_s = {{ {role} = {max(10.0, 5 * seen.longest_s):.0f} }}"
         )
     elif not seen.on_change and seen.skew_ms > config.alignment.tolerance_ms:
         yield (
-            f"{valve}.{role}: hint: it is stamped {seen.skew_ms:.3g} ms beside the others: "
+            f"{name}: hint: it is stamped {seen.skew_ms:.3g} ms beside the others: "
             f"alignment.tolerance_ms = {np.ceil(2 * seen.skew_ms):.0f}"
         )
 

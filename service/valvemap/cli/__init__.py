@@ -1,6 +1,7 @@
 """The command ``valvemap``: exit code 0, 1 (the command failed) or 2 (usage error)."""
 
 import gc
+import logging
 import os
 import signal
 import sys
@@ -16,6 +17,8 @@ from valvemap.numba_version import ask_for_shortcuts
 
 __all__ = ["COMMANDS", "application", "main", "run"]
 
+_QUIET = ("asyncua", "numba", "matplotlib")  # libraries whose warnings concern no user
+
 _UsageError: Any = typer.BadParameter.__base__  # typer exports its children only
 
 
@@ -26,6 +29,8 @@ def main() -> None:
     ask_for_shortcuts()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: more threads only spin
     gc.set_threshold(50_000, 20, 20)  # imports and address spaces create little garbage
+    for name in _QUIET:
+        logging.getLogger(name).setLevel(logging.ERROR)
     code = run(sys.argv[1:])
     gc.freeze()  # skip the collection at exit
     sys.exit(code)

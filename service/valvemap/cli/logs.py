@@ -15,7 +15,6 @@ from valvemap.config.logs import LogConfig
 from valvemap.foreign_text import LINE, printable
 
 _OF_STRUCTLOG = ("_record", "_from_structlog", "exc_info", "positional_args")
-_QUIET = ("asyncua", "numba", "matplotlib")
 
 
 def set_up_logs(config: LogConfig | None = None) -> None:
@@ -47,8 +46,6 @@ def set_up_logs(config: LogConfig | None = None) -> None:
     root = logging.getLogger()
     root.handlers = [handler]
     root.setLevel(_level(config.level))
-    for name in _QUIET:
-        logging.getLogger(name).setLevel(logging.ERROR)
 
 
 def _in_one_line(

@@ -23,6 +23,7 @@ from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
 from valvemap.owned_files import write_whole
+from valvemap.vocabulary.edges import EDGES
 
 _BEYOND = "beyond_range"  # has a separate line
 
@@ -99,6 +100,7 @@ def replay(
     from valvemap.app.models import save_models
     from valvemap.app.replay import as_json, refuse_if_nothing_was_learnt
     from valvemap.app.replay import replay as run
+    from valvemap.pipeline.edges import LEAK
     from valvemap.pipeline.row_tallies import RowTallies
     from valvemap.plant.answers import parse_answers
     from valvemap.plant.evidence import Rating
@@ -135,13 +137,14 @@ def replay(
     tables.append(_trust_table(report))
     for table in tables:
         console.print(table)
+    of_drops = {valve: e for valve, e in report.items() if LEAK not in e}  # a line has no drop
     notes = [
-        *_recommended(report),
+        *_recommended(of_drops),
         *_findings(report),
         *_not_learnt_from(report),
         *_dropped(report),
         *rows.lines(),
-        *_hints(report),
+        *_hints(of_drops),
     ]
     for line in notes:
         console.print(line, soft_wrap=True, highlight=False)
@@ -192,10 +195,14 @@ def _findings(report: "Report") -> Iterator[str]:
 
 
 def _tap(rows: "RowTallies", plots: "ReplayPlots | None") -> "Tap":
-    """Return a tap that counts rows, and draws them if they are to be drawn."""
+    """Return a tap that counts rows, and draws them if they are to be drawn.
+
+    Rows of an edge are those at which it is open; its line has them all.
+    """
 
     def tap(valve: str, samples: "Samples", traces: "Mapping[str, Trace]") -> None:
-        rows.count(valve, samples)
+        if valve.partition(".")[2] not in EDGES:
+            rows.count(valve, samples)
         if plots is not None:
             plots.take(valve, samples, traces)
 

@@ -38,7 +38,7 @@ const FONT = "12px system-ui, sans-serif";
 function axis(label, extra = {}) {
   return {
     stroke: () => css("--soft"), grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false },
-    font: FONT, label, labelFont: FONT, labelSize: 18, size: 46, ...extra,
+    font: FONT, label, labelFont: FONT, labelSize: 18, size: 46, values: numberTicks, ...extra,
   };
 }
 
@@ -81,6 +81,11 @@ function timeTicks(chart, ticks) {
     return (step < 60 ? seconds : minutes).format(date);
   });
 }
+
+const number = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 9, useGrouping: false });
+
+/** Numbers as everywhere on the page, whatever the browser's language. */
+const numberTicks = (chart, ticks) => ticks.map((x) => (x === null ? "" : number.format(x).replace("-", "−")));
 
 /** Shade a chart behind its lines, over spans [from, to] of its first axis. */
 export function shadeSpans(chart, spans, colour) {

@@ -2,6 +2,8 @@
 
 import { decimals, spreadShown, toShown } from "./units.js";
 
+export { clock } from "./times.js";
+
 export const NAN = "–";
 export const KINDS = { status: "state", change: "change", alarm: "alarm", action: "action", link: "service" }; // of events
 
@@ -35,14 +37,6 @@ export function span(seconds) {
   if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
   if (seconds < 172800) return `${Math.round(seconds / 3600)} h`;
   return `${Math.round(seconds / 86400)} d`;
-}
-
-/** Time of day; with the date if that is another one. */
-export function clock(ms) {
-  if (!ms) return NAN;
-  const date = new Date(ms);
-  const time = date.toLocaleTimeString("en-GB");
-  return date.toDateString() === new Date().toDateString() ? time : `${date.toLocaleDateString("en-GB")} ${time}`;
 }
 
 // Filled with the service's own words when the page connects: [label, sentence], for the inverse

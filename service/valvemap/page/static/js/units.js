@@ -1,5 +1,7 @@
 // Units by the user's choice, kept in the browser. The service computes in bar, l/min and °C.
 
+import { inLocalTime } from "./times.js";
+
 const CHOICES = {
   pressure: { of: "bar", units: { bar: [1, 0], psi: [14.503773773, 0], MPa: [0.1, 0] } },
   flow: { of: "l/min", units: { "l/min": [1, 0], gpm: [0.26417205236, 0], "m³/h": [0.06, 0] } },
@@ -45,9 +47,9 @@ export function decimals(unit, usual) {
   return Math.max(usual - Math.round(Math.log10(scale(unit)[0])), 0);
 }
 
-/** A sentence of the service, with its numbers in the units in use. */
+/** A sentence of the service, with its numbers in the units in use, and its times in the browser's zone. */
 export function inUnits(text) {
-  return text.replace(IN_TEXT, (whole, digits, space, unit) => {
+  return inLocalTime(text).replace(IN_TEXT, (whole, digits, space, unit) => {
     if (shown(unit) === unit) return whole;
     const value = Number(digits.replace("−", "-").replaceAll(",", ""));
     const isSpread = /^[+]/.test(digits) || unit !== "°C" ? spreadShown(value, unit) : toShown(value, unit);

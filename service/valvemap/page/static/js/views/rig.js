@@ -15,7 +15,7 @@ const SCENARIOS = [
 const FAULTS = [ // kind, sentence, unit, usual size, usual duration in s
   ["damage", "Damage: the main edge passes more or less, at once", "%", -10, 0], ["wear", "Wear: drifts there over the duration", "%", 10],
   ["temperature_ramp", "Oil temperature drifts", "K", 10], ["spikes", "Spikes on Q", "l/min", 30], ["offset", "Offset of Q", "l/min", 5],
-  ["offset.p1", "Offset of p1", "bar", 5], ["frozen.p2", "p2 stands still", "", 1], ["bad_quality", "Samples of Bad quality", "share", 1],
+  ["offset.p1", "Offset of p1", "bar", 5], ["frozen.p2", "p2 stands still", "", 1, 30], ["bad_quality", "Samples of Bad quality", "share", 1],
   ["drop_out", "Samples are not sent", "share", 0.5], ["clock_step", "The source's clock jumps", "s", 5],
 ];
 
