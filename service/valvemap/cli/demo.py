@@ -18,7 +18,7 @@ from valvemap.app.signals import stop_on_signal
 from valvemap.app.staged_start import first_identification
 from valvemap.cli import feedforward, tracking
 from valvemap.cli.demo_stage import Stage
-from valvemap.cli.demo_view import WAITING, Verdict, status_table, verdict_table
+from valvemap.cli.demo_view import Verdict, status_table, verdict_table, waiting
 from valvemap.cli.logs import set_up_logs
 from valvemap.cli.output import terminal
 from valvemap.cli.rig_conditions import conditions_in, start_in
@@ -71,7 +71,7 @@ def demo(
         fed_forward = scenario == feedforward.NAME
         config = _demo_config(loaded, Path(folder), fed_forward=fed_forward)
         console = terminal()
-        console.print("preparing ...")
+        console.print("preparing the estimators ...")
         run = _feed_forward_demo if fed_forward else _demo
         asyncio.run(run(config, scenario, loaded, duration, console))
 
@@ -82,10 +82,12 @@ async def _demo(
     identification = first_identification(config)
     view = _View(identification, scenario)
     stage = Stage.of(config, console, writes=False)
+    console.print("starting the rig ...")
     with stop_on_signal(stage.stop):
         async with rig_process(config.source.url, name, stage.password, view.follow) as rig_url:
             if stage.stop.is_set():
                 return
+            console.print("starting the service and the page ...")
             serving = serve(config, stage.stop, stage.settings, identification, view.count)
             await stage.show(serving, view, rig_url, duration)
     console.print(verdict_table(view.verdicts()))
@@ -152,6 +154,8 @@ class _View:
         self._worn: dict[str, Condition] = {}
         self._samples = dict.fromkeys((plan.name for plan in identification.plans), 0)
         self._truths: dict[str, tuple[VerificationPoints, float]] = {}
+        self._clock = SystemClock()
+        self._began = self._clock.monotonic()
 
     def follow(self, line: str) -> None:
         """Note the condition of valves from the rig's output: their true maps change with it."""
@@ -169,13 +173,19 @@ class _View:
         if self.identification.journal is None:
             return status_table(self.identification, self.verdicts())
         verdicts = [self._verdict(n, {}, math.nan, 0) for n in range(len(self._samples))]
-        return status_table(self.identification, verdicts, title=WAITING)
+        return status_table(self.identification, verdicts, title=self._waiting())
 
     def lines(self) -> list[str]:
         """Return one line for each valve; while estimators wait for the compiler, one in all."""
         if self.identification.journal is not None:
-            return [WAITING, *(f"{name}: {n:,} samples" for name, n in self._samples.items())]
+            return [
+                self._waiting(),
+                *(f"{name}: {n:,} samples" for name, n in self._samples.items()),
+            ]
         return [verdict.line() for verdict in self.verdicts()]
+
+    def _waiting(self) -> str:
+        return waiting(self._clock.monotonic() - self._began)
 
     def verdicts(self) -> list[Verdict]:
         """Compare every estimator's map with the true map."""

@@ -8,7 +8,17 @@ from rich.table import Table
 
 from valvemap.pipeline.identification import Identification
 
-WAITING = "first start: quick estimators run; Auto starts when its kernels are compiled"
+
+def waiting(seconds: float) -> str:
+    """Say for what the first start of a demo waits.
+
+    >>> waiting(41.3)
+    'first start: quick estimators run; Auto starts once compiled, a minute or two (41 s so far)'
+    """
+    return (
+        "first start: quick estimators run; Auto starts once compiled, a minute or two "
+        f"({seconds:.0f} s so far)"
+    )
 
 
 @dataclass(frozen=True)
