@@ -99,6 +99,23 @@ async def test_elements_are_read_browsed_and_named_if_they_are_not_there(served)
         assert any("Curve: an array of more than 64 elements" in line for line in skipped)
 
 
+async def test_elements_have_the_names_that_the_array_s_description_lists():
+    server = await HardenedServer.create(plant_settings())
+    folder = await add_object(server, None, "Plant")
+    await add_variable(
+        server, folder, "Gauges", [1.0, 2.0], dimensions=(0,), description="inlet; outlet [kPa]"
+    )
+    async with server:
+        connection = await open_connection(SourceSettings(server.url))
+        numbers, _ = await find_numbers(connection)
+        await connection.close()
+    found = {one.node: one.path[-2:] for one in numbers if "index=" in one.node}
+    assert found == {
+        "index=0;nsu=urn:plant;s=Gauges": ("Gauges", "inlet [kPa]"),
+        "index=1;nsu=urn:plant;s=Gauges": ("Gauges", "outlet [kPa]"),
+    }
+
+
 def test_an_element_is_no_command_and_its_index_is_a_number():
     with pytest.raises(ConfigurationError, match="an element of an array is not written"):
         replace(NODES, required_U=f"index=0;{ARRAY}")

@@ -1,5 +1,7 @@
 """A valve with four ports, wrong ranges, units or direction: each answer, obeyed, works."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,8 +32,9 @@ def servo(plant, moving):
 def answered(plant, option):
     signals = [a.removeprefix("--signal=") for a in option.answers if a.startswith("--signal=")]
     scales = [a.removeprefix("--scale=") for a in option.answers if a.startswith("--scale=")]
-    assert "--ports=Plant" in option.answers
-    (again,) = plant.verdicts(parse_answers(signals, scales, ports=True))
+    given = parse_answers(signals, scales, ports=True)["Plant"]
+    given = replace(given, ports="--ports=Plant" in option.answers)
+    (again,) = plant.verdicts({"Plant": given})
     return again
 
 
@@ -50,11 +53,16 @@ def test_wrong_ranges_and_a_command_the_other_way_round_are_asked_and_answered(p
 
 
 def test_the_same_is_an_option_where_nobody_asked_for_all_edges(plant, servo):
-    servo(-1.0)
+    U = servo(-1.0)
     (asked,) = plant.verdicts()
-    option = asked.question.options[0]
-    assert "U > 0 opens PB and AT: all edges" in option.text
-    assert answered(plant, option).question is None
+    every, one = asked.question.options
+    assert "U > 0 opens PB and AT: all edges" in every.text
+    assert answered(plant, every).question is None
+    single = answered(plant, one)
+    assert single.question is None
+    names = {str(role): node.path[-1] for role, node in single.reading.nodes.items()}
+    assert names == {"U": "Command", "p1": "pP", "p2": "pA", "Q": "QA"}
+    assert single.reading.values[Role.U][U > 0] == pytest.approx(U[U > 0])
 
 
 def test_units_that_nothing_states_are_shown_with_their_values(plant, servo):
@@ -64,3 +72,17 @@ def test_units_that_nothing_states_are_shown_with_their_values(plant, servo):
     first = asked.question.options[0]
     assert "QA (QA) " in first.consequence
     assert answered(plant, first).question is None
+
+
+def test_elements_named_by_the_letters_of_the_ports_are_those_of_one_valve(plant, servo):
+    servo()
+    ports = {"pP": "P [bar]", "pT": "T [bar]", "pA": "A [bar]", "pB": "B [bar]"}
+    plant.candidates = [
+        replace(one, path=("Plant", "Pressures", ports[one.path[-1]]), unit=None)
+        if one.path[-1] in ports
+        else one
+        for one in plant.candidates
+    ]
+    (asked,) = plant.verdicts()
+    assert "four ports" in asked.question.about
+    assert answered(plant, asked.question.options[0]).question is None

@@ -1,5 +1,6 @@
 """Finds the numeric variables of a foreign server by browsing, with names, unit and range."""
 
+import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
@@ -27,6 +28,8 @@ _ATTRIBUTES: Final = (
     ua.AttributeIds.UserAccessLevel,
     ua.AttributeIds.Description,
 )
+_FEWEST_NAMED: Final = 2  # elements that a list names
+_UNIT_OF_ALL: Final = re.compile(r"(.*?)(?:\s*\[([^\]]*)\])?", re.DOTALL)
 _LONGEST: Final = 4_096  # characters; the most that an identifier may have (Part 3, 8.2.4)
 _LONGEST_NAME: Final = 300  # characters of a name that are used
 _FARTHEST: Final = 1e9  # of a range, in any unit
@@ -186,14 +189,32 @@ def _is_array(answer: Sequence[ua.DataValue]) -> bool:
 
 
 def _elements(array: Candidate, value: ua.DataValue, named: Collection[str]) -> Iterator[Candidate]:
-    """Yield the elements of an array as variables: ``cmd[0]``, ``cmd[1]`` and so on."""
+    """Yield the elements of an array as variables: ``cmd[0]``, or below it as the text has them."""
     *folders, name = array.path
-    is_short = len(value.Value.Value) <= MOST_ELEMENTS
-    for number in range(len(value.Value.Value)):
+    number_of = len(value.Value.Value)
+    texts = element_names(array.description, number_of)
+    for number in range(number_of):
         node = f"index={number};{array.node}"
-        if not is_short and node not in named:
+        if number_of > MOST_ELEMENTS and node not in named:
             continue
-        yield replace(array, node=node, path=(*folders, f"{name}[{number}]"), writable=False)
+        own = (f"{name}[{number}]",) if texts is None else (name, texts[number])
+        text = array.description if texts is None else ""
+        yield replace(array, node=node, path=(*folders, *own), description=text, writable=False)
+
+
+def element_names(text: str, n: int) -> list[str] | None:
+    """Return the names of the n elements of an array that its description lists; None if none.
+
+    >>> element_names("P, T, A, B [bar]", 4)
+    ['P [bar]', 'T [bar]', 'A [bar]', 'B [bar]']
+    >>> element_names("Pressures of the four ports", 4) is None
+    True
+    """
+    plain, unit = _UNIT_OF_ALL.fullmatch(text.strip()).groups()  # type: ignore[union-attr]
+    parts = [part.strip() for part in re.split(r"[,;|/]", plain)]
+    if n < _FEWEST_NAMED or len(parts) != n or not all(parts) or len(set(parts)) < n:
+        return None
+    return [f"{part} [{unit}]" if unit else part for part in parts]
 
 
 def _unusable(places: Sequence[_Place], answers: Sequence[Sequence[ua.DataValue]]) -> Iterator[str]:

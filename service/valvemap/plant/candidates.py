@@ -25,6 +25,7 @@ _QUALIFIERS: Final = frozenset(
         Concept.VALVE,
     }
 )  # fmt: skip
+_PORTS: Final = frozenset({"p", "t", "a", "b"})
 _LENGTHS: Final = frozenset({"mm", "cm", "m", "um", "µm", "inch"})
 _SPEEDS: Final = frozenset(
     {"mm/s", "m/s", "m/min", "cm/s", "rpm", "1/min", "u/min", "min-1", "r/min"}
@@ -132,11 +133,11 @@ def _is_raw(stated: Iterable[Unit], raw: Unit | None) -> bool:
 def _only_qualifies(name: str) -> bool:
     """Whether a name says which one, but not of what: ``Inlet``, ``Value``.
 
-    >>> [_only_qualifies(name) for name in ("Inlet", "Value", "Count", "Setpoint", "Flow in")]
-    [True, True, False, False, False]
+    >>> [_only_qualifies(name) for name in ("Inlet", "Value", "Count", "Setpoint", "Flow in", "T")]
+    [True, True, False, False, False, True]
     """
     words = tokens(name)
-    return all(w in CARRIERS or w in {"a", "b"} for w in words) or (
+    return all(w in CARRIERS or w in _PORTS for w in words) or (
         bool(found := concepts(name)) and _QUALIFIERS.issuperset(found)
     )
 

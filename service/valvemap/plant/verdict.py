@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.foreign_text import printable
-from valvemap.plant import evidence, ports
+from valvemap.plant import evidence, port_questions, ports
 from valvemap.plant.concepts import Concept
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
@@ -72,7 +72,7 @@ def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdi
     others = {one.node: one.label.role for one in group.all if not one.label.is_relevant}
     is_answered = {Role.P1, Role.P2} <= set(given.nodes)
     if given.ports or (ports.is_directional(group) and not is_answered):
-        of_ports = _of_ports(group, record, given, rating)
+        of_ports = _of_ports(group, record, given)
         if of_ports is not None:
             return replace(of_ports, others=others)
     found = readings(group, ports.one_direction(group, record, given), given, rating)
@@ -302,19 +302,16 @@ def _one_meter(group: Group, best: Reading) -> Question:
     return Question(about, (own,))
 
 
-def _of_ports(group: Group, record: Record, given: Given, rating: Rating) -> Verdict | None:
+def _of_ports(group: Group, record: Record, given: Given) -> Verdict | None:
     """Return the verdict on a valve with four ports; None if signals of it are missing."""
     found = ports.edges_of(group, record, given)
     if found is None:
-        missing = ports.question_of_missing(group, given)
+        missing = port_questions.question_of_missing(group, given)
         return Verdict(group.name, None, missing, {}) if given.ports else None
     if given.ports:
-        fault = ports.question_of_faults(group, record, found, given) if found.faults else None
+        fault = (
+            port_questions.question_of_faults(group, record, found, given) if found.faults else None
+        )
         return Verdict(group.name, found.reading, fault, {}, edges=found.fits)
-    two = tuple(one for one in group.all if one.label.role not in {Role.PA, Role.PB})
-    whole = readings(Group(group.name, two), record, given, rating)
-    if not whole or Role.U not in whole[0].nodes:
-        return None
-    base = next((r for r in whole if not (r.mistake or r.missing or r.beside)), whole[0])
-    question = ports.question_of_ports(group, record, found, base, given)
-    return Verdict(group.name, base, question, {}, 0.0)
+    question = port_questions.question_of_ports(group, record, found, given)
+    return Verdict(group.name, found.reading, question, {}, 0.0)
