@@ -492,6 +492,22 @@ def test_a_valve_that_is_shut_at_100_percent_is_asked_and_an_answer_is_obeyed(pl
     assert seen(settled, "U") == pytest.approx(true["U"].max())
 
 
+def test_a_valve_that_is_moved_below_zero_and_rests_at_zero_is_accepted(plant, moving):
+    true = moving()
+    U = np.where(true["U"] < 35, 0.0, true["U"])
+    Q = 0.05 * U * np.sqrt(true["p1"] - true["p2"]) + np.random.default_rng(4).normal(
+        -0.05, 0.1, 200
+    )
+    for name, values, unit in (
+        ("Command", -U, "%"), ("Inlet pressure", true["p1"], "bar"),
+        ("Outlet pressure", true["p2"], "bar"), ("Flow", Q, "l/min"),
+    ):  # fmt: skip
+        plant.add(name, values, unit=unit)
+    (found,) = plant.verdicts()
+    assert found.question is None
+    assert found.reading.values[Role.U] == pytest.approx(-U)
+
+
 def test_a_command_from_0_to_1_that_is_stated_in_percent_is_asked(plant, moving):
     true = moving()
     plant.add("Stellsignal", true["U"] / 100, "%")

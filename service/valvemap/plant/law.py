@@ -239,7 +239,7 @@ def _falls(U: Floats, weights: Floats) -> bool:
     ends = np.array(quantiles(ahead, _ENDS))
     ones = np.ones(2)
     low, high = np.stack(_parts(U, ones, ends), axis=1) @ weights
-    return bool(high < _FALLS * low)
+    return bool(low > 0.0 and high < _FALLS * low)
 
 
 def _least_squares(columns: Floats, Q: Floats) -> tuple[float, Floats]:
