@@ -1,5 +1,7 @@
 """Raw counts: the signals of a valve come from one kind of card."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -26,3 +28,16 @@ def test_answered_spans_say_which_card_reads_the_others(plant, counted):
     assert found.question is None
     assert found.reading.scales[Role.U].text == "0..27648:0..100%"
     assert found.reading.values[Role.U] == pytest.approx(counted["U"], abs=0.01)
+
+
+def test_a_small_flow_is_raw_where_the_described_spans_of_the_others_are(plant, moving):
+    true = moving(k=1.0)
+    for name, role, span, unit in (("Command", "U", 100, "%"), ("Inlet pressure", "p1", 400, "bar"),
+                                   ("Outlet pressure", "p2", 250, "bar"),
+                                   ("Flow", "Q", 300, "l/min")):  # fmt: skip
+        plant.add(name, np.round(true[role] / span * 4_095), largest=32_767.0)
+        described = replace(plant.candidates[-1], description=f"0..4095 = 0..{span} {unit}")
+        plant.candidates[-1] = described
+    (found,) = plant.verdicts()
+    assert found.question is None
+    assert found.reading.values[Role.Q] == pytest.approx(true["Q"], abs=0.04)

@@ -43,6 +43,7 @@ class Scale:
     """One reading of a variable's numbers; ``prior`` in nats; ``stated`` if the plant says it.
 
     ``guessed`` if nothing is known of the unit: its prior is that of the plant's system of units.
+    ``scaled`` if a span is described and the numbers are those that it leads to.
     """
 
     measure: Measure
@@ -50,6 +51,14 @@ class Scale:
     reason: str
     stated: bool = True
     guessed: bool = False
+    scaled: bool = False
+
+    @property
+    def card(self) -> float | None:
+        """The end of the raw span, 1 of numbers scaled already; None where there is no span."""
+        if self.measure.raw is not None:
+            return abs(self.measure.raw[1])
+        return 1.0 if self.scaled else None
 
     def __call__(self, values: Floats, role: Role) -> Floats:
         """Return values in the internal unit of a role's quantity."""
@@ -115,7 +124,7 @@ def _as_described(candidate: Candidate, role: Role, values: Floats) -> Iterator[
             yield Scale(of_raw, 0.0, "span as described")
         return
     fitting = [
-        Scale(measure, 0.0, reason)
+        Scale(measure, 0.0, reason, scaled=measure is of_scaled)
         for measure, span, reason in (
             (of_raw, raw, "span as described"),
             (of_scaled, scaled, "unit as described"),

@@ -22,7 +22,7 @@ from valvemap.plant.unit_systems import of_guesses
 BACKWARDS: Final = "p2 is above p1"  # in every unit
 _OF_OTHER_FLOWS: Final = ("Q does not move with U", "Q flows at U = 0")
 _UNLIKE: Final = -4.0  # nats; two signals from different cards, two gauges of different spans
-_ENDS_OF_COUNTS: Final = frozenset(high for _, high in COUNTS)
+_OF_CARDS: Final = frozenset((1.0, *(high for _, high in COUNTS)))
 _ONE_METER: Final = log(0.1)  # prior that a meter measures a valve that has none, too
 
 
@@ -163,11 +163,11 @@ def _of_units(chosen: Mapping[Role, Scale]) -> float:
 
 def _spans(chosen: Mapping[Role, Scale]) -> list[float]:
     """Return the ends of the raw spans that nothing states; stated ones too if both are counts."""
-    raw = [(abs(s.measure.raw[1]), s.stated) for s in chosen.values() if s.measure.raw is not None]
-    unstated = [end for end, stated in raw if not stated]
-    if not _ENDS_OF_COUNTS.intersection(unstated):
+    cards = [(scale.card, scale.stated) for scale in chosen.values()]
+    unstated = [card for card, stated in cards if card is not None and not stated]
+    if not _OF_CARDS.intersection(unstated):
         return unstated
-    return unstated + [end for end, stated in raw if stated and end in _ENDS_OF_COUNTS]
+    return unstated + [card for card, stated in cards if stated and card in _OF_CARDS]
 
 
 def _of_cards(spans: Sequence[float]) -> float:
