@@ -12,15 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.connect_eighth import EIGHTH
-from benchmarks.connect_fifth import FIFTH
-from benchmarks.connect_fourth import FOURTH
 from benchmarks.connect_plants import Plant, contradicted, misstated, plant
-from benchmarks.connect_second import SECOND
-from benchmarks.connect_seventh import SEVENTH
-from benchmarks.connect_sixth import SIXTH
+from benchmarks.connect_sets import SETS
 from benchmarks.connect_third import KINDS, drawn, faulty
-from benchmarks.connect_unseen import UNSEEN
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.grouping import Group, group
 from valvemap.plant.ports import NAMES
@@ -161,17 +155,11 @@ def main() -> None:
         flows = [outcome(misstated(s, wrong=wrong)) for s in seeds[: max(50, len(seeds) // 4)]]
         print(table(title, flows, show=asked.show))
     few = seeds[: max(1, len(seeds) // 20)]
-    for findable, title in ((True, "as vendors write them"), (False, "cannot be known")):
-        own = [make(s) for make in (UNSEEN | SECOND).values() for s in few]
-        found = [outcome(one) for one in own if one.asks is not findable]
-        print(table(title, found, show=asked.show))
-    sets = {"fourth": FOURTH, "fifth": FIFTH, "sixth": SIXTH, "seventh": SEVENTH, "eighth": EIGHTH}
-    for name, made in sets.items():
+    for name, made in SETS.items():
         own = [make(s) for make in made.values() for s in few]
-        known = [outcome(one) for one in own if not one.asks]
-        print(table(f"{name} dozen, can be known", known, show=asked.show))
-        unknown = [outcome(one) for one in own if one.asks]
-        print(table(f"{name} dozen, is to be asked", unknown, show=asked.show))
+        for asks, title in ((False, "can be known"), (True, "is to be asked")):
+            found = [outcome(one) for one in own if one.asks is asks]
+            print(table(f"{name} set, {title}", found, show=asked.show))
     third = seeds[: max(len(seeds) // 2, 1)]
     print(table("drawn, labels right", [outcome(drawn(s)) for s in third], show=asked.show))
     for kind in KINDS:

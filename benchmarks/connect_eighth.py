@@ -9,26 +9,17 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.connect_fifth import Row
-from benchmarks.connect_fourth import Machine
+from benchmarks.connect_fourth import Machine, one_valve
 from benchmarks.connect_plants import Floats, Plant
 from benchmarks.connect_unseen import STEP
 
 CARD: Final = 27_648.0  # counts; full scale of an input card
 
 
-def _of(seed: int, root: str, *rows: Row, stated: bool = True) -> Machine:
-    """Return a site with (name, role, unit) of its valve."""
-    site = Machine(seed)
-    for name, role, unit in rows:
-        site.add(f"{root}{name}", site.true[role], unit, stated=stated, role=role)
-    return site
-
-
 def kks(seed: int) -> Plant:
     """KKS: AA is a valve, CP a pressure, CF a flow, CT a temperature; units as properties."""
     root = "AS01|10MAX21|"
-    site = _of(
+    site = one_valve(
         seed, root, ("10MAX21AA101 YQ01", "U", "%"), ("10MAX21CP001 XQ01", "p1", "bar"),
         ("10MAX21CP002 XQ01", "p2", "bar"), ("10MAX21CF001 XQ01", "Q", "l/min"),
         ("10MAX21CT001 XQ01", "T", "°C"),
@@ -57,7 +48,7 @@ def reference_designations(seed: int) -> Plant:
 def isa_loop(seed: int) -> Plant:
     """Instruments of a loop each: the orifice law alone says which pressure is which."""
     root = "Area7|"
-    site = _of(
+    site = one_valve(
         seed, root, ("FCV-101.OUT", "U", "%"), ("PT-101.PV", "p1", "bar"),
         ("PT-102.PV", "p2", "bar"), ("FT-101.PV", "Q", "l/min"), ("TT-101.PV", "T", "°C"),
     )  # fmt: skip
@@ -100,7 +91,7 @@ def idle_tags(seed: int) -> Plant:
 def siemens_symbols(seed: int) -> Plant:
     """Symbols with German short forms, units at the end."""
     root = "PLC_1|DataBlocksGlobal|DB20_Hydraulik|Y12|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Ausg_Y_Proz", "U", "%"), ("p_Ein_bar", "p1", "bar"),
         ("p_Aus_bar", "p2", "bar"), ("Q_Ist_l_min", "Q", "l/min"), ("T_Oel_C", "T", "°C"),
         stated=False,
@@ -170,7 +161,7 @@ def range_of_counts(seed: int) -> Plant:
 def japanese_rack(seed: int) -> Plant:
     """Other words than those of the seventh set; a totaliser and a set point beside."""
     root = "油圧ユニット|サーボ弁A|"
-    site = _of(
+    site = one_valve(
         seed, root, ("バルブ開度指令", "U", "%"), ("入口圧", "p1", "MPa"), ("出口圧", "p2", "MPa"),
         ("瞬時流量", "Q", "l/min"), ("油温", "T", "°C"),
     )  # fmt: skip
@@ -183,7 +174,7 @@ def japanese_rack(seed: int) -> Plant:
 def brazilian_press(seed: int) -> Plant:
     """Whole phrases; the pump's pressure and speed beside."""
     root = "Prensa Hidráulica|Válvula proporcional VP2|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Abertura da válvula", "U", "%"), ("Pressão antes da válvula", "p1", "bar"),
         ("Pressão depois da válvula", "p2", "bar"), ("Vazão instantânea", "Q", "l/min"),
         ("Temperatura do óleo", "T", "°C"),
@@ -196,7 +187,7 @@ def brazilian_press(seed: int) -> Plant:
 def polish_kPa(seed: int) -> Plant:
     """Before and behind, kPa; the alarm's limits beside."""
     root = "Stanowisko|Zawór Y2|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Otwarcie zaworu", "U", "%"), ("Ciśnienie przed zaworem", "p1", "kPa"),
         ("Ciśnienie za zaworem", "p2", "kPa"), ("Natężenie przepływu", "Q", "l/min"),
     )  # fmt: skip
@@ -208,7 +199,7 @@ def polish_kPa(seed: int) -> Plant:
 def finnish_forest(seed: int) -> Plant:
     """A language that no table may know; units as properties."""
     root = "Harvesteri|Nosto|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Venttiilin ohjaus", "U", "%"), ("Paine ennen venttiiliä", "p1", "bar"),
         ("Paine venttiilin jälkeen", "p2", "bar"), ("Virtaus", "Q", "l/min"),
     )  # fmt: skip
@@ -219,7 +210,7 @@ def finnish_forest(seed: int) -> Plant:
 
 def units_in_folders(seed: int) -> Plant:
     """A folder for each quantity, with the unit in its name; the signal's own name has none."""
-    return _of(
+    return one_valve(
         seed, "Station|", ("Stellgrößen [%]|Ventil 3", "U", "%"),
         ("Drücke [kPa]|vor Ventil 3", "p1", "kPa"), ("Drücke [kPa]|nach Ventil 3", "p2", "kPa"),
         ("Durchflüsse [m³/h]|Ventil 3", "Q", "m³/h"), stated=False,
@@ -244,7 +235,7 @@ def status_words(seed: int) -> Plant:
 
 def pumps_named_P1_P2(seed: int) -> Plant:
     """P1 and P2 are pumps: the manifold feeds the valve, the second pump stands by."""
-    site = _of(
+    site = one_valve(
         seed, "HPU|", ("Manifold.Pressure", "p1", "bar"), ("Actuator.Pressure", "p2", "bar"),
         ("PropValve.Command", "U", "%"), ("PropValve.Flow", "Q", "l/min"),
     )  # fmt: skip
@@ -277,7 +268,7 @@ def meter_turned_round(seed: int) -> Plant:
 
 def command_below_zero(seed: int) -> Plant:
     """The valve opens with a command of 0 … −10 V."""
-    site = _of(
+    site = one_valve(
         seed, "Rig|V|", ("Inlet pressure", "p1", "bar"), ("Outlet pressure", "p2", "bar"),
         ("Flow", "Q", "l/min"),
     )  # fmt: skip

@@ -5,24 +5,14 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.connect_fourth import Machine, four_ports
+from benchmarks.connect_fourth import Machine, four_ports, one_valve
 from benchmarks.connect_plants import Plant
-
-Row = tuple[str, str, str]
-
-
-def _of(seed: int, root: str, *rows: Row, stated: bool = True) -> Machine:
-    """Return a site with (name, role, unit) of its valve."""
-    site = Machine(seed)
-    for name, role, unit in rows:
-        site.add(f"{root}{name}", site.true[role], unit, stated=stated, role=role)
-    return site
 
 
 def codesys_spanish(seed: int) -> Plant:
     """Members of a structure, units in their properties; set point and pilot beside."""
     root = "Application|GVL_Hidraulica|stValvula1|"
-    site = _of(
+    site = one_valve(
         seed, root, ("rMando", "U", "%"), ("rPresionLineaP", "p1", "bar"),
         ("rPresionCarga", "p2", "bar"), ("rCaudalReal", "Q", "l/min"),
     )  # fmt: skip
@@ -50,7 +40,7 @@ def french_servo(seed: int) -> Plant:
 def italian_skid(seed: int) -> Plant:
     """Flow in m³/h; the pump's name for the supply."""
     root = "Skid|YV7|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Comando [%]", "U", "%"), ("P mandata pompa [bar]", "p1", "bar"),
         ("P utenza [bar]", "p2", "bar"), ("Portata [m3/h]", "Q", "m³/h"), stated=False,
     )  # fmt: skip
@@ -61,7 +51,7 @@ def italian_skid(seed: int) -> Plant:
 
 def chinese_ports(seed: int) -> Plant:
     """Pressures by the letters of their ports, units in brackets."""
-    site = _of(
+    site = one_valve(
         seed, "测试台|", ("比例阀1指令(%)", "U", "%"), ("P口压力(MPa)", "p1", "MPa"),
         ("A口压力(MPa)", "p2", "MPa"), ("流量计1(L/min)", "Q", "l/min"),
         ("油温(℃)", "T", "°C"), stated=False,
@@ -89,7 +79,7 @@ def mobile_current(seed: int) -> Plant:
 def ignition(seed: int) -> Plant:
     """Instances of a type; abbreviations."""
     root = "default|Hyd|PV1|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Cmd", "U", "%"), ("Press_Up", "p1", "psi"), ("Press_Dn", "p2", "psi"),
         ("Flow_PV", "Q", "gpm"),
     )  # fmt: skip
@@ -101,7 +91,7 @@ def ignition(seed: int) -> Plant:
 
 def loops(seed: int) -> Plant:
     """Each instrument has a loop of its own: nothing says which pressure is which."""
-    site = _of(
+    site = one_valve(
         seed, "DCS|", ("FIC-310.OP", "U", "%"), ("PI-311.PV", "p1", "bar"),
         ("PI-312.PV", "p2", "bar"), ("FIC-310.PV", "Q", "l/min"),
     )  # fmt: skip
@@ -164,7 +154,7 @@ def pump_off(seed: int) -> Plant:
 def kPa_said_bar(seed: int) -> Plant:
     """The property says bar, the numbers are kPa."""
     root = "Anlage|FV3|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Ausgang", "U", "%"), ("Druck vor FV3", "p1", "bar"),
         ("Druck nach FV3", "p2", "bar"), ("Menge", "Q", "l/min"),
     )  # fmt: skip
@@ -189,7 +179,7 @@ def meter_of_the_pump(seed: int) -> Plant:
 def feedback_only(seed: int) -> Plant:
     """No command, but the spool's position."""
     root = "Regler|HPV|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Zulaufdruck", "p1", "bar"), ("Lastdruck", "p2", "bar"),
         ("Volumenstrom", "Q", "l/min"),
     )  # fmt: skip

@@ -13,6 +13,8 @@ from benchmarks.connect_plants import Floats, Plant, behind
 from benchmarks.connect_unseen import STEP, Site
 
 _ROWS: Final = 400  # samples of a watch
+Row = tuple[str, str, str]
+"""Name, role and unit of a signal."""
 
 
 class Machine(Site):
@@ -58,6 +60,14 @@ class Machine(Site):
                 f"{root}{name}", self.true[role], unit, stated=False, text=text, role=role,
                 valve=valve,
             )  # fmt: skip
+
+
+def one_valve(seed: int, root: str, *rows: Row, stated: bool = True) -> Machine:
+    """Return a site with (name, role, unit) of its valve."""
+    site = Machine(seed)
+    for name, role, unit in rows:
+        site.add(f"{root}{name}", site.true[role], unit, stated=stated, role=role)
+    return site
 
 
 def _cycle(rng: np.random.Generator, t: Floats) -> Floats:

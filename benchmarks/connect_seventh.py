@@ -9,23 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.connect_fifth import Row
-from benchmarks.connect_fourth import Machine
+from benchmarks.connect_fourth import Machine, one_valve
 from benchmarks.connect_plants import Plant
-
-
-def _of(seed: int, root: str, *rows: Row, stated: bool = True) -> Machine:
-    """Return a site with (name, role, unit) of its valve."""
-    site = Machine(seed)
-    for name, role, unit in rows:
-        site.add(f"{root}{name}", site.true[role], unit, stated=stated, role=role)
-    return site
 
 
 def polish_press(seed: int) -> Plant:
     """Names without accents; the pilot's pressure and the spool's position beside."""
     root = "Prasa|ZaworProporcjonalny|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Sterowanie", "U", "%"), ("CisnienieZasilania", "p1", "bar"),
         ("CisnienieOdbiornika", "p2", "bar"), ("Przeplyw", "Q", "l/min"),
         ("TemperaturaOleju", "T", "°C"),
@@ -38,7 +29,7 @@ def polish_press(seed: int) -> Plant:
 def japanese_die_casting(seed: int) -> Plant:
     """Units in brackets; the speed of injection beside."""
     root = "ダイカスト機|比例弁1|"
-    site = _of(
+    site = one_valve(
         seed, root, ("指令(%)", "U", "%"), ("元圧(MPa)", "p1", "MPa"), ("負荷圧(MPa)", "p2", "MPa"),
         ("流量(L/min)", "Q", "l/min"), ("作動油温度(℃)", "T", "°C"), stated=False,
     )  # fmt: skip
@@ -50,7 +41,7 @@ def japanese_die_casting(seed: int) -> Plant:
 def korean_line(seed: int) -> Plant:
     """Units as properties; a tank's level beside."""
     root = "유압장치|비례밸브 2|"
-    site = _of(
+    site = one_valve(
         seed, root, ("밸브 명령", "U", "%"), ("공급 압력", "p1", "bar"), ("부하 압력", "p2", "bar"),
         ("유량", "Q", "l/min"),
     )  # fmt: skip
@@ -62,7 +53,7 @@ def korean_line(seed: int) -> Plant:
 def czech_line(seed: int) -> Plant:
     """Before and behind the valve, in kPa."""
     root = "Linka|Ventil Y5|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Řízení ventilu", "U", "%"), ("Tlak před ventilem", "p1", "kPa"),
         ("Tlak za ventilem", "p2", "kPa"), ("Průtok", "Q", "l/min"),
     )  # fmt: skip
@@ -74,7 +65,7 @@ def czech_line(seed: int) -> Plant:
 def swedish_crane(seed: int) -> Plant:
     """Compound words; MPa."""
     root = "Kran|Lyftventil|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Styrsignal", "U", "%"), ("Matningstryck", "p1", "MPa"),
         ("Lasttryck", "p2", "MPa"), ("Oljeflöde", "Q", "l/min"),
     )  # fmt: skip
@@ -105,7 +96,7 @@ def dutch_lock(seed: int) -> Plant:
 def portuguese_suffixes(seed: int) -> Plant:
     """Units at the ends of the names."""
     root = "CLP|Prensa3|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Comando_valvula_pct", "U", "%"), ("Pressao_montante_kPa", "p1", "kPa"),
         ("Pressao_jusante_kPa", "p2", "kPa"), ("Vazao_m3h", "Q", "m³/h"), stated=False,
     )  # fmt: skip
@@ -133,7 +124,7 @@ def turkish_counts(seed: int) -> Plant:
 def nested_members(seed: int) -> Plant:
     """Members of a structure: what a number is stands in its parent's name."""
     root = "Machine|Hydraulics|Valve1|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Spool|Command", "U", "%"), ("Pressure|Inlet", "p1", "bar"),
         ("Pressure|Outlet", "p2", "bar"), ("Flow|Actual", "Q", "l/min"),
     )  # fmt: skip
@@ -176,7 +167,7 @@ def statistics(seed: int) -> Plant:
 def dense_abbreviations(seed: int) -> Plant:
     """What an English integrator types."""
     root = "RTU|"
-    site = _of(
+    site = one_valve(
         seed, root, ("hyd_vlv3_dmd_pc", "U", "%"), ("hyd_vlv3_us_prs_bar", "p1", "bar"),
         ("hyd_vlv3_ds_prs_bar", "p2", "bar"), ("hyd_vlv3_flw_lpm", "Q", "l/min"), stated=False,
     )  # fmt: skip
@@ -223,7 +214,7 @@ def drop_beside_inlet(seed: int) -> Plant:
 def main_and_drain(seed: int) -> Plant:
     """A meter in the main line and one in the drain of the motor's case."""
     root = "Motor|Proportional valve|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Valve signal", "U", "%"), ("Pressure before valve", "p1", "bar"),
         ("Pressure after valve", "p2", "bar"), ("Main flow", "Q", "l/min"),
     )  # fmt: skip
@@ -234,7 +225,7 @@ def main_and_drain(seed: int) -> Plant:
 def meters_disagree(seed: int) -> Plant:
     """Two meters in one line that differ by 7 %: nobody can say which one is right."""
     root = "Bench|Valve|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Command", "U", "%"), ("Inlet pressure", "p1", "bar"),
         ("Outlet pressure", "p2", "bar"), ("Gear flow meter", "Q", "l/min"),
     )  # fmt: skip
@@ -257,7 +248,7 @@ def range_of_nobody(seed: int) -> Plant:
 def stuck_outlet(seed: int) -> Plant:
     """The sensor behind the valve is broken: it says 0, while the load moves."""
     root = "Axis|Valve|"
-    site = _of(
+    site = one_valve(
         seed, root, ("Command", "U", "%"), ("Inlet pressure", "p1", "bar"), ("Flow", "Q", "l/min")
     )
     site.add(f"{root}Load pressure", site.noisy(0.0), "bar")

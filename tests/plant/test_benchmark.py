@@ -3,15 +3,9 @@
 import pytest
 
 from benchmarks.connect import outcome
-from benchmarks.connect_eighth import EIGHTH
-from benchmarks.connect_fifth import FIFTH
-from benchmarks.connect_fourth import FOURTH
 from benchmarks.connect_plants import contradicted, plant
-from benchmarks.connect_second import SECOND
-from benchmarks.connect_seventh import SEVENTH
-from benchmarks.connect_sixth import SIXTH
+from benchmarks.connect_sets import SETS
 from benchmarks.connect_third import KINDS, drawn, faulty
-from benchmarks.connect_unseen import UNSEEN
 
 RIGHT, CAUGHT = 0.9, 0.95  # shares
 
@@ -32,14 +26,18 @@ def test_contradictions_that_another_signal_hides_are_asked():
     assert [outcome(contradicted(seed)).result for seed in (30_156, 30_488)] == ["asked"] * 2
 
 
-@pytest.mark.parametrize("name", UNSEEN | SECOND)
+@pytest.mark.parametrize("name", SETS["first two"])
 def test_no_plant_as_vendors_write_them_is_wrong_in_silence(name):
-    found = outcome((UNSEEN | SECOND)[name](0))
+    found = outcome(SETS["first two"][name](0))
     assert found.result != "wrong", found.story
 
 
-LATER = FOURTH | SIXTH | {name: FIFTH[name] for name in ("mobile_current", "german_ports", "card")}
-LATER |= SEVENTH | EIGHTH
+OF_FIFTH = {name: SETS["fifth"][name] for name in ("mobile_current", "german_ports", "card")}
+LATER = OF_FIFTH | {
+    name: make
+    for of_set in ("fourth", "sixth", "seventh", "eighth", "ninth")
+    for name, make in SETS[of_set].items()
+}
 DOUBTFUL = {"mobile_current", "pump_and_supply", "two_loads", "statistics"}
 DOUBTFUL |= {"pumps_named_P1_P2", "slow_poll"}
 """Plants that can be known, and are asked."""

@@ -41,3 +41,18 @@ def test_a_small_flow_is_raw_where_the_described_spans_of_the_others_are(plant, 
     (found,) = plant.verdicts()
     assert found.question is None
     assert found.reading.values[Role.Q] == pytest.approx(true["Q"], abs=0.04)
+
+
+def test_a_span_that_is_none_of_the_usual_ones_can_be_answered(plant, counted):
+    (asked,) = plant.verdicts()
+    other = dict(one.removeprefix("--scale=Plant.").split("=") for one in asked.question.otherwise)
+    assert {"p1", "p2", "Q"} <= set(other)
+    most = {"p1": "400", "p2": "250", "Q": "150"}
+    spans = [
+        f"Plant.{role}={text.replace('LEAST', '0').replace('MOST', most[role])}"
+        for role, text in other.items()
+        if role in most
+    ]
+    (found,) = plant.verdicts(parse_answers((), spans))
+    assert found.question is None
+    assert found.reading.values[Role.Q] == pytest.approx(counted["Q"], abs=0.01)

@@ -168,10 +168,12 @@ def check_answers(wanted: Wanted, names: Sequence[str]) -> None:
 
 
 def _left_over(numbers: Sequence[Candidate], groups: Sequence[Group]) -> Iterator[str]:
-    """Yield a line for each command that belongs to no valve that was found."""
+    """Yield a line for each command of no valve that was found; without valves, for each number."""
     taken = {one.node for own in groups for one in own.watched}
     for one in numbers:
-        if one.label.role is Role.U and one.node not in taken and one.label.gain(Role.U) > _CLEAR:
+        if not groups:
+            yield f"{printable('/'.join(one.path))}: of no valve by its name; {printable(one.node)}"
+        elif one.label.role is Role.U and one.node not in taken and one.label.gain(Role.U) > _CLEAR:
             yield (
                 f"{printable('/'.join(one.path))}: a command, but its pressures or its flow were "
                 f"not found; if it is a valve's, name all: --signal=NAME.U={printable(one.node)} "

@@ -185,6 +185,9 @@ def _question(verdict: "Verdict", command: str) -> "Iterator[str]":
         yield f"  {number}. {option.text} ({100 * option.probability:.0f} %)"
         yield f"     {option.consequence}"
         yield f"     answer: {command} {' '.join(map(shlex.quote, option.answers))}"
+    if question.otherwise:
+        spans = " ".join(question.otherwise)
+        yield f"  if a sensor has another span, LEAST to MOST: {command} {spans}"
     if not question.options and verdict.reading is not None and verdict.reading.missing:
         wanted = (f"--signal={verdict.valve}.{role}=NODE" for role in verdict.reading.missing)
         yield f"  to name what is missing: {command} {' '.join(wanted)}"

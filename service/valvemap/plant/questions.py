@@ -21,7 +21,11 @@ class Option:
 
 @dataclass(frozen=True)
 class Question:
-    """An open point of one valve; without options nothing can be chosen."""
+    """An open point of one valve; without options nothing can be chosen.
+
+    ``otherwise`` are answers, to be completed, for what none of the options is.
+    """
 
     about: str
     options: tuple[Option, ...] = ()
+    otherwise: tuple[str, ...] = ()

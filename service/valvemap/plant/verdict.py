@@ -138,7 +138,8 @@ def _question(
     elif foreign:
         about = "; ".join(foreign)
     elif unstated and unstated == by_labels and not best.mistake:
-        about = f"{', '.join(by_labels)}: nothing states the unit"
+        differing = [role for role in Role if role in unstated or role in _guessed_spans(best)]
+        about = f"{', '.join(differing)}: nothing states the unit"
     elif differing == [Role.Q] and _is_of_unit_alone(options):
         about = "Q: its unit is stated, but valves of the size that follows from it are less usual"
     elif best.mistake:
@@ -149,7 +150,18 @@ def _question(
         about = f"{what}: Q does not follow U and the pressures as the flow of an orifice would"
     else:
         about = f"{what}: ambiguous"
-    return Question(about, tuple(_option(valve, r, differing or list(r.nodes)) for r in options))
+    named = tuple(_option(valve, r, differing or list(r.nodes)) for r in options)
+    otherwise = (
+        f"--scale={valve}.{role}={low:g}..{high:g}:LEAST..MOST{QUANTITY[role].value}"
+        for role, (low, high) in _guessed_spans(best).items()
+    )
+    return Question(about, named, tuple(otherwise))
+
+
+def _guessed_spans(reading: Reading) -> dict[Role, tuple[float, float]]:
+    """Return the raw spans of sensors whose full scale is only a usual one."""
+    raw = {role: reading.scales[role].measure.raw for role in reading.assumed}
+    return {role: span for role, span in raw.items() if span is not None and role is not Role.U}
 
 
 def _is_of_unit_alone(options: Sequence[Reading]) -> bool:
@@ -187,7 +199,9 @@ def _option(valve: str, reading: Reading, differing: Sequence[Role]) -> Option:
         together = f"its meter measures {_others([reading])}, too"
         consequence = f"{consequence_of(reading)}; its own flow is not measured: leave it out"
         return Option(together, consequence, (f"--skip={valve}",), reading.probability)
-    shown = [_shown(role, reading) for role in differing if role in reading.nodes]
+    shown = [
+        _shown(role, reading) if role in reading.nodes else f"without {role}" for role in differing
+    ]
     answers = [a for role in reading.nodes for a in _answers(valve, role, reading)]
     return Option(
         f"{text}: {', '.join(shown)}",
