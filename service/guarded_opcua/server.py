@@ -22,7 +22,7 @@ from guarded_opcua.logs import bounded_logger
 from guarded_opcua.security.certificates import expiry_warning
 from guarded_opcua.security.login_queue import LoginQueue
 from guarded_opcua.security.peer_certificates import PeerTrust
-from guarded_opcua.security.server_certificate import server_certificate
+from guarded_opcua.server_certificate import server_certificate
 from guarded_opcua.sessions.services import Services
 from guarded_opcua.sessions.session import Sessions
 from guarded_opcua.settings import ServerSettings
