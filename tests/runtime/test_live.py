@@ -610,3 +610,23 @@ async def test_a_preview_that_waits_ends_at_once_when_it_is_asked_to(starting, c
     clock.advance(1.0)
     await taking
     assert count(starting) == 0
+
+
+async def test_a_stall_of_this_process_makes_results_old_and_is_no_loss_of_sensors(
+    live, sink, clock
+):
+    await live.take(as_changes(plant(300)))
+    await live.tick()
+    clock.advance(3.0)  # with what has come meanwhile still to be read
+    await live.tick()
+    assert sink.published[-1].estimators["RLS"].quality == Quality.BAD
+    assert "SensorLost" not in active(live)
+    for _ in range(6):
+        clock.advance(0.4)
+        await live.tick()
+    assert "SensorLost" in active(live)
+
+
+def active(live):
+    (valve,) = live.identification.plans
+    return {alarm.name for alarm in live.identification.alarms(valve.name) if alarm.active}

@@ -25,8 +25,8 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.runtime.failure_log import log_left_out, log_missing
-from valvemap.runtime.reorder_wait import ReorderWait
 from valvemap.runtime.sources import Sources
+from valvemap.runtime.waiting_time import WaitingTime
 
 _UNSAVED: Final = 64_000_000  # bytes; limit of the buffer while the disk fails; drops the oldest
 _NUMBERS: Final = "numbers"
@@ -95,7 +95,7 @@ class Collector:
         self._saving: asyncio.Task[None] | None = None
         now = self._clock.monotonic()
         self._due = now
-        self._held = ReorderWait(len(valves), site_config.alignment.reorder_ms * 1e-3, now)
+        self._held = WaitingTime(len(valves), site_config.alignment.reorder_ms * 1e-3, now)
         self._said = now - SAID_AGAIN_S
         self._connected = np.zeros(len(valves), np.bool_)
 

@@ -28,7 +28,7 @@ from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.led_axes import LedAxes
 from valvemap.runtime.past import pieces_of
-from valvemap.runtime.reorder_wait import ReorderWait
+from valvemap.runtime.waiting_time import WaitingTime
 from valvemap.vocabulary.statuses import AxisStatus
 
 SHOWN_S = 0.1  # s; shortest time between two results of an axis
@@ -88,7 +88,7 @@ class LiveAxes:
         self._arrivals, self._sink, self._clock = arrivals, sink, clock
         self._stale_after_s = stale_after_s
         self.keeper = AxisKeeper(self.axes, arrivals, source, store, clock, checkpoint_interval_s)
-        self._held = ReorderWait(LINES * len(plans), reorder_s, now)
+        self._held = WaitingTime(LINES * len(plans), reorder_s, now)
         self._connected = np.zeros(LINES * len(plans), np.bool_)
         self._heard_at = np.full(len(plans), -np.inf)
         self._began_at = np.nan  # when the first connection was made, or failed

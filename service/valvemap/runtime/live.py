@@ -32,6 +32,7 @@ from valvemap.runtime.sample_ages import SampleAges
 from valvemap.runtime.service_health import ServiceHealth
 from valvemap.runtime.state_keeper import StateKeeper
 from valvemap.runtime.valve_log import ValveLog
+from valvemap.runtime.waiting_time import WaitingTime
 
 OLD = 2.0  # times `stale_after_s`; a sample older than this makes results Bad
 BEHIND_S = 1.0  # s; a preview with a longer backlog takes no more samples until compilation ends
@@ -41,7 +42,6 @@ FIRST_AT_ONCE = 3_000  # changes; size of the first piece, before the pace is me
 QUICKER = 0.05  # weight of a piece that is quicker than the estimated pace: fits come in bursts
 LAST_S = 0.3  # s; after a request to end, how long incoming changes are still estimated
 MAPS_IN_ONE_GO = 10  # inverse tables computed per refresh: 25 ms
-LONGEST_TICK_S = 0.5  # s; a longer tick is a stall of this process and is cut to this
 FAREWELL_S = 4.2  # s; longest shutdown: some service managers kill after 5 s
 
 log = structlog.get_logger(__name__)
@@ -109,8 +109,9 @@ class LiveService:
         self._numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
-        self._held_s = np.zeros(len(identification.plans))  # time in the reorder buffer, s
-        self._held_until = now
+        valves = len(identification.plans)
+        self._held = WaitingTime(valves, settings.reorder_s, now)  # samples in the reorder buffer
+        self._silent = WaitingTime(valves, settings.stale_after_s, now)
         self._heard_at = np.full(len(identification.plans), now)  # last change of their source
         self._valve_log = ValveLog(identification)
         self._remarks: Mapping[int, tuple[str, ...]] = {}  # as published
@@ -246,7 +247,8 @@ class LiveService:
     async def _use(self, samples: ByValve, own: Times | None = None) -> None:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
-        self._held_s[members] = 0.0
+        self._held.heard(members)
+        self._silent.heard(members)
         self._ages.note(members, samples.samples.t[stops - 1])
         self._newest_U[members] = samples.samples.U[stops - 1]
         ages = self._ages.of()
@@ -308,11 +310,17 @@ class LiveService:
         await self._show_health(now)
 
     async def _doubt(self, now: float) -> None:
-        """Mark valves as lost, overdue or old whose newest sample has aged past its limit."""
+        """Mark valves as lost, overdue or old whose newest sample has aged past its limit.
+
+        Results are old whatever the reason; an alarm needs silence while this process listened.
+        """
         ages, limit = self._ages.of(), self._settings.stale_after_s
         silent = self.identification.holds() & self._connected  # on-change signals at rest
-        stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
-        silent_now = np.flatnonzero(stale)
+        none_came = now - self._last_sample > limit
+        stale = (none_came | (ages > OLD * limit)) & ~silent
+        listened = np.zeros_like(stale)
+        listened[self._silent.due(now, np.ones_like(stale), ~silent)] = True
+        silent_now = np.flatnonzero(stale & (listened | ~none_came))
         if len(silent_now):
             source_now = self._ages.source_now()[silent_now]
             self._publisher.note_new(self.identification.say_overdue(silent_now, source_now))
@@ -336,14 +344,9 @@ class LiveService:
 
         Only time with a connection counts; stalls of this process do not.
         """
-        passed, self._held_until = now - self._held_until, now
-        if not self._connected.any():
-            return
-        self._held_s[self._connected] += min(passed, LONGEST_TICK_S)
-        self._held_s[~self.identification.arrivals.waits()] = 0.0
-        due = self._connected & (self._held_s > self._settings.reorder_s)
-        if due.any():
-            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)), _NONE)
+        due = self._held.due(now, self._connected, self.identification.arrivals.waits())
+        if len(due):
+            await self._use(self.identification.wait_no_longer(due), _NONE)
 
     async def lost(
         self,
