@@ -50,6 +50,7 @@ VALVES = {
     "Auto, saturating": (FlowMap(), saturating),
     "RBF, dead band and temperature": (RbfNetwork(), overlapped),
 }
+DELIVERED = (InverseStatus.OK, InverseStatus.UNCERTAIN)  # U is the exact inverse of the map
 QUICK = {"RLS, the other direction"}
 
 
@@ -95,7 +96,8 @@ def test_unit_and_structured_text_are_within_the_certified_errors(name, n, tmp_p
     delivered = estimator.predict(state, found["U_required"], dp, warm)[0]
     of_inverse = np.abs(delivered - np.clip(Q, low, high))[known].max()
     exact = invert(estimator, state, Q, dp, T)
-    both = known & (exact.status == InverseStatus.OK)
+    both = known & np.isin(exact.status, DELIVERED)
+    assert both.mean() > 0.5
     in_U = np.abs(found["U_required"] - exact.U)[both].max()
     assert of_unit <= tables.forward.error
     assert of_inverse <= table.error_Q
