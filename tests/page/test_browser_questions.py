@@ -20,6 +20,7 @@ pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
 
 S = 1_000_000_000
 BAD_SENSOR_FAILURE = 0x808C_0000
+SINCE = "2026-11-25 22:20:10"
 _KINDS = "items => items.map(item => item.dataset.kind)"
 
 
@@ -29,7 +30,7 @@ def plant():
         severity=700,
         t=time.time_ns() - 1_500 * S,
         text="p2 was constant to the last digit for 34.0 s while other signals varied (limit 10 s),"
-        " since 2026-11-25 22:20:10 UTC. It may be: a dead sensor; a coarse resolution.",
+        f" since {SINCE} UTC. It may be: a dead sensor; a coarse resolution.",
     )
     return ShownService(
         names=("V1", "Boom.PA", "Boom.AT"),
@@ -59,6 +60,13 @@ async def asked(browser, shown):
         await context.close()
 
 
+async def as_shown(page, text):
+    """A sentence of the service with its time in the browser's zone."""
+    local = """at => { const date = new Date(at);
+        return `${date.toLocaleDateString("en-GB")} ${date.toLocaleTimeString("en-GB")}` }"""
+    return text.replace(f"{SINCE} UTC", await page.evaluate(local, f"{SINCE.replace(' ', 'T')}Z"))
+
+
 async def test_how_long_has_p2_been_frozen_and_what_to_check(browser):
     shown = plant()
     async with asked(browser, shown) as (page, keys, _):
@@ -66,7 +74,7 @@ async def test_how_long_has_p2_been_frozen_and_what_to_check(browser):
         minutes = round((time.time_ns() - shown.alarms[0].t) / 60 / S)
         told = await detail.inner_text()
         assert f"{minutes} min" in told
-        assert shown.alarms[0].text.split(" It may be")[0] in told
+        assert await as_shown(page, shown.alarms[0].text.split(" It may be")[0]) in told
         assert "Check the named sensor" in told
 
 
@@ -167,7 +175,8 @@ async def test_what_happened_when_and_what_now(browser):
     async with asked(browser, shown) as (page, keys, _):
         detail = await frozen_alarm(page, keys)
         told, (frozen,) = await detail.inner_text(), shown.alarms
-        measured, _, cause = frozen.text.rstrip(".").partition(" It may be: ")
+        text = await as_shown(page, frozen.text)
+        measured, _, cause = text.rstrip(".").partition(" It may be: ")
         for said in (measured, *cause.split("; "), "Check the named sensor"):
             assert said in told
         begun = await time_of_day(page, frozen.t)
