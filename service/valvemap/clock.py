@@ -1,4 +1,4 @@
-"""The only place that reads the time; tests put a clock of their own in its stead."""
+"""The only place that reads the time; tests replace it by another clock."""
 
 import time
 from datetime import UTC, datetime

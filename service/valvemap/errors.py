@@ -24,7 +24,7 @@
 
 
 class ValvemapError(Exception):
-    """A sentence for the user: it names file, field, node or value and what is allowed."""
+    """A sentence for the user: it names file, field, node or value and the permitted ones."""
 
     exit_code = 1
 
@@ -40,7 +40,7 @@ class RecordingError(ValvemapError):
 
 
 class NoRecording(RecordingError):  # noqa: N818 - it says what happened
-    """What was named is not there, or its name says that it is no recording."""
+    """The named file does not exist, or its name is not that of a recording."""
 
     exit_code = 2
 
@@ -50,7 +50,7 @@ class StorageError(ValvemapError):
 
 
 class NoSuchFile(StorageError):  # noqa: N818
-    """What was named is not there."""
+    """The named file does not exist."""
 
     exit_code = 2
 
@@ -64,7 +64,7 @@ class FleetError(ValvemapError):
 
 
 class BrokerAway(FleetError):  # noqa: N818 - it says what happened
-    """No broker can be reached: what waits for it goes on waiting."""
+    """No broker can be reached: pending messages stay in the queue."""
 
 
 class BlockError(FleetError):

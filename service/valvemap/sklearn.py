@@ -86,7 +86,7 @@ class FlowMapRegressor(_SampleBySample):
     covariance_ : (n, n)
         Their covariance; NaN while not determined.
     state_ : RlsState
-        What goes on with the next `partial_fit`.
+        The state that the next `partial_fit` continues from.
     n_features_in_ : int
         Columns of X.
 

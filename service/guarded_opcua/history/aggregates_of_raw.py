@@ -20,7 +20,7 @@ Found = tuple[_Floats, _Codes32, _Times]  # values, statuses, times
 
 @dataclass(frozen=True)
 class OfRaw:
-    """What is known of n intervals; all arrays (n,).
+    """Statistics of n intervals; all arrays (n,).
 
     Attributes
     ----------

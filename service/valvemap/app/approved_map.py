@@ -33,7 +33,7 @@ class ApprovedMap:
 def approved_map(config: Config, valve: str) -> ApprovedMap:
     """Return the map that an operator approved, of the estimator whose map is inverted.
 
-    The service may run meanwhile: the file has its newest checkpoint.
+    The service may be running: the file has its newest checkpoint.
 
     Raises
     ------

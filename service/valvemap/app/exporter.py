@@ -1,4 +1,4 @@
-"""Serves a program's metrics for Prometheus, from a thread of its own.
+"""Serves a program's metrics for Prometheus, from a separate thread.
 
 The server is the page's: its door admits connections, its guard checks requests. It only reads,
 so that a flood of requests does not delay the program, except for its share of the processor.

@@ -257,7 +257,7 @@ def _unit_check(
     *,
     insist: bool,
 ) -> UnitCheck:
-    """Return a check of the units of each valve that has one edge and a meter of its own."""
+    """Return a check of the units of each valve that has one edge and a separate meter."""
 
     def check(file: Path, name: str, samples: Samples, part: Part) -> None:
         plan = None if plans is None else plans.get(name)

@@ -2,7 +2,7 @@
 
 The rig has the position controllers. The service answers for the last two of them: the set speed,
 as much ahead as its answer takes to act, is the demand, and the answer is added to the controller's
-command. One axis keeps the map of the new valve, the other one goes on learning.
+command. One axis keeps the map of the new valve, the other one continues to learn.
 """
 
 import math

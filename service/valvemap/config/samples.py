@@ -1,4 +1,4 @@
-"""The sections that say how samples are put together, and which of them are learnt from."""
+"""The sections on the alignment of samples, and on which of them are learnt from."""
 
 from typing import Self
 

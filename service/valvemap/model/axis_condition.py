@@ -58,7 +58,7 @@ _FRICTION: Final = CAUSES.index(FindingCode.FRICTION)
 _PAIRS: Final = slice(len(CAUSES), len(HYPOTHESES))
 _TOGETHER: Final = 0.01  # of the rate of one cause: two edges at once
 _RATE_PER_S: Final = 1.0 / 360_000.0  # 1/s; one change in 100 h of movement
-_GROWS: Final = 0.01  # of a size's prior variance per window: damage goes on
+_GROWS: Final = 0.01  # of a size's prior variance per window: damage grows
 _LISTED: Final = 0.05  # least probability of a finding
 
 _GAIN: Final = 0.1  # of an edge; sizes are prior standard deviations

@@ -38,7 +38,7 @@ _SLOPES: Final = (0.002, 0.005, 0.012, 0.03, 0.08)  # l/min/√bar/%^1.5; tried 
 
 @dataclass(frozen=True)
 class AxisFit:
-    """The coefficients (n,), their covariance (n, n), and what they were fitted with.
+    """The coefficients (n,), their covariance (n, n), and the data of the fit.
 
     ``residual_std`` (l/min) is that of the filtered rows, ``together`` of which count as one;
     ``loss`` compares plays and spools, ``evidence`` priors.

@@ -28,7 +28,7 @@ from valvemap.vocabulary.statuses import InverseStatus
 STEP_PERCENT: Final = 0.5  # of the table over the spool's position
 HALVES: Final = (128, 64, 32, 16, 8, 4, 2, 1)  # cells; steps of the search in the table
 _RATED_BAR: Final = 70.0  # bar; drop at which an edge's uncertainty is judged
-_KNOWN_SHARE: Final = 0.05  # standard deviation over flow up to which an edge counts as known
+_KNOWN_SHARE: Final = 0.05  # standard deviation over flow up to which an edge is known
 _KNOWN_L_MIN: Final = 0.3  # l/min; or this
 _WIDE: Final = 1.96  # standard deviations of the interval
 

@@ -20,7 +20,7 @@ _SETTINGS: Final = np.array([_QUICK_S, _SLOW_S, _LEAST_MM, _STILL_S, _LONGEST_S]
 class Rest:
     """Filters of the position that tell rest from movement; a value.
 
-    After a move of 300 mm it takes 13 s until an axis counts as resting: short rests between moves
+    After a move of 300 mm it takes 13 s until an axis is at rest: short rests between moves
     belong to its work.
     """
 

@@ -14,7 +14,7 @@ diagnostics and files by having the methods.
 | `Restarts` | may restart their map |
 | `ChoosesStructure` | select the structure of the map from the samples |
 | `PathDependent` | have hysteresis |
-| `Invertible` | have an exact inverse of their own |
+| `Invertible` | have an exact inverse |
 | `InPieces` | know the form of their map, so that its tables have certified errors |
 | `ResidualStd` | take their standard deviation from the residuals |
 | `MeasuresNoise` | tell the meter's noise from errors of the map |
@@ -163,7 +163,7 @@ class PathDependent(Protocol):
 
 @runtime_checkable
 class Invertible(Protocol):
-    """An estimator with an exact inverse of its own."""
+    """An estimator with an exact inverse."""
 
     def inverted(
         self,

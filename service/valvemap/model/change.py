@@ -10,7 +10,7 @@ class Change:
     Attributes
     ----------
     count : int
-        Number of changes detected so far, including this one.
+        Number of changes detected, including this one.
     sample : int
         Number of the first sample (of those used, from 0) after the change, as estimated.
     t : int

@@ -16,7 +16,7 @@ class Exponential:
     """P⁻¹ ← λP⁻¹ + X·Xᵀ, eqs. (26)-(28): weights λ^(N-i); λ = 1 is eq. (25).
 
     Without excitation of a direction, P would grow there without bound. Beyond a limit it is held,
-    and λ forgets along X only (status UNEXCITED).
+    and λ is applied along X only (status UNEXCITED).
     """
 
     lam: float = 1.0

@@ -48,5 +48,5 @@ def rule_of(forgetting: Forgetting, n: int) -> Rule:
 
 
 def keeps_all(forgetting: Forgetting) -> bool:
-    """Whether a rule forgets nothing unless places drift."""
+    """Whether a rule keeps all information unless places drift."""
     return isinstance(forgetting, Adaptive) and forgetting.lam == 1.0

@@ -4,7 +4,7 @@ A spool of second order follows slow courses of its signal after the delay::
 
     d(t) = u(t - T),  T = dead time + 2ζ/ω
 
-(its phase near 0 Hz), so that the demand is asked for t + T. What it will be then is told by its
+(its phase near 0 Hz), so that the demand is asked for t + T. Its value then is predicted by its
 own slope, a straight line through its newest values. Three things bound the slope's use: it counts
 as far as it stands out of the demand's own noise, a demand that is no longer changed has none, and
 values that are old tell nothing.

@@ -90,7 +90,7 @@ class RlsState(State):
         :mod:`valvemap.model.kernels.row_layout`. Triangles are lower, by rows.
 
         - theta (n,): parameters; 0 in directions that the samples do not determine.
-        - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
+        - scale (n,): largest |Xⱼ| of all samples; thresholds are in its units.
         - score (n,), variance (triangle), detector (65,): of change detection and of the memory
           of places, see :mod:`valvemap.model.kernels.change_detection`.
         - early (n,): parameters up to 31 samples ago; NaN at first.
@@ -156,7 +156,7 @@ class RlsState(State):
 
     @property
     def scale(self) -> Floats:
-        """Largest |Xⱼ| so far (n,)."""
+        """Largest |Xⱼ| of all samples (n,)."""
         at = self._places
         return self.row[..., at.scale : at.score]
 

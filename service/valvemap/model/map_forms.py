@@ -1,4 +1,4 @@
-"""What is known of a map before a polynomial is put through it: knots, and what would be left.
+"""Knowledge of a map before a polynomial is put through it: knots, and what would be left.
 
 A function that is analytic within the ellipse with foci at the ends of an interval and half axes
 (ρ ± 1/ρ)/4 of its width, where it stays below M, differs from the polynomial of degree n through

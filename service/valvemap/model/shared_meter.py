@@ -1,4 +1,4 @@
-"""`SharedMeter`: what each of several valves behind one flow meter passes."""
+"""`SharedMeter`: the flow of each of several valves behind one flow meter."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -65,7 +65,7 @@ class Cells:
         return s, self.ddp / (2.0 * s), self.ddp**2 / (4.0 * s**3)
 
     def largest(self) -> Floats | float:
-        """What is known of a cell's error beforehand, l/min."""
+        """Prior knowledge of a cell's error, l/min."""
         return np.inf
 
 
@@ -80,7 +80,7 @@ class CellsOfFlow(Cells):
     curved: Floats
 
     def largest(self) -> Floats | float:
-        """What is known of a cell's error beforehand, l/min."""
+        """Prior knowledge of a cell's error, l/min."""
         return self.curved
 
     def s(self, v: Floats) -> tuple[Floats, Floats, Floats]:

@@ -52,7 +52,7 @@ class Connection:
         self.settings = settings
         self.session = session
         self.limits: OperationLimits | None = None  # not read yet
-        self.types: dict[object, object] = {}  # what is known of data types, as far as read
+        self.types: dict[object, object] = {}  # data types, as far as read
         self._client = client
         self._server = server
         self._tasks = [asyncio.create_task(self._renew_for_ever())]

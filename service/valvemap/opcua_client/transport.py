@@ -46,7 +46,7 @@ class BoundedClient(UaClient):
         except asyncio.CancelledError as cancelled:
             if type(cancelled) is asyncio.CancelledError:
                 raise
-            # wait_for2 has a kind of its own, which `asyncio.timeout` of Python 3.11 does not take
+            # wait_for2 has a separate kind, which `asyncio.timeout` of Python 3.11 does not take
             # for the end of its time
             raise asyncio.CancelledError from None
 

@@ -115,7 +115,7 @@ class OpcUaSource:
         SourceLost
             if the server cannot be reached; a retry may succeed.
         SourceRejected
-            if it rejects the certificate, the user or a node; names the node and what is allowed.
+            if it rejects the certificate, the user or a node; names the node.
         CertificateError
             if our own certificate or key cannot be used.
         """

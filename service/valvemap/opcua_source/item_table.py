@@ -35,7 +35,7 @@ class Pace:
 
 
 class ItemTable:
-    """The newest change of each item, and what was usual; arrays over all items of a source.
+    """The newest change of each item, and its usual interval; arrays over all items of a source.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class ItemTable:
         return Pace(float(self._period[item]), float(self._usual[item]))
 
     def forget(self, item: int) -> None:
-        """Forget what was usual: the node was created again."""
+        """Reset the usual interval: the node was created again."""
         self.heard[item] = NEVER
         self.status[item], self.kind[item] = 0, _NO_VALUE
         self._moves[item] = self._longest_rest[item] = 0

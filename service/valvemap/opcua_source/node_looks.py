@@ -1,4 +1,4 @@
-"""A look at nodes of a source server: existence, access and type of each, and its newest value."""
+"""The state of nodes at a source server: existence, access, type and newest value of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ async def look(
     namespaces: Sequence[str],
     before: Sequence[str] = (),
 ) -> list[Looked]:
-    """Read nodes once; return what each is at the server; ``before`` as in `check_nodes`.
+    """Read nodes once; return the state of each at the server; ``before`` as in `check_nodes`.
 
     Raises
     ------

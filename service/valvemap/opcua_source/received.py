@@ -1,4 +1,4 @@
-"""What was received of a subscription: its parts, counters, and state between connections."""
+"""Messages received of a subscription: their parts, counters, and state between connections."""
 
 from dataclasses import dataclass
 

@@ -40,7 +40,7 @@ _EXTENSION_OBJECT = 22
 
 @dataclass(frozen=True)
 class Records:
-    """Changes, and what is known of their values; ``places`` are those of arrays and structures."""
+    """Changes, and the types of their values; ``places`` are those of arrays and structures."""
 
     changes: DataChanges
     overflows: int

@@ -107,7 +107,7 @@ async def numbers_of(
 ) -> list[tuple[Path, int]] | str:
     """Return path and kind of the numbers in a variable's structure, or why none is known.
 
-    ``value`` is its present one, which says how long arrays are; Booleans are left out.
+    ``value`` is its present one, which has the lengths of arrays; Booleans are left out.
 
     Raises
     ------

@@ -53,7 +53,7 @@ CHANGES_PER_S: Final = 1.0 / BETWEEN_JUMPS  # 1/s; sudden changes that are expec
 REFIT_S: Final = 5.0  # s of movement between two fits of the sums
 SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # up to these differences the sums continue
 _RATED_BAR: Final = 70.0
-_LONGEST_STEP_S: Final = 1.0  # s; a longer step from sample to sample counts as this
+_LONGEST_STEP_S: Final = 1.0  # s; a longer step from sample to sample is cut to this
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ class Axis:
         self._to_search_s = SEARCHES_S[0]
 
     def _search_anew(self) -> None:
-        """Search play and spool in what comes after a sudden change alone."""
+        """Search play and spool in the samples after a sudden change alone."""
         self._window.clear()
         self._to_search_s = SEARCHES_S[0]
 

@@ -100,7 +100,7 @@ class AxisOperator(Protocol):
     """Answers for axes; all speeds in mm/s, > 0 extends."""
 
     def set_reference(self, axis: str) -> None:
-        """Learn the axis anew: findings are then relative to what it is from now on."""
+        """Relearn the axis: findings are then relative to its condition from now on."""
 
     def arm_axis(self, axis: str, *, armed: bool) -> None:
         """Let the answer to the demand be written to the valve, or no longer."""

@@ -21,7 +21,7 @@ Balance = tuple[ForceReference, ForceState]
 WINDOW_S: Final = 10.0  # s of used movement
 DELAY: Final = 6  # windows, until one joins the reference
 REFIT: Final = 6  # windows that join the reference from fit to fit
-MOST_WINDOWS: Final = 60  # not yet weighed; what is older is dropped
+MOST_WINDOWS: Final = 60  # not yet weighed; older ones are dropped
 _LIKELY: Final = 0.5
 SUMS: Final = ("M", "b", "squares", "errors", "scores")
 """Of an `AxisState`: what windows add to the reference."""
@@ -158,7 +158,7 @@ def balance(found: AxisFit, samples: AxisSamples) -> Balance | None:
 
 
 def _still(regression: AxisRegression) -> AxisRegression:
-    """Return the regression that forgets nothing and follows no change."""
+    """Return the regression that keeps all information and follows no change."""
     return replace(regression, memory_s=math.inf, changes_per_s=0.0)
 
 

@@ -27,7 +27,7 @@ class AxisWindow:
         return self._samples
 
     def append(self, passed_s: float, samples: AxisSamples) -> None:
-        """Append a batch with so many seconds of movement; at least the newest batch stays."""
+        """Append a batch with ``passed_s`` seconds of movement; at least the newest batch stays."""
         self._batches.append((passed_s, samples))
         self._length_s += passed_s
         self._samples += len(samples)

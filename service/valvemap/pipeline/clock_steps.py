@@ -98,7 +98,7 @@ class ClockSteps:
         self._at = np.zeros(V, np.int64)  # our monotonic time of the last change, ns
 
     def find(self, changes: DataChanges, now_s: float, waiting: Waiting) -> Found:
-        """Return what is found in changes received at ``now_s`` (monotonic).
+        """Return the steps in changes received at ``now_s`` (monotonic).
 
         ``waiting`` is the alignment's state, which knows more after a restart of the service.
         """

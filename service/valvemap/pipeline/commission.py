@@ -40,7 +40,7 @@ from valvemap.vocabulary.commission import Phase
 HEARTBEAT_S: Final = 0.08  # s; shortest interval between heartbeats
 MOST_HEARTBEAT: Final = 2**32 - 1  # UInt32; 0 hands the valve back
 AGAIN_S: Final = 0.5  # s of good samples before a paused run continues
-ARRIVED_U, ARRIVED_LOAD = 0.2, 1.0  # %, bar; distance at which a point counts as reached
+ARRIVED_U, ARRIVED_LOAD = 0.2, 1.0  # %, bar; distance at which a point is reached
 HELD_OFF_S: Final = 0.1  # s without a violation until the schedule is followed again
 
 
@@ -117,7 +117,7 @@ def written(
 def lost(
     state: CommissionState, now: float, reason: Reason = Reason.SOURCE_LOST
 ) -> CommissionState:
-    """Return the state after a write without a response: what is in effect is not known."""
+    """Return the state after a write without a response: the value in effect is unknown."""
     state = replace(state, at=UNKNOWN, beaten=-math.inf, good_since=math.inf)
     if state.phase in {Phase.SWEEPING, Phase.REFINING}:
         return _enter(state, Phase.PAUSED, reason, now)

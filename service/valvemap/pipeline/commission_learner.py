@@ -16,7 +16,9 @@ from valvemap.vocabulary.statuses import Quality
 
 POINTS_U, POINTS_S = 33, 13  # of the grid on which the map is judged
 LEAST_DROP: Final = 2.0  # bar; smaller ones are not judged
-NEXT_DROP: Final = 60.0  # bar; by which Δp may leave what was seen until the map is learnt anew
+NEXT_DROP: Final = (
+    60.0  # bar; by which Δp may leave the samples' range until the map is learnt again
+)
 FLOOR: Final = 0.005  # of the largest flow; error of map and meter that is always allowed
 VISITS: Final = 3.0  # samples near a value of U that make a map there
 OVER: Final = 4  # samples; over which flows and p1 are averaged
@@ -99,7 +101,7 @@ def learn(
 
 
 def expected(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Expected | None:
-    """Return what the map predicts over the range of U and, until it is learnt anew, of Δp."""
+    """Return what the map predicts over the range of U and, until it is learnt again, of Δp."""
     low, high = learnt.drops
     if high <= LEAST_DROP or learnt.state is None:
         return None
@@ -112,7 +114,7 @@ def expected(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Expec
     floor = (FLOOR * learnt.supply.most) ** 2
     whole = np.sqrt(std**2 + max(learnt.noise2, floor))
     meter = math.sqrt(max(learnt.scatter2, floor))
-    known = learnt.visited >= VISITS  # beyond what was seen, a map may be too sure
+    known = learnt.visited >= VISITS  # beyond the samples, a map may be too sure
     return Expected(U, s, Q / s[:, None], whole / s[:, None], known, learnt.number, meter)
 
 

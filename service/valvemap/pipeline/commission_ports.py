@@ -1,4 +1,4 @@
-"""How commissioning runs of the service are asked for, and what is shown of them."""
+"""Requests for commissioning runs of the service, and their published results."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is known of the dynamics of one valve."""
+"""Results on the dynamics of one valve."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -25,7 +25,7 @@ class Learnt:
 
 @dataclass(frozen=True)
 class KeptShape(State):
-    """What is stored of a regression: its period, play, spool, and the covariance due to both."""
+    """The stored form of a regression: its period, play, spool, and the covariance due to both."""
 
     period_s: Any
     play_percent: Any
@@ -62,7 +62,7 @@ def shape_of(one: AxisRegression) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Kept(KeptShape):
-    """What is stored of an axis."""
+    """The stored form of an axis."""
 
     state_version: ClassVar[int] = 3  # 2: sensors had no offsets
 

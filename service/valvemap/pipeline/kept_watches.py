@@ -21,7 +21,7 @@ _OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
 
 @dataclass(frozen=True)
 class _KeptWatch(KeptShape):
-    """What is stored of a watch; windows that have not joined the reference are not.
+    """The stored form of a watch; windows that have not joined the reference are not.
 
     Without a balance of forces, ``force_transition`` is 0.
     """

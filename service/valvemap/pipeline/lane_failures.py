@@ -179,7 +179,7 @@ class CopyBuffer:
         self._used = 0
 
     def clear(self) -> None:
-        """Reuse the memory of all copies so far."""
+        """Reuse the memory of all earlier copies."""
         self._used = 0
 
     def copy(self, array: NDArray[Any], rows: slice | Times) -> NDArray[Any]:

@@ -13,7 +13,7 @@ NEIGHBOURS: Final = 2.0  # weight of the mean over all places in the error of ea
 
 @dataclass(frozen=True)
 class MapErrors:
-    """What one estimator's errors at a valve's places say of its map elsewhere.
+    """The errors of one estimator at a valve's places, and its map's error elsewhere.
 
     Attributes
     ----------

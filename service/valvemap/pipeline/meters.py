@@ -177,7 +177,7 @@ class Meters:
         return gathered(parts), flags
 
     def to_bytes(self, number: int, key: str) -> bytes | None:
-        """Pack what is kept of one valve; None if it has a meter of its own."""
+        """Pack the state of one valve; None if it has a separate meter."""
         if number not in self._of:
             return None
         meter, place = self._of[number]
@@ -192,7 +192,7 @@ class Meters:
         return kept.to_bytes(_key(key, meter, place))
 
     def from_bytes(self, number: int, data: bytes, key: str) -> None:
-        """Restore what is kept of one valve.
+        """Restore the state of one valve.
 
         Raises
         ------

@@ -35,7 +35,7 @@ class OperatorSigns:
         return replace(self, heard=(*self.heard[-MOST:], now), asleep_s=0.0)
 
     def at(self, now: float) -> "OperatorSigns":
-        """Return the signs after a look at ``now``; call it at every step."""
+        """Return the signs at ``now``; call it at every step."""
         slept = max(now - self.looked - AWAKE_S, 0.0)
         return replace(self, looked=now, asleep_s=self.asleep_s + slept)
 

@@ -301,7 +301,7 @@ class Places:
         return np.where(marks.any(axis=1), marks.argmax(axis=1), -1)
 
     def of(self, m: int, e: int) -> MapErrors:
-        """Return a copy of what one estimator's errors say of its map."""
+        """Return a copy of the errors of one estimator's map."""
         record, lane = self._record, self._record.lanes[m, e]
         return MapErrors(
             axes=record.axes[m].copy(),

@@ -36,7 +36,7 @@ BASELINE: Final = "Baseline"  # its approved map; likewise
 ALARMS: Final = "Alarms"  # the state of its alarms; likewise
 PLACES: Final = "Recommended"  # the errors of its estimators' maps at places; likewise
 EDGE: Final = "Edge"  # what waits of an edge of a valve with ports; likewise
-METER: Final = "Meter"  # what is kept of a valve behind a shared meter; likewise
+METER: Final = "Meter"  # the state of a valve behind a shared meter; likewise
 DYNAMICS: Final = "Dynamics"  # what its dynamics are compared with; likewise
 BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES, EDGE, METER, DYNAMICS)
 

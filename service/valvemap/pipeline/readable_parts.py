@@ -1,4 +1,4 @@
-"""What may be called on the parts of an `Identification`: reading, and computing what is read.
+"""What may be called on the parts of an `Identification`: reading, and computing results.
 
 Calls that change the state are methods of `Identification` itself, which notes them in a preview.
 """
@@ -22,7 +22,7 @@ from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 
 class ReadableResults(Protocol):
-    """What is published; fulfilled by `ResultTables`."""
+    """The published results; fulfilled by `ResultTables`."""
 
     def of(
         self,

@@ -11,7 +11,7 @@ from valvemap.pipeline.kernels import score as kernel
 
 @dataclass(frozen=True)
 class Score:
-    """One-step-ahead figures over all samples so far; ``sums`` is an array of constant size.
+    """One-step-ahead figures over all samples; ``sums`` is an array of constant size.
 
     Examples
     --------

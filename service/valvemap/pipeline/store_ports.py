@@ -15,7 +15,7 @@ from valvemap.pipeline.results import AlarmChange
 
 
 class KeptElsewhere(Protocol):
-    """States that are saved beside the valves', in a file of their own."""
+    """States that are saved beside the valves', in a separate file."""
 
     failures: int
     """Saves that failed."""

@@ -26,7 +26,7 @@ Job = Callable[[], Outcome]
 
 
 class DynamicsInTurn:
-    """Gathers samples of a few valves at a time, and says which fit is due.
+    """Gathers samples of a few valves at a time, and selects the fit that is due.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ def parse_answers(
     Raises
     ------
     ConfigurationError
-        naming option, text and what is allowed.
+        naming option, text and the permitted ones.
 
     Examples
     --------

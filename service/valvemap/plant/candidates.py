@@ -131,7 +131,7 @@ def _is_raw(stated: Iterable[Unit], raw: Unit | None) -> bool:
 
 
 def _only_qualifies(name: str) -> bool:
-    """Whether a name says which one, but not of what: ``Inlet``, ``Value``.
+    """Whether a name only distinguishes, and names no quantity: ``Inlet``, ``Value``.
 
     >>> [_only_qualifies(name) for name in ("Inlet", "Value", "Count", "Setpoint", "Flow in", "T")]
     [True, True, False, False, False, True]

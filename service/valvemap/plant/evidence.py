@@ -22,7 +22,7 @@ _SLACK: Final = 0.03  # of a range
 _TINY: Final = 0.03  # of a range; smaller values are unlikely for a pressure or a flow
 _EFFECTIVE: Final = 25.0  # independent samples at most
 _PER_SAMPLE: Final = 5.0  # samples that count as one
-_EXACT: Final = 1e-6  # of a variance; less is not told from nothing
+_EXACT: Final = 1e-6  # of a variance; less is not distinguished from 0
 _REVERSED: Final = 60.0  # nats for pressures that are reversed throughout
 _FEW_REVERSED: Final = 0.05
 _NONE_EXPLAINS: Final = 0.5  # explained share of the hypothesis that no reading is right
@@ -52,7 +52,7 @@ MISFIT: Final[Plateau] = (0.0, 0.025, 1.0, 0.3)
 MISFIT_OF_OTHERS: Final[Plateau] = (0.06, 1.0, 0.5, 1.0)
 """The same of readings that are wrong: a law seldom fits by chance."""
 _BY_CHANCE: Final = -3.0  # nats at most
-_LEAST_MISFIT: Final = 0.015  # of the spread of Q; less is not told from noise
+_LEAST_MISFIT: Final = 0.015  # of the spread of Q; less is not distinguished from noise
 _MOVING, _MOVING_U = 0.3, 15.0  # share of U √Δp, and % of U, by which a valve moves
 _UNMOVED: Final = -6.0  # nats for a flow that does not move with it
 _LEAST_RATED: Final = 0.5  # share of the rated flow, at U = 100 %; below, with the square of U
@@ -91,7 +91,7 @@ def of_range(values: Floats, bounds: tuple[float, float] | None, role: Role) -> 
 
 
 class Signal:
-    """Values of one signal in the internal unit, with what is asked of them again and again."""
+    """Values of one signal in the internal unit, with statistics that are used repeatedly."""
 
     def __init__(self, values: Floats) -> None:
         self.values = values
@@ -207,7 +207,7 @@ def of_law(fit: Fit) -> float:
 
 
 def of_others(alone: Fit, joint: Fit) -> float:
-    """Judge that other valves' flows are in Q: what they explain of the rest, at BIC's price."""
+    """Judge that other valves' flows are in Q: the share of the rest explained, at BIC's price."""
     least = _EXACT * alone.total
     if not joint.rows or least == 0.0:
         return 0.0

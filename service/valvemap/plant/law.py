@@ -26,11 +26,11 @@ _CLEAR_FLOW: Final = 0.1  # of the largest flow
 _CLEAR_NOISE: Final = 5.0  # times the noise of the flow
 _NOISE_STEPS: Final = 6.0**0.5 * 0.6745  # of the median of second differences
 _MOVES: Final = 0.02  # of its largest value: a part that moves
-_CLEAR_SHARE: Final = 0.05  # of the largest Δp; what is smaller counts as this
+_CLEAR_SHARE: Final = 0.05  # of the largest Δp; smaller ones are raised to this
 _ENDS: Final = (0.1, 0.9)  # shares of the samples below
 _TELLS: Final = 2.0  # times more is left without U, if U tells something of the flow
 _FALLS: Final = 0.7  # share of the flow at the lower end
-_LEAST_NOISE: Final = 0.04  # of the spread of Q: what no law of so few parts can explain
+_LEAST_NOISE: Final = 0.04  # of the spread of Q: the least residual of a law of these parts
 LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit leaves
 
 
@@ -144,7 +144,7 @@ def fit(
 
 
 class _Fitted(NamedTuple):
-    """Mean square of what is left, and what it was fitted with."""
+    """Mean square of the residuals, and the data of the fit."""
 
     left: float
     weights: Floats
@@ -163,7 +163,7 @@ def _fitted(U: Floats, columns: Floats, Q: Floats, lag: float) -> _Fitted:
 
 
 def _freed(best: _Fitted, dp: Floats, Q: Floats, p1: Floats | None) -> float:
-    """Return what is left if the pressures may have an offset, and p1 another weight than p2.
+    """Return the residuals if the pressures may have an offset, and p1 another weight than p2.
 
     To first order: √(Δp + a + b·p1) = √Δp + (a + b·p1) / (2 √Δp).
     """
@@ -243,7 +243,7 @@ def _falls(U: Floats, weights: Floats) -> bool:
 
 
 def _least_squares(columns: Floats, Q: Floats) -> tuple[float, Floats]:
-    """Return the mean square of what is left, and the weight of each column."""
+    """Return the mean square of the residuals, and the weight of each column."""
     rows, parts = columns.shape
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns) / rows) + 1e-12
     X = columns / scale

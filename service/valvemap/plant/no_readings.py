@@ -21,7 +21,7 @@ _GOES_ON: Final = 0.1  # of the usual span of another signal, which does not not
 _USUAL: Final = (5.0, 95.0)  # % of the values, of the usual span
 _LONGEST: Final = 2  # samples of a jump
 _TWO: Final = 2  # values of a signal that else stands still, or of one with a single coarse step
-_BEYOND: Final = 2.0  # times its usual value: no coarse step is so large
+_BEYOND: Final = 2.0  # times its usual value: more than any coarse step
 
 
 class NoReading(NamedTuple):

@@ -1,7 +1,7 @@
 """The roles of signals at a valve, and the evidence that a name gives for each.
 
 The evidence is a log likelihood ratio (in nats) against *a signal of something else*: the sum over
-the concepts in the name. One table says what each concept is worth for each role.
+the concepts in the name. One table has the weight of each concept for each role.
 """
 
 from collections.abc import Mapping

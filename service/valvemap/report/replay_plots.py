@@ -28,7 +28,7 @@ class ReplayPlots:
         self._valves: dict[str, Thinned] = {}
 
     def take(self, valve: str, samples: Samples, traces: Mapping[str, Trace]) -> None:
-        """Take one batch in, with what every estimator said of it."""
+        """Add one batch, with every estimator's trace of it."""
         good = samples.quality != Quality.BAD
         columns = {"t": samples.t, "U": samples.U, "dp": samples.dp, "Q": samples.Q}
         residuals = {f"e {name}": trace.residual for name, trace in traces.items()}

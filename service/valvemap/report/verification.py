@@ -1,4 +1,4 @@
-"""The table that says how well flow maps fit."""
+"""The table of flow maps' errors."""
 
 import math
 from collections.abc import Mapping

@@ -89,7 +89,7 @@ class TextCells:
 
 
 def scaled_times(values: Floats, cells: Any, seconds: float) -> Times:  # noqa: ANN401 - by row
-    """Return ns of numbers in a unit of so many seconds."""
+    """Return ns of numbers in a unit, given in seconds."""
     if not np.isfinite(values).all():
         row = int(np.argmax(~np.isfinite(values)))
         raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)

@@ -200,7 +200,7 @@ def _inflated(data: bytes) -> bytes:
 
 
 def chosen(found: Examined, rows: NDArray[np.bool_]) -> Examined:
-    """Return some rows of a block, in the form of the block."""
+    """Return the chosen rows of a block, in the form of the block."""
     if rows.all():
         return found
     columns = {name: column[rows] for name, column in found.columns.items()}

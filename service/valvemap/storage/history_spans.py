@@ -33,7 +33,7 @@ class Spans(NamedTuple):
 
 
 class _Numbers(NamedTuple):
-    """Numbers of series, by what they hold."""
+    """Numbers of series, by their content."""
 
     signals: list[int]
     results: list[int]

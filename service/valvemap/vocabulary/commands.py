@@ -22,7 +22,7 @@ class Subject(Enum):
 
 
 class Effect(Enum):
-    """What is published before the call returns, instead of with the next results."""
+    """The results published before the call returns, instead of with the next results."""
 
     NONE = "nothing"
     BASELINE = "the approved map's data"
