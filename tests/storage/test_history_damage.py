@@ -281,7 +281,8 @@ def test_when_no_new_file_can_be_made_a_later_save_makes_it(path, monkeypatch):
         damage = sqlite3.DatabaseError("malformed")
         damage.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
         with monkeypatch.context() as patched:
-            patched.setattr(history, "_open", lambda _: (_ for _ in ()).throw(OSError(28, "full")))
+            full = OSError(28, "full")
+            patched.setattr(history, "open_to_write", lambda _: (_ for _ in ()).throw(full))
             with pytest.raises(OSError, match="full"):
                 store._mend(damage)
         with pytest.raises(StorageError, match="closed"):

@@ -13,11 +13,11 @@ from valvemap.pipeline.results import AlarmChange
 from valvemap.pipeline.store_ports import Past, PastCells, Piece
 from valvemap.storage import alarm_changes, history_age
 from valvemap.storage.closing import Closing
-from valvemap.storage.history_blocks import CODES, SEALED, T
-from valvemap.storage.history_cells import WIDTHS, codes_of, width_of
-from valvemap.storage.history_mending import check_blocks, take_over
-from valvemap.storage.history_order import in_order, joined, nothing
-from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
+from valvemap.storage.history_blocks import SEALED
+from valvemap.storage.history_cells import WIDTHS, width_of
+from valvemap.storage.history_mending import check_blocks, set_aside_before, take_over
+from valvemap.storage.history_reader import RowReader
+from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, open_to_write
 from valvemap.storage.history_series import SeriesWriter
 from valvemap.storage.history_spans import Spans, drop_aged, drop_excess, raw_bytes
 from valvemap.storage.history_tiers import TierReader
@@ -149,23 +149,11 @@ class HistoryFile(Closing):
         most: int,
     ) -> Past:
         """Return rows from ``low`` to ``high`` (UTC ns, both included) after ``skip`` others."""
-
-        def find() -> Past:
-            if not self._rows.names.keys() >= {column, T, CODES}:
-                return nothing()
-            found, wanted = [], skip + most
-            blocks = (
-                (first, last, self._rows_between(block, series, column, low, high))
-                for block, first, last in self._blocks(series, low, high, backwards=backwards)
+        return self._ask(
+            lambda: self._past.rows(
+                series, column, (low, high), backwards=backwards, skip=skip, most=most
             )
-            for rows in in_order(blocks, backwards=backwards):
-                found.append(rows)
-                wanted -= len(rows.t)
-                if wanted <= 0:
-                    break
-            return joined(found)[skip : skip + most]
-
-        return self._ask(find)
+        )
 
     def cells(self, series: str, column: str, low: int, high: int, width: int) -> PastCells | None:
         """Return the cells of a tier that begin from ``low`` to before ``high`` (UTC ns).
@@ -305,10 +293,11 @@ class HistoryFile(Closing):
     def _open(self) -> None:
         if self._opened:
             self._lost += self._rows.lost
-        self._writer = _open(self.path)
+        self._writer = open_to_write(self.path)
         self._rows = SeriesWriter(self._writer)
         self._reader = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
         self._reader.text_factory = text
+        self._past = RowReader(self._reader, self._rows)
         self._tiers = TierReader(self._reader, self._rows)
         self._opened += 1
         self._is_open = True
@@ -389,7 +378,7 @@ class HistoryFile(Closing):
         else:
             for series in filter(width_of, hurt):
                 self._rows.reset_tiers(series.rpartition(SEALED)[0])
-        for marker, damaged in _set_aside_before(self.path):
+        for marker, damaged in set_aside_before(self.path):
             kept = lost = 0
             for taken in take_over(self._writer, damaged, self._rows.number):
                 kept, lost = kept + taken.rows, lost + taken.lost
@@ -412,50 +401,6 @@ class HistoryFile(Closing):
         )
         return (pages - free) * page
 
-    def _blocks(
-        self, series: str, low: int, high: int, *, backwards: bool
-    ) -> list[tuple[int, int, int]]:
-        """Return number, first and last time of blocks in a span, see `in_order`."""
-        numbers = [self._rows.names.get(name, -1) for name in (series, series + SEALED)]
-        order = "last DESC" if backwards else "first"
-        select = (
-            "SELECT id, first, last FROM block WHERE series IN (?, ?) AND first <= ? "  # noqa: S608
-            f"AND last >= ? ORDER BY {order}"
-        )
-        return self._reader.execute(select, (*numbers, high, low)).fetchall()
-
-    def _rows_between(self, block: int, series: str, column: str, low: int, high: int) -> Past:
-        found = self._rows.examined(self._reader, series, block, (T, CODES, column))
-        if column not in found.parts:  # the series had no such column then, or it is damaged
-            return nothing()
-        past = Past(found.t, found.columns[column], codes_of(column, found.columns[CODES]))
-        first, behind = np.searchsorted(past.t, low), np.searchsorted(past.t, high, side="right")
-        return past[slice(int(first), int(behind))]  # high + 1 may be beyond int64
-
 
 def _no_chores() -> Generator[None]:
     yield from ()
-
-
-def _set_aside_before(path: Path) -> list[tuple[Path, Path]]:
-    """Return files set aside that are not fully copied, each with its marker; newest first."""
-    markers = [
-        marker
-        for marker in path.parent.iterdir()
-        if marker.name.startswith(f"{path.name}.damaged-") and marker.name.endswith(SALVAGING)
-    ]
-    found = [(marker, marker.with_name(marker.name.removesuffix(SALVAGING))) for marker in markers]
-    return sorted((pair for pair in found if pair[1].exists()), reverse=True)
-
-
-def _open(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-    connection.text_factory = text
-    try:
-        prepare(connection, path)
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = NORMAL")
-    except BaseException:
-        connection.close()
-        raise
-    return connection

@@ -21,6 +21,7 @@ from valvemap.storage.history_blocks import (
 )
 from valvemap.storage.history_cells import width_of
 from valvemap.storage.salvage import Block, salvage_blocks, salvage_changes
+from valvemap.storage.sqlite_files import SALVAGING
 
 CHANGES_AT_ONCE: Final = 100  # alarm changes per step, some 10 us each
 
@@ -137,3 +138,14 @@ def _note(connection: sqlite3.Connection, changes: list[tuple[object, ...]]) -> 
     whole = [change for change in changes if alarm_changes.is_whole(change)]
     connection.executemany(_CHANGE, whole)
     return Taken(lost=len(changes) - len(whole))
+
+
+def set_aside_before(path: Path) -> list[tuple[Path, Path]]:
+    """Return files set aside that are not fully copied, each with its marker; newest first."""
+    markers = [
+        marker
+        for marker in path.parent.iterdir()
+        if marker.name.startswith(f"{path.name}.damaged-") and marker.name.endswith(SALVAGING)
+    ]
+    found = [(marker, marker.with_name(marker.name.removesuffix(SALVAGING))) for marker in markers]
+    return sorted((pair for pair in found if pair[1].exists()), reverse=True)
