@@ -146,6 +146,22 @@ def test_it_takes_six_files_or_fewer(tree):
     assert len(tree.touched) <= 6
 
 
+RECORDED = """
+from valvemap.storage.recordings import read_recording
+
+for headings in ("t,U,p1,p2,Q,T,p3", "t,U [%],p1 [bar],p2 [bar],Q [l/min],T [°C],p3 [psi]"):
+    with open("by_hand.csv", "w", encoding="utf-8") as file:
+        file.write(headings + "\\n" + "0,50,150,10,40,40,2\\n" * 3)
+    (part,) = read_recording("by_hand.csv").parts
+    print(*part.numbers)
+"""
+
+
+def test_its_column_is_found_in_a_recording(tree):
+    every = "U p1 p2 Q T p3"
+    assert tree.run("-c", RECORDED).splitlines() == [every, every]
+
+
 @pytest.mark.soak  # it compiles the loops for another number of signals, 20 s
 def test_it_is_configured_aligned_gated_published_recorded_and_used(tree):
     found = json.loads(tree.run("-c", USED).splitlines()[-1])

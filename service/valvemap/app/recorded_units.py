@@ -20,7 +20,7 @@ from valvemap.plant.grouping import Group
 from valvemap.plant.no_readings import no_readings
 from valvemap.plant.questions import Option
 from valvemap.plant.reading import Given, Record
-from valvemap.plant.roles import Role
+from valvemap.plant.roles import NAMES, Role
 from valvemap.plant.scales import Scale
 from valvemap.plant.verdict import judge
 from valvemap.storage.layout import Part
@@ -75,7 +75,8 @@ def check_units(
     if not configured and "U" not in part.stated:
         _check_span(file, valve, samples)
     some, step_s = _most_moving(samples)
-    stated = {signal: scaling for signal, (_, scaling) in part.numbers.items() if signal != "T"}
+    judged = NAMES - {Role.T}  # of other signals nothing is known that would contradict a unit
+    stated = {signal: scaling for signal, (_, scaling) in part.numbers.items() if signal in judged}
     candidates, values, given = [], {}, Given()
     for signal, scaling in stated.items():
         role = Role.DP if signal == "p1" and "p2" not in part.numbers else Role(signal)

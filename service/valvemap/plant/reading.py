@@ -78,3 +78,11 @@ class Given:
     scales: Mapping[Role, Scale] = field(default_factory=dict)
     assume: bool = False
     ports: bool = False
+
+    def node_of(self, signal: str) -> str | None:
+        """Return the answered node of a signal; a signal without a role has none."""
+        return next((node for role, node in self.nodes.items() if role == signal), None)
+
+    def scale_of(self, signal: str) -> Scale | None:
+        """Return the answered scale of a signal; a signal without a role has none."""
+        return next((scale for role, scale in self.scales.items() if role == signal), None)

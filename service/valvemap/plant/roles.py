@@ -32,6 +32,8 @@ class Role(StrEnum):
     OTHER = "other"
 
 
+NAMES: Final[frozenset[str]] = frozenset(Role)  # a signal without a role is not recognised
+
 C = Concept
 _WRONG: Final = -6.0  # a word for another quantity
 _STATUS: Final = -5.0

@@ -22,7 +22,7 @@ from valvemap.plant.grouping import Group, group
 from valvemap.plant.names import tokens
 from valvemap.plant.questions import Option
 from valvemap.plant.reading import Given, Reading, Record
-from valvemap.plant.roles import Role
+from valvemap.plant.roles import NAMES, Role
 from valvemap.plant.scales import Scale
 from valvemap.plant.unit_texts import split_unit
 from valvemap.plant.verdict import Verdict, judge
@@ -131,7 +131,7 @@ def _given(one: Group, layout: Layout) -> Given:
     stated = {
         Role(signal): Scale(replace(measure, column=None), 0.0, "as stated")
         for signal, measure in layout.signals.items()
-        if measure.unit is not None or measure.raw is not None
+        if signal in NAMES and (measure.unit is not None or measure.raw is not None)
     }
     return replace(given, scales={**stated, **given.scales})
 

@@ -21,7 +21,6 @@ from valvemap.pipeline.units import (
 from valvemap.plant.answers import of_valve
 from valvemap.plant.evidence import Rating
 from valvemap.plant.reading import Given
-from valvemap.plant.roles import Role
 from valvemap.storage.time_units import seconds_per_unit
 from valvemap.vocabulary import signals
 from valvemap.vocabulary.signals import MEASURED
@@ -204,7 +203,7 @@ class _Finder:
         found: dict[str, int | None] = {"t": self._time()}
         given = of_valve(self._layout.given, own.valve)
         for signal in MEASURED:
-            column = given.nodes.get(Role(signal), own.signals.get(signal, Measure()).column)
+            column = given.node_of(signal) or own.signals.get(signal, Measure()).column
             field = f"signals.{signal}.column of valve {own.valve}"
             named = self._named(column, field)
             found[signal] = named if named is not None else self._standard(signal, found["t"])
@@ -312,7 +311,7 @@ class _Finder:
         return names.index(name)
 
     def _scaling(self, own: ValveLayout, signal: str, number: int) -> Scaling:
-        answer = of_valve(self._layout.given, own.valve).scales.get(Role(signal))
+        answer = of_valve(self._layout.given, own.valve).scale_of(signal)
         if answer is not None:
             return answer.measure.scaling(signal)
         given = own.signals.get(signal, Measure())
