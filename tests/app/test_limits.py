@@ -16,6 +16,12 @@ resource.setrlimit(resource.RLIMIT_NOFILE, (int(sys.argv[1]),) * 2)
 from valvemap.cli import run
 sys.exit(run(["serve", "--config", sys.argv[2]]))
 """
+IN_LITTLE_MEMORY = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
+from valvemap.cli import run
+sys.exit(run(["serve", "--config", "missing.toml"]))
+"""
 RAISE = """
 import resource
 from valvemap.app.limits import allow_descriptors
@@ -46,4 +52,13 @@ def test_a_service_with_too_few_descriptors_is_refused_in_one_line(limit, tmp_pa
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     said = f"valvemap: {limit} file descriptors are allowed, 166 are needed; raise the limit"
+    assert line.startswith(said)
+
+
+@pytest.mark.parametrize("limit", [300, 600])
+def test_a_service_with_too_little_address_space_is_refused_in_one_line(limit):
+    done = python(IN_LITTLE_MEMORY, str(limit))
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    said = f"valvemap: {limit} MB of address space are allowed, 1,000 are needed; raise the limit"
     assert line.startswith(said)

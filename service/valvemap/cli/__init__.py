@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from valvemap.cli.command_table import COMMANDS, SERVING, LazyGroup
+from valvemap.cli.command_table import COMMANDS, IDENTIFYING, SERVING, LazyGroup
 from valvemap.errors import ValvemapError
 from valvemap.foreign_text import LINE, printable, printable_lines
 from valvemap.numba_version import ask_for_shortcuts
@@ -44,6 +44,10 @@ def _end(_number: int, _frame: object) -> None:
 def run(arguments: list[str]) -> int:
     """Run one command; return its exit code."""
     try:
+        if any(tuple(arguments[: len(words)]) == words for words in IDENTIFYING):
+            from valvemap.app.limits import allow_address_space
+
+            allow_address_space()
         code = get_command(application()).main(arguments, standalone_mode=False)
     except typer.Exit as end:
         return int(end.exit_code)

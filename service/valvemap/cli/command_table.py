@@ -87,6 +87,8 @@ SERVING: Final = (
     *(("fleet", "collect"), ("fleet", "work"), ("fleet", "serve")),
 )
 """Commands that serve until they are stopped: SIGTERM while they start is no failure."""
+IDENTIFYING: Final = (("serve",), ("fleet", "work"))
+"""Commands that are refused where the address space is too small for kernels and threads."""
 
 
 class LazyGroup(TyperGroup):
