@@ -3,6 +3,7 @@
 import math
 import re
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -47,8 +48,9 @@ class StructureOfSignals(Structure, Protocol):
 
 def rows_of(structure: Structure, samples: Samples) -> Floats:
     """Return the rows Xᵀ (N, n) of N samples, by all signals that the structure uses."""
-    if isinstance(structure, StructureOfSignals):
-        return structure.regressors_of(samples)
+    of_signals: Callable[[Samples], Floats] | None = getattr(structure, "regressors_of", None)
+    if of_signals is not None:  # a `StructureOfSignals`: to ask the protocol takes 0.3 ms
+        return of_signals(samples)
     return structure.regressors(samples.U, samples.dp, samples.T)
 
 

@@ -20,7 +20,8 @@ class SampleAges:
         """Note the times of the newest samples of some valves, UTC ns."""
         self._newest[members] = newest
         if len(members):
-            self._clocks.note(members, newest, self._clock.monotonic(), self._offset_s())
+            ours = self._against_ours(self._source.clock_offset_s)
+            self._clocks.note(members, newest, self._clock.monotonic(), ours)
 
     def forget_clock(self, valves: Times) -> None:
         """Forget the course of a clock: the source of these valves was restarted."""
@@ -34,11 +35,12 @@ class SampleAges:
 
     def source_now(self) -> Times:
         """Current time of each valve's source, UTC ns."""
-        self._clocks.note_offset(self._offset_s())
-        ahead = self._source.clock_offset_s + self._clocks.correction_s
+        offset_s = self._source.clock_offset_s
+        self._clocks.note_offset(self._against_ours(offset_s))
+        ahead = offset_s + self._clocks.correction_s
         return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
 
-    def _offset_s(self) -> Floats:
-        """Offset of each valve's source against our monotonic time, s."""
+    def _against_ours(self, offset_s: float | Floats) -> Floats:
+        """Offset of each valve's source, given against our clock, against our monotonic time, s."""
         ours = self._clock.now() * 1e-9 - self._clock.monotonic()
-        return np.add(self._source.clock_offset_s, ours, out=np.empty(self._newest.shape))
+        return np.add(offset_s, ours, out=np.empty(self._newest.shape))
