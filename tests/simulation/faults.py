@@ -208,7 +208,7 @@ def an_axis_that_acknowledges_early():
 
 
 def rows_matched_by_time_alone():
-    """Of two rows of signals at work the one with the earlier time waits for nothing."""
+    """Rows of signals are matched by their times alone, though a clock has stepped back."""
     meet = edges_kernel.meet
 
     def by_time(times, starts, last, rows, past):

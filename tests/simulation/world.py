@@ -34,7 +34,8 @@ from valvemap.storage.state_lock import FileLock
 from valvemap.vocabulary.signals import PER_VALVE
 from valvemap.vocabulary.statuses import Quality
 
-_FOLDER = tempfile.TemporaryDirectory(prefix="simulation")  # of the lock file
+_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 - a disk that costs no time
+_FOLDER = tempfile.TemporaryDirectory(prefix="simulation", dir=_MEMORY)  # lock file and histories
 _SHARPEST_S = 6.0  # how long a kill waits for the moment at which it hurts most
 _SHARP_S = 0.1
 _SEALED_ROWS = 24  # of a block of the history: several in a simulated minute
