@@ -7,7 +7,7 @@ import numpy as np
 import typer
 
 from valvemap.storage.closing import Closing
-from valvemap.storage.csv_recordings import PACKINGS, packed
+from valvemap.storage.packed_text import PACKINGS, packed
 from valvemap_rig.machine import Machine
 from valvemap_rig.simulation import RigBlock
 

@@ -7,7 +7,9 @@ from functools import cache
 from itertools import pairwise
 from typing import Final
 
-from valvemap.plant.concepts import COMPACT, PORT_LETTERS, QUANTITIES, WORDS, Concept
+from valvemap.plant.concepts import COMPACT, PORT_LETTERS, QUANTITIES, Concept
+from valvemap.plant.qualifier_words import QUALIFIER_WORDS
+from valvemap.plant.quantity_words import QUANTITY_WORDS
 
 _KKS = re.compile(
     r"(?<![A-Z])\d{0,2}[A-Z]{3}\d{2}(?P<device>AA|C[PTFGL])\d{3}(?:[ ._-]*(?P<signal>[XY]Q)\d{2})?"
@@ -195,11 +197,12 @@ def _holds(word: str, known: str) -> bool:
     return inside or at_an_end
 
 
+_WORDS: Final = {**QUANTITY_WORDS, **QUALIFIER_WORDS}
 _KNOWN: Final = {
     concept: frozenset(_without_accents(" ".join(languages.values())).split())
-    for concept, languages in WORDS.items()
+    for concept, languages in _WORDS.items()
 }
 _ENGLISH: Final = {
     concept: [_skeleton(word) for word in languages.get("en", "").split()]
-    for concept, languages in WORDS.items()
+    for concept, languages in _WORDS.items()
 }

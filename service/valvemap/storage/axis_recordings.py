@@ -14,8 +14,8 @@ from valvemap.errors import NoRecording, RecordingError
 from valvemap.model.axis import AxisSamples
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import TextCells, TextForm
-from valvemap.storage.csv_recordings import PACKINGS, text_of
 from valvemap.storage.dates import date_form
+from valvemap.storage.packed_text import PACKINGS, text_of
 
 SIGNALS: Final = ("U", "x", "v", "pA", "pB", "pS", "pT", "T")
 DEFAULT_AXIS: Final = "Axis"

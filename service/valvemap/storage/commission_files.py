@@ -14,7 +14,7 @@ from typing import Any, Self
 from valvemap.errors import StorageError
 from valvemap.model.samples import Samples
 from valvemap.storage.closing import Closing
-from valvemap.storage.csv_recordings import csv_header, csv_rows
+from valvemap.storage.csv_writing import csv_header, csv_rows
 from valvemap.storage.recordings import read_recording
 
 

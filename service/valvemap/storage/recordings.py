@@ -41,8 +41,10 @@ from typing import BinaryIO, Protocol
 from valvemap.errors import NoRecording, RecordingError, StorageError
 from valvemap.model.samples import Samples
 from valvemap.storage.closing import Closing
-from valvemap.storage.csv_recordings import PACKINGS, CsvReader, csv_header, csv_rows, packed
+from valvemap.storage.csv_recordings import CsvReader
+from valvemap.storage.csv_writing import csv_header, csv_rows
 from valvemap.storage.layout import Layout, Part
+from valvemap.storage.packed_text import PACKINGS, packed
 from valvemap.storage.table_recordings import TableReader
 
 _PART = re.compile(r"(\.\d+)?\.part$", re.IGNORECASE)
