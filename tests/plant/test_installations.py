@@ -508,6 +508,22 @@ def test_a_valve_that_is_moved_below_zero_and_rests_at_zero_is_accepted(plant, m
     assert found.reading.values[Role.U] == pytest.approx(-U)
 
 
+@pytest.mark.parametrize(("name", "is_asked"), [("Load pressure", True), ("Tank pressure", False)])
+def test_a_pressure_of_exactly_0_beside_a_valve_at_work_is_asked(plant, moving, name, is_asked):
+    true = moving()
+    Q = 0.05 * true["U"] * np.sqrt(true["p1"])
+    for label, values, unit in (
+        ("Command", true["U"], "%"), ("Inlet pressure", true["p1"], "bar"),
+        (name, 0 * true["p2"], "bar"), ("Flow", Q, "l/min"),
+    ):  # fmt: skip
+        plant.add(label, values, unit=unit)
+    (found,) = plant.verdicts()
+    assert (found.question is not None) is is_asked
+    if is_asked:
+        assert "p2 is exactly 0 all the time" in found.question.about
+        assert obey(plant, found, found.question.options[0]).question is None
+
+
 def test_a_command_from_0_to_1_that_is_stated_in_percent_is_asked(plant, moving):
     true = moving()
     plant.add("Stellsignal", true["U"] / 100, "%")

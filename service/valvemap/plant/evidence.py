@@ -58,6 +58,7 @@ _UNMOVED: Final = -6.0  # nats for a flow that does not move with it
 _LEAST_RATED: Final = 0.5  # share of the rated flow, at U = 100 %; below, with the square of U
 _VACUUM: Final = -2.0  # bar; a sensor's offset may be as low
 _BACKWARDS: Final = log(0.03)  # that the pressure behind a valve is the higher one all the time
+_DEAD: Final = log(0.02)  # that a sensor which works shows 0 bar for ten seconds of work
 OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
 
 
@@ -153,6 +154,15 @@ def of_direction(values: Mapping[Role, Floats]) -> float:
     dp = pressure_drop(values)
     dp = dp[np.isfinite(dp)]
     return _BACKWARDS if len(dp) and float((dp < -_CLEAR_DP).mean()) > _MOST else 0.0
+
+
+def of_dead_sensor(values: Floats) -> float:
+    """Judge a pressure beside a valve at work that is exactly 0 all the time: no sensor is there.
+
+    A return line may be without pressure; a sensor of it has noise, or steps.
+    """
+    good = values[np.isfinite(values)]
+    return _DEAD if len(good) >= LEAST_ROWS and not good.any() else 0.0
 
 
 def coefficient(values: Mapping[Role, Floats]) -> float:

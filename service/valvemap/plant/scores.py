@@ -11,6 +11,7 @@ from valvemap.foreign_text import printable
 from valvemap.plant import evidence
 from valvemap.plant.assignments import NEGLIGIBLE, lacks
 from valvemap.plant.candidates import Candidate
+from valvemap.plant.concepts import Concept
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group, Unmetered
 from valvemap.plant.law import Fit, fit
@@ -64,8 +65,12 @@ class Scores:
         if score + evidence.most_of_law(len(values[Role.Q])) < best - NEGLIGIBLE:
             return None
         tested = self._fit(nodes, chosen, values)
-        unmoved = against["Q does not move with U"] = evidence.of_response(values, tested)
-        score += evidence.of_law(tested) + unmoved
+        late = {"Q does not move with U": evidence.of_response(values, tested)}
+        for role in (Role.P1, Role.P2, Role.DP) if tested.moves else ():
+            if role in nodes and Concept.TANK not in nodes[role].label.concepts:
+                late[f"{role} is exactly 0 all the time"] = evidence.of_dead_sensor(raw[role])
+        against |= late
+        score += evidence.of_law(tested) + sum(late.values())
         return Reading(
             nodes, chosen, score, tested, mistake, values, contradictions=against, prior=prior
         )

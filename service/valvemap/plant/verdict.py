@@ -140,12 +140,12 @@ def _question(
     elif unstated and unstated == by_labels and not best.mistake:
         differing = [role for role in Role if role in unstated or role in _guessed_spans(best)]
         about = f"{', '.join(differing)}: nothing states the unit"
-    elif differing == [Role.Q] and _is_of_unit_alone(options):
-        about = "Q: its unit is stated, but valves of the size that follows from it are less usual"
     elif best.mistake:
         about = f"{what}: the values contradict the labels"
     elif against:
         about = f"{', '.join(against)}: its unit, its range or the node is wrong"
+    elif differing == [Role.Q] and _is_of_unit_alone(options):
+        about = "Q: its unit is stated, but valves of the size that follows from it are less usual"
     elif left > 0.2 and best.fit.moves:
         about = f"{what}: Q does not follow U and the pressures as the flow of an orifice would"
     else:
