@@ -236,10 +236,10 @@ def _falls(U: Floats, weights: Floats) -> bool:
     ahead = U[U >= 0.0]
     if len(ahead) < LEAST_ROWS:
         return False
-    ends = np.array(quantiles(ahead, _ENDS))
-    ones = np.ones(2)
-    low, high = np.stack(_parts(U, ones, ends), axis=1) @ weights
-    return bool(low > 0.0 and high < _FALLS * low)
+    ends = np.array([*quantiles(ahead, _ENDS), *quantiles(U, _ENDS)])
+    low, high, *every = (np.stack(_parts(U, np.ones(4), ends), axis=1) @ weights).tolist()
+    least = _LEAST_NOISE * max(map(abs, every))  # around U = 0 there may be nothing but noise
+    return bool(high < _FALLS * low - least)
 
 
 def _least_squares(columns: Floats, Q: Floats) -> tuple[float, Floats]:
