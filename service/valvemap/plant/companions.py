@@ -12,6 +12,7 @@ from valvemap.pipeline.units import Measure
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.concepts import CARRIERS
 from valvemap.plant.names import tokens
+from valvemap.plant.priors import ODD
 from valvemap.plant.scales import Scale
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,6 @@ _FACTOR: Final[tuple[tuple[frozenset[str], Callable[[float], float]], ...]] = (
     (_DECIMALS, lambda number: 10.0**-number),
 )
 """Words of a node's name, and the factor that its number means."""
-_APPLIES: Final = 0.97  # probability that the integer beside a factor is to be multiplied by it
 
 
 def with_companions(candidates: Iterable[Candidate]) -> list[Candidate]:
@@ -53,7 +53,7 @@ def multiplied(
 ) -> list[Scale]:
     """Return the readings of a number by its factor, and those without it."""
     found = [_times(one, factor, node) for one in readings]
-    rest = [replace(one, prior=one.prior + log(1.0 - _APPLIES)) for one in plain]
+    rest = [replace(one, prior=one.prior + log(ODD)) for one in plain]
     return [*found, *rest]
 
 
@@ -87,4 +87,4 @@ def _times(scale: Scale, factor: float, node: Candidate) -> Scale:
     if measure.raw is None:
         own = Measure(None, measure.unit, (0.0, 1.0), (0.0, factor))
     reason = f"{scale.reason}, times its {node.path[-1]}"
-    return replace(scale, measure=own, prior=scale.prior + log(_APPLIES), reason=reason)
+    return replace(scale, measure=own, prior=scale.prior + log(1.0 - ODD), reason=reason)

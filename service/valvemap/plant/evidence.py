@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.plant.law import LEAST_LEFT, LEAST_ROWS, Fit, moves, quantile, quantiles
+from valvemap.plant.priors import ODD
 from valvemap.plant.roles import Role
 
 Floats = NDArray[np.float64]
@@ -57,8 +58,7 @@ _MOVING, _MOVING_U = 0.3, 15.0  # share of U √Δp, and % of U, by which a valv
 _UNMOVED: Final = -6.0  # nats for a flow that does not move with it
 _LEAST_RATED: Final = 0.5  # share of the rated flow, at U = 100 %; below, with the square of U
 _VACUUM: Final = -2.0  # bar; a sensor's offset may be as low
-_BACKWARDS: Final = log(0.03)  # that the pressure behind a valve is the higher one all the time
-_DEAD: Final = log(0.02)  # that a sensor which works shows 0 bar for ten seconds of work
+_ODD: Final = log(ODD)
 OIL: Final = (-5.0, 95.0, 15.0)  # °C, lowest and highest usual value and the width of the flanks
 
 
@@ -153,7 +153,7 @@ def of_direction(values: Mapping[Role, Floats]) -> float:
     """Judge pressures of which the one behind the valve is the higher one all the time."""
     dp = pressure_drop(values)
     dp = dp[np.isfinite(dp)]
-    return _BACKWARDS if len(dp) and float((dp < -_CLEAR_DP).mean()) > _MOST else 0.0
+    return _ODD if len(dp) and float((dp < -_CLEAR_DP).mean()) > _MOST else 0.0
 
 
 def of_dead_sensor(values: Floats) -> float:
@@ -162,7 +162,7 @@ def of_dead_sensor(values: Floats) -> float:
     A return line may be without pressure; a sensor of it has noise, or steps.
     """
     good = values[np.isfinite(values)]
-    return _DEAD if len(good) >= LEAST_ROWS and not good.any() else 0.0
+    return _ODD if len(good) >= LEAST_ROWS and not good.any() else 0.0
 
 
 def coefficient(values: Mapping[Role, Floats]) -> float:

@@ -19,18 +19,19 @@ from valvemap.plant.assignments import MISSING, NEGLIGIBLE, assignments, lacks, 
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
+from valvemap.plant.priors import MISTAKE
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import Role
 from valvemap.plant.scales import Scale, mistaken, reversed_command
 from valvemap.plant.scores import BACKWARDS, Scores
 from valvemap.plant.unit_systems import of_mistaken_flow
 
-SWAPPED: Final = log(0.005 / 6)  # prior of two given signals swapped
-REVERSED: Final = log(0.005)  # prior of a valve that is shut at the upper end of U
-EXCHANGED: Final = log(0.005 / 12)  # prior of a signal exchanged with that of another valve
-MISTAKEN: Final = log(0.005 / 16)  # prior of one given unit that is another
+SWAPPED: Final = log(MISTAKE / 6)  # prior of two given signals swapped
+REVERSED: Final = log(MISTAKE)  # prior of a valve that is shut at the upper end of U
+EXCHANGED: Final = log(MISTAKE / 12)  # prior of a signal exchanged with that of another valve
+MISTAKEN: Final = log(MISTAKE / 16)  # prior of one given unit that is another
 UNKNOWN: Final = log(0.003)  # prior of numbers in no unit of the tables
-NONE_RIGHT: Final = log(0.005)
+NONE_RIGHT: Final = log(MISTAKE)
 _UNLIKELY: Final = 25.0  # nats of prior below the best scales
 _MOST_SCALES: Final = 700
 _WITH_MISTAKES: Final = 3  # readings by labels that are varied

@@ -10,6 +10,7 @@ from math import log
 from typing import Final
 
 from valvemap.pipeline.units import Quantity, Unit
+from valvemap.plant.priors import ODD
 from valvemap.plant.roles import QUANTITY, Role
 
 _P, _F, _T = Quantity.PRESSURE, Quantity.FLOW, Quantity.TEMPERATURE
@@ -42,7 +43,6 @@ _SHARES: Final[Mapping[str, tuple[float, Mapping[Quantity, Mapping[str, float]]]
 """Systems by prior probability, and the shares of their units."""
 _RARE: Final = 1e-3  # of a unit that is not in the table
 _WRONG_FLOW: Final = 0.05  # of the units stated for flows; no value shows a wrong one at once
-_ONE_KIND: Final = 0.97  # of two pressures that have one unit
 
 USUAL: Final[Mapping[Quantity, tuple[str, ...]]] = {
     Quantity.OPENING: ("%", "1"),
@@ -104,6 +104,6 @@ def _factors(
         if quantity is not _P or not gauges:
             yield share if quantity in shares else 1.0
         else:
-            yield (1.0 - _ONE_KIND) * share + _ONE_KIND * (unit in gauges)
+            yield ODD * share + (1.0 - ODD) * (unit in gauges)
         if quantity is _P:
             gauges.append(unit)
