@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks import circumstances as c
+from benchmarks.one_model_oil import OILS
 from benchmarks.one_model_rows import ROWS, Flow, Row, inside
 from benchmarks.one_model_sensors import SENSORS
 from valvemap.model.estimator import Estimator
@@ -104,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     wanted = parser.parse_args(arguments)
     first = REPORT if wanted.report else wanted.first
-    rows = {**ROWS, **SENSORS}
+    rows = {**ROWS, **SENSORS, **OILS}
     for name in (name for name in rows if wanted.only in name):
         seeds = range(first, first + wanted.seeds)
         ours = [measured(_ours(rows[name](seed)), rows[name](seed)) for seed in seeds]
