@@ -245,7 +245,8 @@ def most_delivered(rows: Floats, noise: float) -> tuple[float, float]:
     """Return the largest flow of readings in the order of time, and the evidence for a pump's end.
 
     A pump at its limit holds the flow while the valve opens: the pressure drop falls instead. What
-    the flow would have fallen with √Δp, or risen with U, is compared with the noise.
+    the flow would have fallen with √Δp, or risen with U, is compared with the noise. A flow that
+    differs by more than noise meanwhile is no such limit: a working cycle may come near a level.
     """
     Q, U = np.abs(rows[:, paths.LEFT_Q]), np.abs(rows[:, paths.LEFT_U])
     s, width = np.sqrt(np.abs(rows[:, paths.LEFT_DP])), rules.MOST_STAY * noise
@@ -259,5 +260,6 @@ def most_delivered(rows: Floats, noise: float) -> tuple[float, float]:
             fall = 1.0 - s[low] / max(s[high], 1e-9)
             rise = 1.0 - U[high] / max(U[low], 1e-9)
             size = level * min(fall, rise) / max(noise, 1e-9)
-            evidence += rules.MOST_OF_JUMP if size > rules.MOST_OF_JUMP else 0.0
+            is_even = np.var(Q[begin:end]) < rules.EXPLAINED * noise**2
+            evidence += rules.MOST_OF_JUMP if is_even and size > rules.MOST_OF_JUMP else 0.0
     return level, evidence
