@@ -53,7 +53,7 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
         error, std = (x[np.isfinite(Q)] for x in (error, std))
         found["rmse"].append(c.rms(error) / row.sigma)
         found["held"].append(float(held.mean()))
-        found["least"].append(min(held[q].mean() for x in (at.U, at.dp) for q in _quarters(x)))
+        found["least"].append(min(held[q].mean() for x in (at.U, at.dp) for q in quarters(x)))
         found["width"].append(c.rms(std) / row.sigma)
         found["us"].append(1e6 * spent / end)
         if isinstance(estimator, FlowMap):
@@ -62,13 +62,13 @@ def measured(estimator: Estimator[Any], row: Row) -> Figures:
             found["misnamed"].append(float(len(codes - row.causes)))
             found["play off"].append(abs(2.0 * estimator.half_play(state) - row.play))
             found["delay"].append(_delay(estimator, state, row))
-        answered, wrong = _answers(estimator, state, row, truth, at)
+        answered, wrong = answers(estimator, state, row, truth, at)
         found["answered"].append(answered)
         found["wrong"].append(wrong)
     return found
 
 
-def _answers(
+def answers(
     estimator: Estimator[Any], state: Any, row: Row, truth: Flow, at: c.Region
 ) -> tuple[float, float]:
     """Share of the true flows that are answered; of these answers, the share that is wrong."""
@@ -90,7 +90,7 @@ def _delay(estimator: FlowMap, state: FlowMapState, row: Row) -> float:
     return float(np.count_nonzero(Q[row.changed : change.sample] > 0.05 * Q.max()))
 
 
-def _quarters(x):
+def quarters(x):
     low, high = x.min(), x.max()
     place = np.minimum((4.0 * (x - low) / max(high - low, 1e-9)).astype(int), 3)
     return [place == k for k in range(4) if (place == k).any()]
