@@ -87,7 +87,7 @@ async def _demo(
         async with rig_process(config.source.url, name, stage.password, view.follow) as rig_url:
             if stage.stop.is_set():
                 return
-            console.print("starting the service and the page ...")
+            console.print("starting the service ...")
             serving = serve(config, stage.stop, stage.settings, identification, view.count)
             await stage.show(serving, view, rig_url, duration)
     console.print(verdict_table(view.verdicts()))
