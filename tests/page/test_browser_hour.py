@@ -102,7 +102,7 @@ async def seen_in_the_trend(visitor, fault):
             "ms => ms.map(ms => new Date(ms).toLocaleTimeString('en-GB'))",
             [(fault + s * S) / 1e6 for s in between],
         )
-        for between in (range(0, 30), range(55, 75))
+        for between in (range(30), range(55, 75))
     ]
     begun, ended = ("|".join(times) for times in expected)
     wanted = re.compile(f"{NAMED} from ({begun}) to ({ended}).*Estimate of RLS: .*ok from")
