@@ -77,13 +77,12 @@ def rating_of(rated_flow: float, rated_drop: float) -> Rating:
     ConfigurationError
         if a value is no number that a name plate can state.
     """
-    for what, value, is_allowed in (
-        ("rated_flow", rated_flow, lambda x: x >= 0.0),
-        ("rated_drop", rated_drop, lambda x: x > 0.0),
+    for what, value, is_allowed, allowed in (
+        ("rated_flow", rated_flow, lambda x: x >= 0.0, "of at least 0 (l/min; 0: unknown)"),
+        ("rated_drop", rated_drop, lambda x: x > 0.0, "above 0 (bar)"),
     ):
         if not isinstance(value, Real) or not math.isfinite(value) or not is_allowed(value):
-            sign = "of at least 0 (l/min; 0: unknown)" if what == "rated_flow" else "above 0 (bar)"
-            raise ConfigurationError(f"{what} is {shown(value)}; a number {sign} is allowed")
+            raise ConfigurationError(f"{what} is {shown(value)}; a number {allowed} is allowed")
     return Rating(flow_l_min=float(rated_flow), drop_bar=float(rated_drop))
 
 

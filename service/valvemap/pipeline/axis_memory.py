@@ -18,6 +18,7 @@ from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, optional_in_keys
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.axis_arrivals import LINES
 from valvemap.pipeline.edges import MOST_WAITING, NEVER_MET
 from valvemap.pipeline.kept_arrivals import (
     arrays_of_arrivals,
@@ -29,9 +30,9 @@ from valvemap.pipeline.kept_arrivals import (
 from valvemap.pipeline.timing import TimingSettings, TimingState
 
 MEMORY: Final = "AxisMemory"
-LINES: Final = ("AxisLineA", "AxisLineB")  # names of the stored parts
+OF_LINES: Final = ("AxisLineA", "AxisLineB")  # names of the stored parts, by line
 TIMINGS: Final = ("AxisTimingA", "AxisTimingB")
-MEMORIES: Final = frozenset({MEMORY, *LINES, *TIMINGS})
+MEMORIES: Final = frozenset({MEMORY, *OF_LINES, *TIMINGS})
 COLUMNS: Final = 5  # U, p1, p2, position or speed, T or set position
 NEWEST: Final = 6  # x, T, pA, pB, pS, pT
 
@@ -166,10 +167,10 @@ class AxisMemories:
         key = self._keys[number]
         yield MEMORY, _Kept.of(memory).to_bytes(key)
         for line, unmet in enumerate(memory.unmet):
-            row = len(LINES) * number + line
+            row = LINES * number + line
             own = arrays_of_arrivals(self._arrivals.of(row))
             yield (
-                LINES[line],
+                OF_LINES[line],
                 _KeptLine(**own, unmet_t=unmet.t, unmet_values=unmet.values).to_bytes(key),
             )
             if self._arrivals.finds_timing:
@@ -184,12 +185,12 @@ class AxisMemories:
         StateMismatchError
             if a part is damaged, or belongs to another configuration; nothing is restored then.
         """
-        if not {MEMORY, *LINES} <= stored.keys():
+        if not {MEMORY, *OF_LINES} <= stored.keys():
             return None
         key, alignment = self._keys[number], self._arrivals.alignment
         kept = _Kept.from_bytes(stored[MEMORY], key)
         kept.check(_Kept.of(_nothing()))
-        lines = [_KeptLine.from_bytes(stored[name], key) for name in LINES]
+        lines = [_KeptLine.from_bytes(stored[name], key) for name in OF_LINES]
         for one in lines:
             one.check(_KeptLine.like(one, alignment))
             if len(one.unmet_t) > MOST_WAITING:
@@ -199,7 +200,7 @@ class AxisMemories:
             for name in TIMINGS
             if self._arrivals.finds_timing and name in stored
         ]
-        first = len(LINES) * number
+        first = LINES * number
         for row, timing in enumerate(timings, first):
             self._arrivals.timing.put(row, timing)
         for row, one in enumerate(lines, first):
@@ -216,8 +217,8 @@ class AxisMemories:
         )
 
     def _key(self, number: int, key: str) -> str:
-        first, alignment = len(LINES) * number, self._arrivals.alignment
-        rows = slice(first, first + len(LINES))
+        first, alignment = LINES * number, self._arrivals.alignment
+        rows = slice(first, first + LINES)
         return key_of(
             _Comes(
                 key,
