@@ -51,17 +51,17 @@ class AttributeServices:
             raise ServiceError(_Codes.BadMaxAgeInvalid)
         if params.TimestampsToReturn not in tuple(ua.TimestampsToReturn)[:4]:
             raise ServiceError(_Codes.BadTimestampsToReturnInvalid)
-        self._operations.check_count(params.NodesToRead)
         role, stamps = request.session.role, params.TimestampsToReturn
 
         async def read(wanted: ua.ReadValueId) -> bytes:
             return encode_or_refuse(self._attributes.read(wanted, role), stamps)
 
-        values = await self._operations.each(request, params.NodesToRead, read, _refused_value)
-        return self._operations.results(request, _Ids.ReadResponse_Encoding_DefaultBinary, values)
+        kind = _Ids.ReadResponse_Encoding_DefaultBinary
+        return await self._operations.answer(
+            request, kind, params.NodesToRead, read, _refused_value
+        )
 
     async def _write(self, request: Request, params: ua.WriteParameters) -> bytes:
-        self._operations.check_count(params.NodesToWrite)
         role = request.session.role
 
         async def write(item: ua.WriteValue) -> bytes:
@@ -73,8 +73,10 @@ class AttributeServices:
                 self._audit.written(request.actor, item, before, code)
             return encode_status(code)
 
-        codes = await self._operations.each(request, params.NodesToWrite, write, encode_status)
-        return self._operations.results(request, _Ids.WriteResponse_Encoding_DefaultBinary, codes)
+        kind = _Ids.WriteResponse_Encoding_DefaultBinary
+        return await self._operations.answer(
+            request, kind, params.NodesToWrite, write, encode_status
+        )
 
     async def _history_read(self, request: Request, params: ua.HistoryReadParameters) -> bytes:
         if params.TimestampsToReturn not in tuple(ua.TimestampsToReturn)[:3]:

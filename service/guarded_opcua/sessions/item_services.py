@@ -45,7 +45,6 @@ class ItemServices:
     async def _create_items(
         self, request: Request, params: ua.CreateMonitoredItemsParameters
     ) -> bytes:
-        self._operations.check_count(params.ItemsToCreate)
         number, stamps = params.SubscriptionId, params.TimestampsToReturn
 
         async def create(item: ua.MonitoredItemCreateRequest) -> bytes:
@@ -53,14 +52,14 @@ class ItemServices:
                 self._subscriptions.create_item(request.session, number, item, stamps)
             )
 
-        results = await self._operations.each(request, params.ItemsToCreate, create, _refused_item)
         kind = _Ids.CreateMonitoredItemsResponse_Encoding_DefaultBinary
-        return self._operations.results(request, kind, results)
+        return await self._operations.answer(
+            request, kind, params.ItemsToCreate, create, _refused_item
+        )
 
     async def _modify_items(
         self, request: Request, params: ua.ModifyMonitoredItemsParameters
     ) -> bytes:
-        self._operations.check_count(params.ItemsToModify)
         number, stamps = params.SubscriptionId, params.TimestampsToReturn
 
         async def modify(item: ua.MonitoredItemModifyRequest) -> bytes:
@@ -68,37 +67,35 @@ class ItemServices:
                 self._subscriptions.modify_item(request.session, number, item, stamps)
             )
 
-        results = await self._operations.each(
-            request, params.ItemsToModify, modify, _refused_change
-        )
         kind = _Ids.ModifyMonitoredItemsResponse_Encoding_DefaultBinary
-        return self._operations.results(request, kind, results)
+        return await self._operations.answer(
+            request, kind, params.ItemsToModify, modify, _refused_change
+        )
 
     async def _delete_items(
         self, request: Request, params: ua.DeleteMonitoredItemsParameters
     ) -> bytes:
-        self._operations.check_count(params.MonitoredItemIds)
         session, number = request.session, params.SubscriptionId
 
         async def delete(item: int) -> bytes:
             return encode_status(self._subscriptions.delete_item(session, number, item))
 
-        codes = await self._operations.each(request, params.MonitoredItemIds, delete, encode_status)
         kind = _Ids.DeleteMonitoredItemsResponse_Encoding_DefaultBinary
-        return self._operations.results(request, kind, codes)
+        return await self._operations.answer(
+            request, kind, params.MonitoredItemIds, delete, encode_status
+        )
 
     async def _set_monitoring_mode(
         self, request: Request, params: ua.SetMonitoringModeParameters
     ) -> bytes:
-        self._operations.check_count(params.MonitoredItemIds)
         session, number, mode = request.session, params.SubscriptionId, params.MonitoringMode
 
         async def switch(item: int) -> bytes:
             return encode_status(self._subscriptions.set_monitoring(session, number, item, mode))
 
-        codes = await self._operations.each(request, params.MonitoredItemIds, switch, encode_status)
-        return self._operations.results(
-            request, _Ids.SetMonitoringModeResponse_Encoding_DefaultBinary, codes
+        kind = _Ids.SetMonitoringModeResponse_Encoding_DefaultBinary
+        return await self._operations.answer(
+            request, kind, params.MonitoredItemIds, switch, encode_status
         )
 
     async def _set_triggering(self, request: Request, params: ua.SetTriggeringParameters) -> bytes:

@@ -42,8 +42,6 @@ class MethodServices:
         }
 
     async def _call(self, request: Request, params: ua.CallParameters) -> bytes:
-        self._operations.check_count(params.MethodsToCall, self._limits.method_calls)
-
         async def call(wanted: ua.CallMethodRequest) -> bytes:
             code = _Codes.BadInternalError
             try:
@@ -54,8 +52,10 @@ class MethodServices:
                 self._audit.called(request.actor, wanted, code)
             return encoded
 
-        results = await self._operations.each(request, params.MethodsToCall, call, _refused_call)
-        return self._operations.results(request, _Ids.CallResponse_Encoding_DefaultBinary, results)
+        kind = _Ids.CallResponse_Encoding_DefaultBinary
+        return await self._operations.answer(
+            request, kind, params.MethodsToCall, call, _refused_call, most=self._limits.method_calls
+        )
 
     async def _call_one(
         self, request: Request, wanted: ua.CallMethodRequest

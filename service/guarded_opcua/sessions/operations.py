@@ -25,6 +25,26 @@ class Operations:
         self._limits = limits
         self._clock = clock
 
+    async def answer(
+        self,
+        request: Request,
+        kind: int,
+        operations: Sequence[T],
+        answer: Callable[[T], Awaitable[bytes]],
+        refusal: Callable[[int], bytes],
+        *,
+        most: int | None = None,
+    ) -> bytes:
+        """Return the encoded response of a kind: their number checked, a result for each.
+
+        Raises
+        ------
+        ServiceError
+            see `check_count` and :func:`answer_each`.
+        """
+        self.check_count(operations, most)
+        return self.results(request, kind, await self.each(request, operations, answer, refusal))
+
     def check_count(self, operations: Sequence[Any] | None, most: int | None = None) -> None:
         """Check that there are operations, and at most ``most``; None: the server's limit.
 

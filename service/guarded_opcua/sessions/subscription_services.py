@@ -72,19 +72,17 @@ class SubscriptionServices:
     async def _delete_subscriptions(
         self, request: Request, params: ua.DeleteSubscriptionsParameters
     ) -> bytes:
-        self._operations.check_count(params.SubscriptionIds)
-
         async def delete(number: int) -> bytes:
             return encode_status(self._subscriptions.delete(request.session, number))
 
-        codes = await self._operations.each(request, params.SubscriptionIds, delete, encode_status)
         kind = _Ids.DeleteSubscriptionsResponse_Encoding_DefaultBinary
-        return self._operations.results(request, kind, codes)
+        return await self._operations.answer(
+            request, kind, params.SubscriptionIds, delete, encode_status
+        )
 
     async def _set_publishing_mode(
         self, request: Request, params: ua.SetPublishingModeParameters
     ) -> bytes:
-        self._operations.check_count(params.SubscriptionIds)
         enabled = bool(params.PublishingEnabled)
 
         async def switch(number: int) -> bytes:
@@ -93,15 +91,14 @@ class SubscriptionServices:
                 self._subscriptions.set_publishing(session, number, enabled=enabled)
             )
 
-        codes = await self._operations.each(request, params.SubscriptionIds, switch, encode_status)
-        return self._operations.results(
-            request, _Ids.SetPublishingModeResponse_Encoding_DefaultBinary, codes
+        kind = _Ids.SetPublishingModeResponse_Encoding_DefaultBinary
+        return await self._operations.answer(
+            request, kind, params.SubscriptionIds, switch, encode_status
         )
 
     async def _transfer_subscriptions(
         self, request: Request, params: ua.TransferSubscriptionsParameters
     ) -> bytes:
-        self._operations.check_count(params.SubscriptionIds)
         session, send_values = request.session, bool(params.SendInitialValues)
 
         async def transfer(number: int) -> bytes:
@@ -110,11 +107,10 @@ class SubscriptionServices:
             )
             return encode_structure(result)
 
-        results = await self._operations.each(
-            request, params.SubscriptionIds, transfer, _refused_transfer
-        )
         kind = _Ids.TransferSubscriptionsResponse_Encoding_DefaultBinary
-        return self._operations.results(request, kind, results)
+        return await self._operations.answer(
+            request, kind, params.SubscriptionIds, transfer, _refused_transfer
+        )
 
     async def _publish(self, request: Request, params: ua.PublishParameters) -> None:
         session = request.session

@@ -40,45 +40,38 @@ class ViewServices:
         }
 
     async def _browse(self, request: Request, params: ua.BrowseParameters) -> bytes:
-        self._operations.check_count(params.NodesToBrowse)
         continuations = request.session.continuations
 
         async def browse(wanted: ua.BrowseDescription) -> bytes:
             return encode_structure(self._view.browse(params, wanted, continuations))
 
-        results = await self._operations.each(
-            request, params.NodesToBrowse, browse, _refused_browse
-        )
-        return self._operations.results(
-            request, _Ids.BrowseResponse_Encoding_DefaultBinary, results
+        kind = _Ids.BrowseResponse_Encoding_DefaultBinary
+        return await self._operations.answer(
+            request, kind, params.NodesToBrowse, browse, _refused_browse
         )
 
     async def _browse_next(self, request: Request, params: ua.BrowseNextParameters) -> bytes:
-        self._operations.check_count(params.ContinuationPoints)
         continuations, release = request.session.continuations, params.ReleaseContinuationPoints
 
         async def browse(point: bytes) -> bytes:
             result = self._view.browse_next(point, continuations, release=bool(release))
             return encode_structure(result)
 
-        results = await self._operations.each(
-            request, params.ContinuationPoints, browse, _refused_browse
-        )
-        return self._operations.results(
-            request, _Ids.BrowseNextResponse_Encoding_DefaultBinary, results
+        kind = _Ids.BrowseNextResponse_Encoding_DefaultBinary
+        return await self._operations.answer(
+            request, kind, params.ContinuationPoints, browse, _refused_browse
         )
 
     async def _translate(
         self, request: Request, params: ua.TranslateBrowsePathsToNodeIdsParameters
     ) -> bytes:
-        self._operations.check_count(params.BrowsePaths)
-
         async def follow(path: ua.BrowsePath) -> bytes:
             return encode_structure(await self._view.translate(path, request.turn.breathe))
 
-        results = await self._operations.each(request, params.BrowsePaths, follow, _refused_path)
         kind = _Ids.TranslateBrowsePathsToNodeIdsResponse_Encoding_DefaultBinary
-        return self._operations.results(request, kind, results)
+        return await self._operations.answer(
+            request, kind, params.BrowsePaths, follow, _refused_path
+        )
 
     async def _register_nodes(
         self, _: Request, params: ua.RegisterNodesParameters
