@@ -1,6 +1,5 @@
 """Dynamics over OPC UA: a spool is found, and its slowing down is a finding."""
 
-import asyncio
 import dataclasses
 
 import pytest
@@ -15,7 +14,8 @@ from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import Status
 
-pytestmark = pytest.mark.waits
+# A busy machine takes three times as long for a fit: the test's own bound says when it fails.
+pytestmark = [pytest.mark.waits, pytest.mark.timeout(600)]
 
 SCENARIO = """
 name = "steps"
@@ -62,17 +62,15 @@ async def test_a_spool_is_found_and_its_slowing_down_is_named(
     )
     with start_rig(port, "--scenario", str(scenario)):
         async with serving(serve, config, settings, "Valvistor", "Dynamics.Status") as seen:
-            async with asyncio.timeout(90):
-                assert await seen.value("Dynamics.Status") == DynamicsStatus.WAITING
-                await seen.until("Dynamics.Status", lambda status: status == DynamicsStatus.OK)
+            assert await seen.value("Dynamics.Status") == DynamicsStatus.WAITING
+            await seen.until("Dynamics.Status", lambda status: status == DynamicsStatus.OK)
             await check_values(seen, 8.0)
             assert FindingCode.DYNAMICS_CHANGE not in await seen.value("Diagnostics.FindingCodes")
             await slow_down(rig_url(port))
-            async with asyncio.timeout(240):
-                await seen.until(
-                    "Diagnostics.FindingCodes", lambda codes: FindingCode.DYNAMICS_CHANGE in codes
-                )
-                await seen.until("Dynamics.NaturalFrequency", lambda f: abs(f - 4.0) < 0.3)
+            await seen.until(
+                "Diagnostics.FindingCodes", lambda codes: FindingCode.DYNAMICS_CHANGE in codes
+            )
+            await seen.until("Dynamics.NaturalFrequency", lambda f: abs(f - 4.0) < 0.3)
             (sentence,) = [
                 one for one in await seen.value("Diagnostics.Findings") if "frequency" in one
             ]
