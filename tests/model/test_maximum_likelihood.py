@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from benchmarks import circumstances, coverage
 from valvemap.model.estimator import key_of
-from valvemap.model.kernels import maximum_likelihood as kernel
+from valvemap.model.kernels import likelihood_memory as memories
 from valvemap.model.kernels.factors import covariance
 from valvemap.model.maximum_likelihood import (
     MaximumLikelihood,
@@ -379,7 +379,7 @@ def test_a_state_out_of_range_starts_again_by_itself():
     recovered, _ = RML.update(broken, valve_samples(2000, seed=1))
     theta, _ = RML.parameters(recovered)
     assert theta[3] == pytest.approx(0.12, abs=0.01)
-    assert recovered.monitor[kernel.RESTARTS] >= 1
+    assert recovered.monitor[memories.RESTARTS] >= 1
 
 
 def test_under_drift_the_interval_knows_how_far_theta_lags():

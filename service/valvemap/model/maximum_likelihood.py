@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from valvemap.model.fleet import alone, member, repeated, update_one
 from valvemap.model.flow_units import Powers
 from valvemap.model.forgetting import Directional, check_lam, least_lam
+from valvemap.model.kernels import likelihood_memory as memories
+from valvemap.model.kernels import likelihood_spread, reaction
 from valvemap.model.kernels import maximum_likelihood as kernel
-from valvemap.model.kernels import reaction
 from valvemap.model.kernels.factors import covariance
 from valvemap.model.kernels.filtered_scores import REACTING
 from valvemap.model.kernels.stability import is_stable, root_margins
@@ -131,12 +132,12 @@ class MaximumLikelihood:
         """Update many models with their samples; their states are written in place."""
         X, good = self._scaled_regressors(samples.U, samples.dp, samples.T)
         good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
-        rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
+        rule = memories.Rule(memories.DIRECTIONAL, float(self.lam), float(self.radius))
         where = samples.U[good], samples.Q[good], segments.among(good)
         run = learn(states, rule, self._orders(), X[good], *where)
         # NaN where the samples do not determine it.
         with np.errstate(invalid="ignore"):
-            known = np.where(run.share <= kernel.UNDETERMINED, run.predicted, np.nan)
+            known = np.where(run.share <= memories.UNDETERMINED, run.predicted, np.nan)
         predicted, behind = np.full((2, len(samples)), np.nan)
         predicted[good], behind[good] = known, run.early
         status = np.full(len(samples), Status.REJECTED, np.uint8)
@@ -152,8 +153,10 @@ class MaximumLikelihood:
         values, variances, share = np.empty((3, len(X)))
         lags = lags_of(alone(state))
         memory = memory_of(member(lags.without(alone(state)), 0))
-        kernel.evaluate(memory, np.where(finite[:, None], X, 0.0), values, variances, share)
-        known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
+        likelihood_spread.evaluate(
+            memory, np.where(finite[:, None], X, 0.0), values, variances, share
+        )
+        known = finite & (share <= memories.UNDETERMINED) & (state.monitor[memories.COUNT] > 0)
         with np.errstate(all="ignore"):
             own = np.sqrt(variances * noise_variance(state))
         (std,) = lags.beyond(X, own[None])
@@ -169,14 +172,14 @@ class MaximumLikelihood:
         n, scale = len(self._scale), np.append(self._scale, np.ones(self.nd))
         lags = lags_of(states)
         P, inflations = diagonals(lags.without(states))
-        determined = states.monitor[:, kernel.DETERMINED, None] > 0
+        determined = states.monitor[:, memories.DETERMINED, None] > 0
         over = np.where(determined, np.diagonal(states.spread, axis1=1, axis2=2), P)
         with np.errstate(all="ignore"):
             variance = np.maximum(noise_variances(states)[:, None] * over, 0.0)
         variance[:, :n] *= inflations
         std = np.sqrt(variance)
         std[:, :n] = lags.beyond(np.eye(n), std[:, :n])
-        known = (P > 0) & (kernel.UNDETERMINED * states.prior >= P)
+        known = (P > 0) & (memories.UNDETERMINED * states.prior >= P)
         known[:, len(scale) - self.nd :] = determined
         return states.theta / scale, np.where(known, std, np.nan) / scale
 
@@ -221,7 +224,7 @@ class MaximumLikelihood:
         n = len(state.theta)
         return float(root_margins(state.theta[None, n - self.nd :])[0])
 
-    def _orders(self) -> kernel.Orders:
+    def _orders(self) -> memories.Orders:
         return np.array([0] + [1] * len(self.structure.parameter_names) + [self.nd], np.int64)
 
     @cached_property
@@ -341,7 +344,7 @@ def recursive_maximum_likelihood(
     n = len(state.theta)
     if theta0 is not None:
         start = np.array(theta0, np.float64)
-        if start.shape != (n,) or not (np.abs(start) < kernel.LARGEST).all():
+        if start.shape != (n,) or not (np.abs(start) < memories.LARGEST).all():
             raise ValueError(f"theta0 must be {n} finite numbers, not {theta0!r}")
         start[n - nd :] = _contracted(start[n - nd :], radius)
         state = replace(state, theta=start)
@@ -349,7 +352,7 @@ def recursive_maximum_likelihood(
     X, use = _delayed(inputs, max(lags, default=0))
     use &= np.isfinite(output)
     history = np.empty((len(output), n))
-    rule = kernel.Rule(kernel.EXPONENTIAL, float(forgetting), float(radius))
+    rule = memories.Rule(memories.EXPONENTIAL, float(forgetting), float(radius))
     fleet, whole = repeated(state, 1), Segments.one(len(output))
     no_U = np.zeros(len(output))
     run = learn(fleet, rule, orders, X, no_U, output, whole, use.astype(np.uint8), history)
@@ -362,7 +365,7 @@ def recursive_maximum_likelihood(
         covariance=parameter_covariance(state),
         root_margin=root_margins(np.ascontiguousarray(history[:, n - nd :])),
         status=run.status,
-        restarts=int(state.monitor[kernel.RESTARTS]),
+        restarts=int(state.monitor[memories.RESTARTS]),
     )
 
 

@@ -10,8 +10,9 @@ from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.fleet import alone
 from valvemap.model.flow_units import Powers, no_powers
+from valvemap.model.kernels import likelihood_memory as memories
+from valvemap.model.kernels import likelihood_spread, reaction
 from valvemap.model.kernels import maximum_likelihood as kernel
-from valvemap.model.kernels import reaction
 from valvemap.model.kernels.factors import covariance
 from valvemap.model.kernels.filtered_scores import (
     BEFORE,
@@ -88,7 +89,7 @@ class MaximumLikelihoodState(State):
             "prior": Contents(self.prior).within(0.0),
             "monitor": Contents(self.monitor)
             .within(0.0)
-            .within(0.0, 1.0, [kernel.RAMP, kernel.DETERMINED]),
+            .within(0.0, 1.0, [memories.RAMP, memories.DETERMINED]),
             "early": Contents(self.early).or_nan(),
             "colour": Contents(self.colour).within(0.0, where=of_colour),
         }
@@ -109,7 +110,9 @@ def flow_powers(state: MaximumLikelihoodState) -> Powers:
     found["prior"][:] = -2 * noise
     for name in ("raw", "filtered"):
         found[name][[0, -1]] = 1  # output and residual
-    found["monitor"][[kernel.VARIANCE, kernel.POWER, kernel.RLS_POWER, kernel.OUTPUT_POWER]] = 2
+    found["monitor"][
+        [memories.VARIANCE, memories.POWER, memories.RLS_POWER, memories.OUTPUT_POWER]
+    ] = 2
     found["omega"][:] = 2
     found["blocks"][[THIS, BEFORE, BLOCK_REACTION, REACTED, SCORE]] = 1
     found["blocks"][DOUBT] = 2
@@ -118,15 +121,15 @@ def flow_powers(state: MaximumLikelihoodState) -> Powers:
     return found
 
 
-def initial_state_of(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
+def initial_state_of(orders: memories.Orders, p0: float) -> MaximumLikelihoodState:
     """Return theta = 0, P = p0·I for the structure's parameters."""
     n, nd = int(orders.sum()), int(orders[-1])
     ns = n - nd
-    p0 = min(float(p0), kernel.BOUNDLESS)
-    unknown = max(p0, kernel.OPEN)
+    p0 = min(float(p0), memories.BOUNDLESS)
+    unknown = max(p0, memories.OPEN)
     channels = (len(orders), max(1, int(orders.max())))
-    monitor = np.zeros(kernel.PLACES)
-    monitor[kernel.RAMP] = kernel.RAMP_START if nd > 0 else 1.0
+    monitor = np.zeros(memories.PLACES)
+    monitor[memories.RAMP] = memories.RAMP_START if nd > 0 else 1.0
     return MaximumLikelihoodState(
         theta=np.zeros(n),
         factor=np.diag(np.append(np.full(ns, p0), np.zeros(nd))),
@@ -170,8 +173,8 @@ class Run:
 
 def learn(
     states: MaximumLikelihoodState,
-    rule: kernel.Rule,
-    orders: kernel.Orders,
+    rule: memories.Rule,
+    orders: memories.Orders,
     X: Floats,
     U: Floats,
     y: Floats,
@@ -203,14 +206,14 @@ def learn(
         found.status,
         np.empty((0, n)) if history is None else history,
         segments,
-        np.zeros((kernel.SCRATCH, n)),
+        np.zeros((memories.SCRATCH, n)),
     )
     return found
 
 
-def memory_of(state: MaximumLikelihoodState) -> kernel.Memory:
+def memory_of(state: MaximumLikelihoodState) -> memories.Memory:
     """The state's arrays for the kernel."""
-    return kernel.Memory(*(getattr(state, name) for name in kernel.Memory._fields))
+    return memories.Memory(*(getattr(state, name) for name in memories.Memory._fields))
 
 
 def noise_variance(state: MaximumLikelihoodState) -> float:
@@ -220,14 +223,14 @@ def noise_variance(state: MaximumLikelihoodState) -> float:
 
 def noise_variances(states: MaximumLikelihoodState) -> Floats:
     """σ² of the innovation of M models (M,); NaN before the first sample."""
-    known = states.monitor[:, kernel.WEIGHT] > 0
-    return np.where(known, states.monitor[:, kernel.VARIANCE], np.nan)
+    known = states.monitor[:, memories.WEIGHT] > 0
+    return np.where(known, states.monitor[:, memories.VARIANCE], np.nan)
 
 
 def parameter_covariance(state: MaximumLikelihoodState) -> Floats:
     """Covariance of theta (n, n), an upper bound until theta is determined."""
     over = covariance(state.factor)
-    if state.monitor[kernel.DETERMINED] > 0:
+    if state.monitor[memories.DETERMINED] > 0:
         over = mirrored(state.spread[None])[0]  # the upper triangle is unused
     with np.errstate(all="ignore"):
         return np.asarray(noise_variance(state) * over)
@@ -236,7 +239,7 @@ def parameter_covariance(state: MaximumLikelihoodState) -> Floats:
 def diagonals(states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
     """Return P's diagonals (M, n), and ratios of the variances to those in white noise (M, s)."""
     P, inflations = np.empty(states.theta.shape), np.empty(states.rls_theta.shape)
-    kernel.diagonals(memory_of(states), P, inflations)
+    likelihood_spread.diagonals(memory_of(states), P, inflations)
     return P, inflations
 
 

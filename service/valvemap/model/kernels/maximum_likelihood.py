@@ -4,91 +4,56 @@ Plain RLS runs in parallel on the same regressors without the noise columns, fro
 predicts worse for long, it restarts from the RLS estimate.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from valvemap.model.kernels import filtered_scores, reaction
-from valvemap.model.kernels.compiled import inner, kernel, lean_kernel, maker, spliced
+from valvemap.model.kernels.compiled import inner, kernel, lean_kernel, spliced
 from valvemap.model.kernels.factors import project, rank_one, write_covariance
+from valvemap.model.kernels.likelihood_memory import (
+    BOUNDLESS,
+    COUNT,
+    DETERMINED,
+    DIRECTIONAL,
+    FADING,
+    HALVINGS,
+    LARGEST,
+    LOUDER,
+    NOISE_PRIOR,
+    OUTPUT_POWER,
+    POWER,
+    RAMP,
+    RAMP_RATE,
+    RLS_POWER,
+    ROUNDING,
+    SINCE,
+    UNDETERMINED,
+    VARIANCE,
+    WEIGHT,
+    Memory,
+    Orders,
+    Rule,
+    Scratch,
+    dot,
+    rows_of,
+    scratch_of,
+)
+from valvemap.model.kernels.likelihood_recovery import recover
+from valvemap.model.kernels.likelihood_spread import (
+    largest_share,
+    may_grow,
+    spread_along,
+    update_spread,
+)
 from valvemap.model.kernels.residual_spread import EARLIER
 from valvemap.model.kernels.stability import lies_inside
 from valvemap.model.samples import Codes, Floats, Segments
 from valvemap.vocabulary.statuses import Status
-
-Orders = NDArray[np.int64]
-
-EXPONENTIAL = 0
-DIRECTIONAL = 1
-
-# Offsets in `monitor`.
-RAMP, COUNT, SINCE, RESTARTS, DETERMINED, WEIGHT, VARIANCE = range(7)
-POWER, RLS_POWER, OUTPUT_POWER = range(7, 10)
-PLACES = 10
-SCRATCH = 6  # vectors of one step
-
-RAMP_START = 0.95  # the ramp's factor at the first sample; it tends to 1
-RAMP_RATE = 0.99
-NOISE_PRIOR = 0.1  # variance of d before the first sample, in units of the noise variance
-OPEN = 1e6  # smallest prior variance (scaled regressors) without information
-BOUNDLESS = 1e20  # stands for an infinite prior variance
-UNDETERMINED = 1e-2  # share of the prior variance above which a direction is undetermined
-LARGEST = 1e30  # larger inputs are rejected
-LARGEST_RESULT = 1e100  # beyond it, the state has overflowed
-HALVINGS = 12
-FADING = 0.01
-PATIENCE = 200  # samples before RML is compared with plain RLS
-LOUDER = 4.0  # growth of the noise variance after which d's prior is reduced
-TOO_BAD = 1.5  # times the mean square of plain RLS
-ROUNDING = 1e-14  # relative to the terms of a sum
 
 _OK = int(Status.OK)
 _WARMING_UP = int(Status.WARMING_UP)
 _UNEXCITED = int(Status.UNEXCITED)
 _REJECTED = int(Status.REJECTED)
 _HELD = int(Status.HELD)
-
-
-class Memory(NamedTuple):
-    """Arrays of a state, written in place.
-
-    See :class:`~valvemap.model.maximum_likelihood_state.MaximumLikelihoodState`.
-    """
-
-    theta: Floats
-    factor: Floats
-    spread: Floats
-    prior: Floats
-    rls_theta: Floats
-    rls_factor: Floats
-    raw: Floats
-    filtered: Floats
-    monitor: Floats
-    early: Floats
-    omega: Floats
-    moments: Floats
-    blocks: Floats
-    colour: Floats
-
-
-class Rule(NamedTuple):
-    """Forgetting, and the bound on the roots of D(q)."""
-
-    kind: int
-    lam: float
-    radius: float
-
-
-class _Scratch(NamedTuple):
-    """Vectors of one step."""
-
-    h: Floats
-    hf: Floats
-    f: Floats
-    Ph: Floats
-    Sh: Floats
-    work: Floats
 
 
 @lean_kernel
@@ -141,7 +106,7 @@ def run(
         omega, moments, blocks, colour,
     ) = fleet  # fmt: skip
     members, starts, stops = segments
-    vectors = _rows(scratch)
+    vectors = rows_of(scratch)
     for s in range(len(members)):
         m = members[s]
         memory = Memory(
@@ -154,12 +119,33 @@ def run(
         )  # fmt: skip
 
 
+@kernel
+def learn(memory: Memory, rows: Floats, values: Floats) -> None:
+    """Add a structure's prior as pseudo-samples row·theta = value."""
+    n, ns = len(memory.theta), rows.shape[1]
+    scratch = scratch_of(n)
+    f, Px = scratch.f, scratch.Ph
+    for t in range(len(rows)):
+        for j in range(ns):
+            scratch.h[j] = rows[t, j]
+        r = project(memory.factor, scratch.h, f, Px)
+        step = (values[t] - dot(rows[t], memory.theta, ns)) / (1.0 + r)
+        for j in range(n):
+            memory.theta[j] += step * Px[j]
+        rank_one(memory.factor, f, scratch.work, 1.0, 1.0, 1.0)
+        r = project(memory.rls_factor, rows[t], f, Px)
+        step = (values[t] - dot(rows[t], memory.rls_theta, ns)) / (1.0 + r)
+        for j in range(ns):
+            memory.rls_theta[j] += step * Px[j]
+        rank_one(memory.rls_factor, f[:ns], scratch.work, 1.0, 1.0, 1.0)
+
+
 @spliced
 def _span(
     memory: Memory,
     rule: Rule,
     orders: Orders,
-    scratch: _Scratch,
+    scratch: Scratch,
     X: Floats,
     U: Floats,
     y: Floats,
@@ -191,16 +177,16 @@ def _span(
             for c in range(1, last):
                 _push(memory, d, c, X[t, c - 1])
             _regressors(memory, orders, scratch)
-            predicted[t] = _dot(scratch.h, memory.theta, n)
+            predicted[t] = dot(scratch.h, memory.theta, n)
             if use[t]:
                 early[t] = _look_back(memory, scratch.h, y[t], y[t] - predicted[t])
-                of_map = _dot(scratch.h, memory.theta, n - orders[last])
+                of_map = dot(scratch.h, memory.theta, n - orders[last])
                 reaction.weigh_in(memory.colour, filtered_scores.REACTING, U[t], y[t] - of_map)
                 status[t] = _step(memory, rule, scratch, y[t], d, share, t)
                 posterior[t] = _rest(scratch.h, memory.theta, n, y[t])
                 _push(memory, d, 0, y[t])
                 _push(memory, d, last, posterior[t])
-                _watch(memory, posterior[t], status, t)
+                recover(memory, posterior[t], status, t)
             else:
                 status[t] = _REJECTED
                 _push(memory, d, 0, y[t] if y_in_range else predicted[t])
@@ -208,74 +194,6 @@ def _span(
         if t < len(history):
             for j in range(n):
                 history[t, j] = memory.theta[j]
-
-
-@kernel
-def learn(memory: Memory, rows: Floats, values: Floats) -> None:
-    """Add a structure's prior as pseudo-samples row·theta = value."""
-    n, ns = len(memory.theta), rows.shape[1]
-    scratch = _scratch(n)
-    f, Px = scratch.f, scratch.Ph
-    for t in range(len(rows)):
-        for j in range(ns):
-            scratch.h[j] = rows[t, j]
-        r = project(memory.factor, scratch.h, f, Px)
-        step = (values[t] - _dot(rows[t], memory.theta, ns)) / (1.0 + r)
-        for j in range(n):
-            memory.theta[j] += step * Px[j]
-        rank_one(memory.factor, f, scratch.work, 1.0, 1.0, 1.0)
-        r = project(memory.rls_factor, rows[t], f, Px)
-        step = (values[t] - _dot(rows[t], memory.rls_theta, ns)) / (1.0 + r)
-        for j in range(ns):
-            memory.rls_theta[j] += step * Px[j]
-        rank_one(memory.rls_factor, f[:ns], scratch.work, 1.0, 1.0, 1.0)
-
-
-@kernel
-def evaluate(memory: Memory, X: Floats, values: Floats, variances: Floats, shares: Floats) -> None:
-    """Write Xᵀ·theta, its variance over σ², and that over the variance before any sample (N,)."""
-    n, ns = len(memory.theta), X.shape[1]
-    scratch = _scratch(n)
-    x = scratch.h
-    held = _samples_held(memory, scratch)
-    for t in range(len(X)):
-        before = 0.0
-        for j in range(ns):
-            x[j] = X[t, j]
-            before += memory.prior[j] * x[j] * x[j]
-        r = project(memory.factor, x, scratch.f, scratch.Ph)
-        values[t] = _dot(x, memory.theta, ns)
-        shares[t] = r / before if before > 0.0 else 0.0
-        variances[t] = r
-        if memory.monitor[DETERMINED] > 0.0:
-            variances[t] = _spread_along(memory.spread, x, scratch.Sh)
-            variances[t] = _widened(memory, scratch.Ph, variances[t], held)
-
-
-@maker
-def _scratch(n: int) -> _Scratch:
-    return _rows(np.zeros((SCRATCH, n)))
-
-
-@spliced
-def _rows(scratch: Floats) -> _Scratch:
-    return _Scratch(scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5])
-
-
-@inner
-def _take(to: Floats, values: Floats) -> None:
-    """Copy a matrix; ``to[:] = values`` takes numba five seconds to compile."""
-    for i in range(to.shape[0]):
-        for j in range(to.shape[1]):
-            to[i, j] = values[i, j]
-
-
-@inner
-def _dot(a: Floats, b: Floats, n: int) -> float:
-    total = 0.0
-    for j in range(n):
-        total += a[j] * b[j]
-    return total
 
 
 @inner
@@ -298,7 +216,7 @@ def _look_back(memory: Memory, h: Floats, y: float, residual: float) -> float:
     if monitor[DETERMINED] > 0.0 and monitor[COUNT] % EARLIER == 0.0:
         for j in range(ns):
             early[j] = memory.theta[j]
-    predicted = _dot(h, early, ns)
+    predicted = dot(h, early, ns)
     return residual if np.isnan(predicted) else y - predicted
 
 
@@ -317,7 +235,7 @@ def _push(memory: Memory, d: Floats, c: int, value: float) -> None:
 
 
 @inner
-def _regressors(memory: Memory, orders: Orders, scratch: _Scratch) -> None:
+def _regressors(memory: Memory, orders: Orders, scratch: Scratch) -> None:
     """Fill h and h_f from the channels: lags of -y, of the inputs, of the residual."""
     q = 0
     sign = -1.0
@@ -333,7 +251,7 @@ def _regressors(memory: Memory, orders: Orders, scratch: _Scratch) -> None:
 def _step(
     memory: Memory,
     rule: Rule,
-    scratch: _Scratch,
+    scratch: Scratch,
     y: float,
     d: Floats,
     share: Floats,
@@ -365,7 +283,7 @@ def _step(
             r = project(memory.factor, hf, f, Ph)
 
     ramp, lam = monitor[RAMP], rule.lam
-    holds = not _may_grow(memory.factor, memory.prior, ramp * lam)
+    holds = not may_grow(memory.factor, memory.prior, ramp * lam)
     if holds:
         ramp, lam = 1.0, 1.0
 
@@ -383,11 +301,11 @@ def _step(
     gain = 1.0 / (ramp * lam + r)
     q = r / ramp
     if monitor[DETERMINED] > 0.0:
-        q = _spread_along(memory.spread, hf, scratch.Sh)
+        q = spread_along(memory.spread, hf, scratch.Sh)
         if not q <= 1.01 * r:  # exceeds P by rounding only
             write_covariance(memory.factor, memory.spread)
-            q = _spread_along(memory.spread, hf, scratch.Sh)
-        _update_spread(memory.spread, Ph, scratch.Sh, gain, q)
+            q = spread_along(memory.spread, hf, scratch.Sh)
+        update_spread(memory.spread, Ph, scratch.Sh, gain, q)
     monitor[WEIGHT] = ramp * lam * monitor[WEIGHT] + 1.0
     monitor[VARIANCE] += (e * e / (1.0 + q) - monitor[VARIANCE]) / monitor[WEIGHT]
     _forget(memory.factor, rule.kind, lam, ramp, scratch, r, before)
@@ -405,7 +323,7 @@ def _step(
     monitor[POWER] += FADING * (trust * e * e - monitor[POWER])
     monitor[RLS_POWER] += FADING * (trust * rls_e * rls_e - monitor[RLS_POWER])
     monitor[OUTPUT_POWER] += FADING * (trust * y * y - monitor[OUTPUT_POWER])
-    lam = rule.lam if _may_grow(memory.rls_factor, memory.prior, rule.lam) else 1.0
+    lam = rule.lam if may_grow(memory.rls_factor, memory.prior, rule.lam) else 1.0
     for j in range(ns):
         memory.rls_theta[j] += rls_e / (lam + r) * Ph[j]
     _forget(memory.rls_factor, rule.kind, lam, 1.0, scratch, r, before)
@@ -415,7 +333,7 @@ def _step(
     monitor[SINCE] += 1.0
     known = monitor[DETERMINED] > 0.0
     if not known or rule.lam < 1.0:  # with lam = 1 no information is lost
-        known = monitor[SINCE] > settled and _largest_share(memory, ns) <= UNDETERMINED
+        known = monitor[SINCE] > settled and largest_share(memory, ns) <= UNDETERMINED
     if known and monitor[DETERMINED] == 0.0:
         write_covariance(memory.factor, memory.spread)
         monitor[DETERMINED] = 1.0
@@ -425,50 +343,8 @@ def _step(
 
 
 @inner
-def _let_noise_in(memory: Memory, ns: int) -> None:
-    """Give d its prior variance, in units of the current noise variance."""
-    variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], BOUNDLESS)
-    for j in range(ns, len(memory.theta)):
-        memory.prior[j] = 10.0 * variance  # room for forgetting
-        memory.factor[j, j] = variance
-        memory.spread[j, j] = variance
-
-
-@inner
-def _draw_noise_in(memory: Memory, scratch: _Scratch, ns: int, variance: float) -> None:
-    """Reduce d's prior variance after the noise variance has grown."""
-    information = 1.0 / variance - 10.0 / memory.prior[ns]
-    for j in range(ns, len(memory.theta)):
-        memory.prior[j] = 10.0 * variance
-        scratch.work[:] = 0.0
-        scratch.work[j] = 1.0
-        project(memory.factor, scratch.work, scratch.f, scratch.Ph)
-        rank_one(memory.factor, scratch.f, scratch.work, 1.0, information, 1.0)
-    write_covariance(memory.factor, memory.spread)
-
-
-@inner
-def _variance(factor: Floats, i: int) -> float:
-    """P[i, i]."""
-    total = float(factor[i, i])
-    for j in range(i + 1, len(factor)):
-        total += factor[j, j] * factor[j, i] * factor[j, i]
-    return total
-
-
-@inner
-def _may_grow(factor: Floats, prior: Floats, lam: float) -> bool:
-    """Whether P/λ stays below the prior; otherwise P is not divided, so that it is bounded."""
-    if lam < 1.0:
-        for i in range(len(factor)):
-            if prior[i] > 0.0 and _variance(factor, i) > lam * prior[i]:
-                return False
-    return True
-
-
-@inner
 def _forget(
-    factor: Floats, kind: int, lam: float, ramp: float, scratch: _Scratch, r: float, before: float
+    factor: Floats, kind: int, lam: float, ramp: float, scratch: Scratch, r: float, before: float
 ) -> None:
     """P after the sample: (P - L·hfᵀP)/λ, or λ along hf alone (Kulhavý 1987); the ramp always."""
     f = scratch.f[: len(factor)]
@@ -482,135 +358,23 @@ def _forget(
 
 
 @inner
-def _largest_share(memory: Memory, ns: int) -> float:
-    """Largest variance of a parameter of the structure over that before any sample."""
-    largest = 0.0
-    for i in range(ns):
-        largest = max(largest, _variance(memory.factor, i) / memory.prior[i])
-    return largest
-
-
-@inner
-def _spread_along(S: Floats, x: Floats, Sx: Floats) -> float:
-    """Write S·x from the lower triangle of S; return xᵀ·S·x."""
-    for j in range(len(x)):
-        Sx[j] = S[j, j] * x[j]
-        for i in range(j):
-            Sx[j] += S[j, i] * x[i]
-            Sx[i] += S[j, i] * x[j]
-    return max(_dot(x, Sx, len(x)), 0.0)
-
-
-@inner
-def _widened(memory: Memory, g: Floats, variance: float, held: float) -> float:
-    """Variance over σ² along ``g`` = P·x with coloured noise, and with bias if ``held`` > 0."""
-    noise = memory.monitor[VARIANCE]
-    times = filtered_scores.inflation(memory.omega, memory.moments, memory.colour, g, noise)
-    bias = held * filtered_scores.bias_along(memory.blocks, g) if held > 0.0 else 0.0
-    return float(variance * times + (bias * bias / noise if noise > 0.0 else 0.0))
-
-
-@inner
-def _samples_held(memory: Memory, scratch: _Scratch) -> float:
-    """Effective number of samples in P, s over the trace of P·M; 0 unless regressors react."""
-    if not filtered_scores.reacts(memory.blocks, memory.colour):
-        return 0.0
-    ns, trace = len(memory.rls_theta), 0.0
-    for j in range(ns):
-        _along_axis(memory, scratch, j)
-        for k in range(ns):
-            trace += scratch.Ph[k] * memory.moments[max(j, k), min(j, k)]
-    return ns / trace if trace > 0.0 else 0.0
-
-
-@inner
-def _along_axis(memory: Memory, scratch: _Scratch, j: int) -> None:
-    """Write column j of P into ``scratch.Ph``."""
-    for k in range(len(scratch.h)):
-        scratch.h[k] = 1.0 if j == k else 0.0
-    project(memory.factor, scratch.h, scratch.f, scratch.Ph)
-
-
-@kernel
-def diagonals(fleet: Memory, P: Floats, inflations: Floats) -> None:
-    """Write P's diagonals (M, n) of M models, arrays with a leading axis M, and `inflations`.
-
-    The inflations (M, s) are the ratios of each parameter's variance to that in white noise.
-    """
-    scratch = _scratch(fleet.theta.shape[1])
-    for m in range(len(P)):
-        memory = Memory(
-            fleet.theta[m], fleet.factor[m], fleet.spread[m], fleet.prior[m],
-            fleet.rls_theta[m], fleet.rls_factor[m], fleet.raw[m], fleet.filtered[m],
-            fleet.monitor[m], fleet.early[m], fleet.omega[m], fleet.moments[m],
-            fleet.blocks[m], fleet.colour[m],
-        )  # fmt: skip
-        held = _samples_held(memory, scratch)
-        for j in range(P.shape[1]):
-            _along_axis(memory, scratch, j)
-            P[m, j] = scratch.Ph[j]
-            own = memory.spread[j, j]
-            if j >= inflations.shape[1]:
-                continue
-            wider = _widened(memory, scratch.Ph, own, held) / own if own > 0.0 else 1.0
-            inflations[m, j] = wider
-
-
-@inner
-def _update_spread(S: Floats, Px: Floats, Sx: Floats, gain: float, q: float) -> None:
-    """Covariance of theta over σ²: S ← (I - L·hfᵀ)·S·(I - L·hfᵀ)ᵀ + L·Lᵀ, for any gain L."""
-    c = gain * gain * (1.0 + q)
-    for j in range(len(Px)):
-        for i in range(j + 1):
-            S[j, i] += c * Px[j] * Px[i] - gain * (Px[j] * Sx[i] + Sx[j] * Px[i])
-
-
-@inner
-def _watch(memory: Memory, after: float, status: Codes, t: int) -> None:
-    """Restart from plain RLS if RML has diverged, or from the initial state if both have."""
-    monitor, nd = memory.monitor, len(memory.theta) - len(memory.rls_theta)
-    total = abs(after) + abs(memory.filtered[len(memory.filtered) - 1, 0]) + monitor[VARIANCE]
-    for j in range(len(memory.theta)):
-        total += abs(memory.theta[j]) + memory.factor[j, j] + memory.spread[j, j]
-    for j in range(len(memory.rls_theta)):
-        total += abs(memory.rls_theta[j]) + memory.rls_factor[j, j]
-    if not total < LARGEST_RESULT:  # also for NaN
-        status[t] = _HELD
-        memory.raw[:] = 0.0
-        memory.rls_theta[:] = 0.0
-        memory.rls_factor[:] = 0.0
-        for j in range(len(memory.rls_theta)):
-            memory.rls_factor[j, j] = memory.prior[j]
-        _restart(memory)
-    elif (
-        nd > 0
-        and monitor[SINCE] > PATIENCE
-        and monitor[POWER]
-        > TOO_BAD * monitor[RLS_POWER] + (1e3 * ROUNDING) ** 2 * monitor[OUTPUT_POWER]
-    ):
-        _restart(memory)
-
-
-@inner
-def _restart(memory: Memory) -> None:
-    """Copy theta and P of plain RLS, without a noise model."""
-    ns, monitor = len(memory.rls_theta), memory.monitor
-    restarts = monitor[RESTARTS] + 1.0
-    count = monitor[COUNT]
-    monitor[:] = 0.0
-    monitor[RESTARTS] = restarts
-    monitor[COUNT] = count
-    monitor[RAMP] = RAMP_START if ns < len(memory.theta) else 1.0
-    filtered_scores.forget(memory.omega, memory.moments, memory.blocks, memory.colour)
-    memory.theta[:] = 0.0
-    memory.factor[:] = 0.0
-    memory.spread[:] = 0.0
+def _let_noise_in(memory: Memory, ns: int) -> None:
+    """Give d its prior variance, in units of the current noise variance."""
+    variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], BOUNDLESS)
     for j in range(ns, len(memory.theta)):
-        memory.prior[j] = 0.0
-    for j in range(ns):
-        memory.theta[j] = memory.rls_theta[j]
-        for i in range(j + 1):
-            memory.factor[j, i] = memory.rls_factor[j, i]
-    for i in range(memory.raw.shape[1]):
-        memory.raw[len(memory.raw) - 1, i] = 0.0
-    _take(memory.filtered, memory.raw)
+        memory.prior[j] = 10.0 * variance  # room for forgetting
+        memory.factor[j, j] = variance
+        memory.spread[j, j] = variance
+
+
+@inner
+def _draw_noise_in(memory: Memory, scratch: Scratch, ns: int, variance: float) -> None:
+    """Reduce d's prior variance after the noise variance has grown."""
+    information = 1.0 / variance - 10.0 / memory.prior[ns]
+    for j in range(ns, len(memory.theta)):
+        memory.prior[j] = 10.0 * variance
+        scratch.work[:] = 0.0
+        scratch.work[j] = 1.0
+        project(memory.factor, scratch.work, scratch.f, scratch.Ph)
+        rank_one(memory.factor, scratch.f, scratch.work, 1.0, information, 1.0)
+    write_covariance(memory.factor, memory.spread)
