@@ -10,13 +10,14 @@ from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.fleet import member, members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import FlowMapState
-from valvemap.model.kernels import flow_drift, flow_fit, flow_memory, flow_path
+from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_memory, flow_path
 from valvemap.model.portable_flow_map import GaussianMap
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.findings import FindingCode as Code
 from valvemap.vocabulary.statuses import Adaptation
 
 SIGMA, FS, N = 0.4, 100.0, 9000
+EFFECTS = slice(flow_drift.LEVELS, flow_drift.RATES)
 
 
 def valve(U, dp):
@@ -191,11 +192,16 @@ def test_a_map_that_travels_is_no_surer_than_where_it_was_learnt():
     )
 
 
-@pytest.mark.parametrize("version", [3, 4, 5, 6, 7])
+@pytest.mark.parametrize("version", [3, 4, 5, 6, 7, 8])
 def test_a_state_of_before_keeps_all_that_was_learnt(version):
     state = learnt(lambda U, dp, t, e: valve(U, dp) + e)
+    effects = np.array([0.02, 0.1, 0.05, 0.03, 0.01])
+    state.now[:, 0, EFFECTS] = state.x[..., EFFECTS] = effects
+    state.scalars[[flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.LEARNT_T]] = 30.0
     arrays = {field.name: getattr(state, field.name) for field in fields(state)}
-    _without_offsets(arrays)
+    _without_oil(arrays)
+    if version < 8:
+        _without_offsets(arrays)
     held = np.arange(flow_path.OF_MAP, flow_path.PARAMETERS)
     if version < 7:
         arrays["path"] = np.delete(arrays["path"], [*held, *held + flow_path.PARAMETERS])
@@ -219,14 +225,48 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
     read = FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
     read.check(state)
     at = np.full(3, 60.0), np.array([20.0, 80.0, 150.0]), np.full(3, 40.0)
-    np.testing.assert_array_equal(FlowMap().predict(read, *at), FlowMap().predict(state, *at))
+    found, expected = FlowMap().predict(read, *at), FlowMap().predict(state, *at)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(read.x[..., EFFECTS], state.x[..., EFFECTS], rtol=1e-12)
+    if version == 8:
+        np.testing.assert_allclose(read.P, state.P, rtol=1e-9, atol=1e-12)
     older.state_version = 2
-    with pytest.raises(StateMismatchError, match="version 2, version 8 is needed"):
+    with pytest.raises(StateMismatchError, match="version 2, version 9 is needed"):
         FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
 
 
+def test_effects_of_powers_of_the_viscosity_are_those_of_its_logarithm_where_little_differs():
+    x, of_powers = np.linspace(-0.3, 0.3, 7), np.array([0.0, 0.2, -0.5, 0.1, 0.0])
+    root, whole = np.exp(x / 2) - 1, np.exp(x) - 1
+    _, linear, bent, creeping, _ = drift_states.LOGARITHM @ of_powers
+    laminar = linear * x + bent * x**2
+    np.testing.assert_allclose(laminar, 0.2 * root - 0.5 * whole, atol=0.5 * 0.3**3 / 6 * 1.1)
+    np.testing.assert_allclose(creeping * x, 0.1 * root, atol=0.1 * 0.3**2 / 8 * 1.1)
+
+
+def _without_oil(arrays):
+    """Arrays of version 8: flows of the first temperature, effects of √ν - 1 and ν - 1."""
+    together = 7  # covariance of U and s
+    arrays["cells"] = np.insert(arrays["cells"][:, : flow_cells.MEAN_X], together, 0.0, axis=1)
+    arrays["theta"] = arrays["theta"].astype(np.float64)
+    arrays["stay"] = arrays["stay"][: flow_memory.KNOWN_Z]
+    arrays["scalars"] = arrays["scalars"].copy()
+    arrays["scalars"][flow_fit.STAY_X : flow_fit.ALIKE + 1] = np.nan  # temperatures of stays
+    back = np.eye(flow_drift.STATES)
+    back[5, 5:7], back[6, 5:7], back[7, 7] = (4.0, -8.0), (-1.0, 4.0), 2.0
+    arrays["x"] = arrays["x"] @ back.T
+    shown = back[: flow_drift.SHOWN, : flow_drift.SHOWN]
+    mean, whole = arrays["now"][:, :1] @ shown.T, shown @ arrays["now"][:, 1:] @ shown.T
+    arrays["now"] = np.concatenate([mean, whole], axis=1)
+    arrays["P"] = arrays["P"].copy()
+    for P in arrays["P"]:
+        for m, n in enumerate(flow_drift.SIZES):
+            lower, at = np.tril_indices(n), flow_drift.PLACES[m]
+            P[at : at + len(lower[0])] = (back @ drift_states.covariance(P, m) @ back.T)[lower]
+
+
 def _without_offsets(arrays):
-    """Arrays of versions up to 7: neither offsets of sensors nor models of these."""
+    """Let arrays of version 8 be those up to 7: neither offsets of sensors nor models of these."""
     places = drift_states.VALVE_STATES
     models = np.delete(np.arange(flow_drift.MODELS), flow_drift.SENSING)
     whole = [[drift_states.covariance(P, m) for m in models] for P in arrays["P"]]

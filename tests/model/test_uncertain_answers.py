@@ -47,7 +47,7 @@ def test_a_valve_that_is_known_is_answered_ok():
 
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_gain_that_swings_without_a_name_leaves_no_wrong_answer_at_ok(seed):
-    status, error = answers(lambda t, U, dp: valve(U, dp) * (1 + 0.05 * np.sin(t / 12.0)), seed)
+    status, error = answers(lambda t, U, dp: valve(U, dp) * (1 + 0.1 * np.sin(t / 12.0)), seed)
     has_U = np.isin(status, (InverseStatus.OK, InverseStatus.UNCERTAIN))
     assert np.mean(error[has_U] > 3.0) > 0.1, "the toy version calls these OK"
     assert not (error[status == InverseStatus.OK] > 3.0).any()

@@ -75,6 +75,18 @@ def test_a_loaded_model_predicts_and_inverts_as_the_saved_one(name, tmp_path):
     np.testing.assert_allclose(its.lower, mine.lower, atol=1e-4)
 
 
+def test_a_file_of_before_has_its_effects_of_temperature_as_those_of_the_logarithm(tmp_path):
+    estimator = ESTIMATORS["auto"]
+    save_model(tmp_path / "m.json", "V1", "auto", estimator, *taught(estimator))
+    document = json.loads((tmp_path / "m.json").read_text(encoding="utf-8"))
+    assert document["map"].pop("effects_of") == "logarithm"
+    for side in document["map"]["moving"]:
+        side[0][-5:] = [0.02, 0.2, -0.1, 0.06, 0.01]  # of ln ν, √ν - 1, ν - 1, √ν - 1, 1/ν - 1
+    (tmp_path / "old.json").write_text(json.dumps(document), encoding="utf-8")
+    now = load_model(tmp_path / "old.json").state.now
+    np.testing.assert_allclose(now[:, 0, 4:9], [[0.02, 0.0, -0.025, 0.03, 0.01]] * 2, atol=1e-12)
+
+
 def test_the_file_says_what_it_holds_in_physical_units(tmp_path):
     estimator = ESTIMATORS["eq. (7)"]
     state, scatter, support = taught(estimator)

@@ -16,6 +16,16 @@ VALVE_STATES: Final = (
     )
 )
 
+LOGARITHM: Final = np.array(  # effects of ln ν, its bend, by those of powers of ν, see `flow_oil`
+    [
+        [1.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 1 / 2, 1.0, 0.0, 0.0],  # √ν - 1 = x/2 + x²/8 + …
+        [0.0, 1 / 8, 1 / 2, 0.0, 0.0],  # ν - 1 = x + x²/2 + …
+        [0.0, 0.0, 0.0, 1 / 2, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 1.0],
+    ]
+)
+
 
 def drifting(chance: Floats) -> Floats:
     """Probability that a level drifts, of each filter (…,)."""
@@ -52,3 +62,27 @@ def upgrade(arrays: dict[str, Any], prefix: str = "") -> None:
             lower, at = np.tril_indices(drifts.SIZES[m]), drifts.PLACES[m]
             P[side, at : at + len(lower[0])] = whole[lower]
     arrays |= {prefix + "x": x, prefix + "P": P, prefix + "chance": chance, prefix + "now": now}
+
+
+def by_logarithm(arrays: dict[str, Any]) -> None:
+    """Let effects of T be those of ln ν, which earlier versions had of ν - 1 and √ν - 1."""
+    arrays["x"] = arrays["x"] @ _logarithm(drifts.STATES).T
+    arrays["now"] = moving_by_logarithm(arrays["now"])
+    for P in arrays["P"]:
+        for m, (n, at) in enumerate(zip(drifts.SIZES, drifts.PLACES, strict=True)):
+            whole, other = covariance(P, m), _logarithm(drifts.STATES)
+            P[at : at + n * (n + 1) // 2] = (other @ whole @ other.T)[np.tril_indices(n)]
+
+
+def moving_by_logarithm(moving: Floats) -> Floats:
+    """Return means and covariances (…, 1 + n, n) of the states that `by_logarithm` gives."""
+    other = _logarithm(moving.shape[-1])
+    mean, whole = moving[..., :1, :], moving[..., 1:, :]
+    return np.concatenate([mean @ other.T, other @ whole @ other.T], axis=-2)
+
+
+def _logarithm(n: int) -> Floats:
+    """Return what takes n states to those of ln ν: effects of T are at the same places in all."""
+    other = np.eye(n)
+    other[drifts.LEVELS : drifts.RATES, drifts.LEVELS : drifts.RATES] = LOGARITHM
+    return other

@@ -14,7 +14,7 @@ from valvemap.model.kernels import flow_evidence
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis, axis
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Singles
 
 LIMITS: Final = {paths.CHOKE: (0.2, 0.98)}
 SLOWEST: Final = dict.fromkeys(
@@ -109,7 +109,7 @@ class Evidence:
             flow_evidence.joined(self.rows, *held, self._joined[held])
         return self._joined[held]
 
-    def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Floats) -> None:
+    def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Singles) -> None:
         """Fill the map's coefficients with those of the coarse map."""
         flow_evidence.refine(self._axis, self._top, self._fit(given)[0], axis_U, axis_s, theta)
 

@@ -15,6 +15,7 @@ from valvemap.model.kernels import (
     flow_inverse,
     flow_look,
     flow_memory,
+    flow_oil,
     flow_path,
     flow_play,
     flow_run,
@@ -329,5 +330,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
 
 def fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
     """Fit the map, written in place; 0 where it could not be done."""
-    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
+    cells = state.cells.copy()
+    flow_oil.all_at_first(axis_s, memory_of(state), cells, new_room())
+    arrays = cells, state.scalars, state.w, state.v, state.theta, state.std
     return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

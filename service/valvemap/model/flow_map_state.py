@@ -35,9 +35,9 @@ class FlowMapState(State):
 
     Attributes
     ----------
-    cells : (cells of U · cells of s, 8) float32
+    cells : (cells of U · cells of s, 10) float32
         See :mod:`kernels.flow_cells`.
-    theta : (n_U·n_s,)
+    theta : (n_U·n_s,) float32
         Coefficients of the map.
     std : (n_U·n_s,) float32
         Standard deviation of the smooth map at the sites, l/min.
@@ -63,10 +63,10 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 8  # 7: no offsets; 6: nothing held or blocked; 5: no wear
+    state_version: ClassVar[int] = 9  # 8: no oil in cells; 7: no offsets; 6: nothing held
 
     cells: NDArray[np.float32]
-    theta: Floats
+    theta: NDArray[np.float32]
     std: NDArray[np.float32]
     doubt: NDArray[np.float32]
     precision: Floats
@@ -88,11 +88,20 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 7: sensors had no offsets; 6: no signal was held; 5: edges wore as a whole; 4: noise
-        was AR(1), without a white part; 3: nothing nameless was looked for.
+        Version 8: cells did not know the oil's temperature; 7: sensors had no offsets; 6: no signal
+        was held; 5: edges wore as a whole; 4: noise was AR(1), without a white part; 3: nothing
+        nameless was looked for.
         """
-        if version not in ("3", "4", "5", "6", "7"):
+        if version not in ("3", "4", "5", "6", "7", "8"):
             return {}
+        if version != "8":
+            cls._add_offsets(version, arrays)
+        _add_oil(arrays)
+        return arrays
+
+    @staticmethod
+    def _add_offsets(version: str, arrays: dict[str, Any]) -> None:
+        """Add what version 8 knew."""
         if version == "3":
             for name in ("x", "P"):
                 still = arrays[name][:, flow_drift.STILL]
@@ -109,7 +118,7 @@ class FlowMapState(State):
         arrays["stay"] = np.insert(stay[: places + 4], [places + 2] * 2 + [places + 4] * 2, 0.0)
         arrays["scalars"] = np.pad(scalars, (0, flow_fit.SCALARS - len(scalars)))
         if version == "7":
-            return arrays
+            return
         held, first = flow_path.PARAMETERS - flow_path.OF_MAP, flow_path.OF_MAP
         arrays["path"] = np.insert(arrays["path"], [first] * held + [2 * first] * held, 0.0)
         arrays["precision"] = np.pad(arrays["precision"], (0, held))
@@ -118,17 +127,16 @@ class FlowMapState(State):
             arrays[name] = np.pad(arrays[name][:size], (0, max(size - len(arrays[name]), 0)))
         arrays["scalars"][flow_fit.LEARNT_T] = arrays["scalars"][flow_fit.NOW_T]
         if version == "6":
-            return arrays
+            return
         arrays["wear"] = np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS))
         flow_wear.begin(arrays["wear"])
         arrays["recent"] = np.ascontiguousarray(arrays["recent"][:, : flow_path.COLUMNS])
         if version == "5":
-            return arrays
+            return
         scalars = arrays["scalars"]
         scalars[flow_fit.SLOW] = scalars[flow_fit.COLOUR] > 0.0
         scalars[flow_fit.AFTER] = scalars[flow_fit.COLOUR] * scalars[flow_fit.NEXT]
         scalars[flow_fit.AFTER_WEIGHT] = scalars[flow_fit.NEXT_WEIGHT]
-        return arrays
 
     def contents(self) -> Mapping[str, Contents]:
         """What may stand in them."""
@@ -137,7 +145,6 @@ class FlowMapState(State):
         positive += [flow_cells.REFUSALS]
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
         of_oil = [flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.LEARNT_T]
-        of_oil += [flow_fit.STAY_T, flow_fit.STAY_T + 1]
         scalars.within(-1e9, 1e9, of_oil).or_nan(of_oil)
         likely = every, flow_wear.NODES, flow_wear.CHANCE
         columns = [flow_wear.P_LEVEL, flow_wear.P_RATE, flow_wear.GROWN, flow_wear.OWN]
@@ -151,6 +158,7 @@ class FlowMapState(State):
             flow_memory.LAST_TIME,
             flow_memory.WANDERED,
             flow_memory.PAIR_TIME,
+            flow_memory.BEGAN_TIME,
         ]
         counters.any_time(times)
         flags = [flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED]
@@ -170,6 +178,23 @@ class FlowMapState(State):
             "scalars": scalars,
             "counters": counters,
         }
+
+
+def _add_oil(arrays: dict[str, Any]) -> None:
+    """Let cells of before hold flows of the first temperature, as they did.
+
+    What leaks goes with ln ν and its bend in place of 1/ν - 1, to the first order the same.
+    """
+    cells, stay = arrays["cells"], arrays["stay"]
+    together = 7  # U and s together, of which nothing is kept any more
+    arrays["cells"] = np.pad(np.delete(cells, together, axis=1), ((0, 0), (0, 2)))
+    arrays["theta"] = arrays["theta"].astype(np.float32)
+    drift_states.by_logarithm(arrays)
+    stay[: flow_memory.KNOWN_COUNT] = 0.0  # sums of other derivatives
+    arrays["stay"] = np.pad(stay, (0, max(flow_memory.STAY - len(stay), 0)))
+    more = flow_memory.COUNTERS - len(arrays["counters"])
+    arrays["counters"] = np.pad(arrays["counters"], (0, more))
+    arrays["scalars"][flow_fit.STAY_X : flow_fit.ALIKE + 1] = 0.0
 
 
 @lru_cache(maxsize=64)
@@ -196,7 +221,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
     counters[flow_memory.NEXT_LOOK] = rules.LOOKS[0]
     state = FlowMapState(
         cells=cells,
-        theta=np.zeros(n_U * n_s),
+        theta=np.zeros(n_U * n_s, np.float32),
         std=np.zeros(n_U * n_s, np.float32),
         doubt=np.zeros(n_U * n_s, np.float32),
         precision=np.zeros((flow_path.PARAMETERS, flow_path.PARAMETERS)),

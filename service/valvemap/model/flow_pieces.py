@@ -16,7 +16,7 @@ from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift, flow_fit, flow_look, flow_memory
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.map_forms import DEGREES, MapForm, Part, left_over, nothing_left
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Singles
 
 
 def form(state: FlowMapState, both: Both, T: float) -> MapForm | None:
@@ -56,7 +56,7 @@ def form(state: FlowMapState, both: Both, T: float) -> MapForm | None:
     return MapForm(knots_U, axis_s.breaks, parts, remainder)
 
 
-def _part(state: FlowMapState, both: Both, theta: Floats, T: float) -> Part:
+def _part(state: FlowMapState, both: Both, theta: Singles, T: float) -> Part:
     """The map of coefficients ``theta`` without its lower bound."""
     unbounded = state.scalars.copy()
     unbounded[flow_fit.LEAST] = -np.inf
@@ -74,9 +74,10 @@ def _part(state: FlowMapState, both: Both, theta: Floats, T: float) -> Part:
 def _poles(state: FlowMapState, top: float, T: float) -> list[tuple[float, float]]:
     """Weight and distance from s = 0 of the poles of G that are there."""
     colder = float(state.scalars[flow_fit.FIRST_T]) - T
-    nu = np.exp(np.clip(rules.THINNING * colder, -2.0, 2.0)) if np.isfinite(colder) else 1.0
-    root, rates = np.sqrt(nu) - 1.0, state.now[0, 0, flow_drift.LEVELS : flow_drift.RATES]
-    weights = root * rates[1] + (nu - 1.0) * rates[2], root * rates[3]
+    x = float(np.clip(rules.THINNING * colder, -2.0, 2.0)) if np.isfinite(colder) else 0.0
+    gain = 1.0 + state.now[0, 0, flow_drift.GAIN]
+    rates = gain * state.now[0, 0, flow_drift.LEVELS : flow_drift.RATES]
+    weights = x * rates[1] + x * x * (1.0 + rules.FLATTENS * x) * rates[2], x * rates[3]
     places = rules.LAMINAR * top, rules.CREEPING * top
     found = zip(weights, places, strict=True)
     return [(rules.STRONG * abs(float(weight)), b) for weight, b in found if weight != 0.0]

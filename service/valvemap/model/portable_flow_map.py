@@ -16,14 +16,14 @@ from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_wear as wears
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Singles
 
 SCALARS: Final = (
     *(fits.VARIANCE, fits.MISFIT, fits.SCALE, fits.PLAIN, fits.LEAST),
     *(fits.PAIR_PRODUCT, fits.PAIRS, fits.PAIR_SQUARE),
 )
 FIRST_SCALARS: Final = 5  # of models of before, which did not know what errors have in common
-TEMPERATURES: Final = fits.FIRST_T, fits.NOW_T
+TEMPERATURES: Final = fits.FIRST_T, fits.LEARNT_T
 MOVING: Final = 2, 1 + len(VALVE_STATES), len(VALVE_STATES)
 _PLACES: Final = np.ix_(np.arange(2), np.append(0, 1 + VALVE_STATES), VALVE_STATES)
 
@@ -42,14 +42,14 @@ class GaussianMap:
     moving : (2, 10, 9)
         What moves in time on either side of U = 0: its mean, then its covariance.
     scalars, temperatures : (8,), (2,)
-        See `SCALARS`; that of the first and of the last sample, °C, NaN where unknown.
+        See `SCALARS`; that of the first sample, and the mean, °C, NaN where unknown.
     operators, play : (13,), (2,)
         Between the map and the samples; half the play, %, and the information about it.
     """
 
     U_range: Range
     dp_range: Range
-    theta: Floats
+    theta: Singles
     std: Floats
     moving: Floats
     scalars: Floats
@@ -103,6 +103,7 @@ class GaussianMap:
         blank.now[_PLACES] = moving
         blank.scalars[list(SCALARS)] = self.scalars
         blank.scalars[list(TEMPERATURES)] = self.temperatures
+        blank.scalars[fits.NOW_T] = self.temperatures[1]
         blank.path[: paths.OF_MAP] = self.operators
         blank.play[[plays.HALF, plays.SLOPES]] = self.play
         blank.counters[memory.FITTED] = 1

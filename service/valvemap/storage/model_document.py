@@ -8,6 +8,7 @@ from typing import Annotated, Final, Literal, assert_never
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from valvemap.model.drift_states import moving_by_logarithm
 from valvemap.model.kernels import lack_of_fit
 from valvemap.model.kernels.flow_path import OF_MAP
 from valvemap.model.kernels.support import PLACES_OF_CELL, T_LOW
@@ -18,7 +19,7 @@ from valvemap.model.portable_map import PortableMap
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import NetworkMap
 from valvemap.model.residual_spread import EDGES_DP, EDGES_U
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Singles
 from valvemap.model.support import Support
 
 VERSION: Final = 2
@@ -114,9 +115,14 @@ class NetworkSection(_Section):
 
 
 class GaussianSection(_Section):
-    """The map of `Auto`, see :class:`~valvemap.model.portable_flow_map.GaussianMap`."""
+    """The map of `Auto`, see :class:`~valvemap.model.portable_flow_map.GaussianMap`.
+
+    Effects of temperature are of ``viscosity``, as √ν - 1 and ν - 1 had them up to 0.2.0, or of its
+    ``logarithm``, as `kernels.flow_oil` has them.
+    """
 
     kind: Literal["gaussian"] = "gaussian"
+    effects_of: Literal["viscosity", "logarithm"] = "viscosity"
     U_range: tuple[float, float]
     dp_range: tuple[float, float]
     theta: Numbers
@@ -232,16 +238,17 @@ def map_section(portable: PortableMap) -> MapSection:
                 monitor=_numbers(portable.monitor),
             )
         case GaussianMap():
-            first, last = portable.temperatures.tolist()
+            first, learnt = portable.temperatures.tolist()
             half, known = portable.play.tolist()
             return GaussianSection(
+                effects_of="logarithm",
                 U_range=portable.U_range,
                 dp_range=portable.dp_range,
                 theta=_numbers(portable.theta),
                 std=_numbers(portable.std),
                 moving=(_rows(portable.moving[0]), _rows(portable.moving[1])),
                 scalars=_numbers(portable.scalars),
-                temperatures=(_or_none(first), _or_none(last)),
+                temperatures=(_or_none(first), _or_none(learnt)),
                 operators=_numbers(portable.operators),
                 play=(half, known),
             )
@@ -263,12 +270,15 @@ def map_of(section: MapSection) -> PortableMap:
             w, c, log_b = (np.array(x, np.float64) for x in (section.w, section.c, section.log_b))
             return NetworkMap(*ranges, w, c, log_b, np.array(section.monitor))
         case GaussianSection():
+            moving = np.array(section.moving)
+            if section.effects_of == "viscosity":
+                moving = moving_by_logarithm(moving)
             return GaussianMap(
                 U_range=section.U_range,
                 dp_range=section.dp_range,
-                theta=np.array(section.theta),
+                theta=np.array(section.theta, np.float32),
                 std=np.array(section.std),
-                moving=np.array(section.moving),
+                moving=moving,
                 scalars=np.pad(section.scalars, (0, len(SCALARS) - len(section.scalars))),
                 temperatures=np.array(section.temperatures, np.float64),
                 operators=np.array(section.operators),
@@ -358,7 +368,7 @@ def _or_none(x: float) -> float | None:
     return None if np.isnan(x) else x
 
 
-def _numbers(values: Floats) -> Numbers:
+def _numbers(values: Floats | Singles) -> Numbers:
     return tuple(float(x) for x in values)
 
 

@@ -130,7 +130,7 @@ def _end_stay(
         )
         jumps = min(dt * changes_per_s, 0.1)
         variance = noise[NOISE] / many + of_map + of_other
-        drifts.step(drift, dt, jumps, rules.ODDS * jumps, 0.0, residual, by, variance)
+        drifts.step(drift, dt, jumps, rules.ODDS * jumps, residual, by, variance)
         moving.last[edge] = t
     square = many * max(residual * residual - of_map, 0.0)
     if noise[STAYS] >= rules.FEWEST_STAYS:

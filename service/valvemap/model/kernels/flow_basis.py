@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valvemap.model.kernels.compiled import inner
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Singles
 
 
 class Axis(NamedTuple):
@@ -103,7 +103,9 @@ def slopes(axis: Axis, i: int, x: float, out: Floats) -> None:
 
 
 @inner
-def surface(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats) -> float:
+def surface(
+    axis_U: Axis, axis_s: Axis, theta: Floats | Singles, u: float, s: float, work: Floats
+) -> float:
     """Flow of the map ``theta`` (n_U·n_s,) at one point; ``work`` is (4, 3)."""
     i, j, n_s = interval(axis_U, u), interval(axis_s, s), len(axis_s.sites)
     values(axis_U, i, u, 0.0, work[0])
@@ -113,7 +115,7 @@ def surface(axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work:
 
 @inner
 def surface_and_slopes(
-    axis_U: Axis, axis_s: Axis, theta: Floats, u: float, s: float, work: Floats
+    axis_U: Axis, axis_s: Axis, theta: Floats | Singles, u: float, s: float, work: Floats
 ) -> tuple[float, float, float]:
     """As `surface`, and how the flow rises there with U and with s."""
     i, j, n_s = interval(axis_U, u), interval(axis_s, s), len(axis_s.sites)
@@ -128,7 +130,7 @@ def surface_and_slopes(
 
 
 @inner
-def _summed(theta: Floats, first: int, n_s: int, over_U: Floats, over_s: Floats) -> float:
+def _summed(theta: Floats | Singles, first: int, n_s: int, over_U: Floats, over_s: Floats) -> float:
     """Sum of the nine coefficients from ``first`` on, times functions of U and of s."""
     total = 0.0
     for a in range(3):

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.kernels.compiled import inner, lean_kernel
-from valvemap.model.kernels.flow_basis import Axis, interval, slopes, surface, values
+from valvemap.model.kernels.flow_basis import Axis, interval, surface, values
 from valvemap.model.samples import Floats
 
 # Columns: samples; what they are worth in white noise; means; second central moments.
-COUNT, WORTH, MEAN_U, MEAN_S, MEAN_Q, VAR_U, VAR_S, COV_US = 0, 1, 2, 3, 4, 5, 6, 7
-REFUSALS = 8  # samples in a row that were refused as outliers
-COLUMNS = 9
+COUNT, WORTH, MEAN_U, MEAN_S, MEAN_Q, VAR_U, VAR_S = 0, 1, 2, 3, 4, 5, 6
+REFUSALS = 7  # samples in a row that were refused as outliers
+MEAN_X, MEAN_BEND = 8, 9  # of what the oil was, see `flow_oil`
+COLUMNS = 10
 
 Cells = NDArray[np.float32]
 
@@ -27,8 +28,9 @@ def cell_of(axis_U: Axis, axis_s: Axis, u: float, s: float) -> int:
 
 @inner
 def deposit(
-    cell: Cells, u: float, s: float, Q: float, weight: float, worth: float, memory: float
-) -> None:
+    cell: Cells, u: float, s: float, x: float, bend: float, Q: float, weight: float, worth: float,
+    memory: float,
+) -> None:  # fmt: skip
     """Add a sample of some weight (1: regular, 0: an outlier), worth ``worth`` white ones."""
     if weight <= 0.0:
         return
@@ -42,7 +44,8 @@ def deposit(
     cell[WORTH] = kept * cell[WORTH] + weight * worth
     cell[VAR_U] = rest * (cell[VAR_U] + share * du * du)
     cell[VAR_S] = rest * (cell[VAR_S] + share * ds * ds)
-    cell[COV_US] = rest * (cell[COV_US] + share * du * ds)
+    cell[MEAN_X] += share * (x - cell[MEAN_X])
+    cell[MEAN_BEND] += share * (bend - cell[MEAN_BEND])
     cell[MEAN_U] += share * du
     cell[MEAN_S] += share * ds
     cell[MEAN_Q] += share * (Q - cell[MEAN_Q])
@@ -67,9 +70,7 @@ def design(axis_U: Axis, axis_s: Axis, cell: Cells, number: int, work: Floats, r
     i, j = number // parts, number % parts
     values(axis_U, i, cell[MEAN_U], cell[VAR_U], work[0])
     values(axis_s, j, cell[MEAN_S], cell[VAR_S], work[1])
-    slopes(axis_U, i, cell[MEAN_U], work[2])
-    slopes(axis_s, j, cell[MEAN_S], work[3])
     for a in range(3):
         for b in range(3):
-            row[3 * a + b] = work[0, a] * work[1, b] + cell[COV_US] * work[2, a] * work[3, b]
+            row[3 * a + b] = work[0, a] * work[1, b]
     return i * len(axis_s.sites) + j

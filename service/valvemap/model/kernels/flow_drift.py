@@ -95,47 +95,26 @@ def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
 
 @inner
 def step(
-    drift: Drift, dt: float, jumps: float, nameless: float, warmed: float, residual: float,
+    drift: Drift, dt: float, jumps: float, nameless: float, residual: float,
     by: Floats, variance: float,
 ) -> float:  # fmt: skip
     """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
 
     ``nameless`` of what has no name are expected to begin.
 
-    ``warmed`` K since the last stay add variance to the effects of T: the law is not exact.
-
     Give the square of the stay in variances, a mean over the models as they were before it.
     ``residual`` is measured against `now`; ``by`` (STATES,) are its derivatives by the states.
     """
-    known = residual
-    for k in range(RATES):
-        known += by[k] * drift.now[0, k]
+    known = _as_at_first(drift, residual, by)
     if dt > 0.0:
         _mix(drift, dt, jumps, nameless)
         _advance(drift, dt)
-    if warmed > 0.0:
-        for m in range(MODELS):
-            for k in range(LEVELS, RATES):
-                drift.P[PLACES[m] + pack(k, k)] += (rules.OTHER_LAW * drift.x[m, k]) ** 2 * warmed
     total = surprise = 0.0
     largest = -math.inf
     for m in range(MODELS):
-        x, P, said, many = drift.x[m], drift.P[PLACES[m] :], drift.room[0, m], SIZES[m]
-        off, S = known, variance
-        for k in range(RATES):
-            off -= by[k] * x[k]
-        for k in range(many):
-            said[0, k] = 0.0
-            for j in range(RATES):
-                said[0, k] += P[pack(k, j)] * by[j]
-        for k in range(RATES):
-            S += by[k] * said[0, k]
+        off, S = _weigh(drift, m, known, by, variance)
         square = off * off / S
-        doubted = max(S, (off / rules.MOST_STAY) ** 2)  # the map is a straight line nearby only
-        for k in range(many):
-            x[k] += said[0, k] * off / doubted
-            for j in range(k + 1):
-                P[pack(k, j)] -= said[0, k] * said[0, j] / doubted
+        _correct(drift, m, off, S, False)  # noqa: FBT003 - numba knows no keyword
         if m < NAMED:
             surprise += drift.chance[m] * min(square, rules.MOST_STAY**2)
         log = -0.5 * (math.log(S) + min(square, rules.MOST_STAY**2))
@@ -150,6 +129,59 @@ def step(
     drift.chance[WANDERING] = wanders / (wanders + (1.0 - drift.chance[WANDERING]) * total)
     _combine(drift)
     return surprise
+
+
+@inner
+def learn_of_T(drift: Drift, residual: float, by: Floats, variance: float) -> None:
+    """Learn effects of T alone, by a stay of a map that is too young to tell what moves.
+
+    The variance of levels makes it tell less (Schmidt 1966).
+    """
+    known = _as_at_first(drift, residual, by)
+    for m in range(MODELS):
+        off, S = _weigh(drift, m, known, by, variance)
+        _correct(drift, m, off, S, True)  # noqa: FBT003 - numba knows no keyword
+    _combine(drift)
+
+
+@inner
+def _as_at_first(drift: Drift, residual: float, by: Floats) -> float:
+    """What a stay differs by from the map as it was at first."""
+    for k in range(RATES):
+        residual += by[k] * drift.now[0, k]
+    return residual
+
+
+@inner
+def _weigh(
+    drift: Drift, m: int, known: float, by: Floats, variance: float
+) -> tuple[float, float]:  # fmt: skip
+    """By how much a stay is off for model ``m``, and the variance of that."""
+    x, P, said = drift.x[m], drift.P[PLACES[m] :], drift.room[0, m]
+    off, S = known, variance
+    for k in range(RATES):
+        off -= by[k] * x[k]
+    for k in range(SIZES[m]):
+        said[0, k] = 0.0
+        for j in range(RATES):
+            said[0, k] += P[pack(k, j)] * by[j]
+    for k in range(RATES):
+        S += by[k] * said[0, k]
+    return off, S
+
+
+@inner
+def _correct(drift: Drift, m: int, off: float, S: float, of_T_alone: bool) -> None:  # noqa: FBT001
+    """Let model ``m`` follow what `_weigh` found."""
+    x, P, said = drift.x[m], drift.P[PLACES[m] :], drift.room[0, m]
+    doubted = max(S, (off / rules.MOST_STAY) ** 2)  # the map is a straight line nearby only
+    for k in range(SIZES[m]):
+        learns = not of_T_alone or LEVELS <= k < RATES
+        if learns:
+            x[k] += said[0, k] * off / doubted
+        for j in range(k + 1):
+            if learns or LEVELS <= j < RATES:
+                P[pack(k, j)] -= said[0, k] * said[0, j] / doubted
 
 
 @inner

@@ -20,7 +20,7 @@ from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import Index, inner, kernel, maker
 from valvemap.model.kernels.flow_basis import Axis, interval, values
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Singles
 
 ALONG_S = 3
 
@@ -82,7 +82,7 @@ def terms_of(axis: Axis) -> int:
 
 @kernel
 def refine(
-    axis: Axis, top: float, b: Floats, axis_U: Axis, axis_s: Axis, theta: Floats
+    axis: Axis, top: float, b: Floats, axis_U: Axis, axis_s: Axis, theta: Floats | Singles
 ) -> None:  # fmt: skip
     """Fill the coefficients of the map with those of the coarse one, at their sites."""
     K, n_s = len(b), len(axis_s.sites)

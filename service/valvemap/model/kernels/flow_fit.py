@@ -38,7 +38,7 @@ EVIDENCE = 19  # log marginal likelihood, but for a constant
 LEAST = 20  # flow against Δp that the meter shows: its offset
 FIRST_T = 21  # °C; of the first sample, NaN where it was not measured
 NOW_T = 22  # °C; of the last sample that had one
-STAY_T = 23  # °C; of the last stay on either side: two places
+STAY_X, ALIKE = 23, 24  # ln ν of the oil; stays since it became so
 SURPRISE, STAYS_SEEN = 25, 26  # mean square of stays, in variances; stays it is the mean of
 PAIR_ERROR = 27  # of the last stay that is to be compared, against its own cell
 PAIR_PRODUCT, PAIR_SQUARE, PAIRS = 28, 29, 30  # sums over pairs of stays in different cells
@@ -62,7 +62,7 @@ def outlier_weight(square: float, variance: float, width: float) -> float:
 @kernel
 def fit(
     axis_U: Axis, axis_s: Axis, cells: Cells, scalars: Floats, w: Floats, v: Floats,
-    theta: Floats, std: Singles, rounds: int, fresh: bool,  # noqa: FBT001 - numba knows no keyword
+    theta: Singles, std: Singles, rounds: int, fresh: bool,  # noqa: FBT001 - numba knows no keyword
 ) -> bool:  # fmt: skip
     """Fit the map; everything but the cells is written in place. False: it could not be done.
 
@@ -233,7 +233,7 @@ def _update_prior(
 @maker
 def _weigh_rougher_map(
     axis_U: Axis, axis_s: Axis, scalars: Floats, guess: Floats, w: Floats, v: Floats, ridge: float,
-    square: float, theta: Floats, work: Floats, of: Design, to: Solution, std: Singles,
+    square: float, theta: Singles, work: Floats, of: Design, to: Solution, std: Singles,
 ) -> None:  # fmt: skip
     """Widen ``std`` by a rougher map, as far as the cells allow it: precisions are not known.
 

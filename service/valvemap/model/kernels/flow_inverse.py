@@ -10,12 +10,13 @@ import numpy as np
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_oil as oil
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.kernels.flow_basis import Axis, interval, values
-from valvemap.model.kernels.flow_look import by_temperature, clipped, viscosity
-from valvemap.model.kernels.flow_memory import FITTED, OF, PLACE_S, WARM, Memory, Room
-from valvemap.model.samples import Floats
+from valvemap.model.kernels.flow_look import clipped
+from valvemap.model.kernels.flow_memory import FITTED, OF, PLACE_S, Memory, Room
+from valvemap.model.samples import Floats, Singles
 from valvemap.vocabulary.statuses import InverseStatus
 
 FALL = 0.05  # of the map's span; a smaller fall at an end of U is ignored where Q is out of reach
@@ -50,15 +51,11 @@ def invert(
         room.at[PLACE_S] = s
         found[AT], found[HIGHEST], found[LOWEST] = math.nan, -math.inf, math.inf
         found[FIRST] = math.nan
-        thinner = viscosity(memory, T[i])
+        x = oil.viscosity(memory, T[i])
         if low < 0.0:
-            _search(
-                axis_U, axis_s, memory, 1, low, min(high, 0.0), thinner, Q[i], along, room, found
-            )
+            _search(axis_U, axis_s, memory, 1, low, min(high, 0.0), x, Q[i], along, room, found)
         if high > 0.0:
-            _search(
-                axis_U, axis_s, memory, 0, max(low, 0.0), high, thinner, Q[i], along, room, found
-            )
+            _search(axis_U, axis_s, memory, 0, max(low, 0.0), high, x, Q[i], along, room, found)
         dip = FALL * (found[HIGHEST] - found[LOWEST])
         if math.isfinite(found[AT]):
             status[i], U[i], slope[i] = _OK, found[AT], found[RISE]
@@ -74,7 +71,7 @@ def invert(
 
 
 @inner
-def _section(axis_s: Axis, theta: Floats, s: float, room: Room, along: Floats) -> None:
+def _section(axis_s: Axis, theta: Singles, s: float, room: Room, along: Floats) -> None:
     """Fill the map's coefficients along U at one s."""
     j, n_s = interval(axis_s, s), len(axis_s.sites)
     values(axis_s, j, s, 0.0, room.work[1])
@@ -87,14 +84,15 @@ def _section(axis_s: Axis, theta: Floats, s: float, room: Room, along: Floats) -
 @inner
 def _search(
     axis_U: Axis, axis_s: Axis, memory: Memory, side: int, start: float, stop: float,
-    thinner: float, Q: float, along: Floats, room: Room, found: Floats,
+    x: float, Q: float, along: Floats, room: Room, found: Floats,
 ) -> None:  # fmt: skip
     """Go through the pieces of one side of U = 0, in the order of U."""
     now, at, breaks = memory.now[side], room.at, axis_U.breaks
-    by_temperature(axis_s, memory, 0.0, thinner, at)
-    leakage = _warm(now, at)
-    by_temperature(axis_s, memory, 1.0, thinner, at)
-    gain = 1.0 + now[0, drifts.GAIN] + _warm(now, at) - leakage
+    z, of_valve = at[OF + drifts.LEVELS : OF + drifts.RATES], 1.0 + now[0, drifts.GAIN]
+    oil.effects_at(axis_s, memory, 0.0, at[PLACE_S], x, z)
+    leakage = of_valve * oil.warm(memory, side, z)
+    oil.effects_at(axis_s, memory, 1.0, at[PLACE_S], x, z)
+    gain = of_valve * (1.0 + oil.warm(memory, side, z)) - leakage
     end = max(abs(breaks[-1] if side == 0 else breaks[0]), 1e-9)
     edge = now[0, drifts.EDGE]
     rate = 1.0 + edge / end if side == 0 else 1.0 - edge / end
@@ -121,15 +119,6 @@ def _search(
             u, ahead, gain, leakage, towards, bound, Q, along, found,
         )  # fmt: skip
         u, p = ahead, max(behind, q) if ahead < stop else behind
-
-
-@inner
-def _warm(now: Floats, at: Floats) -> float:
-    total = 0.0
-    for k in range(drifts.LEVELS, drifts.RATES):
-        total += at[OF + k] * now[0, k]
-    at[WARM] = total
-    return total
 
 
 @inner

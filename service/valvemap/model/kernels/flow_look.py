@@ -4,15 +4,18 @@ import math
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_oil as oil
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, between_sites, surface_and_slopes
 from valvemap.model.kernels.flow_memory import (
+    AS_LEARNT,
     FITTED,
     FLOW,
     FLOWS,
+    MOVED,
     OF,
     PLACE_S,
     PLACE_U,
@@ -45,7 +48,7 @@ def place(axis_U: Axis, memory: Memory, side: int, u: float, r: float, at: Float
 
 @inner
 def look(
-    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, thinner: float, room: Room,
+    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, x: float, room: Room,
     shown: bool,  # noqa: FBT001 - numba knows no keyword
 ) -> None:  # fmt: skip
     """Fill what the map says at a place: flow, derivatives, variances without and with drift.
@@ -69,17 +72,31 @@ def look(
     at[OF + drifts.ZERO], top = memory.scalars[fits.ZERO_SCALE], axis_s.breaks[-1]
     root = max(abs(at[PLACE_S]), rules.LAMINAR * top)  # there the root is no straight line
     at[OF + drifts.PRESSURE] = -gain * along * top * top / (2.0 * root)
-    by_temperature(axis_s, memory, flow, thinner, at)
-    for k in range(drifts.LEVELS, drifts.RATES):
-        at[WARM] += at[OF + k] * now[0, k]
+    z, known = at[OF + drifts.LEVELS : OF + drifts.RATES], at[FLOWS : FLOWS + oil.EFFECTS]
+    oil.effects_at(axis_s, memory, flow, at[PLACE_S], x, z)
+    learnt = oil.viscosity(memory, memory.scalars[fits.LEARNT_T])
+    oil.effects_at(axis_s, memory, flow, at[PLACE_S], learnt, known)
+    warm = oil.warm(memory, side, z)
+    at[OF + drifts.GAIN] += warm
+    at[WARM], at[AS_LEARNT] = gain * warm, gain * oil.warm(memory, side, known)
+    for k in range(oil.EFFECTS):
+        z[k] *= gain
+        known[k] = z[k] - gain * known[k]  # what a doubt about the law makes of what cells say
     at[FLOW] = gain * flow + at[WARM]
     at[SURE] = gain * gain * (spread * spread + of_path * of_path + memory.scalars[fits.MISFIT])
-    moved = 0.0
+    moved = of_levels = 0.0
     for k in range(drifts.RATES):
         for j in range(drifts.RATES):
             if shown or not (_is_of_sensor(k) or _is_of_sensor(j)):
-                moved += at[OF + k] * at[OF + j] * now[1 + k, j]
-    at[TOTAL] = at[SURE] + max(moved, 0.0)
+                part = _by(at, k) * _by(at, j) * now[1 + k, j]
+                moved += part
+                of_levels += part if max(k, j) < drifts.LEVELS else 0.0
+    at[MOVED], at[TOTAL] = max(of_levels, 0.0), at[SURE] + max(moved, 0.0)
+
+
+@inner
+def _by(at: Floats, k: int) -> float:
+    return float(at[OF + k] if k < drifts.LEVELS else at[FLOWS + k - drifts.LEVELS])
 
 
 @inner
@@ -96,39 +113,6 @@ def _unnoticed(x: Floats, chance: Floats, at: Floats) -> float:
             rate = x[drifts.SENSING, drifts.RATES + k]
             total += (at[OF + k] * rate * rules.UNNOTICED) ** 2
     return total
-
-
-@inner
-def by_temperature(axis_s: Axis, memory: Memory, flow: float, thinner: float, at: Floats) -> None:
-    """Derivatives by the effects of T: gain, laminar flow by √ν and ν, leakage by 1/ν."""
-    top, s = axis_s.breaks[-1], at[PLACE_S]
-    laminar = rules.STRONG * flow * rules.LAMINAR * top / (abs(s) + rules.LAMINAR * top)
-    creeping = rules.STRONG * flow * rules.CREEPING * top / (abs(s) + rules.CREEPING * top)
-    at[WARM] = 0.0
-    nu = 1.0 + thinner
-    at[OF + drifts.LEVELS] = math.log(nu) * flow
-    at[OF + drifts.LEVELS + 1] = (math.sqrt(nu) - 1.0) * laminar
-    at[OF + drifts.LEVELS + 2] = thinner * laminar
-    at[OF + drifts.LEVELS + 3] = (math.sqrt(nu) - 1.0) * creeping
-    leakage = s * abs(s) / (top * top) * math.sqrt(memory.scalars[fits.SCALE])
-    at[OF + drifts.LEVELS + 4] = (1.0 / nu - 1.0) * leakage
-
-
-@inner
-def _law(axis_s: Axis, memory: Memory, side: int, T: float, at: Floats) -> float:
-    """Variance of the flow at T as the law of viscosity is known at today's T only."""
-    now = memory.scalars[fits.NOW_T]
-    if not math.isfinite(T - now):
-        return 0.0
-    flow, warm, asked = at[OF + drifts.GAIN], at[WARM], 0.0
-    for k in range(drifts.LEVELS, drifts.RATES):
-        at[FLOWS + k] = at[OF + k]
-    by_temperature(axis_s, memory, flow, viscosity(memory, now), at)
-    for k in range(drifts.LEVELS, drifts.RATES):
-        step = (at[FLOWS + k] - at[OF + k]) * rules.OTHER_LAW * memory.now[side, 0, k]
-        asked += step * step * abs(T - now)
-    at[WARM] = warm
-    return asked
 
 
 @inner
@@ -151,15 +135,6 @@ def in_common_many(scalars: Floats, found: Floats) -> None:
         found[m] = in_common(scalars[m])
 
 
-@inner
-def viscosity(memory: Memory, T: float) -> float:
-    """How much thicker the oil is than at the first sample, as a share; 0 where T is not known."""
-    first = memory.scalars[fits.FIRST_T]
-    if not (math.isfinite(T) and math.isfinite(first)):
-        return 0.0
-    return math.exp(min(max(rules.THINNING * (first - T), -2.0), 2.0)) - 1.0
-
-
 @lean_kernel
 def evaluate(
     axis_U: Axis, axis_s: Axis, memory: Memory, U: Floats, dp: Floats, T: Floats, Q: Floats,
@@ -178,9 +153,9 @@ def evaluate(
         r, _ = clipped(axis_s, paths.effective(dp[i], math.inf, memory.path))
         side = 0 if U[i] >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
-        look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room, False)  # noqa: FBT003
+        look(axis_U, axis_s, memory, side, u, oil.viscosity(memory, T[i]), room, False)  # noqa: FBT003
         width = memory.path[paths.STICK] + memory.path[paths.RELAYS]
-        law = _law(axis_s, memory, side, T[i], at)
+        law = (rules.OTHER_LAW * (at[WARM] - at[AS_LEARNT])) ** 2
         worn = wears.variance_at(memory.wear, axis_U, axis_s, side, at[PLACE_U], at[PLACE_S])
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
         worn += _unnoticed(memory.x[side], memory.chance[side], at)
@@ -197,16 +172,18 @@ def warmth(
     if not (memory.counters[FITTED] and math.isfinite(T - memory.scalars[fits.FIRST_T])):
         return 0.0, rules.WARMTH * rules.THINNING
     place(axis_U, memory, 0, U, math.sqrt(dp), at)
-    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T + step), room, False)  # noqa: FBT003
-    for k in range(drifts.LEVELS, drifts.RATES):
-        at[FLOWS + k] = at[OF + k]
-    look(axis_U, axis_s, memory, 0, U, viscosity(memory, T), room, False)  # noqa: FBT003
+    look(axis_U, axis_s, memory, 0, U, oil.viscosity(memory, T), room, False)  # noqa: FBT003
+    z, rises = at[OF + drifts.LEVELS : OF + drifts.RATES], at[FLOWS : FLOWS + oil.EFFECTS]
+    x, gain = oil.viscosity(memory, T + step), 1.0 + now[0, drifts.GAIN]
+    flow = at[OF + drifts.GAIN] - at[WARM] / gain
+    oil.effects_at(axis_s, memory, flow, at[PLACE_S], x, rises)
     slope = variance = 0.0
-    for k in range(drifts.LEVELS, drifts.RATES):
-        slope += (at[FLOWS + k] - at[OF + k]) / step * now[0, k]
-        for j in range(drifts.LEVELS, drifts.RATES):
-            both = (at[FLOWS + k] - at[OF + k]) * (at[FLOWS + j] - at[OF + j])
-            variance += both / (step * step) * now[1 + k, j]
+    for k in range(oil.EFFECTS):
+        rises[k] = (gain * rises[k] - z[k]) / step
+        slope += rises[k] * now[0, drifts.LEVELS + k]
+        for j in range(k + 1):
+            both = rises[k] * rises[j] * now[1 + drifts.LEVELS + k, drifts.LEVELS + j]
+            variance += both if j == k else 2.0 * both
     if not at[FLOW] > 0.0:
         return 0.0, rules.WARMTH * rules.THINNING
     return slope / at[FLOW], math.sqrt(max(variance, 0.0)) / at[FLOW]

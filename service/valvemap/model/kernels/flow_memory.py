@@ -24,7 +24,8 @@ WANDERED = 26  # ns; of the last stay that something without a name explained
 PAIR_CELL, PAIR_TIME = 27, 28  # of the stay that is to be compared
 LEARNT = 29  # rows of `recent` that were learnt; the others wait for signals that are held
 BLOCKED = 30  # whether the last sample showed no flow where there surely was some
-COUNTERS = 31
+BEGAN_TIME = 31  # ns; of the map's first sample, 0: it has none
+COUNTERS = 32
 
 A_CHANGE, A_GUESS = 1, 2  # one that was called; one that flows at new places refute
 
@@ -35,14 +36,15 @@ BY = 4  # sums of derivatives, drifts.RATES places
 KNOWN_COUNT = BY + drifts.RATES  # from here on what the cell knew when the stay began
 KNOWN_OFF, CHANGE_SIZE, CHANGE_OF = KNOWN_COUNT + 1, KNOWN_COUNT + 2, KNOWN_COUNT + 3
 BEFORE = KNOWN_COUNT + 4  # gain and edge of each side before a change; CHANGE_OF: how much it was
-STAY = BEFORE + 2 * drifts.LEVELS
+KNOWN_Z = BEFORE + 2 * drifts.LEVELS  # effects of T on what the cell knew
+STAY = KNOWN_Z + drifts.RATES - drifts.LEVELS
 
 
 class Memory(NamedTuple):
     """One valve's arrays; see `FlowMapState`."""
 
     cells: Cells
-    theta: Floats
+    theta: Singles
     std: Singles
     doubt: Singles
     scalars: Floats
@@ -86,5 +88,7 @@ class Room(NamedTuple):
 # Places in `Room.at`: what the map says at one point.
 FLOW, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, WARM, OF = 0, 1, 2, 3, 4, 5, 6, 7
 FLOWS = OF + drifts.RATES  # derivatives at another temperature
-AT = FLOWS + drifts.RATES
+AS_LEARNT = FLOWS + drifts.RATES  # flow due to T at which cells learnt
+MOVED = AS_LEARNT + 1  # variance by what moves in time, without that by T
+AT = MOVED + 1
 # From OF on derivatives by the states of `flow_drift`; WARM: flow due to T.

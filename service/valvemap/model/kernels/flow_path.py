@@ -187,7 +187,7 @@ def forward(flow: float, side: int, s: float, least: float) -> float:
 
 @inner
 def metered(
-    axis_U: Axis, axis_s: Axis, theta: Floats, least: float, recent: Singles, newest: int,
+    axis_U: Axis, axis_s: Axis, theta: Singles, least: float, recent: Singles, newest: int,
     known: int, ahead: int, path: Floats, work: Floats, out: Floats,
 ) -> bool:  # fmt: skip
     """Means over what the meter shows now; False: not enough is known.
@@ -238,7 +238,7 @@ def metered(
 
 @inner
 def _flow(
-    axis_U: Axis, axis_s: Axis, theta: Floats, least: float, u: float, s: float, work: Floats
+    axis_U: Axis, axis_s: Axis, theta: Singles, least: float, u: float, s: float, work: Floats
 ) -> float:
     flow = surface(axis_U, axis_s, theta, u, s, work)
     return forward(flow, 0 if u >= 0.0 else 1, s, least)

@@ -38,7 +38,7 @@ def coefficient(axis_U: Axis, axis_s: Axis, term: int, i: int, j: int) -> float:
 @maker
 def mix(
     axis_U: Axis, axis_s: Axis, of: Design, least: float, free: float, known: Floats,
-    theta: Floats, std: Singles,
+    theta: Singles, std: Singles,
 ) -> float:  # fmt: skip
     """Replace the map by its mean with eq. (7); give the probability of the latter.
 

@@ -86,8 +86,8 @@ WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estima
 WEAR_STAYS: Final = 256.0  # stays; after which it is at the latest
 WEAR_RECALLED: Final = 900.0  # s; how long ago a part of an edge was as it is, if it does not wear
 MOST_SAID: Final = 50.0  # log likelihood that one of these estimates tells at most
-MATURE: Final = 3000  # samples; before them a sudden change is found only where STAY_MEMORY
-# stays were compared with places known before; what has no name may be the map's own error
+MATURE: Final = 3000  # samples; before them a sudden change is found only where STAY_MEMORY stays
+# were compared with places known before; what has no name may be the map's own error
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
 VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves
 SHARED: Final = 8.0  # samples that have the doubt about gain and edge in common, when they are
@@ -108,16 +108,20 @@ HALF_PLAYS: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)  #
 PLAY_GAIN: Final = 300.0  # log likelihood by which another half play is taken: samples of a hold
 # have the map's misfit in common
 SETTLED_MAP: Final = 150  # samples of a map from which on it tells what moves in time
+SETTLED_FOR: Final = 30.0  # s; age from which on it does: until then drift is less than its error,
+# which stays of one oil have in common: of T the first of them tells
 PLAY_AGAIN: Final = 100.0  # the same where there is some already
 PLAY_FROM: Final = 800  # samples of a map from which on it tells of play
 PLAY_KEPT: Final = 0.9998  # of what was gained, per sample: 5,000 samples
 PLAY_STEP: Final = 0.1  # %; a half play that differs by less needs no new map
 
 # Temperature.
+FLATTENS: Final = 0.3  # cube of ln ν beside its square: oils thin the less the warmer they are
 THINNING: Final = 0.03  # 1/K; rate of the oil's viscosity, ISO VG 32-68 near 40 °C
-WARMTH: Final = 0.1  # of the flow; standard deviation of an effect of viscosity, before it is known
-OTHER_LAW: Final = 0.004  # of an effect, per √K; by how much the oil's law is another one
-WARM_DOUBT: Final = 0.3  # of the flow due to temperature; standard deviation of a stay
+WARMTH: Final = 1.0  # of the flow; standard deviation of an effect of viscosity, before it is known
+OTHER_LAW: Final = 0.03  # of the flow between two temperatures; by how much the law is another one
+SAME_OIL: Final = 0.15  # of ln ν, 5 K; over which that error is the same
+LEAST_WARM: Final = 0.1  # of the flow at first; no oil leaves less of it at another temperature
 STRONG: Final = 3.0  # times the standard deviation WARMTH; effects where flow is laminar
 LAMINAR: Final = 0.1  # of the largest √|Δp|; below it flow is laminar, about
 CREEPING: Final = 0.03  # of the largest √|Δp|; the same for a smaller Reynolds number

@@ -9,6 +9,7 @@ import math
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_noise as noises
+from valvemap.model.kernels import flow_oil as oil
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
@@ -24,12 +25,13 @@ from valvemap.model.kernels.flow_cells import (
     cell_of,
     deposit,
 )
-from valvemap.model.kernels.flow_look import clipped, look, place, viscosity
+from valvemap.model.kernels.flow_look import clipped, look, place
 from valvemap.model.kernels.flow_memory import (
     A_CHANGE,
     A_GUESS,
     ALARMED,
     BEGAN,
+    BEGAN_TIME,
     BLOCKED,
     CENSORED,
     DOUBTED,
@@ -37,6 +39,7 @@ from valvemap.model.kernels.flow_memory import (
     FLOW,
     LAST_TIME,
     LEARNT,
+    MOVED,
     NEXT_FIT,
     PLACE_S,
     PLACE_U,
@@ -50,7 +53,6 @@ from valvemap.model.kernels.flow_memory import (
     SURE,
     TOTAL,
     USED,
-    WARM,
     Batch,
     Memory,
     Room,
@@ -134,7 +136,7 @@ def _predict(
     if not memory.counters[FITTED]:
         return _WARMING_UP
     place(axis_U, memory, side, u, r, at)
-    look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
+    look(axis_U, axis_s, memory, side, u, oil.viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
     offset = memory.now[side, 0, drifts.ZERO] * memory.scalars[fits.ZERO_SCALE]
     batch.predicted[i] = paths.shown(at[FLOW] + offset, memory.path)
     batch.residual[i] = batch.Q[i] - batch.predicted[i]
@@ -190,8 +192,8 @@ def _learn_row(
     place(axis_U, memory, side, u, r, at)
     if counters[USED] == 0:
         scalars[fits.FIRST_T] = batch.T[i] if abs(batch.T[i]) < rules.HUGE else math.nan
-        scalars[fits.NOW_T] = scalars[fits.STAY_T] = scalars[fits.STAY_T + 1] = math.nan
-    at[WARM], beyond = 0.0, 0.0  # flow that the meter shows beyond that of the place
+        scalars[fits.NOW_T] = math.nan
+    beyond = 0.0  # flow that the meter shows beyond that of the place
     bent, own = 0.0, 1.0  # variance of that; of what the sample says, the share on its own cell
     loose = 0.0  # variance of the flow by that of signals that are held
     if paths.filters(path):
@@ -202,7 +204,7 @@ def _learn_row(
         side = 0 if u >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
     if counters[FITTED]:
-        look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
+        look(axis_U, axis_s, memory, side, u, oil.viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
         bent = min(room.means[3], at[SURE]) if beyond != 0.0 else 0.0
         bent += (rules.BENT_BY_LAGS * beyond) ** 2
         if paths.waits(path) > 0.0:
@@ -272,16 +274,18 @@ def _learn_row(
         learnt = min(counters[USED] - counters[BEGAN] + 1.0, batch.longest * len(memory.cells))
         scalars[fits.LEARNT_T] += (batch.T[i] - scalars[fits.LEARNT_T]) / learnt
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
-        shared = rules.SHARED * (at[TOTAL] - at[SURE] + bent + loose)
+        shared = rules.SHARED * (at[MOVED] + bent + loose)
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own
     weight *= min(gain * gain, 1.0)  # of what was Q / gain at first, the noise is σ / gain
     if gain <= rules.LEAST_GAIN:
         weight, gain = 0.0, 1.0
-    deposit(
-        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, batch.longest
-    )
+    x, Q = oil.viscosity(memory, batch.T[i]), Q / gain
+    cell, y, longest = memory.cells[number], oil.bend(x), batch.longest
+    deposit(cell, at[PLACE_U], r, x, y, Q, weight, worth, longest)
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
+    if counters[BEGAN_TIME] == 0:
+        counters[BEGAN_TIME] = batch.t[i]
     return _OK if known else _WARMING_UP
 
 
@@ -411,7 +415,7 @@ def _trust(
     width = rules.OUTLIER_WIDTH * math.sqrt(scalars[fits.SCALE])
     noise, variance = scalars[fits.VARIANCE], room.at[TOTAL]
     own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
-    off = gain * (cell[MEAN_Q] - own)
+    off = gain * (oil.at_first(axis_s, memory, cell, room) - own)
     error = residual - off
     by_map = fits.outlier_weight(residual * residual, noise + variance, width)
     doubt = noise * (1.0 + 1.0 / cell[COUNT]) + scalars[fits.MISFIT]

@@ -10,7 +10,7 @@ from valvemap.model.samples import Floats, Singles
 
 @inner
 def spread(
-    axis_U: Axis, axis_s: Axis, Z: Floats, lifted: Floats, root: float, theta: Floats,
+    axis_U: Axis, axis_s: Axis, Z: Floats, lifted: Floats, root: float, theta: Singles,
     work: Floats, std: Singles,
 ) -> None:  # fmt: skip
     """Fill ``std`` (n_U·n_s,); see `flow_solve.Solution` for Z, lifted and root."""
@@ -40,7 +40,7 @@ def spread(
 
 
 @inner
-def _knee_U(axis_U: Axis, n_s: int, theta: Floats, i: int, j: int) -> float:
+def _knee_U(axis_U: Axis, n_s: int, theta: Singles, i: int, j: int) -> float:
     """Largest third difference along U nearby."""
     most = 0.0
     for k in range(max(i - 2, 0), min(i + 2, len(axis_U.sites) - 3)):
@@ -51,7 +51,7 @@ def _knee_U(axis_U: Axis, n_s: int, theta: Floats, i: int, j: int) -> float:
 
 
 @inner
-def _knee_s(axis_s: Axis, theta: Floats, i: int, j: int) -> float:
+def _knee_s(axis_s: Axis, theta: Singles, i: int, j: int) -> float:
     """Largest jump of the curvature along s nearby, times the squared distance of knots."""
     n_s, most = len(axis_s.sites), 0.0
     for k in range(max(j - 2, 0), min(j + 2, n_s - 3)):
@@ -61,7 +61,7 @@ def _knee_s(axis_s: Axis, theta: Floats, i: int, j: int) -> float:
 
 
 @inner
-def _curvature(axis_s: Axis, theta: Floats, row: int, k: int) -> float:
+def _curvature(axis_s: Axis, theta: Singles, row: int, k: int) -> float:
     """Second derivative along s, about."""
     bend = 0.0
     for b in range(3):

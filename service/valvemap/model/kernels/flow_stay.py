@@ -5,6 +5,7 @@ import math
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_noise as noises
+from valvemap.model.kernels import flow_oil as oil
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
@@ -13,18 +14,17 @@ from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, surface
 from valvemap.model.kernels.flow_cells import (
     COUNT,
-    MEAN_Q,
     MEAN_S,
     MEAN_U,
     REFUSALS,
 )
 from valvemap.model.kernels.flow_drift import Drift
-from valvemap.model.kernels.flow_look import by_temperature, viscosity
 from valvemap.model.kernels.flow_memory import (
     ALARMED,
     APART,
     BEFORE,
     BEGAN,
+    BEGAN_TIME,
     BY,
     CALM,
     CHANGE_KIND,
@@ -35,9 +35,9 @@ from valvemap.model.kernels.flow_memory import (
     CHANGES,
     CLOCK,
     FITTED,
-    FLOWS,
     KNOWN_COUNT,
     KNOWN_OFF,
+    KNOWN_Z,
     LEARNT,
     NEXT_FIT,
     NEXT_START,
@@ -58,7 +58,6 @@ from valvemap.model.kernels.flow_memory import (
     SURE,
     USED,
     WANDERED,
-    WARM,
     Memory,
     Room,
 )
@@ -72,7 +71,7 @@ def begin_again(memory: Memory) -> None:
     memory.counters[FITTED] = 0
     memory.counters[NEXT_FIT] = memory.counters[USED] + rules.FIRST_FIT
     memory.counters[BEGAN] = memory.counters[USED]
-    memory.counters[PAIR_TIME] = 0
+    memory.counters[PAIR_TIME] = memory.counters[BEGAN_TIME] = 0
     memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
     memory.scalars[fits.SLOW :] = 0.0
     wears.forget(memory.wear)
@@ -109,7 +108,6 @@ def begin_replay(memory: Memory, rows: int, T: float) -> None:
     memory.scalars[fits.FIRST_T] = T
     memory.scalars[fits.SURPRISE] = memory.scalars[fits.STAYS_SEEN] = 0.0
     memory.scalars[fits.PAIR_PRODUCT : fits.PAIRS + 1] = 0.0
-    memory.scalars[fits.STAY_T : fits.STAY_T + 2] = math.nan
     memory.path[paths.SEEN] = 0.0
     memory.stay[:KNOWN_COUNT] = 0.0
     play[plays.SEEN] = play[plays.SLOPES] = play[plays.ERRORS] = 0.0
@@ -124,7 +122,10 @@ def begin_stay(
     memory.stay[KNOWN_COUNT], memory.stay[KNOWN_OFF] = cell[COUNT], 0.0
     if cell[COUNT] > 0.0:
         own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
-        memory.stay[KNOWN_OFF] = gain * (cell[MEAN_Q] - own)
+        flow, z = oil.at_first(axis_s, memory, cell, room), memory.stay[KNOWN_Z:]
+        memory.stay[KNOWN_OFF] = gain * (flow - own)
+        oil.effects_of(axis_s, memory, gain * flow, cell, z)
+        z[oil.EFFECTS - 1] *= gain
 
 
 @inner
@@ -175,12 +176,12 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
     if many > 0.0 and stay[KNOWN_COUNT] >= rules.VISITED and not paths.filters(memory.path):
         _note_pair(noise + scalars[fits.VARIANCE] / stay[KNOWN_COUNT], memory)
     is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE] or stay[KNOWN_COUNT] >= rules.SURE_CELL
-    is_sure = is_sure and counters[USED] - counters[BEGAN] >= rules.SETTLED_MAP
+    age = 1e-9 * float(counters[STAY_TIME] - counters[BEGAN_TIME])
+    learnt = counters[USED] - counters[BEGAN]
+    is_settled = age >= rules.SETTLED_FOR or learnt >= rules.MATURE
+    is_sure = is_sure and learnt >= rules.SETTLED_MAP
     if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
-        side, now = counters[STAY_SIDE], counters[STAY_TIME]
-        last = counters[CLOCK + side]
-        dt = min(max(1e-9 * float(now - last), 0.0), rules.OLDEST) if last != 0 else 0.0
-        counters[CLOCK + side] = now
+        side = counters[STAY_SIDE]
         of_cell, off = scalars[fits.VARIANCE] / stay[KNOWN_COUNT], stay[KNOWN_OFF]
         of_cell += stay[APART] / many * stay[OF_MAP] / many
         of_map = max(stay[OF_MAP] / many, off * off - of_cell)  # a map that the cell refutes
@@ -192,46 +193,46 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         by = stay[BY : BY + drifts.RATES]
         for k in range(drifts.RATES):
             by[k] /= many
-        warm = 0.0
-        for k in range(drifts.LEVELS, drifts.RATES):
-            warm += by[k] * drift.now[0, k]
-        learnt = _warm_at(scalars[fits.LEARNT_T], axis_s, drift, memory, room)
-        noise += (rules.WARM_DOUBT * max(abs(warm), abs(warm - learnt))) ** 2
-        is_mature = counters[USED] - counters[BEGAN] >= rules.MATURE
-        young = not is_mature and scalars[fits.STAYS_SEEN] < rules.STAY_MEMORY
-        young = young or counters[USED] < counters[CALM]
-        jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
-        nameless = rules.ODDS * jumps if is_mature else 0.0
-        variance, warmed = counters[STAYS] * (noise + share * of_cell), _warmed(side, scalars)
-        off = residual
-        for k in range(drifts.LEVELS):
-            off += by[k] * drift.now[0, k]
-        of_valve = off
-        for k in range(drifts.OF_VALVE, drifts.LEVELS):
-            of_valve -= by[k] * drift.now[0, k]
-        surprise = drifts.step(drift, dt, jumps, nameless, warmed, residual, by, variance)
-        scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
-        scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
-        _note_change(drift, side, now, off, by, memory)
-        _note_wear(axis_U, axis_s, drift, side, dt, of_valve, by, variance, young, memory, room)
+        for k in range(oil.EFFECTS):  # the law tells of the difference to the cell
+            by[drifts.LEVELS + k] -= stay[KNOWN_Z + k]
+        law = rules.OTHER_LAW * oil.warm(memory, side, by[drifts.LEVELS :])
+        alike = _alike(memory)
+        noise += alike * law * law
+        variance = counters[STAYS] * (noise + share * of_cell)
+        if is_settled:
+            _tell(axis_U, axis_s, drift, residual, by, variance, memory, room)
+        elif alike == 1.0:  # stays of one oil have the error of a young map in common
+            drifts.learn_of_T(drift, residual, by, variance)
     stay[:KNOWN_COUNT] = 0.0
 
 
 @inner
-def _warm_at(
-    T: float, axis_s: Axis, drift: Drift, memory: Memory, room: Room
-) -> float:  # fmt: skip
-    """Flow due to temperature of the stay that ends, had it been at T; 0 where T is not known."""
-    at, warm, place_s, total = room.at, room.at[WARM], room.at[PLACE_S], 0.0
-    for k in range(drifts.LEVELS, drifts.RATES):
-        at[FLOWS + k] = at[OF + k]
-    at[PLACE_S] = memory.cells[memory.counters[STAY_CELL], MEAN_S]
-    by_temperature(axis_s, memory, memory.stay[BY + drifts.GAIN], viscosity(memory, T), at)
-    for k in range(drifts.LEVELS, drifts.RATES):
-        total += at[OF + k] * drift.now[0, k]
-        at[OF + k] = at[FLOWS + k]
-    at[WARM], at[PLACE_S] = warm, place_s
-    return total
+def _tell(
+    axis_U: Axis, axis_s: Axis, drift: Drift, residual: float, by: Floats, variance: float,
+    memory: Memory, room: Room,
+) -> None:  # fmt: skip
+    """Let a stay tell what moves."""
+    counters, scalars = memory.counters, memory.scalars
+    side, now = counters[STAY_SIDE], counters[STAY_TIME]
+    last = counters[CLOCK + side]
+    dt = min(max(1e-9 * float(now - last), 0.0), rules.OLDEST) if last != 0 else 0.0
+    counters[CLOCK + side] = now
+    is_mature = counters[USED] - counters[BEGAN] >= rules.MATURE
+    young = not is_mature and scalars[fits.STAYS_SEEN] < rules.STAY_MEMORY
+    young = young or counters[USED] < counters[CALM]
+    jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
+    nameless = rules.ODDS * jumps if is_mature else 0.0
+    off = residual
+    for k in range(drifts.LEVELS):
+        off += by[k] * drift.now[0, k]
+    of_valve = off
+    for k in range(drifts.OF_VALVE, drifts.LEVELS):
+        of_valve -= by[k] * drift.now[0, k]
+    surprise = drifts.step(drift, dt, jumps, nameless, residual, by, variance)
+    scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
+    scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
+    _note_change(drift, side, now, off, by, memory)
+    _note_wear(axis_U, axis_s, drift, side, dt, of_valve, by, variance, young, memory, room)
 
 
 @inner
@@ -288,11 +289,13 @@ def _note_pair(variance: float, memory: Memory) -> None:
 
 
 @inner
-def _warmed(side: int, scalars: Floats) -> float:
-    """By how much the oil is warmer or colder than in the last stay on this side, K."""
-    now, before = scalars[fits.NOW_T], scalars[fits.STAY_T + side]
-    scalars[fits.STAY_T + side] = now
-    return abs(now - before) if math.isfinite(now - before) else 0.0
+def _alike(memory: Memory) -> float:
+    """Number of stays, of this oil: they have an error of the law in common."""
+    scalars, x = memory.scalars, oil.viscosity(memory, memory.scalars[fits.NOW_T])
+    if abs(x - scalars[fits.STAY_X]) > rules.SAME_OIL:
+        scalars[fits.STAY_X], scalars[fits.ALIKE] = x, 0.0
+    scalars[fits.ALIKE] += 1.0
+    return float(scalars[fits.ALIKE])
 
 
 @inner

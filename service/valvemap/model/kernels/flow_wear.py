@@ -19,7 +19,7 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.kernels.flow_basis import Axis, values
 from valvemap.model.kernels.flow_cells import COUNT, MEAN_Q, MEAN_S, MEAN_U, WORTH, Cells
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Floats, Singles
 
 NODES = 21  # along |U| of a side: 5 % apart, four cells
 
@@ -178,7 +178,7 @@ def _learn(nodes: Floats, now: Floats) -> float:
 
 @inner
 def move(
-    wear: Floats, axis_U: Axis, axis_s: Axis, side: int, gain: float, theta: Floats, cells: Cells,
+    wear: Floats, axis_U: Axis, axis_s: Axis, side: int, gain: float, theta: Singles, cells: Cells,
     scalars: Floats, work: Floats,
 ) -> None:  # fmt: skip
     """Move map and cells by the field, which is 0 afterwards."""
