@@ -10,7 +10,7 @@ from valvemap.model.fleet import members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
 from valvemap.model.inverse_map import _search
-from valvemap.model.kernels import flow_memory
+from valvemap.model.kernels import flow_drift, flow_memory, flow_rules
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Adaptation, InverseStatus, Status
 
@@ -258,6 +258,18 @@ def test_a_flow_that_is_not_none_at_no_pressure_is_learnt_all_the_same():
     predicted, std = FlowMap().predict(state, np.array([100.0]), np.array([0.08]), np.array([40.0]))
     assert abs(predicted[0] - 8.5 - 4.0 * np.sqrt(0.08)) < 3.0 * SIGMA
     assert std[0] < 1.0
+
+
+@pytest.mark.parametrize("is_scattered", [False, True])
+def test_a_young_map_learns_of_the_oil_as_far_as_its_temperature_differs(is_scattered):
+    N = 2_500
+    (U, dp), T = scattered(31, N), np.linspace(38.0, 39.0, N)
+    if is_scattered:
+        T = np.random.default_rng(31).uniform(25.0, 55.0, N)
+    state, _ = learnt(U, dp, oily(U, dp, T), T=T)
+    effects = slice(flow_drift.LEVELS, flow_drift.RATES)
+    std = np.sqrt(np.diag(state.now[0, 1:])[effects])
+    assert (std < 0.5 * flow_rules.WARMTH).any() == is_scattered
 
 
 def test_where_no_temperature_is_measured_none_is_missed():
