@@ -15,7 +15,7 @@ ARG FLEET=
 RUN test -z "$FLEET" || python -m pip install --no-compile --require-hashes --only-binary=:all: -r requirements-fleet.lock
 # Tests of others are not run here; warm-up compiles what is imported.
 RUN find /opt/valvemap/venv/lib -depth -type d -name tests -exec rm -r {} +
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml hatch_build.py README.md LICENSE ./
 COPY service ./service
 COPY virtual_rig ./virtual_rig
 RUN python -m pip install --no-compile --no-deps .

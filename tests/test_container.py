@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import tomllib
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
@@ -164,6 +165,18 @@ def reaches_the_builder(path):
         if any(fnmatch(part, pattern) for part in parts if part != "."):
             ignored = not rule.startswith("!")
     return not ignored
+
+
+def test_the_builder_has_every_file_that_the_package_is_built_from():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
+    hooks = {hook.get("path", "hatch_build.py") for hook in wheel["hooks"].values()}
+    texts = {project["project"]["readme"], project["project"]["license-files"][0]}
+    folders = {Path(package).parts[0] for package in wheel["packages"]}
+    copied = {
+        name.removeprefix("./") for argument in BUILD.all("COPY") for name in argument.split()
+    }
+    assert {"pyproject.toml", *hooks, *texts, *folders} <= copied
 
 
 def test_only_what_the_image_is_made_of_reaches_the_builder():
