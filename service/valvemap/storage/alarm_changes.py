@@ -104,6 +104,6 @@ def _report(text: str) -> AlarmReport | None:
         found = _REPORTS.validate_json(text, strict=True)
     except ValidationError:
         return None
-    numbers = found.since, found.at, found.commented, found.count
+    numbers = found.since, found.at, found.commented, found.count, found.ended
     known = all(0 <= number < _LARGEST for number in numbers)
     return found if known and 1 <= found.severity <= MOST_SEVERE else None

@@ -73,18 +73,19 @@ def check_blocks(
         for stray, data in connection.execute(_BETWEEN, (block, row[0])):
             strays[stray] = max(strays.get(stray, 0), rows_in(data))
         for stray, rows in strays.items():
-            connection.execute("DELETE FROM part WHERE block = ?", (stray,))
+            _delete_parts(connection, stray)
             yield Checked(rows)
         block, owner, first, last, rows = row
         stored = connection.execute(_PARTS, (block,)).fetchall()
         known = {n: numbers[n] for n, *_ in stored if n in numbers}
         parts: Parts = {known[n]: (digest, data) for n, digest, data in stored if n in known}
         found = examine(numbers.get(owner, ""), parts)
-        dropped = [n for n, *_ in stored if n not in known or known[n] in found.damaged]
-        connection.executemany(_DROP, [(block, n) for n in dropped])
         n = len(found.t)
+        dropped = [p for p, *_ in stored if p not in known or known[p] in found.damaged]
+        connection.executemany(_DROP, [(block, p) for p in dropped])
         if not n:
             connection.execute("DELETE FROM block WHERE id = ?", (block,))
+            _delete_parts(connection, block)
         elif (first, last, rows) != (true := (int(found.t[0]), int(found.t[-1]), n)):
             connection.execute(_UPDATE, (*true, block))
         lost = 0 if n and not dropped else n or max(rows, 1)
@@ -114,6 +115,12 @@ def take_over(
             yield _note(connection, changes)
             changes = []
     yield _note(connection, changes)
+
+
+def _delete_parts(connection: sqlite3.Connection, block: int) -> None:
+    """Delete all columns of a block: a damaged key hides those behind it from the first search."""
+    while connection.execute("DELETE FROM part WHERE block = ?", (block,)).rowcount:
+        pass
 
 
 def _take_over(connection: sqlite3.Connection, block: Block, number: Callable[[str], int]) -> Taken:

@@ -8,6 +8,7 @@ damaged, it is replaced by that of a new file: all our files have the same table
 """
 
 import sqlite3
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -64,12 +65,21 @@ def salvage_blocks(damaged: Path) -> Iterator[Block]:
             found = {name: examine(name, parts) for name in series}
             usable = [name for name in series if len(found[name].t)]
             if len(usable) != 1:  # none, or the series is ambiguous
-                longest = max((rows_in(data) for *_, data in rows), default=0)
-                yield Block("", Examined.none(), max(said, longest) or 1)
+                yield Block("", Examined.none(), _agreed([rows_in(d) for *_, d in rows], said))
                 continue
             (whose,) = usable
             lacks = cut or bool(found[whose].damaged) or len(parts) < len(rows)
             yield Block(whose, found[whose], len(found[whose].t) if lacks else 0)
+
+
+def _agreed(lengths: Sequence[int], said: int) -> int:
+    """Return the number of rows that most columns of a block have; ``said`` if none is readable.
+
+    >>> _agreed([200, 65_736, 200, 0], 200), _agreed([], 300), _agreed([0], 0)
+    (200, 300, 1)
+    """
+    counted = Counter(filter(None, lengths)).most_common(1)
+    return counted[0][0] if counted else said or 1
 
 
 def salvage_changes(damaged: Path) -> Iterator[tuple[Any, ...]]:
