@@ -58,6 +58,7 @@ async def test_each_change_is_one_event_and_a_life_goes_as_annex_b_says(plant, l
     (over,) = await listener.next()
     assert over.state == ("LagFound", False, True, True, False)
     assert over["Comment"].Text == "seen"
+    assert gone["ActiveState/TransitionTime"] == over["ActiveState/TransitionTime"] == gone["Time"]
     await plant.publish()
     await plant.set_lag(0.3)
     (anew,) = await listener.next()

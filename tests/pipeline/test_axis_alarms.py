@@ -1,15 +1,17 @@
 """The alarms of an axis follow its findings, its silence and its failure; operators act on them."""
 
-from dataclasses import replace
+from dataclasses import fields, make_dataclass, replace
+from typing import Any
 
 import pytest
 
 from valvemap.errors import CommandRejected
 from valvemap.model.axis_condition import CAUSES
-from valvemap.model.estimator import StateMismatchError
+from valvemap.model.estimator import State, StateMismatchError
 from valvemap.pipeline.axis_alarms import ALARM_OF, AXIS_RULES, AxisAlarms
 from valvemap.pipeline.axis_ports import AxisResults, RequiredU
 from valvemap.pipeline.operator_ports import Command
+from valvemap.pipeline.quantity_alarms import KeptAlarms
 from valvemap.pipeline.results import Remark
 from valvemap.vocabulary.axis_alarms import AxisAlarm
 from valvemap.vocabulary.findings import Finding, FindingCode
@@ -72,6 +74,43 @@ def test_operators_acknowledge_confirm_and_comment():
     assert (report.acked, report.confirmed, report.comment) == (True, True, "mended")
     with pytest.raises(CommandRejected, match="no command of an alarm"):
         alarms.act(acted("reset"))
+
+
+@pytest.mark.parametrize("first", ["the alarm ends", "it is acknowledged"])
+def test_the_end_of_an_alarm_stays_known_whatever_is_done_to_it_later(first):
+    alarms = AxisAlarms()
+    for turn in range(2):
+        came = T + 10_000 * turn
+        alarms.judge(replace(HEALTHY, t=came, findings=(WORN,)), came, 0.0)
+        assert ended(alarms) == 0
+        order = ["end", "acknowledge", "confirm"]
+        for action in order if first == "the alarm ends" else [order[1], order[0], order[2]]:
+            if action == "end":
+                alarms.judge(replace(HEALTHY, t=came + 500), came + 500, 0.0)
+            else:
+                said = Remark("seen", "operator", came + 400 + 1_000 * (action == "confirm"))
+                alarms.act(Command(action, "Press", "EdgeChanged", remark=said))
+        assert ended(alarms) == came + 500
+        again = AxisAlarms()
+        again.from_bytes(alarms.to_bytes())
+        assert ended(again) == came + 500
+
+
+def ended(alarms):
+    return alarms.reports()[0].ended
+
+
+def test_alarms_that_a_version_before_has_stored_ended_at_their_last_action_at_the_latest():
+    alarms, again = AxisAlarms(), AxisAlarms()
+    seen(alarms, WORN)
+    alarms.act(acted("acknowledge"))
+    seen(alarms)
+    kept = KeptAlarms.from_bytes(alarms.to_bytes("key"), f"{alarms._key}key")
+    names = [field.name for field in fields(KeptAlarms) if field.name != "ended"]
+    old = make_dataclass("KeptAlarms", [(name, Any) for name in names], bases=(State,), frozen=True)
+    packed = old(**{name: getattr(kept, name) for name in names})
+    again.from_bytes(packed.to_bytes(f"{alarms._key}key"), "key")
+    assert ended(again) == ended(alarms) == T
 
 
 def test_alarms_survive_a_restart_but_not_another_axis():

@@ -82,8 +82,9 @@ class Condition:
         Number of activations.
     changed
         Time of the last activation, deactivation, acknowledgement or confirmation, UTC ns.
-    begun
-        Time of the last activation, UTC ns.
+    begun, ended
+        Time of the last activation, and of the deactivation after it (0: active, or unknown), UTC
+        ns.
     limit
         Limit of a limit alarm.
     comment, commented_by, commented
@@ -99,6 +100,7 @@ class Condition:
     coming: int
     changed: int
     begun: int = 0
+    ended: int = 0
     limit: float = 0.0
     comment: str = ""
     commented_by: str = ""
@@ -111,10 +113,8 @@ class Condition:
 
     @property
     def turned(self) -> int:
-        """Time at which ActiveState was entered, UTC ns; 0: unknown, a later one is kept alone."""
-        if self.active:
-            return self.begun
-        return 0 if self.acked else self.changed
+        """Time at which ActiveState was entered, UTC ns; 0: unknown."""
+        return self.begun if self.active else self.ended
 
     @property
     def event_id(self) -> bytes:

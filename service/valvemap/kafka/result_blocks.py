@@ -55,7 +55,8 @@ _ALARMS: Final = pa.list_(
         [("name", pa.string()), ("active", pa.bool_()), ("acked", pa.bool_())]
         + [(name, pa.int64()) for name in ("severity", "since", "at", "count")]
         + [("text", pa.string()), ("confirmed", pa.bool_()), ("limit", pa.float64())]
-        + [("comment", pa.string()), ("commented_by", pa.string()), ("commented", pa.int64())]
+        + [("comment", pa.string()), ("commented_by", pa.string())]
+        + [("commented", pa.int64()), ("ended", pa.int64())]
     )
 )
 _NO_TABLE: Final = np.empty((0, 0))

@@ -106,7 +106,7 @@ def _check_alarms(found: Results, valves: int) -> None:
 
 
 def _is_sound(one: AlarmReport) -> bool:
-    times = one.since, one.at, one.commented
+    times = one.since, one.at, one.commented, one.ended
     texts = one.text, one.comment, one.commented_by
     return (
         all(type(t) is int and 0 <= t <= LATEST for t in times)

@@ -325,6 +325,7 @@ def _condition(key: ConditionKey, report: AlarmReport) -> Condition:
         coming=report.count,
         changed=report.at,
         begun=report.since,
+        ended=report.ended,
         limit=report.limit,
         comment=report.comment,
         commented_by=report.commented_by,

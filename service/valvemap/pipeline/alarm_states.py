@@ -49,6 +49,9 @@ class AlarmStates:
         The state that the kernel updates.
     confirmed
         Number of the last confirmed activation of each alarm (M, A).
+    ended
+        Time of the last deactivation before an operator's last action (M, A), UTC ns; 0: there was
+        none, so ``conditions.at`` is the time of the deactivation.
     """
 
     def __init__(self, M: int, names: Sequence[str], rules: Sequence[AlarmRule]) -> None:
@@ -56,22 +59,23 @@ class AlarmStates:
         self._rules = tuple(rules)
         self.conditions = _nothing_wrong(M, len(self._names))
         self.confirmed = np.zeros((M, len(self._names)), np.int64)
+        self.ended = np.zeros((M, len(self._names)), np.int64)
         self._remarks: dict[tuple[int, int], Remark] = {}
 
     def acknowledge(self, m: int, a: int, remark: Remark) -> bool:
         """Acknowledge an alarm; False if there was nothing to acknowledge."""
         if self.conditions.acked[m, a]:
             return False
+        self._note_action(m, a, remark)
         self.conditions.acked[m, a] = True
-        self._moved(m, a, remark)
         return True
 
     def confirm(self, m: int, a: int, remark: Remark) -> bool:
         """Confirm an alarm; False if there was nothing to confirm."""
         if self._is_confirmed(m, a):
             return False
+        self._note_action(m, a, remark)
         self.confirmed[m, a] = self.conditions.came[m, a]
-        self._moved(m, a, remark)
         return True
 
     def remark(self, m: int, a: int, remark: Remark) -> None:
@@ -87,7 +91,7 @@ class AlarmStates:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all state except comments, each (M, …), not copied."""
-        return {**self.conditions._asdict(), "confirmed": self.confirmed}
+        return {**self.conditions._asdict(), "confirmed": self.confirmed, "ended": self.ended}
 
     def remarks_to_bytes(self, m: int) -> NDArray[np.uint8]:
         """Pack the comments on one valve's alarms."""
@@ -119,10 +123,19 @@ class AlarmStates:
             self._remarks.pop((m, a), None)
         self._remarks.update(said)
 
-    def _moved(self, m: int, a: int, remark: Remark) -> None:
+    def _note_action(self, m: int, a: int, remark: Remark) -> None:
+        self.ended[m, a] = self._ended(m, a)
         self.conditions.at[m, a] = max(remark.t, self.conditions.at[m, a])
         self.conditions.version[m] += 1
         self.remark(m, a, remark)
+
+    def _ended(self, m: int, a: int) -> int:
+        """Time of the last deactivation, UTC ns; 0 while the alarm is active, or never was."""
+        conditions = self.conditions
+        if conditions.active[m, a]:
+            return 0
+        earlier = self.ended[m, a] if conditions.acked[m, a] else 0
+        return int(earlier or conditions.at[m, a])
 
     def _is_confirmed(self, m: int, a: int) -> bool:
         """Whether no confirmation is due: not yet acknowledged, or confirmed already."""
@@ -155,6 +168,7 @@ class AlarmStates:
             comment=said.text,
             commented_by=said.by,
             commented=said.t,
+            ended=self._ended(m, a),
         )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ Kind = TypeVar("Kind", bound=Described)
 class KeptAlarms(State):
     """Alarms as stored in a checkpoint."""
 
+    state_version: ClassVar[int] = 3  # 2: the end of an alarm was not stored
+
     over: Any
     since: Any
     at: Any
@@ -32,7 +34,15 @@ class KeptAlarms(State):
     came: Any
     version: Any
     confirmed: Any
+    ended: Any
     remarks: Any
+
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Add the ends of alarms: an acknowledged one ended at its last action at the latest."""
+        if version != "2":
+            return {}
+        return arrays | {"ended": np.zeros_like(arrays["came"])}
 
 
 class QuantityAlarms(Generic[Kind]):

@@ -186,7 +186,8 @@ class AlarmReport:
     or acknowledgement, both UTC ns, 0: never. ``count`` is the number of activations. ``text``
     gives the measured value, its beginning and possible causes. ``confirmed`` is False between
     acknowledgement and confirmation; ``limit`` is the alarm's limit. ``comment``, ``commented_by``
-    and ``commented`` are the last comment, its author and its time (UTC ns; 0: none).
+    and ``commented`` are the last comment, its author and its time (UTC ns; 0: none). ``ended`` is
+    the time of the last deactivation (UTC ns; 0: active, never, or not known).
     """
 
     name: str
@@ -202,6 +203,7 @@ class AlarmReport:
     comment: str = ""
     commented_by: str = ""
     commented: int = 0
+    ended: int = 0
 
 
 @dataclass(frozen=True)
