@@ -202,6 +202,8 @@ async def test_the_past_of_an_axis_is_read_from_the_history(tmp_path):
             keeper.note_axis(pieces_of("Press", found, with_map=k != 1))
         stale = dataclasses.replace(found, is_stale=True, required=RequiredU(), t=T + 3)
         keeper.note_axis(pieces_of("Press", stale, with_map=True))
+        failed = dataclasses.replace(stale, status=AxisStatus.FAILED, t=T + 5)
+        keeper.note_axis(pieces_of("Press", failed, with_map=False))
         assert await keeper.settle()
         async with ResultsServer(operators(), [], operator, TurnedClock(T), past=store) as server:
             await server.follow_axes(["Press"], operator)
@@ -219,3 +221,6 @@ async def test_the_past_of_an_axis_is_read_from_the_history(tmp_path):
                 assert [one.Value.Value for one in answers] == [20.0, 21.0, 22.0]
                 for quantity in AXIS_QUANTITIES:
                     assert len(await past(quantity.name)) == 3, quantity.name
+                stood = await past("Status")
+                assert [one.Value.Value for one in stood] == [0, 0, 0, 0, AxisStatus.FAILED]
+                assert all(one.StatusCode.is_good() for one in stood)

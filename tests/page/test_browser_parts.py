@@ -1,13 +1,18 @@
 """Edges, lines and axes in a browser: what the nodes say, written by who may, nothing pretended."""
 
+import re
+import time
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
 import pytest
+from playwright.async_api import expect
 
 from support.browser import Visit, chromium
 from support.readings import Read
 from support.served_page import served
-from support.shown_service import ShownService
+from support.shown_service import Alarm, ShownService
+from valvemap.vocabulary.statuses import AxisStatus
 
 pytestmark = pytest.mark.chromium
 
@@ -116,6 +121,40 @@ async def test_an_axis_without_samples_says_so_and_takes_no_demand(how):
         shown.moving = True
         shown.values.pop("Press.Inverse.RequiredU", None)
         await badge.and_(visitor.page.locator("text=ok")).wait_for()
+
+
+class Kept(ShownService):
+    """A service whose axis was not excited until five minutes ago, as its history says."""
+
+    async def courses(self, asked, span, every_ns):
+        found = await super().courses(asked, span, every_ns)
+        for k, ((id_, _), course) in enumerate(zip(asked, found, strict=True)):
+            if id_ == "Press.Status":
+                ended = time.time_ns() - 300 * 10**9
+                values = [float(AxisStatus.UNEXCITED) * (t < ended) for t in course.times]
+                found[k] = replace(course, values=values)
+        return found
+
+
+async def test_the_past_of_an_axis_is_in_its_trend_however_long_the_page_has_run():
+    worn = Alarm(name="EdgeChanged", source="Press", t=time.time_ns() - 200 * 10**9)
+    shown = Kept(names=EDGES, axes=("Press",), alarms=[worn], past=[worn])
+    async with visit(shown, "axis/Press") as (visitor, _):
+        lanes = visitor.page.locator(".axis-trend canvas.lanes")
+        said = "State and alarms: not excited from .* to .*; ok from .*; Edge changed from"
+        await expect(lanes).to_have_attribute("aria-label", re.compile(said))
+        await visitor.open("alarms")
+        link = visitor.page.get_by_role("link", name="Trend at that time")
+        assert await visitor.page.get_by_role("link", name="Line", exact=True).count() == 0
+        await link.click()
+        await visitor.page.locator("h1", has_text="Press").wait_for()
+        assert f"at={round(worn.t / 1e9)}" in visitor.page.url
+        await expect(lanes).to_have_attribute("aria-label", re.compile("Edge changed from"))
+
+
+async def test_an_axis_of_a_service_without_a_history_says_so():
+    async with visit(plant(keeps_history=False), "axis/Press") as (visitor, _):
+        await visitor.page.locator(".axis-trend", has_text="keeps no history").wait_for()
 
 
 async def test_the_sheet_tells_how_it_is_made():

@@ -12,16 +12,14 @@ from guarded_opcua import Cells, Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import DYNAMICS, ROOT
 from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.store_ports import PastStore
-from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.edges import split_id
-from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS
+from valvemap.vocabulary.history_columns import OF_AXES, REQUIRED_U, REQUIRED_U_STATUS, place_of
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
 _NO_DATA: Final = np.uint32(ua.StatusCodes.BadNoData)
 _BAD: Final = 0x8000_0000
 _ESTIMATED: Final = frozenset(quantity.name for quantity in HISTORY_QUANTITIES)
-_OF_AXES: Final = frozenset(quantity.name for quantity in AXIS_QUANTITIES)
 _PARTS: Final = {
     "Signals": frozenset(PUBLISHED),
     "Inverse": frozenset({REQUIRED_U, REQUIRED_U_STATUS}),
@@ -34,13 +32,13 @@ def has_past(id_: str) -> bool:
 
     >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Status", "V1.RLS.Adaptation")]
     [True, True, False]
-    >>> [has_past(id_) for id_ in ("Press.Leakage", "Press.Reason")]
-    [True, False]
+    >>> [has_past(id_) for id_ in ("Press.Leakage", "Press.Status", "Press.Reason")]
+    [True, True, False]
     """
     _, rest = split_id(id_)
     part, dot, name = rest.partition(".")
     if not dot:
-        return part in _OF_AXES
+        return part in OF_AXES
     return name in _PARTS.get(part, _ESTIMATED)
 
 
@@ -56,7 +54,7 @@ class ResultsPast:
         return asyncio.to_thread(self._read, str(variable.Identifier), span, skip, most)
 
     def _read(self, id_: str, span: Span, skip: int, most: int) -> Records:
-        series, _, column = id_.rpartition(".")
+        series, column = place_of(id_)
         past = self._store.read(
             series, column, span.low, span.high, backwards=span.backwards, skip=skip, most=most
         )
@@ -71,7 +69,7 @@ class ResultsPast:
         return asyncio.to_thread(self._cells, str(variable.Identifier), low, high, width)
 
     def _cells(self, id_: str, low: int, high: int, width: int) -> Cells | None:
-        series, _, column = id_.rpartition(".")
+        series, column = place_of(id_)
         found = self._store.cells(series, column, low, high, width)
         if found is None:
             return None

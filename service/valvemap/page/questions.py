@@ -1,11 +1,11 @@
 """Questions of a browser, answered by the service: voltages, trends, alarms, comparisons."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from valvemap.errors import CommandRejected, ValvemapError
 from valvemap.page.alarm_list import MOST_PAST, row_of
-from valvemap.page.layout import Valve
+from valvemap.page.layout import Part, Valve
 from valvemap.page.messages import pack_text, pack_trend
 from valvemap.page.observer import Observer
 from valvemap.page.tracking import tracking_of
@@ -15,6 +15,7 @@ _MS = 1_000_000  # ns
 _LATEST_MS = 4_102_444_800_000  # the year 2100
 _LONGEST_MS = 400 * 86_400_000
 _NAN = float("nan")
+Place = TypeVar("Place", Valve, Part, Valve | Part)
 _PRESSURES_AND_T = 5  # further inputs of an axis' Invert
 
 
@@ -34,7 +35,7 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
     try:
         match question:
             case {"invert": str() as name, "Q": float() | int() as Q, "dp": float() | int() as dp}:
-                answer = await _invert(observer, _valve(observer, name), float(Q), float(dp))
+                answer = await _invert(observer, _place(observer.valves, name), float(Q), float(dp))
             case {"invert": str() as name, "v": float() | int() as v}:
                 if name not in {axis.name for axis in observer.parts}:
                     raise Senseless
@@ -46,7 +47,7 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
                 "to": int() as end,
                 "step": int() as step,
             }:
-                valve = _valve(observer, name)
+                valve = _place(observer.places, name)
                 _check_trend(names, valve, start, end, step)
                 span = start * _MS, end * _MS
                 return pack_trend(
@@ -58,7 +59,7 @@ async def answer_to(observer: Observer, number: int, question: dict[str, Any]) -
             case {"tracking": True}:
                 answer = await tracking_of(observer.client, observer.parts)
             case {"compare": str() as name, "estimator": str() as estimator}:
-                answer = await _compare(observer, _valve(observer, name), estimator)
+                answer = await _compare(observer, _place(observer.valves, name), estimator)
             case _:
                 raise Senseless
     except ValvemapError as error:
@@ -101,14 +102,16 @@ async def _compare(observer: Observer, valve: Valve, estimator: str) -> dict[str
     return {"mean": mean, "largest": largest, "U": U, "dp": dp, "points": points}
 
 
-def _valve(observer: Observer, name: str) -> Valve:
-    for valve in observer.valves:
-        if valve.name == name:
-            return valve
+def _place(places: Sequence[Place], name: str) -> Place:
+    for place in places:
+        if place.name == name:
+            return place
     raise Senseless
 
 
-def _check_trend(names: Sequence[Any], valve: Valve, start: int, end: int, step: int) -> None:
+def _check_trend(
+    names: Sequence[Any], valve: Valve | Part, start: int, end: int, step: int
+) -> None:
     _check_span(start, end)
     known = frozenset(recorded(valve))
     are_known = all(isinstance(name, str) and name in known for name in names)

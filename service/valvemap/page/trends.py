@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from valvemap.clock import Clock
 from valvemap.errors import CommandRejected, SourceLost
-from valvemap.page.layout import Valve
+from valvemap.page.layout import Part, Valve
 from valvemap.page.ports import Client
 from valvemap.page.seen import Seen
 from valvemap.readings import ConditionChange
-from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS
+from valvemap.vocabulary.history_columns import OF_AXES, REQUIRED_U, REQUIRED_U_STATUS
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 
@@ -71,18 +71,20 @@ class Trend:
     since: int
 
 
-def recorded(valve: Valve) -> tuple[str, ...]:
-    """Return the names of a valve's variables that have a history.
+def recorded(valve: Valve | Part) -> tuple[str, ...]:
+    """Return the names of a valve's or axis' variables that have a history.
 
     >>> recorded(Valve("V1", ("RLS",), ()))[-4:]
     ('RLS.NoiseStd', 'RLS.Status', 'Inverse.RequiredU', 'Inverse.RequiredUStatus')
     """
+    answers = tuple(f"Inverse.{name}" for name in (REQUIRED_U, REQUIRED_U_STATUS))
+    if isinstance(valve, Part):
+        return (*sorted(OF_AXES), *answers)
     of_estimators = (
         f"{estimator}.{quantity.name}"
         for estimator in valve.estimators
         for quantity in HISTORY_QUANTITIES
     )
-    answers = (f"Inverse.{name}" for name in (REQUIRED_U, REQUIRED_U_STATUS))
     return (*(f"Signals.{name}" for name in PUBLISHED), *of_estimators, *answers)
 
 
@@ -132,7 +134,7 @@ class Trends:
         seen.add(t, row)
 
     async def read(
-        self, valve: Valve, names: Sequence[str], span: tuple[int, int], step: int
+        self, valve: Valve | Part, names: Sequence[str], span: tuple[int, int], step: int
     ) -> Trend:
         """Return the trend of variables with a history over a span, UTC ns, at intervals ``step``.
 

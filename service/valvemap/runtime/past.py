@@ -17,7 +17,7 @@ from valvemap.pipeline.axis_ports import AxisResults
 from valvemap.pipeline.result_ports import PastCounters
 from valvemap.pipeline.results import AlarmChange, Results
 from valvemap.pipeline.store_ports import PastStore, Piece
-from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS
+from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS, STATUS
 from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import Quality
@@ -39,7 +39,7 @@ def signals_of(valve: str) -> str:
 
 
 def results_of(valve: str, part: str) -> str:
-    """Return the series name of an estimator's results, or of the inverse map's."""
+    """Return the series name of results of an estimator or inverse map, or of an axis' status."""
     return f"{valve}.{part}"
 
 
@@ -217,9 +217,14 @@ class PastKeeper:
 
 
 def pieces_of(axis: str, results: AxisResults, *, with_map: bool) -> list[Piece]:
-    """Return the rows of an axis: its answer to a demand, and ``with_map`` its quantities."""
+    """Return the rows of an axis: status, answer to a demand, and ``with_map`` its quantities.
+
+    While it is stale, it has no sample: the time is that of the last sample plus 1 ns.
+    """
     quality = Quality.UNCERTAIN if results.is_stale else Quality.GOOD
-    t, pieces = np.array([results.t]), list[Piece]()
+    t, good = np.array([results.t]), _CODES[[Quality.GOOD]]
+    status = {STATUS: np.array([float(results.status)])}
+    pieces = [Piece(results_of(axis, STATUS), t + results.is_stale, good, status)]
     if with_map:
         columns = {name: np.array([value]) for name, value in results.numbers.items()}
         pieces.append(Piece(axis, t, _CODES[[quality]], columns))
@@ -228,7 +233,7 @@ def pieces_of(axis: str, results: AxisResults, *, with_map: bool) -> list[Piece]
             REQUIRED_U: np.array([results.required.U]),
             REQUIRED_U_STATUS: np.array([float(results.required.status)]),
         }
-        pieces.append(Piece(results_of(axis, _INVERSE), t, _CODES[[Quality.GOOD]], answer))
+        pieces.append(Piece(results_of(axis, _INVERSE), t, good, answer))
     return pieces
 
 

@@ -12,8 +12,8 @@ const FONT = "11px system-ui, sans-serif";
 const SILENT = "no samples", ANSWER = "Answer";
 const DOUBTS = [["ok", 0], ["partly uncertain", 1], ["uncertain", 2]]; // of an estimate: label, severity
 
-/** `span()` is [from, to] in ms, `begin()` the first time of a value; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history, `statuses()` the {from, to, label, severity} of its statuses but ok, `answers()` those of the answer to the demand. */
-export function trendLanes({ live, valve, span, begin, changes, areAllKnown, silences, estimator, doubts, statuses, answers }) {
+/** `span()` is [from, to] in ms, `begin()` the first time of a value; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history, `statuses()` the {from, to, label, severity} of its statuses but ok; `answers()` those of the answer to the demand; `states()` those of the state, if it is in the history: the page itself knows that of a valve since its start. */
+export function trendLanes({ live, valve, span, begin, changes, areAllKnown, silences, estimator, doubts, statuses, answers, states = judged }) {
   const canvas = h("canvas.lanes", { role: "img", "aria-label": "State" });
 
   /** Spans of alarms of this valve and of the service; none begins before anything is known. */
@@ -29,13 +29,12 @@ export function trendLanes({ live, valve, span, begin, changes, areAllKnown, sil
     return live.events.filter(({ t, valve: of, kind }) => t >= from && t <= to && (of === valve.name || !of) && kind !== "alarm");
   }
 
-  /** Spans of the valve's state, with its label; silences over them. */
-  function states() {
+  /** Spans of the valve's state, with its label. */
+  function judged() {
     const row = live.rowOf(valve.name), old = live.oldOf(valve.name);
     const present = row ? { since: row.since, severity: row.severity, text: REASONS[row.reason][1] } : null;
     const label = (text) => REASONS.find(([, sentence]) => sentence === text)?.[0] ?? text;
-    const known = stateSpans(live.events, valve.name, present).map((one) => ({ ...one, to: one.to ?? (old && !one.severity ? old.since : live.old ? live.old.since : null), label: label(one.text) }));
-    return [...known, ...silences().map(([from, to]) => ({ from, to, severity: 3, label: SILENT }))];
+    return stateSpans(live.events, valve.name, present).map((one) => ({ ...one, to: one.to ?? (old && !one.severity ? old.since : live.old ? live.old.since : null), label: label(one.text) }));
   }
 
   const xOf = (chart, ms) => Math.min(Math.max(chart.valToPos(ms / 1000, "x", true), chart.bbox.left), chart.bbox.left + chart.bbox.width);
@@ -66,6 +65,9 @@ export function trendLanes({ live, valve, span, begin, changes, areAllKnown, sil
     ctx.restore();
   }
 
+  /** Spans of the state; silences over them. */
+  const stood = () => [...states(), ...silences().map(([from, to]) => ({ from, to, severity: 3, label: SILENT }))];
+
   /** Spans of the estimate's quality; its statuses over them, which say why. */
   const estimates = () => [...doubts().map(({ from, to, doubt }) => ({ from, to, label: DOUBTS[doubt][0], severity: DOUBTS[doubt][1] })), ...statuses()];
 
@@ -74,7 +76,7 @@ export function trendLanes({ live, valve, span, begin, changes, areAllKnown, sil
     const found = active(), laneOf = ({ source, name }) => `${source === "Service" ? "Service " : ""}${name}`;
     const kinds = [...new Set(found.map(laneOf))].slice(0, MOST_LANES), [from, to] = span();
     const isSeen = (one) => (one.to ?? to) > from && one.from < to;
-    const standing = [["State", states().filter(isSeen)], [estimator, estimates().filter(isSeen)], [ANSWER, answers().filter(isSeen)]].filter(([, spans], k) => k === 0 || spans.length);
+    const standing = [["State", stood().filter(isSeen)], [estimator, estimates().filter(isSeen)], [ANSWER, answers().filter(isSeen)]].filter(([, spans], k) => k === 0 || spans.length);
     canvas.style.height = `${(kinds.length + standing.length) * LANE}px`;
     const { context } = pen(canvas), [left, width] = [chart.bbox.left, chart.bbox.width].map((x) => x / devicePixelRatio);
     context.font = FONT;
@@ -103,5 +105,5 @@ export function trendLanes({ live, valve, span, begin, changes, areAllKnown, sil
     });
   }
 
-  return { canvas, active, marks, states, shade, mark, draw };
+  return { canvas, active, marks, states: stood, shade, mark, draw };
 }

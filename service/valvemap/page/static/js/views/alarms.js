@@ -92,7 +92,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
   function drawDetail(alarm) {
     if (!alarm) { detail.hidden = true; delete detail.dataset.key; return; }
     detail.hidden = false;
-    const { measured, causes } = parts(inUnits(alarm.text)), [quantity, action] = GUIDES[alarm.name] ?? ["", ""], isService = alarm.source === "Service";
+    const { measured, causes } = parts(inUnits(alarm.text)), [quantity, action] = GUIDES[alarm.name] ?? ["", ""], isService = alarm.source === "Service", kind = live.part(alarm.source)?.kind;
     const key = JSON.stringify([alarm, tab, Math.floor(Date.now() / 10000)]);
     if (detail.dataset.key === key) { showButtons(); return; }
     const isSame = detail.dataset.alarm === `${keyOf(alarm)}@${alarm.t}`;
@@ -117,7 +117,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
         causes.length ? [h("dt", {}, "What it may be"), h("dd", {}, h("ul", {}, causes.map((cause) => h("li", {}, cause))))] : [],
         action ? [h("dt", {}, "What to do"), h("dd.action", {}, inUnits(action))] : [],
         alarm.comment || alarm.user ? [h("dt", {}, "Last remark"), h("dd", {}, `${alarm.comment ? `“${alarm.comment}”` : "no comment"}${alarm.user ? `, ${alarm.user}` : ""}`)] : []),
-      isService ? null : live.part(alarm.source) ? h("p.links", {}, h("a.button", { href: live.hrefOf(alarm.source) }, "Line")) : h("p.links", {}, h("a.button", { href: `#/trend/${encodeURIComponent(alarm.source)}?${trend}` }, "Trend at that time"),
+      isService ? null : kind ? h("p.links", {}, kind === "axis" ? h("a.button", { href: `${live.hrefOf(alarm.source)}?${trend}` }, "Trend at that time") : null, h("a.button", { href: live.hrefOf(alarm.source) }, kind === "axis" ? "Axis" : "Line")) : h("p.links", {}, h("a.button", { href: `#/trend/${encodeURIComponent(alarm.source)}?${trend}` }, "Trend at that time"),
         h("a.button", { href: `#/map/${encodeURIComponent(alarm.source)}?at=${Math.round(alarm.t)}` }, "Place in the map"),
         h("a.button", { href: `#/valve/${encodeURIComponent(alarm.source)}` }, "Valve")),
       around.element,

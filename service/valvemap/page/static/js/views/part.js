@@ -1,5 +1,6 @@
 // A line of a valve with ports, or an axis: what its nodes say, and the voltage for a flow or speed.
 
+import { axisTrendCard } from "../axis_trend.js";
 import { lineChart } from "../charts.js";
 import { h, lineVariable, mark, onTheme, say } from "../dom.js";
 import { CODES, fixed, inUnit, NAN, short, spaced, spreadInUnit } from "../format.js";
@@ -14,7 +15,7 @@ const HALF = 1.96; // of a 95 % interval, in standard deviations
 const FASTEST = 500; // mm/s of the slider
 const BESIDE = /(Std|Lower|Upper)$/; // shown with the value that they are of
 
-export function partView(root, { live, ask, part, user }) {
+export function partView(root, { live, ask, part, user, query, keep }) {
   const isAxis = part.kind === "axis", codes = CODES[part.kind] ?? {}, closers = [];
   const badge = h("span.badge"), sentence = h("span.muted.sentence", { role: "status" }), table = h("tbody");
   const inverse = (isAxis ? speedCard : flowCard)(live, ask, user, part.name);
@@ -22,11 +23,12 @@ export function partView(root, { live, ask, part, user }) {
   const known = h("section.card", {}, h("header", {}, h("h2", {}, isAxis ? "What is known of the axis" : "What is known of the line")),
     h("table.described", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Value"), h("th.number", {}, "± 95 %"))), table));
   const tracking = isAxis ? trackingCard(live, ask) : null;
-  closers.push(inverse.close, edges.close, () => tracking?.close());
+  const past = isAxis ? axisTrendCard({ live, ask, name: part.name, query, keep }) : null;
+  closers.push(inverse.close, edges.close, () => tracking?.close(), () => past?.close());
 
   root.append(
     h("div.head", {}, h("h1", {}, part.name), badge, sentence),
-    h("div.grid.part-grid", {}, isAxis ? h("div.grid", {}, tracking.element, edges.element) : h("div.grid", {}, edges.element, known), h("div.grid", {}, inverse.element, isAxis ? known : null)),
+    h("div.grid.part-grid", {}, isAxis ? h("div.grid", {}, tracking.element, edges.element, past.element) : h("div.grid", {}, edges.element, known), h("div.grid", {}, inverse.element, isAxis ? known : null)),
   );
 
   /** The variables of the part itself and its signals; those of the inverse and of edges have places of their own. */
