@@ -18,6 +18,7 @@ import yaml
 from jsonschema.validators import validator_for
 
 from container.scada import load_project
+from support.compose import interpolated
 from support.foreign import PLANT, Foreign
 from support.processes import free_port, program, wait_for
 
@@ -323,24 +324,13 @@ def test_health_of_each_is_asked_at_its_own_port(name, port):
 def environment(name):
     """The environment as compose makes it where nothing is set outside."""
     given = {k: v for k, v in SERVICES[name]["environment"].items() if v is not None}
-    return {k: interpolated(v) for k, v in given.items()}
-
-
-def interpolated(text, **outside):
-    """Text as compose makes it: ``${A:-b}`` and ``${A:+b}``, where ``outside`` is set."""
-
-    def chosen(found):
-        name, operator, other = found.groups()
-        value = outside.get(name, "")
-        return (value or other) if operator == ":-" else (other if value else "")
-
-    return re.sub(r"\$\{(\w+)(:[-+])([^}]*)\}", chosen, text)
+    return {k: interpolated(v, {}) for k, v in given.items()}
 
 
 def command_line(name):
     from valvemap.cli.command_table import load_command
 
-    command = [interpolated(word) for word in SERVICES[name]["command"]]
+    command = [interpolated(word, {}) for word in SERVICES[name]["command"]]
     return load_command(command[0]), command
 
 
@@ -367,7 +357,7 @@ def test_the_page_s_variables_are_options_of_its_command(monkeypatch):
     assert options["url"] == "opc.tcp://service:4841/valvemap/service/"
     assert options["listen"] == "0.0.0.0:8080"
     assert list(options["host_name"]) == ["page", "localhost"]
-    url = interpolated(SERVICES["page"]["healthcheck"]["test"][-1])
+    url = interpolated(SERVICES["page"]["healthcheck"]["test"][-1], {})
     _, address, path = url.rpartition("127.0.0.1:8080")
     assert (address, path) == ("127.0.0.1:8080", "/livez")
 
@@ -388,14 +378,18 @@ def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):
 
 
 def test_the_page_has_https_where_it_is_asked_for():
-    on = {name: interpolated(value, VALVEMAP_PAGE_HTTPS="yes") for name, value in RAW_PAGE.items()}
+    on = {
+        name: interpolated(value, {"VALVEMAP_PAGE_HTTPS": "yes"})
+        for name, value in RAW_PAGE.items()
+    }
     assert on["VALVEMAP_PAGE_CERTIFICATE"] == on["VALVEMAP_PAGE_KEY"] == "/data/page.pem"
     assert environment("page")["VALVEMAP_PAGE_CERTIFICATE"] == ""
     url = SERVICES["page"]["healthcheck"]["test"][-1]
-    assert interpolated(url) == "http://127.0.0.1:8080/livez"
-    assert interpolated(url, VALVEMAP_PAGE_HTTPS="yes") == "https://127.0.0.1:8080/livez"
+    assert interpolated(url, {}) == "http://127.0.0.1:8080/livez"
+    assert interpolated(url, HTTPS) == "https://127.0.0.1:8080/livez"
 
 
+HTTPS = {"VALVEMAP_PAGE_HTTPS": "yes"}
 RAW_PAGE = SERVICES["page"]["environment"]
 
 
@@ -437,7 +431,7 @@ def test_with_source_url_the_service_serves_the_valves_of_another_server(tmp_pat
         assert done.returncode == 0, done.stderr
         connect = SERVICES["connect"]
         given = {
-            name: interpolated(value, **outside)
+            name: interpolated(value, outside)
             for name, value in connect["environment"].items()
             if value is not None
         }
@@ -459,11 +453,11 @@ def test_with_source_url_the_service_serves_the_valves_of_another_server(tmp_pat
 def check_it_serves(folder, outside):
     service, port = SERVICES["service"], free_port()
     own = {
-        name: interpolated(value, **outside).replace("0.0.0.0:4841", f"127.0.0.1:{port}")
+        name: interpolated(value, outside).replace("0.0.0.0:4841", f"127.0.0.1:{port}")
         for name, value in service["environment"].items()
         if value is not None
     }
-    command = [interpolated(word, **outside) for word in service["command"]]
+    command = [interpolated(word, outside) for word in service["command"]]
     assert command[-1] == "/data/own/service.toml"
     words, own = container_run(["valvemap", *command], folder, **own)
     log = folder / "service.log"

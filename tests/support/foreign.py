@@ -39,8 +39,9 @@ class Foreign(threading.Thread):
     ``move(k, place, t)`` says U, p1, p2 and Q of the k-th scan of a valve at t s.
     """
 
-    def __init__(self, names, folders, move=scattered):
+    def __init__(self, names, folders, move=scattered, listen="127.0.0.1:0"):
         super().__init__(daemon=True)
+        self.listen = listen
         self.names, self.folders, self.move, self.url = names, folders, move, None
         self.ready, self.over = threading.Event(), threading.Event()
 
@@ -50,7 +51,7 @@ class Foreign(threading.Thread):
     async def serve(self):
         server = Server()
         await server.init()
-        server.set_endpoint("opc.tcp://127.0.0.1:0/plc/")
+        server.set_endpoint(f"opc.tcp://{self.listen}/plc/")
         server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         index = await server.register_namespace("urn:plc")
         nodes = [await self.add(server, index, folder) for folder in self.folders]
