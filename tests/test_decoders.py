@@ -48,6 +48,7 @@ NAMES = (
     *(
         "state: arrays",
         "state: axes",
+        "state: searches of axes",
         "state: watches of axes",
         "state: alarms of axes",
         "file: models",

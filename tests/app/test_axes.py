@@ -210,4 +210,4 @@ async def test_a_unit_that_contradicts_the_source_is_refused(axis_config, open_s
 def test_a_state_of_another_geometry_is_not_resumed(axis_config):
     (axis,) = axis_config.axes
     other = axis.model_copy(update={"piston_mm": 64.0})
-    assert Axis(plan_of(axis)).key != Axis(plan_of(other)).key
+    assert Axis(plan_of(axis_config, axis)).key != Axis(plan_of(axis_config, other)).key

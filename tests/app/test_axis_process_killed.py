@@ -24,8 +24,8 @@ from valvemap.model.axis import AxisRegression, AxisSamples
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_search import fitted
 from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.pipeline.kept_axes import Learnt
-from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus
 from valvemap_rig.machine import Machine
@@ -109,15 +109,10 @@ def written(tmp_path):
         )
     )
     config = load_config(file)
-    axis = Axis(plan_of(config.axes[0]))
+    axis = Axis(plan_of(config, config.axes[0]))
     axis.continue_from(learnt(axis.plan.geometry))
     with CheckpointFile(axes_file(config)) as store:
-        store.save(
-            [
-                Checkpoint(axis.plan.name, name, axis.key, 1, packed, lam=None, frozen=False)
-                for name, packed in axis.to_bytes().items()
-            ]
-        )
+        store.save(checkpoints_of(axis, 1, axis.to_bytes()))
     return file, rig, service
 
 

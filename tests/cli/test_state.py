@@ -1,11 +1,18 @@
 """`valvemap state`: what was learnt is listed, adopted, renamed, exported and imported."""
 
+import numpy as np
 import pytest
 
 from support.plant import as_changes, plant
+from valvemap.app.axes import axes_file, build_axis_states
 from valvemap.app.build import build_identification
 from valvemap.cli import run
 from valvemap.config.loading import load_config
+from valvemap.model.axis import AxisGeometry, AxisRegression
+from valvemap.model.axis_basis import SIZE
+from valvemap.pipeline.kept_axes import Learnt
+from valvemap.pipeline.kept_together import KeptValves
+from valvemap.runtime.restoring import restore
 from valvemap.storage.checkpoints import CheckpointFile
 
 CONFIG = """
@@ -34,12 +41,10 @@ def config(tmp_path):
 
 def start(file):
     """What a service restores from its state file at the start, and saves."""
-    from valvemap.runtime.restoring import restore
-
     loaded = load_config(file)
     identification = build_identification(loaded)
     with CheckpointFile(loaded.state.file) as store:
-        restore(identification, store, store.load())
+        restore(KeptValves(identification), store, store.load())
         store.save(identification.states.kept())
     return identification.results.one(0).estimators["RLS"]
 
@@ -130,3 +135,96 @@ def test_a_file_that_is_none_is_refused_in_a_line(learnt, capsys, tmp_path, cont
     code, _, err = valvemap(capsys, "state", "import", given, "-c", file)
     assert (code, len(err)) == (2 if content is None else 1, 1)
     assert str(given) in err[0]
+
+
+AXIS = """
+[state]
+file = "{folder}/{state}"
+[[axes]]
+name = "{name}"
+piston_mm = 63
+rod_mm = 45
+stroke_mm = 800
+dead_A_l = 1.2
+[axes.nodes]
+U = "ns=2;s=U"
+position = "{x}"
+pA = "ns=2;s=pA"
+pB = "ns=2;s=pB"
+pS = "ns=2;s=pS"
+pT = "ns=2;s=pT"
+"""
+
+
+@pytest.fixture
+def axis_config(tmp_path):
+    def write(state="axis.sqlite", name="Press", x="ns=2;s=x"):
+        file = tmp_path / f"{state}.toml"
+        file.write_text(AXIS.format(folder=tmp_path, state=state, name=name, x=x))
+        return file
+
+    return write
+
+
+@pytest.fixture
+def learnt_axis(axis_config):
+    file = axis_config()
+    loaded = load_config(file)
+    states = build_axis_states(loaded)
+    regression = AxisRegression(AxisGeometry(63, 45, 800, 1.2, 1.2), play_percent=2.0)
+    initial = regression.initial_state()
+    states._axes[0].continue_from(Learnt(regression, initial, np.zeros((SIZE, SIZE))))
+    states._axes[0].t = 1_800_000_000_000_000_000
+    with CheckpointFile(axes_file(loaded)) as store:
+        store.save(states.kept([0]))
+    return file
+
+
+def started_axis(file):
+    """The axis of a service that starts with its state file, and saves."""
+    loaded = load_config(file)
+    states = build_axis_states(loaded)
+    with CheckpointFile(axes_file(loaded)) as store:
+        restore(states, store, store.load())
+        store.save(states.kept([0]))
+    return states._axes[0]
+
+
+def test_axes_are_listed_with_what_the_next_start_makes_of_them(learnt_axis, axis_config, capsys):
+    until = "to 2027-01-15T08:00:00Z"
+    code, lines, _ = valvemap(capsys, "state", "list", "-c", learnt_axis)
+    assert (code, lines) == (0, [f"Press.Axis: {until}; fits the configuration"])
+    _, lines, _ = valvemap(capsys, "state", "list", "-c", axis_config(name="Ram"))
+    assert lines == [f"Press.Axis: {until}; was Press.Axis: found again by its nodes"]
+    _, lines, _ = valvemap(capsys, "state", "list", "-c", axis_config(x="ns=2;s=XT-7"))
+    assert lines == [f"Press.Axis: {until}; position came from ns=2;s=x, now from ns=2;s=XT-7"]
+
+
+def test_an_axis_that_was_set_aside_is_adopted_by_number_or_name(learnt_axis, axis_config, capsys):
+    assert learnt_axis
+    other = axis_config(x="ns=2;s=XT-7")
+    assert started_axis(other).learnt is None
+    _, lines, _ = valvemap(capsys, "state", "list", "-c", other)
+    (line,) = (one for one in lines if "Press.Axis:" in one)
+    number = line.split()[0]
+    assert number.startswith("a")
+    code, lines, _ = valvemap(capsys, "state", "adopt", number, "-c", other)
+    assert (code, lines) == (0, ["Press.Axis: adopted"])
+    assert started_axis(other).learnt is not None
+
+
+def test_an_axis_is_renamed_exported_and_imported_as_a_valve_is(
+    learnt_axis, axis_config, capsys, tmp_path
+):
+    code, lines, _ = valvemap(capsys, "state", "rename", "Press", "Ram", "-c", learnt_axis)
+    assert (code, lines) == (0, ["Ram.Axis: renamed"])
+    out = tmp_path / "out.sqlite"
+    code, lines, _ = valvemap(capsys, "state", "export", out, "-c", learnt_axis)
+    assert (code, lines) == (0, [f"{out}: 1 states"])
+    other = axis_config("other.sqlite", name="Ram")
+    code, lines, _ = valvemap(capsys, "state", "import", out, "-c", other)
+    assert (code, lines) == (0, ["Ram.Axis: imported"])
+    assert started_axis(other).learnt is not None
+    code, _, err = valvemap(capsys, "state", "rename", "Press", "X", "-c", other)
+    assert (code, len(err)) == (1, 1)
+    assert "Press: no such state; there are Ram" in err[0]

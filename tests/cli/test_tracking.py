@@ -8,6 +8,7 @@ import pytest
 from valvemap.app.axes import plan_of
 from valvemap.cli import tracking
 from valvemap.cli.tracking import FIXED, LIVING, PHASES, PI, TABLE, Course
+from valvemap.config.models import Config
 from valvemap.model.axis import AxisSamples
 from valvemap.pipeline.axes import Axis
 from valvemap_rig.scenario import BUILTIN
@@ -55,7 +56,9 @@ def played(names, n, U):
 @pytest.fixture(scope="module")
 def course():
     """The scenario; answers act 40 ms after their sample."""
-    plans = [plan_of(axis) for axis in tracking.axes(SCENARIO) if axis.name in (FIXED, LIVING)]
+    config = Config(axes=tuple(tracking.axes(SCENARIO)))
+    led = [axis for axis in config.axes if axis.name in (FIXED, LIVING)]
+    plans = [plan_of(config, axis) for axis in led]
     first = tracking.commissioned(SCENARIO, Axis(plans[-1]), COMMISSIONING_S)
     service = AtOnce()
     found = Course(SCENARIO, service)

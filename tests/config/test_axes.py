@@ -29,7 +29,7 @@ def load(tmp_path, text):
 def test_an_axis_alone_needs_no_valve(tmp_path):
     config = load(tmp_path, toml())
     assert (len(config.valves), config.axes[0].name) == (0, "Press")
-    geometry = plan_of(config.axes[0]).geometry
+    geometry = plan_of(config, config.axes[0]).geometry
     assert (geometry.dead_A_l, geometry.dead_B_l) == (1.2, 1.2)
 
 
@@ -53,7 +53,7 @@ OF_SPEED = {name: node for name, node in NODES.items() if name != "position"} | 
 def test_a_speed_stands_in_place_of_the_position(tmp_path):
     more = '[axes.signals.speed]\nunit = "m/s"'
     config = load(tmp_path, toml(nodes=OF_SPEED, more=more))
-    assert plan_of(config.axes[0]).has_speed
+    assert plan_of(config, config.axes[0]).has_speed
     line_A, line_B = (nodes for _, nodes in _of_axes(config))
     assert (line_A.Q, line_B.Q) == ("ns=2;s=v", "ns=2;s=v")
     assert line_A.measures["Q"].scaling("Q").gain == 1000.0

@@ -9,8 +9,9 @@ from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.axis_search import AxisResult, fitted
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Samples
-from valvemap.pipeline import axes
+from valvemap.pipeline import axes, axis_searches
 from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axis_searches import SEARCHES_S, Searches
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
 from valvemap_rig.directional import DirectionalValve
 from valvemap_rig.machine import Machine
@@ -89,6 +90,11 @@ def test_one_job_at_a_time_and_its_samples_are_not_lost(samples, axis, found):
     assert whole.M.tobytes() == axis._state.M.tobytes()
 
 
+def due():
+    """Searches of which the next is due."""
+    return Searches(left_s=0.0)
+
+
 def test_a_refused_search_keeps_the_map_that_there_is(samples, axis, found, monkeypatch):
     done(axis)
     refused = dataclasses.replace(found, status=AxisStatus.TOO_SHORT, sentence="too short")
@@ -96,13 +102,13 @@ def test_a_refused_search_keeps_the_map_that_there_is(samples, axis, found, monk
     before = axis.results().map
     for start in range(7_100, 12_000, 100):
         axis.take(samples[start : start + 100])
-        axis._to_search_s = min(axis._to_search_s, 0.0)
+        axis._searches = due()
         done(axis)
     assert axis.results().status is AxisStatus.OK
     assert axis.results().map.U.tolist() == before.U.tolist()
     afresh = Axis(PLAN)
     afresh.take(samples[:100])
-    afresh._to_search_s = 0.0
+    afresh._searches = due()
     done(afresh)
     assert (afresh.results().status, afresh.results().sentence) == (
         AxisStatus.TOO_SHORT,
@@ -157,7 +163,7 @@ def test_after_a_sudden_change_play_and_spool_are_searched_in_what_comes_then(
     axis.take(samples[7_100:7_200])
     axis.take(samples[7_200:7_300])
     assert len(axis._window) == 100
-    assert axis._to_search_s == pytest.approx(axes.SEARCHES_S[0], abs=1.1)
+    assert axis._searches.left_s == pytest.approx(SEARCHES_S[0], abs=1.1)
     assert axis.results().map is not None
 
 
@@ -172,7 +178,7 @@ def at_rest(samples, seconds):
 
 def test_a_resting_axis_neither_searches_nor_forgets(samples, axis):
     done(axis)
-    before, kept_s = axis.results(), axis._to_search_s
+    before, kept_s = axis.results(), axis._searches.left_s
     rest = at_rest(samples[:7_100], 3_600)
     for start in range(0, len(rest), 1_000):
         axis.take(rest[start : start + 1_000])
@@ -180,7 +186,7 @@ def test_a_resting_axis_neither_searches_nor_forgets(samples, axis):
     after = axis.results()
     assert after.t == rest.t[-1]
     assert after.used_s - before.used_s < 60.0
-    assert kept_s - axis._to_search_s < 60.0
+    assert kept_s - axis._searches.left_s < 60.0
     assert after.map.known.tolist() == pytest.approx(before.map.known.tolist(), abs=5.0)
 
 
@@ -190,9 +196,9 @@ def test_refused_searches_become_rare(samples, found, monkeypatch):
     one, waits = Axis(PLAN), []
     for _ in range(7):
         one.take(samples[:100])
-        one._to_search_s = 0.0
+        one._searches = dataclasses.replace(one._searches, left_s=0.0)
         done(one)
-        waits.append(one._to_search_s)
+        waits.append(one._searches.left_s)
     assert waits == [30.0, 60.0, 120.0, 240.0, 480.0, 600.0, 600.0]
 
 
@@ -206,10 +212,28 @@ def test_a_state_goes_on_with_the_same_bits(samples, axis):
         one.take(samples[7_100:9_000])
     for name, array in vars(axis._state).items():
         assert array.tobytes() == getattr(again._state, name).tobytes(), name
+    other = dataclasses.replace(PLAN.geometry, rod_mm=40.0)
     with pytest.raises(StateMismatchError, match="other hyper-parameters"):
-        Axis(dataclasses.replace(PLAN, meaning="other nodes")).resume(axes.LEARNT, packed)
+        Axis(dataclasses.replace(PLAN, geometry=other)).resume(axes.LEARNT, packed)
     with pytest.raises(StateMismatchError):
         Axis(PLAN).resume(axes.LEARNT, packed[:-100])
+
+
+def test_after_a_restart_the_searches_go_on_where_they_were(samples, axis):
+    done(axis)
+    axis._searches = Searches(found=3, left_s=400.0)
+    again = Axis(PLAN)
+    for name, packed in axis.to_bytes().items():
+        again.resume(name, packed)
+    assert done(again) == ["_Known"]
+    assert again._searches == Searches(found=2, left_s=400.0)
+    again.take(samples[7_100:9_000])
+    assert done(again) == ["_Known"]
+
+
+def test_a_search_after_a_restart_has_as_many_samples_as_without_it():
+    for found, window_s in enumerate(SEARCHES_S):
+        assert Searches(found=found, left_s=1.0).resumed().left_s == window_s
 
 
 def watched(axis, samples):
@@ -223,7 +247,7 @@ def watched(axis, samples):
 @pytest.fixture
 def reference(samples, axis, monkeypatch):
     """An axis whose play and spool are settled, so that its map is the reference of findings."""
-    monkeypatch.setattr(axes, "SEARCHES_S", (70.0,))
+    monkeypatch.setattr(axis_searches, "SEARCHES_S", (70.0,))
     assert axis.results().findings is None
     done(axis)
     return axis

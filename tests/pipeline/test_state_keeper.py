@@ -15,6 +15,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.kept_together import KeptValves
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.runtime.kept_position import POSITION
@@ -90,7 +91,7 @@ async def crashes(answers, turns, valves_a_turn):
     Yields what a crash leaves behind, source and disk, before the first turn and after each.
     """
     source, disk, clock, known = Source(), Disk(answers), ManualClock(), valves()
-    keeper = StateKeeper(known, source, disk, clock, interval_s=1.0)
+    keeper = StateKeeper(KeptValves(known), source, disk, clock, interval_s=1.0)
     yield source, disk
     for turn in range(turns):
         first, stop = (SIGNALS * VALVES * A_TURN * n for n in (turn, turn + 1))

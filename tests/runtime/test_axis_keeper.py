@@ -10,8 +10,9 @@ from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis, AxisPlan
-from valvemap.runtime.axis_keeper import AxisKeeper
+from valvemap.pipeline.axis_states import AxisStates
 from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.state_keeper import StateKeeper
 
 
 class Store:
@@ -37,12 +38,12 @@ def disk():
 def keeper(disk, clock):
     axes = [Axis(AxisPlan("Press", AxisGeometry(63, 45, 800, 1, 1)))]
     arrivals = Arrivals(["A", "B"], Alignment(AlignmentSettings(), ((), ())))
-    return AxisKeeper(axes, arrivals, FakeSource(), disk, clock, 10.0)
+    return StateKeeper(AxisStates(axes, arrivals), FakeSource(), disk, clock, 10.0)
 
 
 async def turn(live, keeper, clock, seconds=10.0):
     clock.advance(seconds)
-    keeper.keep_if_due()
+    keeper.keep_in_turn(clock.monotonic())
     await keeper.settle()
     await live.tick()
     await live.keeper.settle()

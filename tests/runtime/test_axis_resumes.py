@@ -16,14 +16,16 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import LEARNT, AxisPlan
 from valvemap.pipeline.axis_memory import MEMORY
+from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_axes import Learnt
-from valvemap.pipeline.store_ports import Checkpoint
+from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.runtime.axes import LiveAxes
 from valvemap.runtime.kept_position import POSITION
 from valvemap.vocabulary.signals import PER_VALVE, Signal
 
-PLAN = AxisPlan("Press", AxisGeometry(63, 45, 800, 1.2, 1.2), meaning="its nodes")
+MEANING = Meaning("opc.tcp://plant", {"U": SignalMeaning("ns=2;s=U")})
+PLAN = AxisPlan("Press", AxisGeometry(63, 45, 800, 1.2, 1.2), meaning=MEANING)
 START = 1_900_000_000_000_000_000
 PERIOD_NS = 10_000_000
 
@@ -86,7 +88,7 @@ class Service:
     """One life of a service that identifies the axis."""
 
     def __init__(self, source, store, clock, plan=PLAN):
-        self.shown, self.learnt = {}, []
+        self.shown, self.learnt, self.clock = {}, [], clock
         alignment = Alignment(AlignmentSettings(), ((), ()), (True, True))
         self.live = LiveAxes(
             [plan],
@@ -107,7 +109,9 @@ class Service:
         self.shown[axis] = results
 
     async def keep(self):
-        await self.live.keeper.keep()
+        self.clock.advance(1.0)
+        self.live.keeper.keep_in_turn(self.clock.monotonic())
+        await self.live.keeper.settle()
 
 
 def store_with_map():
@@ -118,10 +122,7 @@ def store_with_map():
     service.axis.continue_from(
         Learnt(regression, regression.initial_state(), np.zeros((SIZE, SIZE)))
     )
-    for name, state in service.axis.to_bytes().items():
-        store.kept.append(
-            Checkpoint(PLAN.name, name, service.axis.key, 1, state, lam=None, frozen=False)
-        )
+    store.kept += checkpoints_of(service.axis, 1, service.axis.to_bytes())
     return store
 
 
@@ -227,7 +228,36 @@ async def test_a_state_of_other_nodes_is_set_aside_and_named():
     source, store = Source(), store_with_map()
     await killed_after(20, 14, source, store)
     with structlog.testing.capture_logs() as logs:
-        Service(Source(), store, ManualClock(START), replace(PLAN, meaning="other nodes"))
+        other = replace(MEANING, signals={"U": SignalMeaning("ns=2;s=U2")})
+        Service(Source(), store, ManualClock(START), replace(PLAN, meaning=other))
     aside = {one.estimator for one, _ in store.aside}
     assert {LEARNT, MEMORY} <= aside
-    assert {line["axis"] for line in logs if line["event"] == "axis starts afresh"} == {"Press"}
+    (said,) = (line for line in logs if "states of axes left aside" in line["event"])
+    assert "U came from ns=2;s=U, now from ns=2;s=U2" in said["why"]
+    assert "Press.Axis" in said["why"]
+
+
+async def test_a_renamed_axis_keeps_what_it_learnt_and_its_place_at_the_source():
+    source, store = Source(), store_with_map()
+    first = await killed_after(20, 14, source, store)
+    service = Service(source, store, ManualClock(START), replace(PLAN, name="Ram"))
+    service.axis.job = lambda: None
+    for changes in source.again():
+        await service.live.take(changes)
+    assert first.learnt[: 5 * 14] + service.learnt == EVERY[: 5 * 20]
+    await service.keep()
+    assert {one.valve for one in store.kept} == {"Ram", "Service"}
+
+
+async def test_an_axis_in_another_unit_is_set_aside_and_another_memory_keeps_its_map():
+    source, store = Source(), store_with_map()
+    first = await killed_after(20, 14, source, store)
+    kept = first.axis.to_bytes()[LEARNT]
+    again = Service(source, store, ManualClock(START), replace(PLAN, memory_s=900.0))
+    assert again.axis.learnt is not None
+    in_inches = SignalMeaning("ns=2;s=U", "V", gain=10.0)
+    other = replace(MEANING, signals={"U": in_inches})
+    Service(source, store, ManualClock(START), replace(PLAN, meaning=other))
+    aside = {one.estimator: why for one, why in store.aside}
+    assert "U was read as" in aside[LEARNT]
+    assert kept

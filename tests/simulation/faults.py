@@ -11,12 +11,14 @@ from simulation.stores import StateFile
 from valvemap.errors import StorageError
 from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_states import AxisStates
 from valvemap.pipeline.edges import NEVER_MET
 from valvemap.pipeline.edges import kernel as edges_kernel
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_states import MEMORY, KeptStates
+from valvemap.pipeline.kept_together import KeptValves
 from valvemap.runtime import sources as sources_module
-from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.state_keeper import StateKeeper
@@ -25,10 +27,14 @@ from valvemap.storage import state_lock
 
 def an_early_acknowledgement():
     """Messages are acknowledged before their states are saved."""
+    return _acknowledged_early(KeptValves)
+
+
+def _acknowledged_early(states):
     keep = StateKeeper._keep
 
     async def early(self, valves, mark):
-        if mark is not None:
+        if mark is not None and isinstance(self._states, states):
             self._source.commit(mark)
         await keep(self, valves, mark)
 
@@ -192,19 +198,12 @@ def a_deleted_node_that_nothing_counts():
 
 def an_axis_memory_that_is_not_restored():
     """An axis forgets in a restart what had arrived of its lines."""
-    return mock.patch.object(AxisKeeper, "_remember", return_value=None)
+    return mock.patch.object(Axis, "remember", return_value=None)
 
 
 def an_axis_that_acknowledges_early():
     """Messages of an axis are acknowledged before its states are saved."""
-    keep = AxisKeeper._keep
-
-    async def early(self):
-        if self.mark is not None:
-            self._source.commit(self.mark)
-        await keep(self)
-
-    return mock.patch.object(AxisKeeper, "_keep", early)
+    return _acknowledged_early(AxisStates)
 
 
 def rows_matched_by_time_alone():

@@ -10,6 +10,7 @@ import pytest
 
 from valvemap.app.build import build_identification
 from valvemap.config.models import Config
+from valvemap.pipeline.kept_together import KeptValves
 from valvemap.runtime.restoring import restore
 from valvemap.storage.checkpoint_rows import SCHEMA_VERSION
 from valvemap.storage.checkpoints import CheckpointFile
@@ -44,7 +45,7 @@ def started(path, config):
     identification = build_identification(config)
     with CheckpointFile(path) as store:
         assert store.set_aside is None
-        restore(identification, store, store.load())
+        restore(KeptValves(identification), store, store.load())
         store.save(identification.states.kept())
         return identification.results.one(0), store.aside()
 
@@ -87,7 +88,7 @@ def test_a_damaged_one_loses_only_what_is_damaged(path, expected):
     path.write_bytes(whole)
     identification = build_identification(config())
     with CheckpointFile(path) as store:
-        restore(identification, store, store.load())
+        restore(KeptValves(identification), store, store.load())
         assert "V1.RML" in store.damaged
     found = identification.results.one(0).estimators
     assert found["RML"].sample_count == 0

@@ -74,8 +74,9 @@ from valvemap.page.questions import Senseless as SenselessRequest
 from valvemap.pipeline import kept_axes, operator_ports
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import ALARMS, WATCH, Axis, AxisPlan
+from valvemap.pipeline.axes import ALARMS, SEARCHES, WATCH, Axis, AxisPlan
 from valvemap.pipeline.axis_alarms import AxisAlarms
+from valvemap.pipeline.axis_searches import Searches
 from valvemap.pipeline.axis_watch import AxisWatch, AxisWindowSums
 from valvemap.pipeline.dynamics_reference import DynamicsReference
 from valvemap.pipeline.edges import gathered
@@ -258,6 +259,12 @@ def _of_states():
     arrivals.take(as_changes(plant(20)))
     found["state: axes"] = Decoder(
         partial(Axis(_AXIS).resume, "Press"), lambda: [_packed_axis()], (StateMismatchError,)
+    )
+    found["state: searches of axes"] = Decoder(
+        partial(Axis(_AXIS).resume, SEARCHES),
+        lambda: [Searches(3, 1, 40.0).to_bytes(Axis(_AXIS).key)],
+        (StateMismatchError,),
+        inputs=_MANY,
     )
     found["state: watches of axes"] = Decoder(
         partial(Axis(_AXIS).resume, WATCH),

@@ -1,7 +1,6 @@
 """Runs the axes of a configuration, beside its valves."""
 
 import asyncio
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -10,13 +9,15 @@ import structlog
 
 from valvemap.app.build import alignment_of, feed_forward_of, timing_of
 from valvemap.clock import Clock
-from valvemap.config.axes import AxisConfig
+from valvemap.config.axes import MEASURED, AxisConfig
 from valvemap.config.models import Config
 from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import AxisPlan
+from valvemap.pipeline.axes import Axis, AxisPlan
 from valvemap.pipeline.axis_arrivals import LINES
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
+from valvemap.pipeline.axis_states import AxisStates
+from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import KeptElsewhere, Piece
 from valvemap.runtime.axes import AxisTap, LiveAxes
@@ -84,23 +85,9 @@ def build_live_axes(
     keep: Callable[[Sequence[Piece]], None] | None = None,
 ) -> LiveAxes:
     """Return the axes of a configuration, before the first sample."""
-    names = [axis.name for axis in config.axes for _ in range(LINES)]
-    optional = tuple(
-        () if node is None else ("T",)
-        for axis in config.axes
-        for node in (axis.nodes.T, axis.nodes.set_position)
-    )
-    has_sequence = tuple(
-        axis.nodes.sequence is not None for axis in config.axes for _ in range(LINES)
-    )
-    arrivals = Arrivals(
-        names,
-        alignment_of(config, optional, has_sequence),
-        timing_of(config, optional, has_sequence, rests=True),
-    )
     return LiveAxes(
-        [plan_of(axis) for axis in config.axes],
-        arrivals,
+        build_axis_plans(config),
+        _build_arrivals(config),
         server,
         source,
         store,
@@ -113,24 +100,61 @@ def build_live_axes(
     )
 
 
-def plan_of(axis: AxisConfig) -> AxisPlan:
-    """Return the plan of one axis."""
-    dead_B_l = axis.dead_A_l if axis.dead_B_l is None else axis.dead_B_l
-    meaning = axis.model_dump(
-        mode="json",
-        include={"source", "nodes", "signals"},
-        exclude={"nodes": {"set_position"}, "signals": {"set_position"}},
+def build_axis_states(config: Config) -> AxisStates:
+    """Return the states of all axes, before the first sample."""
+    return AxisStates([Axis(plan) for plan in build_axis_plans(config)], _build_arrivals(config))
+
+
+def _build_arrivals(config: Config) -> Arrivals:
+    """Return the arrivals of both lines of all axes."""
+    names = [axis.name for axis in config.axes for _ in range(LINES)]
+    optional = tuple(
+        () if node is None else ("T",)
+        for axis in config.axes
+        for node in (axis.nodes.T, axis.nodes.set_position)
     )
+    has_sequence = tuple(
+        axis.nodes.sequence is not None for axis in config.axes for _ in range(LINES)
+    )
+    return Arrivals(
+        names,
+        alignment_of(config, optional, has_sequence),
+        timing_of(config, optional, has_sequence, rests=True),
+    )
+
+
+def build_axis_plans(config: Config) -> list[AxisPlan]:
+    """Return a plan per axis."""
+    return [plan_of(config, axis) for axis in config.axes]
+
+
+def plan_of(config: Config, axis: AxisConfig) -> AxisPlan:
+    """Return the plan of one axis of a configuration."""
+    dead_B_l = axis.dead_A_l if axis.dead_B_l is None else axis.dead_B_l
     return AxisPlan(
         axis.name,
         AxisGeometry(axis.piston_mm, axis.rod_mm, axis.stroke_mm, axis.dead_A_l, dead_B_l),
         axis.memory_s,
-        json.dumps(meaning, sort_keys=True),
+        _meaning_of(config, axis),
         feed_forward_of(axis),
         axis.frozen,
         axis.nodes.speed is not None,
         axis.nodes.set_position is not None,
     )
+
+
+def _meaning_of(config: Config, axis: AxisConfig) -> Meaning:
+    """Return what an axis' signals mean: it is stored with the states learnt from them."""
+    signals: dict[str, SignalMeaning] = {}
+    for name in MEASURED:
+        node: str | None = getattr(axis.nodes, name)
+        if node is not None:
+            scaling = axis.signals.measure(name).scaling(name)
+            words = axis.signals.in_words(name)
+            signals[name] = SignalMeaning(node, words, scaling.gain, scaling.offset)
+    if axis.nodes.sequence is not None:
+        signals["sequence"] = SignalMeaning(axis.nodes.sequence)
+    return Meaning(config.source_of(axis).url, signals)
 
 
 def axes_file(config: Config) -> Path:

@@ -23,7 +23,7 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
-from valvemap.pipeline.units import Measure
+from valvemap.pipeline.units import QUANTITY_OF, Measure
 from valvemap.pipeline.valve_state import ValvePlan, runs_interpreted
 from valvemap.runtime.state_keeper import KEPT_PER_S
 from valvemap.storage.layout import Layout, ValveLayout
@@ -137,7 +137,7 @@ def meaning_of(
             given: SignalConfig = getattr(valve.signals, source)
             scaling, limit = given.measure(source).scaling(source), given.error_limit(source)
             signals[name] = SignalMeaning(
-                node, given.in_words(source), scaling.gain, scaling.offset, limit
+                node, given.in_words(QUANTITY_OF[source]), scaling.gain, scaling.offset, limit
             )
         elif node is not None:
             signals[name] = SignalMeaning(node)

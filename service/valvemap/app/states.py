@@ -1,23 +1,67 @@
-"""Lists, adopts, renames, exports and imports the learnt states of a configuration's state file."""
+"""Lists, adopts, renames, exports and imports the learnt states of valves and axes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Final
 
+from valvemap.app.axes import axes_file, build_axis_states
 from valvemap.app.build import build_identification
 from valvemap.config.models import Config
-from valvemap.errors import StorageError
+from valvemap.errors import NoSuchFile, StorageError
 from valvemap.owned_files import written_aside
-from valvemap.pipeline.provenance import BESIDE
+from valvemap.pipeline.axis_states import OF_AXES
+from valvemap.pipeline.kept_together import KeptTogether, KeptValves
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoint_rows import SetAside
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.state_files import read_states, write_states
 from valvemap.vocabulary.edges import split_id
 
-_OF_SERVICE = "Service"  # its position and alarms are no states of a valve
-_FITS = "fits the configuration"
+_OF_SERVICE: Final = "Service"  # its position and alarms are no states of a valve
+_FITS: Final = "fits the configuration"
+_AXIS_MARK: Final = "a"  # before the numbers of states set aside of axes, which have a file
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A file of states, and what they are of; ``mark`` precedes its numbers in the list."""
+
+    file: Path
+    states: KeptTogether
+    mark: str
+
+    def stored(self) -> tuple[list[Checkpoint], list[SetAside]]:
+        """Return its states but for the service's own, and those set aside."""
+        stored, aside = read_states(self.file)
+        return [one for one in stored if one.valve != _OF_SERVICE], aside
+
+    def shows(self, one: Checkpoint) -> bool:
+        """Whether a state is named in lists and counts."""
+        return not self.states.is_beside(one.estimator)
+
+
+def _kept(config: Config) -> list[_Kept]:
+    """Return the files of a configuration that there are.
+
+    Raises
+    ------
+    NoSuchFile
+        if there is none.
+    """
+    found = _files(config)
+    there = [one for one in found if one.file.is_file()]
+    if not there:
+        raise NoSuchFile(f"{found[0].file}: no such file; `valvemap serve` makes it")
+    return there
+
+
+def _files(config: Config) -> list[_Kept]:
+    return [
+        _Kept(config.state.file, KeptValves(build_identification(config)), ""),
+        _Kept(axes_file(config), build_axis_states(config), _AXIS_MARK),
+    ]
 
 
 def list_states(config: Config) -> Iterator[str]:
@@ -26,46 +70,58 @@ def list_states(config: Config) -> Iterator[str]:
     Raises
     ------
     StorageError
-        if the file cannot be read.
+        if a file cannot be read.
     """
-    stored, aside = read_states(config.state.file)
-    identification = build_identification(config)
-    reviewed = identification.states.review(stored)
-    _, refused = identification.restore(reviewed.checkpoints)
-    said = {**refused, **reviewed.changes, **reviewed.set_aside}
-    for one in stored:
-        if one.valve != _OF_SERVICE and one.estimator not in BESIDE:
+    for kept in _kept(config):
+        stored, aside = kept.stored()
+        reviewed = kept.states.review(stored)
+        _, refused = kept.states.restore(reviewed.checkpoints)
+        said = {**refused, **reviewed.changes, **reviewed.set_aside}
+        for one in filter(kept.shows, stored):
             name = ".".join(
                 reviewed.moved.get((one.valve, one.estimator), (one.valve, one.estimator))
             )
             yield f"{_name(one)}: {_until(one)}; {said.get(name, said.get(_name(one), _FITS))}"
-    for number, one, reason in aside:
-        yield f"{number} {_name(one)}: {_until(one)}; set aside: {reason}"
+        for number, one, reason in aside:
+            yield f"{kept.mark}{number} {_name(one)}: {_until(one)}; set aside: {reason}"
 
 
 def adopt(config: Config, what: str) -> list[str]:
     """Restore states that are set aside, under the present configuration; return their names.
 
-    ``what`` is a number that `list_states` shows, a valve, or ``<Valve>.<Estimator>``: the newest
-    states of that name. The states in their place are set aside.
+    ``what`` is a number that `list_states` shows, a valve or an axis, or ``<Valve>.<Estimator>``:
+    the newest states of that name. The states in their place are set aside.
 
     Raises
     ------
     StorageError
         if there is no such state, one does not fit, or a service uses the file.
     """
-    read_states(config.state.file)
-    identification = build_identification(config)
-    meanings = {plan.name: plan.meaning for plan in identification.plans}
-    with CheckpointFile(config.state.file) as store:
-        chosen = _chosen(store.aside(), what, config)
+    known = _kept(config)
+    asides = [kept.stored()[1] for kept in known]
+    for kept, aside in zip(known, asides, strict=True):
+        if _chosen(kept, aside, what):
+            return _adopt(kept, what)
+    there = ", ".join(
+        f"{kept.mark}{one.number} {_name(one.checkpoint)}"
+        for kept, aside in zip(known, asides, strict=True)
+        for one in aside
+    )
+    raise StorageError(
+        f"{known[0].file}: {what}: no such state is set aside; there are {there or 'none'}"
+    )
+
+
+def _adopt(kept: _Kept, what: str) -> list[str]:
+    with CheckpointFile(kept.file) as store:
+        chosen = _chosen(kept, store.aside(), what)
         own = []
         for _, one, _ in chosen:
-            meaning = meanings.get(one.valve)
+            meaning = kept.states.meaning_of(one.valve)
             if meaning is None:
-                raise StorageError(f"{_name(one)}: no such valve is configured; rename it first")
-            own.append(replace(one, meaning=meaning.to_text()))
-        _, refused = identification.restore(own)
+                raise StorageError(f"{_name(one)}: no such name is configured; rename it first")
+            own.append(replace(one, meaning=meaning))
+        _, refused = kept.states.restore(own)
         for name, reason in refused.items():
             raise StorageError(f"{name}: {reason}")
         _replace(store, own, "replaced by an adopted state")
@@ -74,45 +130,51 @@ def adopt(config: Config, what: str) -> list[str]:
 
 
 def rename(config: Config, old: str, new: str) -> list[str]:
-    """Give the states of a valve to another name; return their new names.
+    """Give the states of a valve or an axis to another name; return their new names.
 
     Raises
     ------
     StorageError
         if there is no such state, or a service uses the file.
     """
-    read_states(config.state.file)
-    with CheckpointFile(config.state.file) as store:
+    known = _kept(config)
+    for kept in known:
+        stored, aside = kept.stored()
+        if any(one.valve == old for one in stored) or any(a.checkpoint.valve == old for a in aside):
+            return _rename(kept, old, new)
+    raise _no_such(config.state.file, old, known)
+
+
+def _rename(kept: _Kept, old: str, new: str) -> list[str]:
+    with CheckpointFile(kept.file) as store:
         stored = store.load()
-        own = [one for one in stored if one.valve == old != _OF_SERVICE]
-        kept = [one for one in store.aside() if one.checkpoint.valve == old]
-        if not own and not kept:
-            raise _no_such(config, old, stored)
+        own = [one for one in stored if one.valve == old]
+        put_away = [one for one in store.aside() if one.checkpoint.valve == old]
         there = [one for one in stored if one.valve == new]
         aside = [(one, f"replaced by the states of {old}") for one in there]
-        aside += [(replace(one, valve=new), reason) for _, one, reason in kept]
+        aside += [(replace(one, valve=new), reason) for _, one, reason in put_away]
         store.put_aside(aside, {(old, one.estimator): (new, one.estimator) for one in own})
-        store.forget_aside([one.number for one in kept])
-    return [f"{new}.{one.estimator}" for one in own if one.estimator not in BESIDE]
+        store.forget_aside([one.number for one in put_away])
+    return [f"{new}.{one.estimator}" for one in filter(kept.shows, own)]
 
 
 def export_states(config: Config, file: Path, valves: Sequence[str]) -> int:
-    """Write the states of the given valves, or of all, to a new file; return their number.
+    """Write the states of the given valves and axes, or of all, to a file; return their number.
 
     Raises
     ------
     StorageError
         if there is no such state, or a file cannot be read or written.
     """
-    stored, _ = read_states(config.state.file)
-    known = [one for one in stored if one.valve != _OF_SERVICE]
+    known = _kept(config)
+    own = [(kept, one) for kept in known for one in kept.stored()[0]]
     for valve in valves:
-        if all(one.valve != valve for one in known):
-            raise _no_such(config, valve, known)
-    own = [one for one in known if not valves or one.valve in valves]
+        if all(one.valve != valve for _, one in own):
+            raise _no_such(config.state.file, valve, known)
+    own = [(kept, one) for kept, one in own if not valves or one.valve in valves]
     with written_aside(file) as draft:
-        write_states(draft, own)
-    return sum(one.estimator not in BESIDE for one in own)
+        write_states(draft, [one for _, one in own])
+    return sum(kept.shows(one) for kept, one in own)
 
 
 def import_states(config: Config, file: Path, valves: Sequence[str]) -> list[str]:
@@ -123,17 +185,22 @@ def import_states(config: Config, file: Path, valves: Sequence[str]) -> list[str
     Raises
     ------
     StorageError
-        if there is no such state, a file cannot be used, or a service uses the state file.
+        if there is no such state, a file cannot be used, or a service uses a state file.
     """
     given, _ = read_states(file)
     known = [one for one in given if one.valve != _OF_SERVICE]
     for valve in valves:
         if all(one.valve != valve for one in known):
-            raise StorageError(f"{file}: {valve}: no such state; there are {_valves(known)}")
+            raise StorageError(f"{file}: {valve}: no such state; there are {_names(known)}")
     own = [one for one in known if not valves or one.valve in valves]
-    with CheckpointFile(config.state.file) as store:
-        _replace(store, own, f"replaced by an import of {file.name}")
-    return [_name(one) for one in own if one.estimator not in BESIDE]
+    imported = []
+    for kept in _files(config):
+        mine = [one for one in own if (one.estimator in OF_AXES) == (kept.mark == _AXIS_MARK)]
+        if mine:
+            with CheckpointFile(kept.file) as store:
+                _replace(store, mine, f"replaced by an import of {file.name}")
+        imported += [_name(one) for one in filter(kept.shows, mine)]
+    return imported
 
 
 def _replace(store: CheckpointFile, own: Sequence[Checkpoint], reason: str) -> None:
@@ -144,27 +211,19 @@ def _replace(store: CheckpointFile, own: Sequence[Checkpoint], reason: str) -> N
     store.save(own)
 
 
-def _chosen(aside: Sequence[SetAside], what: str, config: Config) -> list[SetAside]:
-    if what.isdigit():
-        found = [one for one in aside if one.number == int(what)]
-    else:
-        newest = {_name(one.checkpoint): one for one in aside}
-        found = [one for name, one in newest.items() if what in (name, split_id(name)[0])]
-    if not found:
-        there = ", ".join(f"{one.number} {_name(one.checkpoint)}" for one in aside)
-        raise StorageError(
-            f"{config.state.file}: {what}: no such state is set aside; there are {there or 'none'}"
-        )
-    return found
+def _chosen(kept: _Kept, aside: Sequence[SetAside], what: str) -> list[SetAside]:
+    newest = {_name(one.checkpoint): one for one in aside}
+    return [one for name, one in newest.items() if what in (name, split_id(name)[0])] or [
+        one for one in aside if what == f"{kept.mark}{one.number}"
+    ]
 
 
-def _no_such(config: Config, valve: str, known: Sequence[Checkpoint]) -> StorageError:
-    return StorageError(
-        f"{config.state.file}: {valve}: no such state; there are {_valves(known) or 'none'}"
-    )
+def _no_such(file: Path, valve: str, known: Sequence[_Kept]) -> StorageError:
+    there = [one for kept in known for one in kept.stored()[0]]
+    return StorageError(f"{file}: {valve}: no such state; there are {_names(there) or 'none'}")
 
 
-def _valves(known: Sequence[Checkpoint]) -> str:
+def _names(known: Sequence[Checkpoint]) -> str:
     return ", ".join(sorted({one.valve for one in known}))
 
 

@@ -10,11 +10,13 @@ from valvemap.cli.output import write_line
 from valvemap.config.loading import load_config
 
 state = typer.Typer(
-    help="List, adopt, rename, export and import learnt states.", no_args_is_help=True
+    help="List, adopt, rename, export and import learnt states of valves and axes.",
+    no_args_is_help=True,
 )
 
 ValveOption = Annotated[
-    list[str] | None, typer.Option(metavar="NAME", help="One valve, or several; none = all.")
+    list[str] | None,
+    typer.Option(metavar="NAME", help="One valve or axis, or several; none = all."),
 ]
 
 
@@ -29,7 +31,9 @@ def list_(config: ConfigOption = None) -> None:
 
 @state.command()
 def adopt(
-    what: Annotated[str, typer.Argument(help="A number of the list, VALVE or VALVE.ESTIMATOR.")],
+    what: Annotated[
+        str, typer.Argument(help="A number of the list, VALVE, AXIS or VALVE.ESTIMATOR.")
+    ],
     config: ConfigOption = None,
 ) -> None:
     """Restore a state that was set aside: it fits the present configuration after all."""
@@ -41,11 +45,11 @@ def adopt(
 
 @state.command()
 def rename(
-    old: Annotated[str, typer.Argument(help="Present name of the valve.")],
+    old: Annotated[str, typer.Argument(help="Present name of the valve or axis.")],
     new: Annotated[str, typer.Argument(help="Its new name.")],
     config: ConfigOption = None,
 ) -> None:
-    """Give the states of a valve to another name."""
+    """Give the states of a valve or an axis to another name."""
     from valvemap.app.states import rename as rename_states
 
     for name in rename_states(load_config(config), old, new):

@@ -23,7 +23,7 @@ from valvemap.model.axis import AxisSamples
 from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_ports import AxisOperator
-from valvemap.pipeline.store_ports import Checkpoint
+from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap_rig.machine import Machine
 from valvemap_rig.machine_programme import moves
@@ -76,18 +76,14 @@ def _axis(machine: Machine) -> AxisConfig:
 
 def commission(config: Config, scenario: Scenario, seconds: float = COMMISSIONING_S) -> None:
     """Identify the new valve from work with the table, and store the map for both led axes."""
-    led = [Axis(plan_of(axis)) for axis in config.axes if axis.name in (FIXED, LIVING)]
-    first = commissioned(scenario, Axis(plan_of(config.axes[-1])), seconds)
+    led = [Axis(plan_of(config, axis)) for axis in config.axes if axis.name in (FIXED, LIVING)]
+    first = commissioned(scenario, Axis(plan_of(config, config.axes[-1])), seconds)
     learnt = first.learnt
     assert learnt is not None, "five minutes of the rig's work identify an axis"  # noqa: S101
     with CheckpointFile(axes_file(config)) as store:
         for axis in led:
             axis.continue_from(learnt)
-            kept = [
-                Checkpoint(axis.plan.name, name, axis.key, first.t, state, lam=None, frozen=False)
-                for name, state in axis.to_bytes().items()
-            ]
-            store.save(kept)
+            store.save(checkpoints_of(axis, first.t, axis.to_bytes()))
 
 
 def commissioned(scenario: Scenario, axis: Axis, seconds: float) -> Axis:

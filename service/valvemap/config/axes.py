@@ -37,6 +37,8 @@ _SENTENCES: Final = {
     "T": "oil temperature, where there is a sensor",
     "required_U": "the command that feed-forward writes",
 }
+MEASURED: Final = tuple(name for name in _SENTENCES if name != "required_U")
+"""The signals that are read."""
 _PRESSURES: Final = ("pA", "pB", "pS", "pT")
 _ALONE: Final = (
     "position and command do not tell the flows: the same command gives another speed at another "
@@ -120,6 +122,11 @@ class AxisSignalsConfig(
             given: SignalConfig = getattr(self, name)
             given.check_quantity(name, quantity)
         return self
+
+    def in_words(self, name: str) -> str:
+        """Return unit and scaling of a signal in words."""
+        given: SignalConfig = getattr(self, name)
+        return given.in_words(_QUANTITIES[name])
 
     def measure(self, name: str) -> Measure:
         """Return unit and scaling of a signal."""

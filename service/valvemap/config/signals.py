@@ -83,14 +83,13 @@ class SignalConfig(Section):
                 f"a unit of {quantity.noun} is needed, such as {quantity.value}"
             )
 
-    def in_words(self, signal: str) -> str:
-        """Return unit and scaling in words.
+    def in_words(self, quantity: Quantity) -> str:
+        """Return unit and scaling of a signal of this quantity in words.
 
-        >>> SignalConfig(unit="mA", raw=(4, 20), range=(0, 100)).in_words("U")
+        >>> SignalConfig(unit="mA", raw=(4, 20), range=(0, 100)).in_words(Quantity.OPENING)
         '[4, 20] mA for [0, 100] %'
         """
-        measure = self.measure(signal)
-        unit = (measure.unit or inside(QUANTITY_OF[signal])).symbol
+        unit = (self.measure_of(quantity).unit or inside(quantity)).symbol
         if self.raw is None or self.range is None:
             return unit
         known = self.known_unit

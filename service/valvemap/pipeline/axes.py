@@ -34,6 +34,7 @@ from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_memory import NEWEST, AxisMemory, Unmet
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
+from valvemap.pipeline.axis_searches import Searches
 from valvemap.pipeline.axis_tracking import Tracking
 from valvemap.pipeline.axis_watch import AxisWatch, Balance, balance
 from valvemap.pipeline.axis_window import AxisWindow
@@ -41,14 +42,13 @@ from valvemap.pipeline.edges import MOST_WAITING, NEVER_MET, matched
 from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.pipeline.kept_watches import pack_watch, unpack_watch
+from valvemap.pipeline.meaning import Meaning
 from valvemap.vocabulary.statuses import DELIVERS, AxisStatus, InverseStatus, Quality, Status
 
-LEARNT, WATCH, ALARMS = "Axis", "AxisWatch", "AxisAlarms"  # names of the stored parts
+LEARNT, SEARCHES, WATCH, ALARMS = "Axis", "AxisSearches", "AxisWatch", "AxisAlarms"
+"""Names of the stored parts."""
 WINDOW_S: Final = 200.0  # s of movement; length of a search: more does not move play and spool
 MOST_SAMPLES: Final = 250_000  # of the window, if samples come very quickly
-SEARCHES_S: Final = (70.0, 140.0, 210.0)  # s of movement until the first searches
-AGAIN_S: Final = 600.0  # s of movement between two later searches
-REFUSED_AGAIN_S: Final = 30.0  # s of movement after a refused search; doubled by each further one
 CHANGES_PER_S: Final = 1.0 / BETWEEN_JUMPS  # 1/s; sudden changes that are expected of an edge
 REFIT_S: Final = 5.0  # s of movement between two fits of the sums
 SAME_PLAY_PERCENT, SAME_LAG_S = 0.25, 0.003  # up to these differences the sums continue
@@ -58,7 +58,7 @@ _LONGEST_STEP_S: Final = 1.0  # s; a longer step from sample to sample is cut to
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """Configuration of one axis; ``meaning`` are its nodes, units and scalings.
+    """Configuration of one axis; ``meaning`` is that of its signals, None: unknown.
 
     ``is_frozen``: the stored map stays as it is; nothing is learnt, nothing is found.
     ``has_speed``: the piston's speed is measured, and not its position. ``is_tracked``: there is a
@@ -68,11 +68,19 @@ class AxisPlan:
     name: str
     geometry: AxisGeometry
     memory_s: float = 1_800.0
-    meaning: str = ""
+    meaning: Meaning | None = None
     feed_forward: FeedForward | None = None
     is_frozen: bool = False
     has_speed: bool = False
     is_tracked: bool = False
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """What a stored state is valid for, beside the meaning of its signals."""
+
+    geometry: AxisGeometry
+    has_speed: bool
 
 
 @dataclass(frozen=True)
@@ -123,8 +131,7 @@ class Axis:
         self._window = AxisWindow(WINDOW_S, MOST_SAMPLES)
         self._since: list[AxisSamples] | None = None  # while a search runs
         self._works = False
-        self._searches = self._refusals = 0
-        self._to_search_s, self._to_refit_s = SEARCHES_S[0], REFIT_S
+        self._searches, self._to_refit_s = Searches(), REFIT_S
         self._refused: AxisResult | None = None
         self._state: AxisState | None = None
         self._regression = AxisRegression(plan.geometry, has_place=not plan.has_speed)
@@ -182,7 +189,7 @@ class Axis:
         passed_s = float(np.clip(steps_s, 0.0, _LONGEST_STEP_S)[moves].sum())
         samples = samples[moves]
         self._window.append(passed_s, samples)
-        self._to_search_s -= passed_s
+        self._searches = self._searches.after(passed_s)
         if self._since is not None:
             self._since.append(samples)
         if self._state is not None:
@@ -201,7 +208,7 @@ class Axis:
         """
         if self._works:
             return None
-        if self._to_search_s <= 0.0 and self._window:
+        if self._searches.is_due and self._window:
             self._works, self._since = True, []
             plan, window = self.plan, self._window.whole()
             return partial(identify, window, plan.geometry, memory_s=plan.memory_s)
@@ -230,12 +237,9 @@ class Axis:
             return
         since, self._since = self._since or [], None
         if outcome.status or outcome.fit is None or outcome.state is None:
-            self._to_search_s = min(REFUSED_AGAIN_S * 2.0**self._refusals, AGAIN_S)
-            self._refusals, self._refused = min(self._refusals + 1, 10), outcome
+            self._searches, self._refused = self._searches.failed(), outcome
             return
-        self._searches, self._refusals, self._refused = self._searches + 1, 0, None
-        k = self._searches
-        self._to_search_s = SEARCHES_S[k] - SEARCHES_S[k - 1] if k < len(SEARCHES_S) else AGAIN_S
+        self._searches, self._refused = self._searches.succeeded(), None
         if outcome.of_shape is not None:
             self._of_shape = outcome.of_shape
         if self._state is None or not _are_alike(self._regression, outcome.fit.regression):
@@ -253,23 +257,22 @@ class Axis:
 
     @property
     def _begins_watch(self) -> bool:
-        return self._watch is None and self._searches >= len(SEARCHES_S)
+        return self._watch is None and self._searches.are_settled
 
     def set_reference(self) -> None:
         """Learn anew; the map stays until there is a new one, findings come after the searches."""
         self._window.clear()
         self._watch = self._state = self._since = None
-        self._searches = self._refusals = 0
-        self._to_search_s = SEARCHES_S[0]
+        self._searches = Searches()
 
     def _search_anew(self) -> None:
         """Search play and spool in the samples after a sudden change alone."""
         self._window.clear()
-        self._to_search_s = SEARCHES_S[0]
+        self._searches = self._searches.over_new_samples()
 
     def abandon(self) -> None:
         """Note that a job ended without an outcome."""
-        self._works, self._since, self._to_search_s = False, None, AGAIN_S
+        self._works, self._since, self._searches = False, None, self._searches.abandoned()
 
     def situation(self) -> Situation:
         """Return what feed-forward goes by, as of an armed axis whose sample has just come."""
@@ -372,14 +375,15 @@ class Axis:
 
     @property
     def key(self) -> str:
-        """The hash that a stored state is bound to."""
-        return key_of(replace(self.plan, feed_forward=None, is_frozen=False, is_tracked=False))
+        """The hash that a stored state is bound to: by geometry, and what measures the piston."""
+        return key_of(_Bound(self.plan.geometry, self.plan.has_speed))
 
     def to_bytes(self) -> dict[str, bytes]:
-        """Return alarms, the learnt state, and the reference of findings, once there is one."""
+        """Return alarms, searches, the learnt state, and the reference of findings, if any."""
         found = {ALARMS: self.alarms.to_bytes(self.key)} if self.alarms.version else {}
         if (learnt := self.learnt) is not None:
             found[LEARNT] = pack(learnt, self.key)
+            found[SEARCHES] = self._searches.to_bytes(self.key)
         if self._watch is not None:
             found[WATCH] = pack_watch(self._watch, self.key)
         return found
@@ -435,6 +439,9 @@ class Axis:
         )
         if name == ALARMS:
             self.alarms.from_bytes(packed, self.key)
+            return
+        if name == SEARCHES:
+            self._searches = Searches.from_bytes(packed, self.key).resumed()
             return
         if name == WATCH:
             self._watch = unpack_watch(packed, self.key, regression)

@@ -177,16 +177,17 @@ class AxisMemories:
                 state = self._arrivals.timing.valves[row].state
                 yield TIMINGS[line], state.to_bytes(key)
 
-    def restored(self, number: int, stored: Mapping[str, bytes]) -> AxisMemory | None:
-        """Restore the arrivals of both lines; return the rest of the memory, None: there is none.
+    def restored(self, number: int, stored: Mapping[str, bytes]) -> AxisMemory:
+        """Restore the arrivals of both lines; return the rest of the memory.
 
         Raises
         ------
         StateMismatchError
-            if a part is damaged, or belongs to another configuration; nothing is restored then.
+            if a part is missing, damaged, or belongs to another configuration; nothing is restored
+            then.
         """
         if not {MEMORY, *OF_LINES} <= stored.keys():
-            return None
+            raise StateMismatchError("a part of it is missing")
         key, alignment = self._keys[number], self._arrivals.alignment
         kept = _Kept.from_bytes(stored[MEMORY], key)
         kept.check(_Kept.of(_nothing()))

@@ -24,10 +24,10 @@ from valvemap.pipeline.provenance import (
     METER,
     PLACES,
     TIMING,
-    Reviewed,
-    review,
+    ValveTerms,
 )
 from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.review import Reviewed, review
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.timing import TimingSettings, TimingState
 from valvemap.pipeline.valve_memory import ValveMemory
@@ -89,7 +89,7 @@ class KeptStates:
 
     def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
         """Return stored checkpoints in the terms of the present configuration."""
-        return review(stored, self._valves.plans, self._arrivals.alignment)
+        return review(stored, self._valves.plans, ValveTerms(self._arrivals.alignment))
 
     def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Return every estimator's state as bytes, of the given valves or of all."""

@@ -1,4 +1,4 @@
-"""What a valve's learnt states mean: the source, node, unit, scaling and accuracy of each signal.
+"""What learnt states mean: the source, node, unit, scaling and accuracy of each signal.
 
 A checkpoint carries the meaning under which it was learnt. A restart compares it with that of the
 present configuration.
@@ -18,7 +18,9 @@ UNREADABLE: Final = "digest "
 """Begins the meaning of a checkpoint of which only the digest can be read."""
 
 FLOW: Final = ("U", "p1", "p2", "Q")
-"""The signals of every map."""
+"""The signals of every map of a valve."""
+IDENTITY: Final = (*FLOW, "position", "speed", "pA", "pB", "pS", "pT")
+"""The signals whose nodes identify a valve, or an axis."""
 _DIGEST_BYTES = 16
 
 
@@ -43,7 +45,10 @@ class SignalMeaning:
 
 @dataclass(frozen=True)
 class Meaning:
-    """All signals of a valve by name, the ``source`` that publishes them, and each λ configured."""
+    """All signals by name, the ``source`` that publishes them, and each λ configured.
+
+    ``lam`` of an axis is empty: its states are valid whatever its memory.
+    """
 
     source: str
     signals: Mapping[str, SignalMeaning]
@@ -51,8 +56,8 @@ class Meaning:
 
     @property
     def nodes(self) -> tuple[str | None, ...]:
-        """The nodes of U, p1, p2 and Q: they identify the valve."""
-        return tuple(self.node(name) for name in FLOW)
+        """The nodes of `IDENTITY`; None for a signal that there is not."""
+        return tuple(self.node(name) for name in IDENTITY)
 
     def node(self, signal: str) -> str | None:
         """Return the node of a signal; None without one."""

@@ -1,11 +1,7 @@
-"""Compares the meaning of stored states with the present configuration, before they are restored.
+"""How the stored states of valves follow a changed configuration: the terms of their review."""
 
-By the meaning of its signals, a state is restored as it is, converted, found under another name, or
-set aside: it is never restored under a meaning other than its own.
-"""
-
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,16 +11,8 @@ from valvemap.model.estimator import StateMismatchError, key_of
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.conversion import lane_in_flow_unit, memory_in_units
-from valvemap.pipeline.meaning import (
-    FLOW,
-    UNREADABLE,
-    Meaning,
-    digest_of,
-    other_accuracies,
-    other_nodes,
-    other_scaling,
-    rescaling,
-)
+from valvemap.pipeline.meaning import FLOW, other_scaling, rescaling
+from valvemap.pipeline.review import Change
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
@@ -41,266 +29,56 @@ DYNAMICS: Final = "Dynamics"  # what its dynamics are compared with; likewise
 BESIDE: Final = (MEMORY, TIMING, BASELINE, ALARMS, PLACES, EDGE, METER, DYNAMICS)
 
 
-@dataclass(frozen=True)
-class Aside:
-    """A stored state that is not restored, and why."""
-
-    checkpoint: Checkpoint
-    reason: str
+_Change = Change[ValvePlan]
 
 
-@dataclass
-class Reviewed:
-    """Stored states in the terms of the present configuration.
+class ValveTerms:
+    """Implements `Terms`; ``alignment`` is that of the valves' signals."""
 
-    Attributes
-    ----------
-    checkpoints
-        The states to restore, under their present names and in the present units.
-    aside
-        The states to keep apart, as they were stored.
-    changes
-        What changed with the states that are restored: a sentence by ``<Valve>.<Estimator>``.
-    moved
-        (valve, estimator) as stored, by what they are now: the rows to delete.
-    """
+    def __init__(self, alignment: Alignment) -> None:
+        self._alignment = alignment
 
-    checkpoints: list[Checkpoint] = field(default_factory=list)
-    aside: list[Aside] = field(default_factory=list)
-    changes: dict[str, str] = field(default_factory=dict)
-    moved: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
-
-    @property
-    def set_aside(self) -> dict[str, str]:
-        """The reasons by ``<Valve>.<Estimator>`` as stored."""
-        return {
-            f"{one.checkpoint.valve}.{one.checkpoint.estimator}": one.reason for one in self.aside
-        }
-
-
-def review(
-    stored: Sequence[Checkpoint], plans: Sequence[ValvePlan], alignment: Alignment
-) -> Reviewed:
-    """Return the stored states in the terms of the present configuration."""
-    found = Reviewed()
-    by_valve: dict[str, list[Checkpoint]] = {}
-    for one in stored:
-        by_valve.setdefault(one.valve, []).append(one)
-    successors = _successors(by_valve, plans)
-    named = {plan.name: plan for plan in plans}
-    replaced = set(successors.values())
-    for name, rows in by_valve.items():
-        new = successors.get(name)
-        if new is not None:
-            _review_valve(rows, named[new], _homes(plans), alignment, found)
-        elif name in replaced and name in named:
-            found.aside += [
-                Aside(row, f"{name} now has the nodes of another valve") for row in rows
-            ]
-        else:
-            found.checkpoints += rows  # of the service, or of no configured valve
-    return found
-
-
-def _homes(plans: Sequence[ValvePlan]) -> set[str]:
-    """Return the configured sources."""
-    return {plan.meaning.source for plan in plans if plan.meaning is not None}
-
-
-def _successors(
-    by_valve: Mapping[str, list[Checkpoint]], plans: Sequence[ValvePlan]
-) -> dict[str, str]:
-    """Return the present name of each stored valve that is configured: the nodes decide."""
-    homes, names = _homes(plans), {plan.name for plan in plans}
-    meanings = {name: _newest_meaning(rows) for name, rows in by_valve.items()}
-    found: dict[str, str] = {}
-    for plan in plans:
-        meaning, own = plan.meaning, meanings.get(plan.name)
-        if plan.name in by_valve and (meaning is None or own is None or _same(own, meaning, homes)):
-            found[plan.name] = plan.name
-    for plan in plans:
-        if plan.meaning is None or plan.name in found.values():
-            continue
-        others = [
-            name
-            for name, meaning in meanings.items()
-            if name not in found and meaning is not None and _same(meaning, plan.meaning, homes)
-        ]
-        if others:
-            newest = max(others, key=lambda name: max(row.t for row in by_valve[name]))
-            found[newest] = plan.name
-    taken = set(found.values())
-    for name in by_valve:
-        if name in names and name not in found and name not in taken:
-            found[name] = name
-    return found
-
-
-def _newest_meaning(rows: Iterable[Checkpoint]) -> Meaning | None:
-    known = [(row.t, Meaning.from_text(row.meaning)) for row in rows]
-    said = [(t, meaning) for t, meaning in known if meaning is not None]
-    return max(said, key=lambda one: one[0])[1] if said else None
-
-
-def _same(before: Meaning, now: Meaning, homes: set[str]) -> bool:
-    """Whether both have the same nodes of one source, which may have moved to another address."""
-    return before.nodes == now.nodes and _same_source(before, now, homes)
-
-
-def _same_source(before: Meaning, now: Meaning, homes: set[str]) -> bool:
-    return before.source == now.source or before.source not in homes
-
-
-def _review_valve(
-    rows: Sequence[Checkpoint],
-    plan: ValvePlan,
-    homes: set[str],
-    alignment: Alignment,
-    found: Reviewed,
-) -> None:
-    names = _estimator_names(rows, plan)
-    for row in rows:
-        new = names.get(row.estimator, row.estimator)
-        own = replace(row, valve=plan.name, estimator=new)
-        try:
-            change = _Change(_meaning_of(row, plan), plan, homes)
-            own, said = _as_now(own, change, alignment)
-        except StateMismatchError as error:
-            found.aside.append(Aside(row, str(error)))
-            continue
-        if plan.meaning is not None and new in {*plan.estimators, *BESIDE}:
-            own = replace(own, meaning=plan.meaning.to_text())
-        found.checkpoints.append(own)
-        was, now = (row.valve, row.estimator), (plan.name, new)
-        if was != now:
-            found.moved[was] = now
-        if new not in BESIDE:
-            renamed = [f"was {'.'.join(was)}: found again by its {_by(was, now)}"]
-            said = [*(renamed if was != now else []), *said]
-            if said:
-                found.changes[f"{plan.name}.{new}"] = "; ".join(said)
-
-
-def _meaning_of(row: Checkpoint, plan: ValvePlan) -> Meaning | None:
-    """Return the meaning of a state; None if it is unknown, as in files of older versions.
-
-    Raises
-    ------
-    StateMismatchError
-        if it cannot be read and is not the present one.
-    """
-    if not row.meaning.startswith(UNREADABLE) or plan.meaning is None:
-        return Meaning.from_text(row.meaning)
-    if row.meaning != f"{UNREADABLE}{digest_of(plan.meaning.to_text())}":
-        raise StateMismatchError("the nodes and units that it was learnt from cannot be read")
-    return plan.meaning
-
-
-def _by(was: tuple[str, str], now: tuple[str, str]) -> str:
-    return "nodes" if was[0] != now[0] else "settings"
-
-
-def _estimator_names(rows: Sequence[Checkpoint], plan: ValvePlan) -> dict[str, str]:
-    """Return the present name of each stored estimator that was renamed: its settings decide."""
-    stored = {row.estimator for row in rows}
-    free = [row for row in rows if row.estimator not in (*plan.estimators, *BESIDE)]
-    found: dict[str, str] = {}
-    for name, estimator in plan.estimators.items():
-        if name in stored:
-            continue
-        alike = [r for r in free if r.key == key_of(estimator) and r.estimator not in found]
-        if alike:
-            found[max(alike, key=lambda row: row.t).estimator] = name
-    return found
-
-
-class _Change:
-    """How the meaning of a valve's signals differs from that of a stored state."""
-
-    def __init__(self, before: Meaning | None, plan: ValvePlan, homes: set[str]) -> None:
-        now = plan.meaning
-        self.before = before if before is not None and now is not None else None
-        self.now = now
-        self.plan = plan
-        self._homes = homes
-
-    @property
-    def both(self) -> tuple[Meaning, Meaning]:
-        assert self.before is not None  # noqa: S101 - callers check
-        assert self.now is not None  # noqa: S101
-        return self.before, self.now
-
-    def check_nodes(self, names: tuple[str, ...] = FLOW) -> None:
-        """Reject a state of another source or of other nodes."""
-        before, now = self.both
-        if not _same_source(before, now, self._homes):
-            raise StateMismatchError(f"its source was {before.source}, now {now.source}")
-        other = other_nodes(before, now, names)
-        if other is not None:
-            raise StateMismatchError(other)
-
-    def rescaled(self, names: Iterable[str]) -> list[str]:
-        """Return the given signals whose unit or scaling changed."""
-        return [name for name in names if not rescaling(*self.both, name).is_none]
-
-    def check_scaling(self, names: Iterable[str]) -> None:
-        """Reject a state in other units."""
-        for name in self.rescaled(names):
-            raise StateMismatchError(other_scaling(*self.both, name))
-
-    @property
-    def same_drop(self) -> bool:
-        """Whether p1 - p2 is unchanged, because both are shifted alike."""
-        p1, p2 = (rescaling(*self.both, name) for name in ("p1", "p2"))
-        return p1 == p2 and p1.gain == 1.0
-
-    @property
-    def T_is_other(self) -> bool:
-        """Whether T comes from another node; a sensor that was added or removed is none."""
-        before, now = (meaning.node("T") for meaning in self.both)
-        return None not in (before, now) and before != now
-
-    @property
-    def T_differs(self) -> bool:
-        """Whether temperatures before and now cannot be compared."""
-        return self.T_is_other or bool(self.rescaled(("T",)))
-
-    def said(self) -> list[str]:
-        """Changes that leave a map valid, in words."""
-        before, now = self.both
-        found = [
-            f"{text}: the map is kept, intervals follow" for text in other_accuracies(*self.both)
-        ]
-        if self.rescaled(("p1",)) and self.same_drop:
-            found.append("p1 and p2 are shifted alike: kept")
-        if before.source != now.source:
-            found.append(
-                f"its source was {before.source}, now {now.source}: kept; if that is another "
-                "plant, call Reset"
-            )
+    def names(self, rows: Sequence[Checkpoint], plan: ValvePlan) -> Mapping[str, str]:
+        """Return the present names of stored estimators that were renamed: settings decide."""
+        stored = {row.estimator for row in rows}
+        free = [row for row in rows if row.estimator not in (*plan.estimators, *BESIDE)]
+        found: dict[str, str] = {}
+        for name, estimator in plan.estimators.items():
+            if name in stored:
+                continue
+            alike = [r for r in free if r.key == key_of(estimator) and r.estimator not in found]
+            if alike:
+                found[max(alike, key=lambda row: row.t).estimator] = name
         return found
 
+    def kept(self, plan: ValvePlan) -> Collection[str]:
+        """Return the names of its estimators, and of what is kept beside them."""
+        return {*plan.estimators, *BESIDE}
 
-def _as_now(own: Checkpoint, change: _Change, alignment: Alignment) -> tuple[Checkpoint, list[str]]:
-    """Return a state in the present units, and what changed.
+    def is_beside(self, name: str) -> bool:
+        """Whether it is none of an estimator."""
+        return name in BESIDE
 
-    Raises
-    ------
-    StateMismatchError
-        with the reason in words, if it does not have the present meaning.
-    """
-    if own.estimator == MEMORY:
-        return _memory_as_now(own, change, alignment), []
-    if own.estimator in BESIDE:
-        if change.before is not None:
-            names = READ if own.estimator == TIMING else FLOW
-            change.check_nodes(names)
-            change.check_scaling(MEASURED if own.estimator == TIMING else FLOW)
-        return own, []
-    estimator = change.plan.estimators.get(own.estimator)
-    if estimator is None:
-        return own, []  # not configured; it stays in the file
-    return _lane_as_now(own, estimator, change)
+    def as_now(self, own: Checkpoint, change: _Change) -> tuple[Checkpoint, list[str]]:
+        """Return a state in the present units, and what changed.
+
+        Raises
+        ------
+        StateMismatchError
+            with the reason in words, if it does not have the present meaning.
+        """
+        if own.estimator == MEMORY:
+            return _memory_as_now(own, change, self._alignment), []
+        if own.estimator in BESIDE:
+            if change.before is not None:
+                names = READ if own.estimator == TIMING else FLOW
+                change.check_nodes(names)
+                change.check_scaling(MEASURED if own.estimator == TIMING else FLOW)
+            return own, []
+        estimator = change.plan.estimators.get(own.estimator)
+        if estimator is None:
+            return own, []  # not configured; it stays in the file
+        return _lane_as_now(own, estimator, change)
 
 
 def _lane_as_now(

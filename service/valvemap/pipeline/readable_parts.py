@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Times
 from valvemap.pipeline.lane_failures import LaneFailure
 from valvemap.pipeline.plausibility import Finding
-from valvemap.pipeline.provenance import Reviewed
 from valvemap.pipeline.recommendation import Recommendation
 from valvemap.pipeline.results import Results, ValveResult
+from valvemap.pipeline.review import Reviewed
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValveState
@@ -135,7 +135,7 @@ class ReadableStates(Protocol):
         """Return the state beside the estimators, of the given valves or of all."""
 
     def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
-        """Compare stored checkpoints with the configuration, see :func:`provenance.review`."""
+        """Compare stored checkpoints with the configuration, see :func:`review.review`."""
 
 
 class ReadableColumns(Protocol):

@@ -9,7 +9,7 @@ import numpy as np
 import structlog
 
 from valvemap.clock import Clock
-from valvemap.errors import CommandRejected, SourceError
+from valvemap.errors import CommandRejected, SourceError, StorageError
 from valvemap.model.axis import AxisSamples
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import ByValve
@@ -17,17 +17,20 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis, AxisPlan, Job
 from valvemap.pipeline.axis_arrivals import LINES, awaited, counted
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, AxisSink, RequiredU
+from valvemap.pipeline.axis_states import AxisStates
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import CheckpointStore, Piece
-from valvemap.runtime.axis_keeper import AxisKeeper
 from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
+from valvemap.runtime.kept_position import resume_source
 from valvemap.runtime.led_axes import LedAxes
 from valvemap.runtime.past import pieces_of
+from valvemap.runtime.restoring import REMEDY, by_reason, restore
+from valvemap.runtime.state_keeper import StateKeeper
 from valvemap.runtime.waiting_time import WaitingTime
 from valvemap.vocabulary.statuses import AxisStatus
 
@@ -87,7 +90,8 @@ class LiveAxes:
         self._numbers = {plan.name: number for number, plan in enumerate(plans)}
         self._arrivals, self._sink, self._clock = arrivals, sink, clock
         self._stale_after_s = stale_after_s
-        self.keeper = AxisKeeper(self.axes, arrivals, source, store, clock, checkpoint_interval_s)
+        self._states, self._store = AxisStates(self.axes, arrivals, self._fail), store
+        self.keeper = StateKeeper(self._states, source, store, clock, checkpoint_interval_s)
         self._held = WaitingTime(LINES * len(plans), reorder_s, now)
         self._connected = np.zeros(LINES * len(plans), np.bool_)
         self._heard_at = np.full(len(plans), -np.inf)
@@ -107,8 +111,21 @@ class LiveAxes:
         return list(self._numbers)
 
     def start(self) -> None:
-        """Resume from the stored states, and show every axis."""
-        self.keeper.restore()
+        """Resume from the stored states, and show every axis.
+
+        Raises
+        ------
+        StorageError
+            if states cannot be set aside: the next save would replace them.
+        """
+        stored, lost_place = resume_source(self._source, self._store.load())
+        refused = {**restore(self._states, self._store, stored), **lost_place}
+        if refused:
+            log.warning(
+                "states of axes left aside, these start afresh",
+                why=by_reason(refused),
+                remedy=REMEDY,
+            )
         for number in range(len(self.axes)):
             self._show(number)
 
@@ -139,7 +156,7 @@ class LiveAxes:
                 self._show(number)
         rows = self._rows(valves)
         await self._writer.write(rows[self._writer.are_due(rows, now)])
-        self.keeper.keep_if_due()
+        self.keeper.keep_in_turn(now)
 
     async def lost(
         self,
@@ -158,7 +175,10 @@ class LiveAxes:
             task.cancel()
         await asyncio.gather(*self._jobs.values(), return_exceptions=True)
         log_missing(self._arrivals.left_out())
-        await self.keeper.keep()
+        try:
+            await self.keeper.keep()
+        except StorageError as error:
+            log.warning("states of axes not kept", reason=str(error))
 
     def set_reference(self, axis: str) -> None:
         """Learn the axis anew: findings are then relative to what it is from now on."""

@@ -15,6 +15,7 @@ from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.feedforward import Situation
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.kept_together import KeptValves
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
 from valvemap.pipeline.result_ports import COMPLETE, ResultSink
@@ -121,8 +122,9 @@ class LiveService:
         self._is_whole = asyncio.Event()
         self._end_by = math.inf
         self._samples_wait = False
+        self._states = KeptValves(identification)
         self.keeper = StateKeeper(
-            identification, source, store, clock, settings.checkpoint_interval_s
+            self._states, source, store, clock, settings.checkpoint_interval_s
         )
         self._ages = SampleAges(len(identification.plans), source, clock)
         self._publisher = ResultPublisher(
@@ -168,7 +170,7 @@ class LiveService:
         ``known``, if not empty, replaces the stored checkpoints.
         """
         kept, lost_place = resume_source(self._source, known or self._store.load())
-        refused = {**restore(self.identification, self._store, kept), **lost_place}
+        refused = {**restore(self._states, self._store, kept), **lost_place}
         self.identification.was_away()
         self.health.states_refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # no sample has arrived yet

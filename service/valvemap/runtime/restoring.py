@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import structlog
 
-from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.provenance import BESIDE, Reviewed
+from valvemap.pipeline.kept_together import KeptTogether
+from valvemap.pipeline.review import Reviewed
 from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore
 
 NAMED = 8  # valves and estimators named in one log line; the rest are counted
@@ -15,7 +15,7 @@ log = structlog.get_logger(__name__)
 
 
 def restore(
-    identification: Identification, store: CheckpointStore, stored: Sequence[Checkpoint]
+    states: KeptTogether, store: CheckpointStore, stored: Sequence[Checkpoint]
 ) -> dict[str, str]:
     """Restore the states that fit the configuration; return the reasons for the others, by name.
 
@@ -24,9 +24,9 @@ def restore(
     StorageError
         if states cannot be set aside: the next save would replace them.
     """
-    reviewed = identification.states.review(stored)
-    restored, refused = identification.restore(reviewed.checkpoints)
-    _put_aside(identification, store, reviewed, refused)
+    reviewed = states.review(stored)
+    restored, refused = states.restore(reviewed.checkpoints)
+    _put_aside(states, store, reviewed, refused)
     if store.damaged:
         log.warning("states damaged, those before them taken", estimators=_named(store.damaged))
     if restored:
@@ -37,17 +37,16 @@ def restore(
 
 
 def _put_aside(
-    identification: Identification,
+    states: KeptTogether,
     store: CheckpointStore,
     reviewed: Reviewed,
     refused: Mapping[str, str],
 ) -> None:
     """Keep every stored state that is not restored and that the next save would replace."""
     aside = [(one.checkpoint, one.reason) for one in reviewed.aside]
-    estimators = {plan.name: {*plan.estimators, *BESIDE} for plan in identification.plans}
     for one in reviewed.checkpoints:
         reason = refused.get(f"{one.valve}.{one.estimator}")
-        if reason is not None and one.estimator in estimators.get(one.valve, ()):
+        if reason is not None and states.replaces(one):
             aside.append((one, reason))
     store.put_aside(aside, reviewed.moved)
 

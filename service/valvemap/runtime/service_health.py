@@ -91,10 +91,9 @@ class ServiceHealth:
         self.worked_s, self._since = 0.0, now
         until, utc = self.certificate_until_ns, self._clock.now()
         share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
-        age_s, self._keeper.file_lost = self._keeper.age_s(now), False
         return self._identification.watch_service(
             utc,
-            checkpoint_age_s=float(np.fmax(age_s, other_s)),
+            checkpoint_age_s=float(np.fmax(self._keeper.age_s(now), other_s)),
             days_left=(until - utc) / DAY_NS if until else math.nan,
             load=1.0 if late else share,
             history_waits_s=math.nan if self._past is None else self._past.waits_s(now),

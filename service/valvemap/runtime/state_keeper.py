@@ -10,8 +10,7 @@ import structlog
 
 from valvemap.clock import Clock
 from valvemap.errors import StateFileLost, StorageError
-from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.lane_failures import Step
+from valvemap.pipeline.kept_together import KeptTogether
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore
 from valvemap.runtime.kept_position import position_of
@@ -24,12 +23,14 @@ log = structlog.get_logger(__name__)
 
 
 class StateKeeper:
-    """Packs states a few valves at a time and saves them in a thread.
+    """Packs states a few valves, or axes, at a time and saves them in a thread.
+
+    Implements `KeptElsewhere`: of two keepers, the other's counters and age are shown with one's.
 
     Parameters
     ----------
-    identification
-        Provides the states.
+    states
+        The states, each valve's or axis' packed at once.
     source
         Provides its position, and receives a commit once the states are saved.
     store
@@ -47,13 +48,11 @@ class StateKeeper:
         Time of the last save, monotonic s; NaN before the first.
     failures : int
         Saves that failed.
-    file_lost : bool
-        Whether the file was found removed or replaced since this was last set to False.
     """
 
     def __init__(
         self,
-        identification: Identification,
+        states: KeptTogether,
         source: AllSources,
         store: CheckpointStore,
         clock: Clock,
@@ -62,12 +61,12 @@ class StateKeeper:
         self.mark: Any = None
         self.kept_at = math.nan
         self.failures = 0
-        self.file_lost = False
-        self._identification = identification
+        self._file_lost = False
+        self._states = states
         self._source = source
         self._store = store
         self._clock = clock
-        self._valves = len(identification.plans)
+        self._valves = states.count
         self._interval_s = min(interval_s, max(1.0, self._valves / KEPT_PER_S))
         self._began, self._turns = clock.monotonic(), 0  # turns completed, saved or refused
         self._next = (
@@ -79,13 +78,14 @@ class StateKeeper:
         self._packing_s = self._saving_s = 0.0  # last durations: packing one valve, one save
 
     def age_s(self, now: float) -> float:
-        """Time since the last save, s; before the first, since the start; ∞: the file is lost.
+        """Time since the last save, s; before the first, since the start.
 
-        0 in a preview, and without valves.
+        0 in a preview, and without valves; once ∞ after the file was removed or replaced.
         """
-        if self._is_preview or not self._valves:
+        lost, self._file_lost = self._file_lost, False
+        if self._states.is_preview or not self._valves:
             return 0.0
-        if self.file_lost:
+        if lost:
             return math.inf
         return now - (self._began if math.isnan(self.kept_at) else self.kept_at)
 
@@ -106,7 +106,7 @@ class StateKeeper:
             naming the file; the states remain in memory.
         """
         await self.settle()
-        if self._is_preview:
+        if self._states.is_preview:
             return True
         try:
             return await self._keep_all(until)
@@ -136,7 +136,7 @@ class StateKeeper:
         A round saves every valve once, and then the mark of its beginning. A valve leaves the
         round when it is saved: a refused save is repeated, so the mark is never ahead of a state.
         """
-        if self._is_preview or (self._keeping is not None and not self._keeping.done()):
+        if self._states.is_preview or (self._keeping is not None and not self._keeping.done()):
             return
         M = self._valves
         due = int(M * (now - self._began) / self._interval_s)
@@ -149,11 +149,6 @@ class StateKeeper:
         mark = self._mark_of_round if count >= self._left_in_round else None
         some = ((self._next + np.arange(count)) % M).tolist()
         self._keeping = asyncio.create_task(self._keep(some, mark))
-
-    @property
-    def _is_preview(self) -> bool:
-        """Whether estimators wait; states saved now, and the position, would lose their samples."""
-        return self._identification.journal is not None
 
     async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
         """Save these valves; a refused save is counted and logged, and delays no batch."""
@@ -178,7 +173,7 @@ class StateKeeper:
     def _begin_again(self, error: StateFileLost) -> None:
         """Begin a new round: the new file has no state, and no mark may be ahead of one."""
         self.failures += 1
-        self.file_lost = True
+        self._file_lost = True
         self._left_in_round = 0
         self._turns -= self._valves  # all are due
         log.error("state file lost", reason=str(error))
@@ -195,11 +190,11 @@ class StateKeeper:
         return packed
 
     def _states_of(self, valves: Sequence[int]) -> list[Checkpoint]:
-        """Pack the valves together, or one by one if that raises; stop the lane that fails."""
+        """Pack the valves together, or one by one if that raises; stop the one that fails."""
         try:
-            return self._identification.states.kept(valves)
+            return self._states.kept(valves)
         except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
             if len(valves) == 1:
-                self._identification.stop(valves[0], Step.CHECKPOINT, error)
+                self._states.stop(valves[0], error)
                 return []
         return [one for valve in valves for one in self._states_of([valve])]
