@@ -14,12 +14,14 @@ from valvemap.errors import StorageError
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.edges import Part
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kept_together import KeptValves
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.runtime.kept_position import POSITION
 from valvemap.runtime.state_keeper import StateKeeper
+from valvemap.vocabulary.edges import Edge
 
 VALVES = 3
 SAMPLES = 40  # of each valve
@@ -155,3 +157,29 @@ async def test_the_position_is_kept_as_soon_as_every_valve_is():
     source, disk = await learn_and_crash([True, False, True, True], 4, valves_a_turn=1)
     assert source.committed == SIGNALS * VALVES * A_TURN
     assert POSITION in disk.kept
+
+
+async def test_valves_whose_samples_meet_are_saved_in_one_turn():
+    """States of different samples would never meet again after a restart."""
+    rls = {"RLS": RecursiveLeastSquares()}
+    behind = {"V1": "Q", "V3": "Q"}
+    plans = [
+        ValvePlan(name, QualityGate(), rls, "RLS", meter=behind.get(name, ""))
+        for name in ("V0", "V1", "V2", "V3")
+    ]
+    plans += [
+        ValvePlan(f"V.{part}", QualityGate(), rls, "RLS", part=Part("V", "A", edge))
+        for part, edge in (("LineA", None), ("PA", Edge.PA), ("AT", Edge.AT))
+    ]
+    align = Alignment(AlignmentSettings(), (("T",),) * len(plans), (True,) * len(plans))
+    disk, clock, saved = Disk([]), ManualClock(), []
+    states = KeptValves(Identification(plans, align))
+    keeper = StateKeeper(states, Source(), disk, clock, interval_s=1.0)
+    for _ in range(6):
+        disk.kept.clear()
+        clock.advance(1.0 / len(plans) + 1e-6)
+        keeper.keep_in_turn(clock.monotonic())
+        await keeper.settle()
+        saved.append({valve for valve, _ in disk.kept})
+    turns = [turn for turn in saved if turn]
+    assert turns[:4] == [{"V0"}, {"V1", "V3"}, {"V2"}, {"V.LineA", "V.PA", "V.AT"}]

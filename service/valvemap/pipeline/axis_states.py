@@ -41,9 +41,9 @@ class AxisStates:
         self._memories = AxisMemories(arrivals, {k: axis.key for k, axis in enumerate(axes)})
 
     @property
-    def count(self) -> int:
-        """Number of axes."""
-        return len(self._axes)
+    def units(self) -> list[list[int]]:
+        """Single axes."""
+        return [[number] for number in range(len(self._axes))]
 
     def kept(self, numbers: Sequence[int]) -> list[Checkpoint]:
         """Return all states of these axes; each axis is packed at once."""
@@ -60,7 +60,7 @@ class AxisStates:
 
     def review(self, stored: Sequence[Checkpoint]) -> Reviewed:
         """Return stored states in the terms of the present configuration."""
-        return review(stored, [axis.plan for axis in self._axes], _Terms())
+        return review(stored, [axis.plan for axis in self._axes], AxisTerms())
 
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Restore those that fit; return their names, and the reasons for the others by name.
@@ -122,7 +122,7 @@ def _meaning_text(plan: AxisPlan) -> str:
     return "" if plan.meaning is None else plan.meaning.to_text()
 
 
-class _Terms:
+class AxisTerms:
     """Implements `Terms` for axes: their states are not converted."""
 
     def names(self, _rows: Sequence[Checkpoint], _plan: AxisPlan) -> Mapping[str, str]:

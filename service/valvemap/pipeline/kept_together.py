@@ -14,8 +14,8 @@ class KeptTogether(Protocol):
     """The states in one file; a state's owner is a valve or an axis, by its number."""
 
     @property
-    def count(self) -> int:
-        """Number of owners."""
+    def units(self) -> Sequence[Sequence[int]]:
+        """All owners' numbers; those of a unit are saved together: their samples meet."""
 
     @property
     def is_preview(self) -> bool:
@@ -51,9 +51,14 @@ class KeptValves:
         self._plans = {plan.name: plan for plan in identification.plans}
 
     @property
-    def count(self) -> int:
-        """Number of valves."""
-        return len(self._plans)
+    def units(self) -> list[list[int]]:
+        """The line and the edges of one valve, the valves behind one meter; else single valves."""
+        found: dict[str, list[int]] = {}
+        for number, plan in enumerate(self._identification.plans):
+            ports = "" if plan.part is None else f"ports {plan.part.valve}"
+            meter = f"meter {plan.meter}" if plan.meter else ""
+            found.setdefault(ports or meter or f"valve {number}", []).append(number)
+        return list(found.values())
 
     @property
     def is_preview(self) -> bool:

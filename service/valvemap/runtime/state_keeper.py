@@ -5,7 +5,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import structlog
 
 from valvemap.clock import Clock
@@ -24,6 +23,9 @@ log = structlog.get_logger(__name__)
 
 class StateKeeper:
     """Packs states a few valves, or axes, at a time and saves them in a thread.
+
+    Valves whose samples meet, as behind one meter, are a unit: they are packed and saved together,
+    so that a restart continues with all of them at the same sample.
 
     Implements `KeptElsewhere`: of two keepers, the other's counters and age are shown with one's.
 
@@ -66,12 +68,11 @@ class StateKeeper:
         self._source = source
         self._store = store
         self._clock = clock
-        self._valves = states.count
+        self._units = states.units
+        self._valves = sum(map(len, self._units))
         self._interval_s = min(interval_s, max(1.0, self._valves / KEPT_PER_S))
         self._began, self._turns = clock.monotonic(), 0  # turns completed, saved or refused
-        self._next = (
-            0  # the valve saved longest ago: valves are saved in the order of their numbers
-        )
+        self._next = 0  # the unit saved longest ago: units are saved in their order
         self._left_in_round = 0  # valves not yet saved in this round
         self._mark_of_round: Any = None  # the mark at the start of this round
         self._keeping: asyncio.Task[None] | None = None
@@ -115,15 +116,16 @@ class StateKeeper:
             return await self._keep_all(until)
 
     async def _keep_all(self, until: float) -> bool:
-        M = self._valves
-        oldest_first = np.roll(np.arange(M), -self._next).tolist()
-        at_once = M if math.isinf(until) else KEPT_AT_ONCE
-        for start in range(0, M, at_once):
-            some = oldest_first[start : start + at_once]
-            if self._clock.monotonic() + len(some) * self._packing_s + self._saving_s > until:
+        at_once = self._valves if math.isinf(until) else KEPT_AT_ONCE
+        saved = 0  # units
+        while saved < len(self._units):
+            some = self._oldest(at_once, saved)
+            packing_s = sum(map(len, some)) * self._packing_s
+            if self._clock.monotonic() + packing_s + self._saving_s > until:
                 return False
             states = await self._packed(some)
-            if start + at_once >= M:
+            saved += len(some)
+            if saved == len(self._units):
                 states += position_of(self._source, self.mark, self._clock)
             began = self._clock.monotonic()
             await asyncio.to_thread(self._store.save, states)
@@ -143,17 +145,27 @@ class StateKeeper:
         count = min(due - self._turns, M, KEPT_AT_ONCE)
         if count <= 0:
             return
+        some = self._oldest(count)
+        count = sum(map(len, some))
         self._turns = due if M <= KEPT_AT_ONCE else self._turns + count
         if not self._left_in_round:
             self._left_in_round, self._mark_of_round = M, self.mark
         mark = self._mark_of_round if count >= self._left_in_round else None
-        some = ((self._next + np.arange(count)) % M).tolist()
         self._keeping = asyncio.create_task(self._keep(some, mark))
 
-    async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
-        """Save these valves; a refused save is counted and logged, and delays no batch."""
+    def _oldest(self, count: int, skip: int = 0) -> list[Sequence[int]]:
+        """Return units of at least ``count`` valves, if there are, behind the first ``skip``."""
+        found: list[Sequence[int]] = []
+        for place in range(self._next + skip, self._next + len(self._units)):
+            if sum(map(len, found)) >= count:
+                break
+            found.append(self._units[place % len(self._units)])
+        return found
+
+    async def _keep(self, units: Sequence[Sequence[int]], mark: Any) -> None:  # noqa: ANN401
+        """Save these units; a refused save is counted and logged, and delays no batch."""
         try:
-            states = [*await self._packed(valves), *position_of(self._source, mark, self._clock)]
+            states = [*await self._packed(units), *position_of(self._source, mark, self._clock)]
             began = self._clock.monotonic()
             await asyncio.to_thread(self._store.save, states)
         except StateFileLost as error:
@@ -165,8 +177,8 @@ class StateKeeper:
             return
         self.kept_at = self._clock.monotonic()
         self._saving_s = self.kept_at - began
-        self._next = (self._next + len(valves)) % self._valves
-        self._left_in_round = max(self._left_in_round - len(valves), 0)
+        self._next = (self._next + len(units)) % len(self._units)
+        self._left_in_round = max(self._left_in_round - sum(map(len, units)), 0)
         if mark is not None:
             self._source.commit(mark)
 
@@ -178,15 +190,21 @@ class StateKeeper:
         self._turns -= self._valves  # all are due
         log.error("state file lost", reason=str(error))
 
-    async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
-        """Pack states into bytes, a few valves at a time, yielding to the event loop."""
-        packed = []
-        for start in range(0, len(valves), PACKED_AT_ONCE):
-            began = self._clock.monotonic()
-            some = valves[start : start + PACKED_AT_ONCE]
-            packed += self._states_of(some)
-            self._packing_s = (self._clock.monotonic() - began) / len(some)
-            await asyncio.sleep(0)
+    async def _packed(self, units: Sequence[Sequence[int]]) -> list[Checkpoint]:
+        """Pack states into bytes, a few valves at a time, yielding to the event loop.
+
+        A unit is packed at once: an instant later its samples would not meet.
+        """
+        packed: list[Checkpoint] = []
+        some: list[int] = []
+        for last, unit in enumerate(units, 1):
+            some += unit
+            if len(some) >= PACKED_AT_ONCE or last == len(units):
+                began = self._clock.monotonic()
+                packed += self._states_of(some)
+                self._packing_s = (self._clock.monotonic() - began) / len(some)
+                some = []
+                await asyncio.sleep(0)
         return packed
 
     def _states_of(self, valves: Sequence[int]) -> list[Checkpoint]:
