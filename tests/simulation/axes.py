@@ -11,24 +11,20 @@ from unittest import mock
 import numpy as np
 
 from simulation import judge
+from simulation.axis_installation import InstalledAxis, edited_axis, first_state, relived
 from simulation.installation import MOST_PENDING, reorder
 from simulation.source import Client, Server
 from simulation.stores import StateFile
-from valvemap.model.axis import AxisGeometry, AxisRegression
-from valvemap.model.axis_basis import SIZE
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import LEARNT, Axis, AxisPlan
+from valvemap.pipeline.axes import LEARNT, Axis
 from valvemap.pipeline.axis_arrivals import counted
-from valvemap.pipeline.kept_axes import Learnt
-from valvemap.pipeline.store_ports import Checkpoint
+from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.runtime.axes import LiveAxes
 from valvemap.runtime.sources import Part, Sources
 from valvemap.vocabulary.signals import PER_VALVE, Signal
 
-PLAN = AxisPlan("Press", AxisGeometry(63, 45, 800, 1.2, 1.2))
 LINES = (0, 1)
-_PLAIN = {line: SimpleNamespace(gains=np.ones(PER_VALVE)) for line in LINES}
 _SWING_S = 9.0  # a move there and back
 NO_JOB = mock.patch.object(Axis, "job", return_value=None)
 
@@ -47,11 +43,10 @@ class Axes:
         self.learnt = []  # samples (k) of both lines, in their order
         self.of_A = []  # those of line A alone, by which the axis counts
         self.live = None
-        axis = Axis(PLAN)
-        regression = AxisRegression(PLAN.geometry, period_s=self.case.period_s, play_percent=2.0)
-        axis.continue_from(Learnt(regression, regression.initial_state(), np.zeros((SIZE, SIZE))))
-        self.first = axis.to_bytes()[LEARNT]
-        one = Checkpoint(PLAN.name, LEARNT, axis.key, 0, self.first, lam=None, frozen=False)
+        self.installed, self.edits = InstalledAxis(), list(world.case.axis_edits)
+        self.parts = [(0, self.installed)]  # how many were learnt before each configuration
+        first = first_state(self.installed.plan, self.case.period_s)
+        (one,) = checkpoints_of(Axis(self.installed.plan), 0, {LEARNT: first})
         self.states.committed = self.states.durable = {(one.valve, one.estimator): one}
 
     def _move(self):
@@ -72,11 +67,11 @@ class Axes:
         flags = (self.case.numbered,) * len(LINES)
         arrivals = Arrivals(["A", "B"], Alignment(alignment, (("T",),) * len(LINES), flags))
         clock = self.world.time
-        client = Client(self.server, clock, _PLAIN)
+        client = Client(self.server, clock, self._lines())
         self.world.clients.append(client)
         sources = Sources([Part(None, client, LINES)])
         self.live = LiveAxes(
-            [PLAN],
+            [self.installed.plan],
             arrivals,
             self,
             sources,
@@ -87,10 +82,55 @@ class Axes:
             checkpoint_interval_s=settings.checkpoint_interval_s,
             tap=self._learn,
         )
+        before, logged = self.states.load(), len(self.world.logs)
         self.live.start()
+        self._judge_edit(before, repr(self.world.logs[logged:]))
         self._note_line_A()
         self._judge_start(client)
         return sources, self.live
+
+    def edit(self):
+        """Edit the configuration as drawn, between two lives."""
+        for kind in self.edits.pop(0) if self.edits else ():
+            self.installed = edited_axis(self.installed, kind)
+            self.world.counts[kind] += 1
+
+    def _lines(self):
+        """The gains of both lines: U is in the configured unit."""
+        gains = np.ones(PER_VALVE)
+        gains[Signal.U] = self.installed.unit
+        return {line: SimpleNamespace(gains=gains) for line in LINES}
+
+    def _judge_edit(self, before, said):
+        """Nothing is learnt under a wrong meaning, nothing is given up that has the right one."""
+        axis, world = self.live.axes[0], self.world
+        maps = [one for one in before if one.estimator == LEARNT]
+        found = axis.to_bytes().get(LEARNT)
+        if valid := [one for one in maps if self._is_valid(one)]:
+            if found not in [one.state for one in valid]:
+                world.violated("axis: it has forgotten what it had learnt")
+            if self.installed != self.parts[-1][1]:
+                own = self._counters()["aligned"] - len(axis._unmet[0].t)
+                self.parts.append((own, self.installed))
+            return
+        if found is not None:
+            world.violated("axis: it learns on under another meaning")
+        kept = [one.state for one in (*self.states.load(), *self._aside())]
+        if any(one.state not in kept for one in maps):
+            world.violated("axis: its former state is not kept")
+        if any(f"{one.valve}.{LEARNT}" not in said for one in maps):
+            world.violated("axis: no word of its former state")
+        self.server.excuse((line, k) for k in range(self.server.taken) for line in LINES)
+        self.learnt, self.of_A, self.parts = [], [], [(0, self.installed)]
+        axis.resume(LEARNT, first_state(self.installed.plan, self.case.period_s))
+
+    def _is_valid(self, row):
+        """Whether a stored map was learnt from the signals that are configured now."""
+        plan = self.installed.plan
+        return (row.meaning, row.key) == (plan.meaning.to_text(), Axis(plan).key)
+
+    def _aside(self):
+        return [one for one, _ in self.states.aside]
 
     def _note_line_A(self):
         axis = self.live.axes[0]
@@ -167,13 +207,24 @@ class Axes:
 
     def judge_states(self):
         """The stored map is the bits of one undisturbed life over the same samples."""
-        stored = self.states.committed[PLAN.name, LEARNT]
-        again = Axis(PLAN)
-        again.resume(LEARNT, self.first)
-        for line in LINES:
-            if self.learnt:
-                batch = self.server.as_samples(line, self.learnt, np.ones(PER_VALVE))
-                again.take_line(line, next(iter(batch.values())))
+        stored = self.states.committed.get((self.installed.name, LEARNT))
+        if stored is None or not self._is_valid(stored):
+            return  # killed before the first save under this configuration
+        ends = [n for n, _ in self.parts[1:]] + [len(self.learnt)]
+        first = first_state(self.parts[0][1].plan, self.case.period_s)
+        again = relived(
+            [
+                (one.plan, first if n == 0 else b"", self.learnt[n:end])
+                for (n, one), end in zip(self.parts, ends, strict=True)
+            ],
+            self._take_again,
+        )
         if again.to_bytes()[LEARNT] != stored.state:
             self.world.violated("axis: the state is not that of an undisturbed life")
         self.world.note(stored.state)
+
+    def _take_again(self, axis, learnt):
+        for line in LINES:
+            if learnt:
+                batch = self.server.as_samples(line, learnt, self._lines()[line].gains)
+                axis.take_line(line, next(iter(batch.values())))

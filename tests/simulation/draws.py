@@ -4,12 +4,17 @@ import random
 from dataclasses import dataclass, replace
 from typing import Final
 
+from simulation.axis_installation import AXIS_EDITS
+from simulation.leading import DEMANDS
+from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.vocabulary.signals import Signal
 
 SIMULATED_S: Final = 60.0
 REAL_FILES: Final = 0.1  # share of the seeds
 AXES: Final = 0.4  # share of the seeds with one source
 PORTS: Final = 0.15
+METERS: Final = 0.1
+LED: Final = 0.05  # their ticks are ten times as many
 CALM_S: Final = 15.0  # at the end: no faults, so that all that waits arrives
 
 
@@ -23,7 +28,7 @@ class SourceCase:
     gone, and the running number begins at 0. ``skipped`` are the times whose next sample the
     source numbers and does not take, ``gone`` (start, stop, valve, signal) the nodes that were
     deleted and created again, ``retyped`` (start, stop, valve, signal, type) those of another type
-    for a while.
+    for a while, ``refusals`` (start, stop) when it takes no commands.
     """
 
     valves: tuple[int, ...]
@@ -45,6 +50,7 @@ class SourceCase:
     skipped: tuple[float, ...] = ()
     gone: tuple[tuple[float, float, int, int], ...] = ()
     retyped: tuple[tuple[float, float, int, int, str], ...] = ()
+    refusals: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,8 +63,11 @@ class Case:
     at which a second service is started on the same state file, ``calls`` of clients and
     ``commands`` of operators on estimators are (time, kind, valve). With ``reads`` the
     history is the real file, and clients read it: (time, part, valve, rows a page, backwards).
-    ``axis`` is the source of an axis' two lines, of which it has the numbers of two valves. With
-    ``ports`` the three valves are a line and its two edges.
+    ``axis`` is the source of an axis' two lines, of which it has the numbers of two valves, and
+    ``axis_edits`` are the kinds of edits of its configuration behind each of the ends. With
+    ``ports`` the three valves are a line and its two edges, with ``meter`` all valves are behind
+    one flow meter. ``led`` are the settings of feed-forward, ``leads`` what clients do with it
+    (time, kind, valve).
     """
 
     seed: int
@@ -79,7 +88,11 @@ class Case:
     commands: tuple[tuple[float, str, int], ...] = ()
     reads: tuple[tuple[float, str, int, int, bool], ...] = ()
     axis: SourceCase | None = None
+    axis_edits: tuple[tuple[str, ...], ...] = ()
     ports: bool = False
+    meter: bool = False
+    led: FeedForward | None = None
+    leads: tuple[tuple[float, str, int], ...] = ()
 
     @property
     def valves(self):
@@ -88,6 +101,25 @@ class Case:
 
 def draw(seed):
     """Draw a case. Each kind of trouble is absent from many cases, so that it is seen alone."""
+    case, rng = draw_axes(seed), random.Random(f"{seed} meter")
+    is_plain = len(case.sources) == 1 and not case.ports  # else sources would meet less often
+    if is_plain and rng.random() < METERS:
+        case = _with_meter(rng, case)
+    elif is_plain and rng.random() < LED:
+        case = _with_leads(rng, case)
+    rng = random.Random(f"{seed} edits of the axis")
+    return replace(
+        case,
+        axis_edits=tuple(
+            tuple(rng.choice(AXIS_EDITS) for _ in range(rng.choice((0, 1, 1, 2))))
+            for _ in case.ends
+            if case.axis is not None
+        ),
+    )
+
+
+def draw_axes(seed):
+    """The plant with all but edits of the axis' configuration."""
     case, rng = draw_types(seed), random.Random(f"{seed} axis")
     has_axis = rng.random() < AXES and len(case.sources) == 1  # else sources would meet less often
     case = replace(case, axis=_axis(rng) if has_axis else None)
@@ -99,6 +131,36 @@ def _with_ports(rng, case):
     quiet_from = SIMULATED_S - CALM_S
     source = _coinciding(rng, _source(rng, (0, 1, 2), quiet_from), quiet_from)
     return replace(case, sources=(source,), edits=(), calls=(), commands=(), reads=(), ports=True)
+
+
+def _with_meter(rng, case):
+    """Two or three valves behind one meter in the place of the others; not edited, not operated."""
+    quiet_from = SIMULATED_S - CALM_S
+    valves = tuple(range(rng.choice((2, 3))))
+    source = _retyped(rng, _coinciding(rng, _source(rng, valves, quiet_from), quiet_from))
+    return replace(case, sources=(source,), edits=(), calls=(), commands=(), reads=(), meter=True)
+
+
+def _with_leads(rng, case):
+    """Valves that are led: their units are not edited, and the service steps every 0.1 s."""
+    valve = lambda: rng.randrange(case.valves)  # noqa: E731
+    settings = FeedForward(
+        (5.0, 95.0),
+        rng.choice((5.0, 50.0)),
+        rng.choice(tuple(Fallback)),
+        fallback_U=20.0,
+        max_age_s=rng.choice((1.5, 4.0, 8.0)),
+        max_width_percent=100.0,
+        has_heartbeat=True,
+    )
+    armed = [(4.0 + v, kind, v) for v in range(case.valves) for kind in ("arm", DEMANDS[1])]
+    kinds = ("arm", "arm", "disarm", "withdraw", *DEMANDS)
+    more = _spread(rng, SIMULATED_S, (4, 10), lambda: (rng.choice(kinds), valve()))
+    refused = lambda: _spread(rng, SIMULATED_S, (0, 0, 1), lambda: (rng.uniform(0.1, 9.0),))  # noqa: E731
+    sources = tuple(
+        replace(one, refusals=tuple((at, at + by) for at, by in refused())) for one in case.sources
+    )
+    return replace(case, sources=sources, tick_s=0.1, edits=(), led=settings, leads=(*armed, *more))
 
 
 def _axis(rng):

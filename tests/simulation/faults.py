@@ -9,10 +9,12 @@ from unittest import mock
 from guarded_opcua.history.historian import Span
 from simulation.stores import StateFile
 from valvemap.errors import StorageError
+from valvemap.pipeline import feedforward
 from valvemap.pipeline.alignment import COUNTER_NAMES
+from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis
-from valvemap.pipeline.axis_states import AxisStates
+from valvemap.pipeline.axis_states import AxisStates, AxisTerms
 from valvemap.pipeline.edges import NEVER_MET
 from valvemap.pipeline.edges import kernel as edges_kernel
 from valvemap.pipeline.estimator_commands import EstimatorCommands
@@ -222,6 +224,29 @@ def an_edge_that_is_not_restored():
     return mock.patch.object(KeptStates, "_take_edge", return_value=None)
 
 
+def an_axis_that_learns_on_under_another_meaning():
+    """The nodes and units of an axis are not compared."""
+    return mock.patch.object(AxisTerms, "as_now", lambda _self, own, _change: (own, []))
+
+
+def a_meter_that_is_not_restored():
+    """What waits of the valves behind a meter, and what it knows, is forgotten in a restart."""
+    return mock.patch.object(KeptStates, "_take_meter", return_value=None)
+
+
+def old_samples_that_still_lead():
+    """Commands follow the answer however old the sample is."""
+    reason = feedforward._reason
+    return mock.patch.object(
+        feedforward, "_reason", lambda settings, at: reason(settings, replace(at, age_s=0.0))
+    )
+
+
+def a_disarmed_valve_that_is_led():
+    """A client's call of Disarm has no effect."""
+    return mock.patch.object(ArmedValves, "disarm", return_value=None)
+
+
 FAULTS = (
     an_early_acknowledgement,
     a_lost_sync,
@@ -243,4 +268,8 @@ FAULTS = (
     an_axis_that_acknowledges_early,
     rows_matched_by_time_alone,
     an_edge_that_is_not_restored,
+    an_axis_that_learns_on_under_another_meaning,
+    a_meter_that_is_not_restored,
+    old_samples_that_still_lead,
+    a_disarmed_valve_that_is_led,
 )

@@ -5,12 +5,14 @@ from typing import Final
 
 import numpy as np
 
+from simulation.meeting import METER
 from simulation.ports import NAMES, PARTS
 from valvemap.model.leakage import Leakage
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.edges import LEAK, Part
+from valvemap.pipeline.feedforward import FeedForward
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.quality_gate import QualityGate
@@ -40,6 +42,8 @@ class Installed:
     command: float = 1.0
     accuracy: float = 0.0
     part: Part | None = None
+    meter: str = ""
+    led: FeedForward | None = None
 
     @property
     def gains(self):
@@ -78,7 +82,8 @@ def installed(case):
             Installed(k, name, RLS if part.edge else LEAK, part=part)
             for k, (name, part) in enumerate(zip(NAMES, PARTS, strict=True))
         ]
-    return [Installed(valve, f"V{valve}") for valve in range(case.valves)]
+    of_all = Installed(0, "", meter=METER if case.meter else "", led=case.led)
+    return [replace(of_all, valve=valve, name=f"V{valve}") for valve in range(case.valves)]
 
 
 def edited(plant, kind, valve):
@@ -136,7 +141,9 @@ def _plan(one):
         accuracy=SensorAccuracy(Q=one.accuracy),
         meaning=one.meaning,
         part=one.part,
-        insist=one.estimator == LEAK,
+        insist=one.estimator == LEAK or bool(one.meter),
+        meter=one.meter,
+        feed_forward=one.led,
     )
 
 

@@ -1,6 +1,6 @@
 """What must be true of a simulated world: each function reports the promises that are broken."""
 
-from simulation import people, ports
+from simulation import meeting, people
 from simulation.installation import ALSO, MOST_PENDING, OWN, RLS, fresh, reorder
 from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.edges import LEAK
@@ -50,7 +50,7 @@ def of_start(world, identification, clients, before, said):
     """
     behind = set().union(*(client.resumes_behind for client in clients))
     for valve, learnt in enumerate(world.learnt):
-        aligned = ports.learnt_samples(identification, valve)
+        aligned = meeting.learnt_samples(identification, valve)
         if aligned > len(learnt):
             world.violated(f"V{valve} restored {aligned} samples, {len(learnt)} were learnt")
         del learnt[aligned:]
@@ -125,7 +125,7 @@ def _is_kept(world, row):
 def waiting(world, identification, valve):
     """The samples of a valve in its reorder buffer."""
     times = times_waiting(identification._arrivals, valve)
-    times += ports.times_unmet(identification, valve)
+    times += meeting.times_unmet(identification, valve)
     return {world.number_of[valve][t] for t in times if t in world.number_of[valve]}
 
 
@@ -170,7 +170,7 @@ def of_counts(world, identification):
 def _excused(world, valve):
     """The samples of a valve that its source may have lost: of an edge, those of its line, too."""
     excused = world.server_of[valve].excused
-    return set.union(*(excused[row] for row in ports.rows_behind(world, valve)))
+    return set.union(*(excused[row] for row in meeting.rows_behind(world, valve)))
 
 
 def is_overtaken(world, server, k, dropped):
@@ -188,10 +188,13 @@ def of_states(world):
     again, restored = fresh(world.case, world.plant), fresh(world.case, world.plant)
     restored.restore(restored.states.review(world.states.load()).checkpoints)
     for valve, one in enumerate(world.plant):
-        n = ports.learnt_samples(restored, valve)
+        n = meeting.learnt_samples(restored, valve)
         del world.learnt[valve][n:]
         _of_commands(world, restored, valve)
-        _relive(world, again, valve, one)
+        if not world.case.meter:
+            _relive(world, again, valve, one)
+    if world.case.meter:
+        meeting.relive_together(world, again)
     names = {one.name: one for one in world.plant}
     stored = {(one.valve, one.estimator): one for one in world.states.load()}
     for own in again.states.checkpoints():

@@ -28,23 +28,3 @@ def give_signals(server, rng):
         values = server.values[valve]
         for signal, column in ((Signal.U, U), (Signal.P1, p1), (Signal.P2, p2), (Signal.Q, Q)):
             values[:, signal] = column
-
-
-def rows_behind(world, valve):
-    """The rows that a sample of a valve needs: of an edge, its line's, too."""
-    return {LINE, valve} if world.case.ports else {valve}
-
-
-def learnt_samples(identification, valve):
-    """The number of samples that a valve has learnt from, or passed: of an edge, those that met."""
-    aligned = identification.results.counters(valve)["aligned"]
-    splitter = identification._intake.splitter
-    if valve not in splitter._edges:
-        return aligned
-    return aligned - int(splitter.dropped[valve]) - len(splitter._edges[valve][1].own)
-
-
-def times_unmet(identification, valve):
-    """The times of an edge's samples that wait for those of its line."""
-    edges = identification._intake.splitter._edges
-    return edges[valve][1].own.t.tolist() if valve in edges else []

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from valvemap.errors import SourceLost
+from valvemap.errors import SourceLost, SourceRejected
 from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.data_changes import DataChanges
@@ -297,6 +297,7 @@ class Client:
         self.mark = None
         self.alive = True
         self._overflows = 0
+        self.leading = None  # who judges what is written
 
     is_held = True
     remarks: ClassVar = {}
@@ -402,8 +403,25 @@ class Client:
             self.commit(self.mark)
         return self.server.as_changes(parts, self._here, self._gains)
 
+    async def write_required_U(self, here, U):
+        self._check_writable()
+        self.leading.wrote_U(self.server.case.valves[here], U)
+
+    async def write_heartbeat(self, here, count):
+        self._check_writable()
+        self.leading.beat(self.server.case.valves[here], count)
+
+    def _check_writable(self):
+        now = self._time.elapsed
+        if not (self._connected and self.alive) or self.server.cut_at(now) is not None:
+            raise SourceLost("not connected")
+        if any(first <= now < stop for first, stop in self.server.case.refusals):
+            raise SourceRejected("not writable now")
+
     async def drop(self):
         self._connected = False
+        if self.leading is not None:
+            self.leading.lost(self.server.case.valves)
 
     async def close(self):
         """A client that says good-bye deletes its subscription."""

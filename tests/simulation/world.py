@@ -16,6 +16,8 @@ from simulation.axes import NO_JOB, Axes
 from simulation.draws import COMMANDS, SIMULATED_S, draw
 from simulation.history import Rows
 from simulation.installation import edited, fresh, installed, reorder
+from simulation.leading import Leading
+from simulation.meeting import give_one_flow
 from simulation.ports import give_signals
 from simulation.source import Client, Server
 from simulation.stores import PastFile, RealPastFile, StateFile
@@ -120,11 +122,14 @@ class World:
         self.servers = [Server(part, self.time, self.rng, START) for part in case.sources]
         if case.ports:
             give_signals(self.servers[0], self.rng)
+        if case.meter:
+            give_one_flow(self.servers[0])
         self.server_of = {v: server for server in self.servers for v in server.case.valves}
         self.number_of = {v: self._numbers(v) for v in self.server_of}  # sample by source time
         self.states, self.past, self.rows = StateFile(), PastFile(), None
         if case.reads:
             self.past, self.rows = RealPastFile(_FOLDER.name, self.time), Rows(self)
+        self.leading = None if case.led is None else Leading(self)
         self.axes = None if case.axis is None else Axes(self)
         self.plant = installed(case)
         self.meanings = {}  # each configuration of a valve, by the text stored with its states
@@ -167,6 +172,8 @@ class World:
             for edit in changes:
                 self.plant = edited(self.plant, *edit)
                 self.counts[edit[0]] += 1
+            if self.axes is not None:
+                self.axes.edit()
         judge.of_states(self)
         if self.axes is not None:
             self.axes.judge_states()
@@ -186,6 +193,10 @@ class World:
 
     def _live(self, until, kind):
         clients = self.clients = [Client(s, self.time, self.plant) for s in self.servers]
+        if self.leading is not None:
+            self.leading.begin()
+            for client in clients:
+                client.leading = self.leading
         self.meanings |= {one.meaning.to_text(): one for one in self.plant}
         parts = [
             Part(str(n) if len(clients) > 1 else None, client, client.server.case.valves)
@@ -282,7 +293,10 @@ class World:
 
     def _learn(self, name, samples: Samples):
         valve = self.numbers[name]
-        self.learnt[valve] += [self.number_of[valve][t] for t in samples.t.tolist()]
+        rows = [self.number_of[valve][t] for t in samples.t.tolist()]
+        self.learnt[valve] += rows
+        if self.leading is not None:
+            self.leading.heard(valve, rows)
         self.published[signals_of(name)] += len(samples)
         if self.rows is not None:
             self.rows.add(signals_of(name), samples.t)
@@ -293,12 +307,16 @@ class World:
         rivals = [(at, "rival", 0) for at in self.case.rivals]
         reading = [self._read_later(*read) for read in self.case.reads]
         reads = [asyncio.create_task(one) for one in reading]
-        for at, kind, valve in sorted([*self.case.calls, *self.case.commands, *rivals]):
+        for at, kind, valve in sorted(
+            [*self.case.calls, *self.case.commands, *self.case.leads, *rivals], key=_in_time
+        ):
             if at < self.time.elapsed:
                 continue
             await asyncio.sleep(at - self.time.elapsed)
             if kind == "rival":
                 await people.rival(self, settings, supervision)
+            elif (at, kind, valve) in self.case.leads:
+                self.leading.operate(live.identification, kind, valve)
             elif kind in COMMANDS:
                 people.operate(self, live.identification, kind, valve)
                 self.counts[kind] += 1
@@ -338,6 +356,11 @@ class World:
         if supervising.done():
             supervising.result()
             self.violated("the supervision ended")
+
+
+def _in_time(event):
+    at, kind, valve = event
+    return at, str(kind), valve
 
 
 async def _together(lives):
