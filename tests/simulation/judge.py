@@ -149,7 +149,9 @@ def of_counts(world, identification):
         if not learnt:
             continue
         server = world.server_of[valve]
-        lost = set(range(min(learnt), max(learnt))) - set(learnt)
+        unmet = meeting.times_unmet(identification, valve)  # counted behind their gaps already
+        known = {*learnt, *(world.number_of[valve][t] for t in unmet)}
+        lost = set(range(min(known), max(known))) - known
         excused = _excused(world, valve) | waiting(world, identification, valve)
         dropped = excused - set(learnt)  # before the first learnt one, too: the first may wait
         wrong = {k for k in lost - excused if not is_overtaken(world, server, k, dropped)}
