@@ -28,6 +28,11 @@ def utc_ns(moment: datetime) -> int:
     return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1_000
 
 
+def thread_seconds() -> float:
+    """Seconds of processor time that the calling thread has used."""
+    return time.thread_time()
+
+
 class SystemClock:
     """The machine's clock."""
 

@@ -33,7 +33,7 @@ class DynamicsInTurn:
     valves
         Their number.
     share
-        Of one core, that fits may take; above 0.
+        Of one core, that fits may take, in processor time; above 0.
     window_s
         s of samples for a fit.
     now
@@ -84,7 +84,10 @@ class DynamicsInTurn:
         return None
 
     def end(self, valve: int, took_s: float, now: float) -> None:
-        """Note that a fit has ended; the next rests in proportion, another valve gathers."""
+        """Note that a fit has ended after ``took_s`` of processor time; the next rests accordingly.
+
+        Another valve gathers.
+        """
         self._works = False
         self._rests_until = now + took_s * self._rest
         window = self._gathered.pop(valve)
