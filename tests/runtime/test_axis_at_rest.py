@@ -31,7 +31,7 @@ class Machine:
             Arrivals(
                 ["Press A", "Press B"],
                 Alignment(AlignmentSettings(), optional=optional),
-                Timing(TimingSettings(), optional=optional, rests=True),
+                Timing(TimingSettings(), optional=optional),
             ),
             self,
             FakeSource(),

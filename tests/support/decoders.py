@@ -86,8 +86,8 @@ from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.timing import Timing
+from valvemap.pipeline.timing_state import TimingSettings
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.pipeline.valve_timing import TimingSettings
 from valvemap.sparkplug.broker import _GuardedClient
 from valvemap.sparkplug.commands import Commands
 from valvemap.sparkplug.edge_node import Message

@@ -119,7 +119,7 @@ def _build_arrivals(config: Config) -> Arrivals:
     return Arrivals(
         names,
         alignment_of(config, optional, has_sequence),
-        timing_of(config, optional, has_sequence, rests=True),
+        timing_of(config, optional, has_sequence),
     )
 
 

@@ -97,13 +97,8 @@ def timing_of(
     config: Config,
     optional: tuple[tuple[str, ...], ...],
     has_sequence: tuple[bool, ...],
-    *,
-    rests: bool = False,
 ) -> Timing | None:
-    """Return the detection of the timing of rows of signals; None if it is configured.
-
-    ``rests`` as in `Timing`.
-    """
+    """Return the detection of the timing of rows of signals; None if it is configured."""
     given = config.alignment
     if not given.finds_timing:
         return None
@@ -113,7 +108,6 @@ def timing_of(
         TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
         optional=optional,
         has_sequence=has_sequence,
-        rests=rests,
     )
 
 

@@ -109,8 +109,8 @@ def timing_variable(valve: str) -> VariableNode:
     """The variable that describes the timing of a valve's signals."""
     return VariableNode(
         f"{valve}.{TIMING}",
-        "Timing of each signal, found at the start and fixed since: a common time, one after "
-        "the other in a scan, or on change.",
+        "Timing of each signal, found at the start: a common time, one after the other in a scan, "
+        "or on change. A U that comes to rest later is on change from then on.",
         ua.VariantType.String,
         dimensions=(0,),
     )

@@ -23,13 +23,14 @@ from valvemap.pipeline.alignment import (
     together,
 )
 from valvemap.pipeline.clock_steps import ClockSteps, Known, Step
+from valvemap.pipeline.command_rests import CommandRests
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, SET_BACK, SET_FORWARD, Waiting
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, isolate, saved
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
-from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
+from valvemap.pipeline.timing_state import ALIKE, IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
 from valvemap.vocabulary.signals import COUNT, PER_VALVE
 
@@ -122,6 +123,7 @@ class Arrivals:
         rules = alignment.rules
         bits = np.int64(1) << np.arange(slots.SIGNALS)
         required = (rules.required[:, np.newaxis] & bits) > 0
+        self._rests = CommandRests(required, self.timing.settings.horizon_ns)
         self._steps = ClockSteps(required, ~rules.numbered, rules.reorder)
         self._due: list[Step] = []
         self._repeated = _NO_ROWS
@@ -140,12 +142,14 @@ class Arrivals:
         self._due, self._repeated = [], _NO_ROWS
         if self._may_step:
             found = self._steps.find(changes, now_s, self._waiting)
-            self._due = [step for step in found.steps if self.timing.is_alike(step.valve)]
+            self._due = [step for step in found.steps if self.timing.are_alike[step.valve]]
             self._repeated = found.repeated
 
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
         parts = self._taken(changes)
+        if self.finds_timing:
+            parts += self._held_commands(parts)
         if self.failed.any():
             self._count_dropped(changes)
         return parts[0] if len(parts) == 1 else in_turn(parts)
@@ -173,6 +177,16 @@ class Arrivals:
             for part in parts:
                 self._steps.remember(part)
         return parts
+
+    def _held_commands(self, parts: Sequence[ByValve]) -> list[ByValve]:
+        """Hold the commands that have come to rest; return the samples that waited for them."""
+        for part in parts:
+            self._rests.note(part, self._waiting)
+        found = []
+        for rest in self._rests.find(self._waiting, self.timing.are_alike & ~self.failed):
+            found.append(self._align(rest.changes))
+            self.timing.hold_command(*rest.held)
+        return found
 
     def _count_duplicates(self, changes: DataChanges) -> None:
         measured = changes.item % PER_VALVE < COUNT

@@ -7,18 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
+from valvemap.pipeline.changed_columns import NOTHING
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels.scans import Changed
 from valvemap.pipeline.lane_failures import Rows, Stop, isolate, raised
 from valvemap.pipeline.scan_search import Comes
-from valvemap.pipeline.valve_timing import (
-    ALIKE,
-    IN_SCANS,
-    NOTHING,
-    TimingSettings,
-    TimingState,
-    ValveTiming,
-)
+from valvemap.pipeline.timing_state import ALIKE, IN_SCANS, TimingSettings, TimingState
+from valvemap.pipeline.valve_timing import ValveTiming
 from valvemap.vocabulary.signals import PER_VALVE
 
 __all__ = ["Timing", "TimingSettings", "TimingState"]
@@ -27,8 +22,8 @@ __all__ = ["Timing", "TimingSettings", "TimingState"]
 class Timing:
     """Timing of V valves' signals; if ``fixed``, their timestamps are used as they are.
 
-    ``rests``: U is a command, which rests exactly. Unless the source is seen to send it unchanged,
-    it is held from change to change, also if it moved in all scans at the start.
+    U is a command, which rests exactly. Unless the source is seen to send it unchanged, it is held
+    from change to change, also if it moved in all scans at the start (`hold_command`).
 
     Examples
     --------
@@ -44,9 +39,8 @@ class Timing:
         has_sequence: Sequence[bool] = (),
         *,
         fixed: bool = False,
-        rests: bool = False,
     ) -> None:
-        self.settings, self._rests = settings, rests
+        self.settings = settings
         self._optional = list(optional)
         self._has_sequence = list(has_sequence or [False] * len(optional))
         self.valves = [self._fresh(number) for number in range(len(optional))]
@@ -82,9 +76,17 @@ class Timing:
             self._special[number] = self.valves[number].stands != ALIKE
         return DataChanges.concatenate(parts)
 
-    def is_alike(self, valve: int) -> bool:
-        """Whether the timestamps of a valve's signals are used as they are."""
-        return not self._special[valve]
+    @property
+    def are_alike(self) -> NDArray[np.bool_]:
+        """Mask (V,) of the valves whose signals' timestamps are used as they are."""
+        alike: NDArray[np.bool_] = ~self._special
+        return alike
+
+    def hold_command(self, valve: int, command: float, newest: int, period: int) -> None:
+        """Hold a valve's U from change to change; see `ValveTiming.hold_command`."""
+        self.valves[valve].hold_command(command, newest, period)
+        self._special[valve] = True
+        self._new.append(valve)
 
     def flush(self, valves: Times, stop: Stop = raised) -> DataChanges:
         """Flush the changes buffered for scans; ``stop`` as in `take`."""
@@ -172,7 +174,6 @@ class Timing:
             self.settings,
             optional=self._optional[number],
             has_sequence=self._has_sequence[number],
-            rests=self._rests,
         )
 
 

@@ -3,22 +3,38 @@
 Signals with the same timestamp pass unchanged. Others are held back until their timing is detected
 (:mod:`valvemap.pipeline.scan_search`), then converted into scans of one time each
 (:mod:`valvemap.pipeline.kernels.scans`), the held-back changes first. The result does not depend on
-how the changes are cut into batches.
+how the changes are cut into batches, but for the batch at whose end a command is found at rest
+(:mod:`valvemap.pipeline.command_rests`).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from valvemap.model.contents import Contents
-from valvemap.model.estimator import State, StateMismatchError
+from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import presence
+from valvemap.pipeline.changed_columns import NOTHING, joined, part, room, without_first
 from valvemap.pipeline.kernels import scans as kernel
 from valvemap.pipeline.kernels.scans import NEVER, Changed, ScanRules, Scans
-from valvemap.pipeline.scan_search import Comes, Found, find_scans, is_stamped_alike, only_changes
+from valvemap.pipeline.scan_search import (
+    FEWEST_SCANS,
+    SHORTEST_WINDOW_NS,
+    Comes,
+    Found,
+    find_scans,
+    is_stamped_alike,
+    only_changes,
+)
+from valvemap.pipeline.timing_state import (
+    ALIKE,
+    DOUBTFUL,
+    IN_SCANS,
+    LISTENING,
+    TimingSettings,
+    TimingState,
+)
 from valvemap.pipeline.timing_words import Words
 from valvemap.vocabulary.signals import PER_VALVE, Signal
 
@@ -33,73 +49,6 @@ _AGAIN: Final = 1.25  # growth of the held-back changes between two attempts at 
 _BACK: Final = ("back_signal", "back_value", "back_status", "back_time")
 _OF_SIGNALS: Final = ("comes", "offset", "limit", "jitter", "deadband")
 
-LISTENING, DOUBTFUL, ALIKE, IN_SCANS = range(4)  # state of the detection
-
-
-@dataclass(frozen=True)
-class TimingSettings:
-    """When a scan is complete; ns.
-
-    ``horizon_ns``: a value is missing once other signals are newer by this much.
-    ``max_wait_ns``: a source time that steps back by more is a step of the source's clock.
-    """
-
-    horizon_ns: int = 1_000_000_000
-    max_wait_ns: int = 2_000_000_000
-
-
-@dataclass(frozen=True)
-class TimingState(State):
-    """State of the detection of one valve's timing, and the changes buffered for scans.
-
-    ``stands`` () is LISTENING, DOUBTFUL, ALIKE or IN_SCANS; ``comes``, ``offset``, ``limit``,
-    ``jitter``, ``deadband`` (6,), ``period`` and ``window`` () are those of `Found`; arrays named
-    ``back_…`` (N,) hold the held-back changes; the rest are the arrays of `Scans`.
-    """
-
-    stands: Any
-    comes: Any
-    offset: Any
-    limit: Any
-    jitter: Any
-    deadband: Any
-    period: Any
-    window: Any
-    back_signal: Any
-    back_value: Any
-    back_status: Any
-    back_time: Any
-    time: Any
-    signal: Any
-    value: Any
-    status: Any
-    now_value: Any
-    now_status: Any
-    now_time: Any
-    now_rate: Any
-    seen: Any
-    lacking: Any
-    moved: Any
-    course: Any
-
-    def contents(self) -> Mapping[str, Contents]:
-        """Return the permitted content; ``course`` must count all buffered changes."""
-        times = ("offset", "back_time", "time", "now_time", "seen", "course")
-        found = {name: Contents(getattr(self, name)).any_time() for name in times}
-        raw = ("limit", "jitter", "back_value", "value", "now_value", "now_rate")
-        for name in raw:
-            found[name] = Contents(getattr(self, name)).or_nan().or_infinite()
-        for name in ("back_signal", "signal"):
-            found[name] = Contents(getattr(self, name)).within(0, PER_VALVE - 1)
-        for name in ("limit", "jitter"):
-            found[name].within(0.0)
-        found["deadband"] = Contents(self.deadband).within(0.0)
-        size = int(self.course[kernel.SIZE])
-        found["course"].within(size, size, kernel.SIZE)
-        found["stands"] = Contents(self.stands).within(LISTENING, IN_SCANS)
-        found["comes"] = Contents(self.comes).within(min(Comes), max(Comes))
-        return found
-
 
 class ValveTiming:
     """Timing of one valve's signals."""
@@ -110,15 +59,15 @@ class ValveTiming:
         *,
         optional: tuple[str, ...],
         has_sequence: bool,
-        rests: bool = False,
     ) -> None:
-        self._settings, self._rests = settings, rests
+        self._settings = settings
         self._there = np.append(presence([optional])[0], has_sequence)
         self.stands = LISTENING
         self.found: Found | None = None
         self._back = NOTHING
         self._looked_at = 0
         self._scans = _no_scans(0)  # most valves need no scans
+        self._command_moves = True  # U was not seen again unchanged
 
     def take(self, changes: Changed, *, flush: bool = False) -> Changed:
         """Process changes; return those that are due, in the order of scans if there are any."""
@@ -126,8 +75,23 @@ class ValveTiming:
             return changes
         if self.stands == IN_SCANS:
             return self._into_scans(changes, flush=flush)
-        self._back = _joined(self._back, changes)
+        self._back = joined(self._back, changes)
         return self._listen(changes)
+
+    def hold_command(self, command: float, newest: int, period: int) -> None:
+        """Hold U from change to change from now on: ``command`` since before ``newest``.
+
+        The signals had one timestamp so far, every ``period``; all are known up to ``newest``.
+        """
+        found = replace(_NOT_FOUND, period=period, window=min(SHORTEST_WINDOW_NS, period // 4))
+        comes = np.where(self._there, np.int64(Comes.WITH_THE_SCAN), np.int64(Comes.ABSENT))
+        comes[Signal.U] = Comes.HELD
+        self.found = replace(found, comes=comes, limit=np.full(PER_VALVE, np.inf))
+        self.stands, self._back, self._scans = IN_SCANS, NOTHING, _no_scans(_PENDING)
+        self._scans.now_value[Signal.U] = command
+        self._scans.now_time[Signal.U] = newest
+        self._scans.seen[self._there] = newest
+        self._scans.course[[kernel.NEWEST, kernel.LEFT]] = newest
 
     def _listen(self, newest: Changed) -> Changed:
         if self.stands == DOUBTFUL:
@@ -135,7 +99,7 @@ class ValveTiming:
         while len(self._back.time) >= _AGAIN * self._looked_at:
             self._looked_at = len(self._back.time)
             end = self._end()
-            first = self._back if end < 0 else _part(self._back, 0, end)
+            first = self._back if end < 0 else part(self._back, 0, end)
             if self._has_one_instant(first):
                 self.stands = DOUBTFUL
                 return self._doubt(self._back)
@@ -146,7 +110,7 @@ class ValveTiming:
                 self._settle(found, first)
                 back, self._back = self._back, NOTHING
                 return self._into_scans(back)
-            self._back, self._looked_at = _without_first(self._back, (end + 1) // 2), 0
+            self._back, self._looked_at = without_first(self._back, (end + 1) // 2), 0
         return NOTHING
 
     def _doubt(self, passed: Changed) -> Changed:
@@ -155,8 +119,7 @@ class ValveTiming:
         enough = ENOUGH_PER_SIGNAL * int(self._there.sum())
         if len(back.time) < enough:
             return passed
-        alike = is_stamped_alike(_part(back, 0, enough), self._there)
-        if alike and not (self._rests and only_changes(_part(back, 0, enough), Signal.U)):
+        if is_stamped_alike(part(back, 0, enough), self._there):
             self.stands, self._back = ALIKE, NOTHING
             return passed
         end = self._end()
@@ -164,18 +127,18 @@ class ValveTiming:
             if len(back.time) >= MOST_HELD_BACK:
                 self.stands, self._back = ALIKE, NOTHING
             return passed
-        found = find_scans(_part(back, 0, end), self._there)
+        found = find_scans(part(back, 0, end), self._there)
         if found is None:
             self.stands, self._back = ALIKE, NOTHING
             return passed
-        self._settle(found, _part(back, 0, end))
+        self._settle(found, part(back, 0, end))
         rest = len(back.time) - end
         cut = max(len(passed.time) - rest, 0)
-        self._into_scans(_part(back, 0, end))
+        self._into_scans(part(back, 0, end))
         self._scans.lacking[:] = self._scans.moved[:] = 0
-        on = self._into_scans(_part(back, end, len(back.time)))
+        on = self._into_scans(part(back, end, len(back.time)))
         self._back = NOTHING
-        return _joined(_part(passed, 0, cut), on)
+        return joined(part(passed, 0, cut), on)
 
     def _has_one_instant(self, back: Changed) -> bool:
         common: Times | None = None
@@ -209,13 +172,14 @@ class ValveTiming:
         )
 
     def _settle(self, found: Found, heard: Changed) -> None:
-        if self._rests and only_changes(heard, Signal.U):
-            found.comes[Signal.U] = Comes.HELD
+        self._command_moves = only_changes(heard, Signal.U)
         self.found, self.stands, self._scans = found, IN_SCANS, _no_scans(_PENDING)
 
     def _into_scans(self, changes: Changed, *, flush: bool = False) -> Changed:
         found = self.found
         assert found is not None  # noqa: S101 - it stands in scans
+        if self._command_rests(changes):
+            found.comes[Signal.U], found.limit[Signal.U] = Comes.HELD, np.inf
         rules = ScanRules(
             there=self._there,
             held=found.comes == Comes.HELD,
@@ -227,9 +191,26 @@ class ValveTiming:
             max_wait=self._settings.max_wait_ns,
         )
         waiting = int(self._scans.course[kernel.SIZE])
-        out = _room(PER_VALVE * (len(changes.time) + waiting))
+        out = room(PER_VALVE * (len(changes.time) + waiting))
         n = kernel.make_scans(changes, flush, rules, self._scans, out)
-        return _part(out, 0, n)
+        return part(out, 0, n)
+
+    def _command_rests(self, changes: Changed) -> bool:
+        """Whether U, once in every scan, is no longer sent while the other signals are."""
+        found, scans = self.found, self._scans
+        assert found is not None  # noqa: S101 - it stands in scans
+        if not self._command_moves or found.comes[Signal.U] in (Comes.ABSENT, Comes.HELD):
+            return False
+        waiting = Changed(scans.signal, scans.value, scans.status, scans.time)
+        both = joined(part(waiting, 0, self.pending), changes)
+        own = both.signal == Signal.U
+        self._command_moves = only_changes(both, Signal.U)
+        newest = max(int(scans.seen[Signal.U]), int(both.time[own].max(initial=NEVER)))
+        later = both.time[both.time > newest]
+        if newest == NEVER or len(later) == 0 or later.max() - newest < self._settings.horizon_ns:
+            return False
+        often = np.bincount(both.signal[both.time > newest]).max()
+        return bool(self._command_moves and often >= FEWEST_SCANS)
 
     @property
     def pending(self) -> int:
@@ -309,6 +290,7 @@ class ValveTiming:
         of_signals = [getattr(state, name) for name in _OF_SIGNALS]
         back = Changed(state.back_signal, state.back_value, state.back_status, state.back_time)
         self.stands, self._back, self._scans = stands, back, fresh
+        self._command_moves = True
         self._looked_at = len(back.time)
         self.found = None
         if stands == IN_SCANS:
@@ -324,7 +306,6 @@ def make_one_scan() -> None:
     valve.take(NOTHING, flush=True)
 
 
-NOTHING = Changed(np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint32), np.empty(0, np.int64))
 _NOT_FOUND = Found(
     comes=np.zeros(PER_VALVE, np.int64),
     offset=np.zeros(PER_VALVE, np.int64),
@@ -342,7 +323,7 @@ def _like(state: TimingState) -> TimingState:
         raise StateMismatchError("more is on its way than can be")
     scans = _no_scans(waiting)
     scans.course[kernel.SIZE] = waiting
-    held_back = dict(zip(_BACK, _room(back), strict=True))
+    held_back = dict(zip(_BACK, room(back), strict=True))
     return replace(_NOTHING_SEEN, **scans._asdict(), **held_back)
 
 
@@ -361,33 +342,6 @@ def _no_scans(room: int) -> Scans:
         lacking=np.zeros(n, np.int64),
         moved=np.zeros(n, np.int64),
         course=np.array([0, NEVER, NEVER, 0, 0], np.int64),
-    )
-
-
-def _room(n: int) -> Changed:
-    return Changed(
-        np.empty(n, np.int64), np.empty(n), np.empty(n, np.uint32), np.empty(n, np.int64)
-    )
-
-
-def _part(changes: Changed, start: int, stop: int) -> Changed:
-    return Changed._make(column[start:stop] for column in changes)
-
-
-def _without_first(changes: Changed, count: int) -> Changed:
-    """Drop the oldest ``count`` changes, except the newest of each signal among them."""
-    signal = changes.signal[:count]
-    last = [int(own[-1]) for j in np.unique(signal) if len(own := np.flatnonzero(signal == j))]
-    rows = np.array([*sorted(last), *range(count, len(changes.signal))], np.int64)
-    return Changed._make(column[rows] for column in changes)
-
-
-def _joined(first: Changed, second: Changed) -> Changed:
-    return Changed(
-        np.concatenate((first.signal, second.signal)),
-        np.concatenate((first.value, second.value)),
-        np.concatenate((first.status, second.status)),
-        np.concatenate((first.time, second.time)),
     )
 
 
