@@ -20,13 +20,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings, optional_i
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axis_arrivals import LINES
 from valvemap.pipeline.edges import MOST_WAITING, NEVER_MET
-from valvemap.pipeline.kept_arrivals import (
-    arrays_of_arrivals,
-    arrivals_from,
-    arrivals_like,
-    contents_of_arrivals,
-    length_of,
-)
+from valvemap.pipeline.kept_arrivals import KeptArrivals, arrays_of_arrivals, length_of
 from valvemap.pipeline.timing import TimingSettings, TimingState
 
 MEMORY: Final = "AxisMemory"
@@ -110,22 +104,9 @@ class _Kept(State):
 
 
 @dataclass(frozen=True)
-class _KeptLine(State):
+class _KeptLine(KeptArrivals):
     """The arrivals of one line, and its samples that wait for the other line's."""
 
-    slots: Any
-    values: Any
-    status: Any
-    held_value: Any
-    held_status: Any
-    held_time: Any
-    lost: Any
-    left: Any
-    order: Any
-    counters: Any
-    source_started: Any
-    known_times: Any
-    known_digests: Any
     unmet_t: Any
     unmet_values: Any
 
@@ -133,12 +114,12 @@ class _KeptLine(State):
     def like(cls, other: Self, alignment: Alignment) -> Self:
         """Return an initial state with as many samples as ``other``."""
         unmet = Unmet.nothing(length_of(other.unmet_t, 0))
-        return cls(**arrivals_like(other, alignment), unmet_t=unmet.t, unmet_values=unmet.values)
+        return cls(**other.arrivals_like(alignment), unmet_t=unmet.t, unmet_values=unmet.values)
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
         return {
-            **contents_of_arrivals(self),
+            **super().contents(),
             "unmet_t": Contents(self.unmet_t).any_time(),
             "unmet_values": Contents(self.unmet_values).or_nan(),
         }
@@ -205,7 +186,7 @@ class AxisMemories:
         for row, timing in enumerate(timings, first):
             self._arrivals.timing.put(row, timing)
         for row, one in enumerate(lines, first):
-            self._arrivals.put(row, arrivals_from(one))
+            self._arrivals.put(row, one.arrivals())
         unmet_A, unmet_B = (Unmet(one.unmet_t, one.unmet_values) for one in lines)
         return AxisMemory(
             (unmet_A, unmet_B),

@@ -1,12 +1,13 @@
 """The arrivals of one valve, or of one line of an axis, as arrays of a stored state. Pure."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from valvemap.model.contents import Contents
-from valvemap.model.estimator import StateMismatchError
+from valvemap.model.estimator import State, StateMismatchError
 from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.arrivals import ArrivalsOfValve
 from valvemap.pipeline.clock_steps import MOST_KNOWN, Known
@@ -27,28 +28,44 @@ def arrays_of_arrivals(one: ArrivalsOfValve) -> dict[str, Any]:
     }
 
 
-def arrivals_like(kept: Any, alignment: Alignment) -> dict[str, Any]:  # noqa: ANN401 - a State
-    """Return initial arrays, of as many samples as the stored ones."""
-    waiting = alignment.nothing(1, length_of(kept.slots, 1))
-    waiting.order[0, slots.SIZE] = length_of(kept.slots, 1)
-    known = Known.nothing(min(length_of(kept.known_times, 0), MOST_KNOWN))
-    return arrays_of_arrivals(ArrivalsOfValve(waiting, 0, known))
+@dataclass(frozen=True)
+class KeptArrivals(State):
+    """The arrays of `arrays_of_arrivals`, in a stored state that has others, too."""
 
+    slots: Any
+    values: Any
+    status: Any
+    held_value: Any
+    held_status: Any
+    held_time: Any
+    lost: Any
+    left: Any
+    order: Any
+    counters: Any
+    source_started: Any
+    known_times: Any
+    known_digests: Any
 
-def contents_of_arrivals(kept: Any) -> Mapping[str, Contents]:  # noqa: ANN401 - a State
-    """Return the permitted content; ``order`` must count all stored samples."""
-    waiting = Waiting(*(getattr(kept, name) for name in Waiting._fields))
-    times = {name: Contents(np.asarray(getattr(kept, name))).any_time() for name in _TIMES}
-    return {**contents_of_waiting(waiting), **times}
+    def arrivals_like(self, alignment: Alignment) -> dict[str, Any]:
+        """Return initial arrays, of as many samples as these."""
+        waiting = alignment.nothing(1, length_of(self.slots, 1))
+        waiting.order[0, slots.SIZE] = length_of(self.slots, 1)
+        known = Known.nothing(min(length_of(self.known_times, 0), MOST_KNOWN))
+        return arrays_of_arrivals(ArrivalsOfValve(waiting, 0, known))
 
+    def contents(self) -> Mapping[str, Contents]:
+        """Return the permitted content; ``order`` must count all stored samples."""
+        times = {name: Contents(np.asarray(getattr(self, name))).any_time() for name in _TIMES}
+        return {**contents_of_waiting(self._waiting), **times}
 
-def arrivals_from(kept: Any) -> ArrivalsOfValve:  # noqa: ANN401 - a State
-    """Return the arrivals of checked arrays."""
-    return ArrivalsOfValve(
-        Waiting(*(getattr(kept, name) for name in Waiting._fields)),
-        int(kept.source_started),
-        Known(kept.known_times, kept.known_digests),
-    )
+    def arrivals(self) -> ArrivalsOfValve:
+        """Return the arrivals of checked arrays."""
+        known = Known(self.known_times, self.known_digests)
+        return ArrivalsOfValve(self._waiting, int(self.source_started), known)
+
+    @property
+    def _waiting(self) -> Waiting:
+        return Waiting(*(getattr(self, name) for name in Waiting._fields))
 
 
 def length_of(array: Any, axis: int) -> int:  # noqa: ANN401 - unchecked content of a checkpoint

@@ -7,17 +7,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from valvemap.model.contents import Contents
-from valvemap.model.estimator import State, StateMismatchError
+from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.arrivals import ArrivalsOfValve
 from valvemap.pipeline.clock_steps import Known
-from valvemap.pipeline.kept_arrivals import (
-    arrays_of_arrivals,
-    arrivals_from,
-    arrivals_like,
-    contents_of_arrivals,
-    length_of,
-)
+from valvemap.pipeline.kept_arrivals import KeptArrivals, arrays_of_arrivals, length_of
 from valvemap.pipeline.kernels.gate import Memory
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.valve_state import ValveState
@@ -28,7 +22,7 @@ _MOST_SAMPLES = 2.0**53  # largest count that a float represents exactly
 
 
 @dataclass(frozen=True)
-class _Kept(State):
+class _Kept(KeptArrivals):
     """The state as stored in a checkpoint; ``lanes`` (E, 4) has a row for each of ``names``."""
 
     state_version: ClassVar[int] = 3
@@ -39,19 +33,6 @@ class _Kept(State):
     window: Any
     gate_counters: Any
     bad_status: Any
-    slots: Any
-    values: Any
-    status: Any
-    held_value: Any
-    held_status: Any
-    held_time: Any
-    lost: Any
-    left: Any
-    order: Any
-    counters: Any
-    source_started: Any
-    known_times: Any
-    known_digests: Any
     moment: Any
     T: Any
     demand: Any
@@ -61,12 +42,10 @@ class _Kept(State):
     @classmethod
     def like(cls, other: Self, gate: QualityGate, alignment: Alignment) -> Self:
         """Return an initial state with as many samples and estimators as ``other``."""
-        memory, names = gate.initial_state(1), np.asarray(other.names)
-        nothing = np.full(2, np.nan)
+        names, nothing = np.asarray(other.names), np.full(2, np.nan)
         return cls(
-            *memory.memory,
-            memory.bad_status,
-            **arrivals_like(other, alignment),
+            **_arrays_of_gate(gate.initial_state(1)),
+            **other.arrivals_like(alignment),
             moment=np.array(0),
             T=nothing[0],
             demand=nothing,
@@ -89,7 +68,7 @@ class _Kept(State):
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""
-        found = dict(contents_of_arrivals(self))
+        found = dict(super().contents())
         for name in ("last", "window", "T", "demand"):
             found[name] = Contents(np.asarray(getattr(self, name))).or_nan()
         for name in _TIMES:
@@ -144,18 +123,12 @@ class ValveMemory:
 
     def to_bytes(self, key: str) -> bytes:
         """Pack it; ``key`` is the hash of the valve's gate and alignment settings."""
-        memory = self.gate.memory
         notes = [
             (note.beyond, note.predicted, note.residual, note.status)
             for note in self.notes.values()
         ]
         return _Kept(
-            last=memory.last,
-            last_time=memory.last_time,
-            still_since=memory.still_since,
-            window=memory.window,
-            gate_counters=memory.counters,
-            bad_status=self.gate.bad_status,
+            **_arrays_of_gate(self.gate),
             **arrays_of_arrivals(self.arrivals),
             moment=np.array(self.t),
             T=np.array(self.T),
@@ -182,7 +155,7 @@ class ValveMemory:
             of_gate = (kept.last, kept.last_time, kept.still_since, kept.window, kept.gate_counters)
             return cls(
                 gate=GateState(Memory(*of_gate), kept.bad_status),
-                arrivals=arrivals_from(kept),
+                arrivals=kept.arrivals(),
                 t=int(kept.moment),
                 T=float(kept.T),
                 demand=(float(kept.demand[0]), float(kept.demand[1])),
@@ -193,3 +166,15 @@ class ValveMemory:
             )
         except (ValueError, IndexError, TypeError, OverflowError) as error:
             raise StateMismatchError(f"not a valve's memory: {error}") from error
+
+
+def _arrays_of_gate(gate: GateState) -> dict[str, Any]:
+    memory = gate.memory
+    return {
+        "last": memory.last,
+        "last_time": memory.last_time,
+        "still_since": memory.still_since,
+        "window": memory.window,
+        "gate_counters": memory.counters,
+        "bad_status": gate.bad_status,
+    }
