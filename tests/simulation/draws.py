@@ -5,52 +5,25 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from simulation.axis_installation import AXIS_EDITS
+from simulation.draw_sources import (
+    CALM_S,
+    SIMULATED_S,
+    SourceCase,
+    coinciding,
+    draw_source,
+    pause,
+    retyped,
+    spread,
+    step,
+)
 from simulation.leading import DEMANDS
 from valvemap.pipeline.feedforward import Fallback, FeedForward
-from valvemap.vocabulary.signals import Signal
 
-SIMULATED_S: Final = 60.0
 REAL_FILES: Final = 0.1  # share of the seeds
 AXES: Final = 0.4  # share of the seeds with one source
 PORTS: Final = 0.15
 METERS: Final = 0.1
 LED: Final = 0.05  # their ticks are ten times as many
-CALM_S: Final = 15.0  # at the end: no faults, so that all that waits arrives
-
-
-@dataclass(frozen=True)
-class SourceCase:
-    """One source and its server; times in s, sizes in samples or messages.
-
-    ``history`` is how many samples of each valve the server remembers; ``cuts`` are (start,
-    duration, noticed after), ``steps`` of its clock (time, by how much), ``restarts`` (time, time
-    without a server, by how much its clock is set): sessions, queues, messages and history are
-    gone, and the running number begins at 0. ``skipped`` are the times whose next sample the
-    source numbers and does not take, ``gone`` (start, stop, valve, signal) the nodes that were
-    deleted and created again, ``retyped`` (start, stop, valve, signal, type) those of another type
-    for a while, ``refusals`` (start, stop) when it takes no commands.
-    """
-
-    valves: tuple[int, ...]
-    period_s: float
-    publishing_s: float
-    numbered: bool
-    first_number: int
-    queue: int
-    messages: int
-    lifetime_s: float
-    history: int
-    late: float
-    duplicated: float
-    split: float
-    bad: float
-    cuts: tuple[tuple[float, float, float], ...]
-    steps: tuple[tuple[float, float], ...]
-    restarts: tuple[tuple[float, float, float], ...]
-    skipped: tuple[float, ...] = ()
-    gone: tuple[tuple[float, float, int, int], ...] = ()
-    retyped: tuple[tuple[float, float, int, int, str], ...] = ()
-    refusals: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -129,7 +102,7 @@ def draw_axes(seed):
 def _with_ports(rng, case):
     """One valve with ports in the place of the others; its configuration is not edited."""
     quiet_from = SIMULATED_S - CALM_S
-    source = _coinciding(rng, _source(rng, (0, 1, 2), quiet_from), quiet_from)
+    source = coinciding(rng, draw_source(rng, (0, 1, 2), quiet_from), quiet_from)
     return replace(case, sources=(source,), edits=(), calls=(), commands=(), reads=(), ports=True)
 
 
@@ -137,7 +110,7 @@ def _with_meter(rng, case):
     """Two or three valves behind one meter in the place of the others; not edited, not operated."""
     quiet_from = SIMULATED_S - CALM_S
     valves = tuple(range(rng.choice((2, 3))))
-    source = _retyped(rng, _coinciding(rng, _source(rng, valves, quiet_from), quiet_from))
+    source = retyped(rng, coinciding(rng, draw_source(rng, valves, quiet_from), quiet_from))
     return replace(case, sources=(source,), edits=(), calls=(), commands=(), reads=(), meter=True)
 
 
@@ -155,8 +128,8 @@ def _with_leads(rng, case):
     )
     armed = [(4.0 + v, kind, v) for v in range(case.valves) for kind in ("arm", DEMANDS[1])]
     kinds = ("arm", "arm", "disarm", "withdraw", *DEMANDS)
-    more = _spread(rng, SIMULATED_S, (4, 10), lambda: (rng.choice(kinds), valve()))
-    refused = lambda: _spread(rng, SIMULATED_S, (0, 0, 1), lambda: (rng.uniform(0.1, 9.0),))  # noqa: E731
+    more = spread(rng, SIMULATED_S, (4, 10), lambda: (rng.choice(kinds), valve()))
+    refused = lambda: spread(rng, SIMULATED_S, (0, 0, 1), lambda: (rng.uniform(0.1, 9.0),))  # noqa: E731
     sources = tuple(
         replace(one, refusals=tuple((at, at + by) for at, by in refused())) for one in case.sources
     )
@@ -166,14 +139,14 @@ def _with_leads(rng, case):
 def _axis(rng):
     """A source of one axis: faster than those of valves, with the same faults."""
     quiet_from = SIMULATED_S - CALM_S
-    source = replace(_source(rng, (0, 1), quiet_from), period_s=0.7)
-    return _coinciding(rng, source, quiet_from)
+    source = replace(draw_source(rng, (0, 1), quiet_from), period_s=0.7)
+    return coinciding(rng, source, quiet_from)
 
 
 def draw_types(seed):
     """The plant with its faults, people, commands, and nodes that change, but for axes."""
     case, rng = draw_operators(seed), random.Random(f"{seed} types")
-    return replace(case, sources=tuple(_retyped(rng, source) for source in case.sources))
+    return replace(case, sources=tuple(retyped(rng, source) for source in case.sources))
 
 
 def draw_operators(seed):
@@ -182,8 +155,8 @@ def draw_operators(seed):
     quiet_from = SIMULATED_S - CALM_S
     return replace(
         case,
-        sources=tuple(_coinciding(rng, source, quiet_from) for source in case.sources),
-        commands=_spread(
+        sources=tuple(coinciding(rng, source, quiet_from) for source in case.sources),
+        commands=spread(
             rng, SIMULATED_S, (0, 0, 3), lambda: (rng.choice(COMMANDS), rng.randrange(case.valves))
         ),
         reads=_reads(rng, case),
@@ -193,7 +166,7 @@ def draw_operators(seed):
 def _reads(rng, case):
     """One seed of ten has the real file: it takes as long as all else."""
     counts = (3, 6) if rng.random() < REAL_FILES else (0,)
-    return _spread(
+    return spread(
         rng,
         SIMULATED_S,
         counts,
@@ -218,8 +191,8 @@ def draw_people(seed):
             tuple((rng.choice(EDITS), valve()) for _ in range(rng.choice((0, 1, 1, 2))))
             for _ in case.ends
         ),
-        rivals=tuple(at for (at,) in _spread(rng, quiet_from, (0, 0, 1), tuple)),
-        calls=_spread(rng, SIMULATED_S, (0, 4), lambda: (rng.choice(CALLS), valve())),
+        rivals=tuple(at for (at,) in spread(rng, quiet_from, (0, 0, 1), tuple)),
+        calls=spread(rng, SIMULATED_S, (0, 4), lambda: (rng.choice(CALLS), valve())),
     )
 
 
@@ -232,20 +205,20 @@ def draw_plain(seed):
     quiet_from = SIMULATED_S - CALM_S
     return Case(
         seed=seed,
-        sources=tuple(_source(rng, own, quiet_from) for own in owned),
+        sources=tuple(draw_source(rng, own, quiet_from) for own in owned),
         tick_s=rng.choice((0.5, 1.0, 2.0)),
         stale_after_s=rng.choice((6.0, 9.0)),
         at_once=rng.choice((6, 24, 600)),
         history_rows=rng.choice((40, 100_000, 100_000)),
         thread_s=rng.choice((0.0, 0.2, 1.5)),
         sink_s=rng.choice((0.0, 0.0, 0.6)),
-        ends=_spread(rng, quiet_from, (0, 1, 1, 2), lambda: (rng.choice(_ENDS), _pause(rng))),
+        ends=spread(rng, quiet_from, (0, 1, 1, 2), lambda: (rng.choice(_ENDS), pause(rng))),
         disks=tuple(
             (at, at + rng.uniform(0.5, 12.0), rng.choice(("state", "history")))
-            for (at,) in _spread(rng, quiet_from - 12.0, (0, 0, 1, 2), tuple)
+            for (at,) in spread(rng, quiet_from - 12.0, (0, 0, 1, 2), tuple)
         ),
-        stalls=_spread(rng, quiet_from, (0, 0, 1), lambda: (rng.uniform(0.2, 8.0),)),
-        service_steps=_spread(rng, quiet_from, (0, 0, 0, 1), lambda: (_step(rng),)),
+        stalls=spread(rng, quiet_from, (0, 0, 1), lambda: (rng.uniform(0.2, 8.0),)),
+        service_steps=spread(rng, quiet_from, (0, 0, 0, 1), lambda: (step(rng),)),
     )
 
 
@@ -255,98 +228,4 @@ EDITS: Final = (
 )
 CALLS: Final = ("demand", "predict", "invert", "freeze and resume", "unknown", "not finite")
 COMMANDS: Final = ("reset", "forget more", "forget nothing", "freeze", "resume")
-TYPES: Final = ("Float", "Int16", "String")
-_RETYPED: Final = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.T)
-_DELETED: Final = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.SEQUENCE)
 _ENDS: Final = ("kill", "kill", "power", "stop")
-
-
-def _source(rng, valves, quiet_from):
-    numbered = rng.random() < 0.75
-    messy = numbered and rng.random() < 0.5
-    split = rng.choice((0.0, 0.1)) if messy else 0.0
-    return SourceCase(
-        valves=valves,
-        period_s=rng.choice((0.7, 1.3, 2.1)),
-        publishing_s=rng.choice((2.0, 3.0)),
-        numbered=numbered,
-        first_number=0 if messy else rng.choice((0, 7, 2**32 - 20)),
-        queue=rng.choice((4, 60, 60)),
-        messages=rng.choice((2, 20, 20)),
-        lifetime_s=rng.choice((6.0, 120.0, 120.0)),
-        history=rng.choice((0, 0, 15, 1000)),
-        late=rng.choice((0.0, 0.1)) if messy else 0.0,
-        duplicated=rng.choice((0.0, 0.1)),
-        split=split,
-        bad=rng.choice((0.0, 0.05)),
-        cuts=_spread(
-            rng,
-            quiet_from - 5.0,
-            (0, 1, 2),
-            lambda: (rng.uniform(0.1, 20.0), rng.choice((0.0, 4.5))),
-        ),
-        steps=_spread(rng, quiet_from, (0, 0, 1), lambda: (_step(rng),)),
-        restarts=_spread(
-            rng, quiet_from - 5.0, (0, 0, 0, 1), lambda: (rng.uniform(0.5, 9.0), _step_or_none(rng))
-        ),
-    )
-
-
-def _coinciding(rng, source, quiet_from):
-    """Draw skipped samples and deleted nodes; steps of a clock often coincide with other events."""
-    gone = _spread(
-        rng,
-        quiet_from - 5.0,
-        (0, 0, 0, 1),
-        lambda: (rng.uniform(0.5, 12.0), rng.choice(source.valves), rng.choice(_DELETED)),
-    )
-    skipped = tuple(at for (at,) in _spread(rng, quiet_from, (0, 0, 2), tuple))
-    moments = [at for at, *_ in (*source.cuts, *source.restarts, *gone)]
-    moments += [at + duration for at, duration, *_ in source.cuts] + list(skipped)
-    steps = source.steps
-    if moments and rng.random() < 0.5:  # 2 s apart at most: the samples around the event
-        steps = tuple((rng.choice(moments) + rng.uniform(-2.0, 2.0), by) for _, by in steps)
-    if steps and rng.random() < 0.5:
-        skipped = (*skipped, rng.choice(steps)[0] + rng.uniform(-2.0, 1.0) * source.period_s)
-    return replace(
-        source,
-        steps=tuple(sorted(steps)),
-        skipped=skipped,
-        gone=tuple((at, at + away, valve, signal) for at, away, valve, signal in gone),
-    )
-
-
-def _retyped(rng, source):
-    """Draw nodes whose type changes, some of them at a cut or a restart, as by a new program."""
-    found = _spread(
-        rng,
-        SIMULATED_S - CALM_S - 5.0,
-        (0, 0, 1, 2),
-        lambda: (
-            rng.uniform(0.5, 12.0),
-            rng.choice(source.valves),
-            rng.choice(_RETYPED),
-            rng.choice(TYPES),
-        ),
-    )
-    moments = [at for at, *_ in (*source.cuts, *source.restarts)]
-    if moments and rng.random() < 0.5:
-        found = tuple((rng.choice(moments), *rest) for _, *rest in found)
-    return replace(source, retyped=tuple((at, at + by, *rest) for at, by, *rest in found))
-
-
-def _step(rng):
-    return rng.choice((-1.0, 1.0)) * rng.choice((1.0003, 60.0003, 3600.0003, 86_400.0003))
-
-
-def _step_or_none(rng):
-    return rng.choice((0.0, _step(rng)))
-
-
-def _pause(rng):
-    return rng.choice((0.1, 1.0, 9.0))
-
-
-def _spread(rng, until, counts, more):
-    times = sorted(rng.uniform(1.0, until) for _ in range(rng.choice(counts)))
-    return tuple((at, *more()) for at in times)

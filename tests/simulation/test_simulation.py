@@ -5,10 +5,10 @@ from functools import lru_cache
 import pytest
 
 from simulation.axis_installation import AXIS_EDITS
+from simulation.draw_sources import TYPES
 from simulation.draws import (
     COMMANDS,
     EDITS,
-    TYPES,
     draw_axes,
     draw_operators,
     draw_people,

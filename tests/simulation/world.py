@@ -13,7 +13,8 @@ import structlog
 
 from simulation import judge, people
 from simulation.axes import NO_JOB, Axes
-from simulation.draws import COMMANDS, SIMULATED_S, draw
+from simulation.draw_sources import SIMULATED_S
+from simulation.draws import COMMANDS, draw
 from simulation.history import Rows
 from simulation.installation import edited, fresh, installed, reorder
 from simulation.leading import Leading
