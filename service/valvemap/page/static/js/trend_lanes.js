@@ -13,7 +13,7 @@ const SILENT = "no samples", ANSWER = "Answer";
 const DOUBTS = [["ok", 0], ["partly uncertain", 1], ["uncertain", 2]]; // of an estimate: label, severity
 
 /** `span()` is [from, to] in ms, `begin()` the first time of a value; `changes()` are the changes of alarms (`areAllKnown()`: all before the span, too), `silences()` the [from, to] without samples, `doubts()` the {from, to, doubt} of the estimator's results in the history, `statuses()` the {from, to, label, severity} of its statuses but ok; `answers()` those of the answer to the demand; `states()` those of the state, if it is in the history: the page itself knows that of a valve since its start. */
-export function trendLanes({ live, valve, span, begin, changes, areAllKnown, silences, estimator, doubts, statuses, answers, states = judged }) {
+export function trendLanes({ live, valve, span, begin, changes, areAllKnown, silences, estimator, doubts, statuses, answers, states }) {
   const canvas = h("canvas.lanes", { role: "img", "aria-label": "State" });
 
   /** Spans of alarms of this valve and of the service; none begins before anything is known. */
@@ -66,7 +66,7 @@ export function trendLanes({ live, valve, span, begin, changes, areAllKnown, sil
   }
 
   /** Spans of the state; silences over them. */
-  const stood = () => [...states(), ...silences().map(([from, to]) => ({ from, to, severity: 3, label: SILENT }))];
+  const stood = () => [...(states ?? judged)(), ...silences().map(([from, to]) => ({ from, to, severity: 3, label: SILENT }))];
 
   /** Spans of the estimate's quality; its statuses over them, which say why. */
   const estimates = () => [...doubts().map(({ from, to, doubt }) => ({ from, to, label: DOUBTS[doubt][0], severity: DOUBTS[doubt][1] })), ...statuses()];
