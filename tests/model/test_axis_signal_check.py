@@ -1,5 +1,6 @@
 """A signal that does not fit the others is named, and its answer is not used."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from valvemap.model.axis_search import identify
 from valvemap.model.axis_signal_check import inconsistency
 from valvemap.vocabulary.statuses import AxisStatus
 from valvemap_rig.directional import DirectionalValve
-from valvemap_rig.machine import Machine
+from valvemap_rig.machine import Controller, Machine
 from valvemap_rig.scenario import Scenario
 from valvemap_rig.simulation import Commands, advance, initial
 
@@ -18,13 +19,18 @@ GEOMETRY = AxisGeometry(63, 45, 800, 1.2, 1.2)
 KNOWN = AxisRegression(GEOMETRY, play_percent=2.0, spool_hz=40.0)
 
 
-@pytest.fixture(scope="module")
-def samples():
-    valve = DirectionalValve(leakage_l_min_bar=0.0, play_percent=2.0)
-    axis = Machine(name="Axis", measures="position", valve=valve)
+def played(k_p=0.9, **spool):
+    valve = DirectionalValve(leakage_l_min_bar=0.0, **{"play_percent": 2.0, **spool})
+    controller = Controller(k_p_percent_mm=k_p)
+    axis = Machine(name="Axis", measures="position", valve=valve, controller=controller)
     scenario = Scenario(valves=(), machines=(axis,), sample_rate_hz=100.0)
     _, block = advance(scenario, initial(scenario, 0), 7000, Commands())
     return AxisSamples.of(block.machines["Axis"].t, **block.machines["Axis"].shown)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return played()
 
 
 def late(samples, name, n):
@@ -55,6 +61,20 @@ def test_a_wrong_zero_is_named(samples):
 def test_a_noisy_pressure_is_named_and_a_quiet_one_is_not(samples, name):
     assert inconsistency(KNOWN, noisy(samples, name, 4.0), 4.0).words == f"{name} noisy"
     assert inconsistency(KNOWN, noisy(samples, name, 0.1), 4.0) is None
+
+
+@pytest.mark.parametrize("slew", [110.0, 150.0])
+def test_a_spool_that_cannot_follow_is_named_with_its_speed(slew):
+    result = identify(played(k_p=3.0, slew_percent_s=slew), GEOMETRY)
+    assert result.status in {AxisStatus.SIGNAL_INCONSISTENT, AxisStatus.BULK_MODULUS}
+    told = float(re.search(r"moves by (\d+) %/s", result.sentence).group(1))
+    assert abs(told / slew - 1.0) < 0.25
+
+
+def test_wide_play_is_found():
+    result = identify(played(play_percent=14.0), GEOMETRY)
+    assert result.status is AxisStatus.OK
+    assert result.fit.regression.play_percent == pytest.approx(14.0, abs=0.2)
 
 
 def test_a_pressure_that_never_changes_is_no_pressure(samples):

@@ -20,11 +20,11 @@ _LEAST_SHARE: Final = 0.3  # of the intervals must be of use
 _MISSING_SHARE: Final = 0.5
 _MODULUS_GPa: Final = (0.1, 2.0)
 _LEAST_SWING: Final = 10.0  # %; U must reach it in both directions
-_PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0)  # %
+_PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 13.0)  # %
 _LAGS_S: Final = (0.0, 0.012, 0.025, 0.04, 0.06, 0.09, 0.13, 0.18)  # s; 1/f of the spool
 _PLAY_STEPS: Final = (0.5, 0.125, 0.03)  # %
 _LAG_STEPS_S: Final = (0.006, 0.003, 0.0015, 0.0008)  # s
-_MOST_PLAY, _MOST_LAG_S = 10.0, 0.2
+_MOST_PLAY, _MOST_LAG_S = 20.0, 0.2
 _SEARCHED: Final = 20_000  # samples; more do not move the minimum
 
 
@@ -91,12 +91,12 @@ def identify(
     if wrong is not None:
         of_shape = of_shape + np.outer(wrong.change, wrong.change)
     found = replace(found, covariance=found.covariance + of_shape)
-    status, detail = AxisStatus.OK, ""
+    status, details = AxisStatus.OK, []
     if wrong is not None and wrong.is_large:
-        status, detail = AxisStatus.SIGNAL_INCONSISTENT, wrong.words
+        status, details = AxisStatus.SIGNAL_INCONSISTENT, [wrong.words]
     if not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
-        status, detail = AxisStatus.BULK_MODULUS, f"{found.bulk_modulus[0]:.2f} GPa"
-    sentence = f"{status.sentence} ({detail})" if detail else status.sentence
+        status, details = AxisStatus.BULK_MODULUS, [f"{found.bulk_modulus[0]:.2f} GPa", *details]
+    sentence = f"{status.sentence} ({'; '.join(details)})" if details else status.sentence
     return AxisResult(status, sentence, found, left_out, state, of_shape)
 
 

@@ -1,6 +1,7 @@
 """Whether one signal of an axis does not fit the others: what a better one would leave. Pure.
 
-Each signal is tried a little later or earlier, with another zero, or smoothed. Where the samples
+Each signal is tried a little later or earlier, with another zero, or smoothed, U with a limited
+speed of the spool. Where the samples
 are much likelier so, the signal is inconsistent: the coefficients' difference is part of their
 uncertainty, and if it is large the answer must not be used.
 """
@@ -23,11 +24,12 @@ LATE_S: Final = 0.02  # s; step of a delay
 ZERO_BAR: Final = 2.0  # bar; step of a zero
 SMOOTHED: Final = 5  # samples whose mean stands for one
 MOST: Final = 8  # steps
+SLEWS: Final = tuple(float(round(2000.0 * 0.8**k, -1)) for k in range(16))  # %/s; of a spool
 SIGNIFICANT: Final = 30.0  # twice the log likelihood ratio that makes a signal inconsistent
 MOST_COMPLIANCE, MOST_FLOW = 0.1, 0.02  # shares of 1/β and flow, by which an answer may be off
 PRESSURES: Final = ("pA", "pB", "pS", "pT")
 
-_Variant = Callable[[AxisSamples, int], AxisSamples]  # with the number of steps
+_Variant = Callable[[AxisSamples, float], AxisSamples]  # by a size
 
 
 @dataclass(frozen=True)
@@ -57,52 +59,67 @@ def inconsistency(
 
     theta, rms, rows = fitted(samples)
     best: tuple[float, str, Floats] | None = None
-    for words, step, variant, most in _variants(regression.period_s):
-        least, last, changed = rms, 0.0, theta
-        for k in range(1, most + 1):
-            other, left, _ = fitted(variant(samples, k))
-            if not left < least:
+    for words, sizes, variant in _variants(regression.period_s):
+        least, last, changed = rms, math.nan, theta
+        for size in sizes:
+            other, left, _ = fitted(variant(samples, size))
+            if 2.0 * rows * math.log(max(left, 1e-9) / max(least, 1e-9)) > SIGNIFICANT:
                 break
-            least, last, changed = left, float(k), other
-        gain = 2.0 * rows * math.log(rms / max(least, 1e-9)) if last else 0.0
+            if left < least:
+                least, last, changed = left, size, other
+        gain = 2.0 * rows * math.log(rms / max(least, 1e-9))
         if gain > max(SIGNIFICANT, best[0] if best else 0.0):
-            best = gain, words.format(last * step), changed - theta
+            best = gain, words.format(last), changed - theta
     if best is None:
         return None
     return Inconsistency(best[1], best[2], best[0], _is_large(theta, best[2]))
 
 
-def _variants(period_s: float) -> Iterator[tuple[str, float, _Variant, int]]:
-    """Yield variants: words with a place for the size, size of a step, function, most steps."""
+def _variants(period_s: float) -> Iterator[tuple[str, tuple[float, ...], _Variant]]:
+    """Yield variants: words with a place for the size, sizes away from none, function."""
     n = max(round(LATE_S / period_s), 1)
-    late_ms = 1e3 * n * period_s
+    late_ms = tuple(1e3 * n * period_s * k for k in range(1, MOST + 1))
+    zeros = tuple(ZERO_BAR * k for k in range(1, MOST + 1))
     for names, what in ((("x", "v"), "position or speed"), (PRESSURES, "the pressures")):
         for sign, how in ((-1, "late"), (1, "early")):
-            yield f"{what} {{:.0f}} ms too {how}", late_ms, _moved(names, sign * n), MOST
+            yield f"{what} {{:.0f}} ms too {how}", late_ms, _moved(names, sign, period_s)
     for name in PRESSURES:
-        for by, how in ((-ZERO_BAR, "high"), (ZERO_BAR, "low")):
-            yield f"{name} {{:.0f}} bar too {how}", ZERO_BAR, _raised(name, by), MOST
-        yield f"{name} noisy", 0.0, _smoothed(name), 1
+        for sign, how in ((-1, "high"), (1, "low")):
+            yield f"{name} {{:.0f}} bar too {how}", zeros, _raised(name, sign)
+        yield f"{name} noisy", (0.0,), _smoothed(name)
+    yield "U faster than the spool, which moves by {:.0f} %/s at most", SLEWS, _slewed(period_s)
 
 
-def _moved(names: tuple[str, ...], by: int) -> _Variant:
-    def variant(samples: AxisSamples, k: int) -> AxisSamples:
-        at = np.clip(np.arange(len(samples)) - k * by, 0, len(samples) - 1)
+def _moved(names: tuple[str, ...], sign: int, period_s: float) -> _Variant:
+    def variant(samples: AxisSamples, ms: float) -> AxisSamples:
+        by = sign * round(1e-3 * ms / period_s)
+        at = np.clip(np.arange(len(samples)) - by, 0, len(samples) - 1)
         return replace(samples, **{name: getattr(samples, name)[at] for name in names})
 
     return variant
 
 
-def _raised(name: str, by: float) -> _Variant:
-    return lambda samples, k: replace(samples, **{name: getattr(samples, name) + k * by})
+def _raised(name: str, sign: int) -> _Variant:
+    return lambda samples, bar: replace(samples, **{name: getattr(samples, name) + sign * bar})
 
 
 def _smoothed(name: str) -> _Variant:
-    def variant(samples: AxisSamples, _: int) -> AxisSamples:
+    def variant(samples: AxisSamples, _: float) -> AxisSamples:
         half = SMOOTHED // 2
         beside = np.pad(getattr(samples, name), half, mode="edge")
         mean = np.convolve(beside, np.full(SMOOTHED, 1.0 / SMOOTHED), "valid")
         return replace(samples, **{name: mean})
+
+    return variant
+
+
+def _slewed(period_s: float) -> _Variant:
+    def variant(samples: AxisSamples, slew: float) -> AxisSamples:
+        most, U = slew * period_s, samples.U.copy()
+        for k in range(1, len(U)):
+            if abs(U[k] - U[k - 1]) > most:
+                U[k] = U[k - 1] + math.copysign(most, U[k] - U[k - 1])
+        return replace(samples, U=U)
 
     return variant
 
