@@ -26,6 +26,7 @@ PARTS: Final = 40  # intervals of the map's B-splines along U
 COLUMNS: Final = 3 * (PARTS + 2)  # of the map: B-splines times s, s·|s| and s³
 BEYOND: Final = 0.2  # share of the range of U by which the spool may overshoot it
 RIDGE: Final = 1e-9  # of the largest diagonal: columns without samples
+BEND: Final = 1e-5  # of the largest diagonal: weight of the map's third differences along U
 SLOWEST, FASTEST = 0.5, 200.0  # Hz; bounds of f
 SEEN: Final = 0.4  # of the sampling rate: quicker spools do not show
 STARTS_HZ: Final = (4.0, 7.0, 12.0, 20.0, 35.0, 60.0, 100.0)
@@ -268,7 +269,9 @@ def residual(grid: Grid, p: Point) -> tuple[Floats, float, Floats]:
 
 def _left(X: Floats, Q: Floats) -> tuple[Floats, float, Floats]:
     G = X.T @ X
-    G[np.diag_indices_from(G)] += RIDGE * G.diagonal().max() + 1e-30
+    most = G.diagonal().max()
+    G += BEND * most * _BENDS
+    G[np.diag_indices_from(G)] += RIDGE * most + 1e-30
     theta: Floats = np.asarray(np.linalg.solve(G, X.T @ Q), np.float64)
     r = Q - X @ theta
     return r, float(r @ r), theta
@@ -349,3 +352,15 @@ def response(p: Point, step: float, seconds: float) -> tuple[Floats, Floats]:
     x = np.empty(n)
     kernels.spool(np.full(n, step), _transition(p, h), p.slew * h, x)
     return np.asarray(np.arange(1, n + 1) * h + p.dead, np.float64), x
+
+
+def _bends() -> Floats:
+    """Return the sum of squares of the coefficients' third differences along U, (COLUMNS, COLUMNS).
+
+    Where the spool was seldom or never, the map goes on as beside it.
+    """
+    third = np.diff(np.eye(PARTS + 2), 3, axis=0)
+    return np.asarray(np.kron(np.eye(3), third.T @ third))
+
+
+_BENDS: Final = _bends()
