@@ -22,7 +22,7 @@ def run(turns, valves, seconds, took_s=1.0, rate=100, begin=0):
     """Take samples second by second, do every fit at once; return who was fitted, and when."""
     fits, slow = [], []
     for k in range(begin, begin + seconds):
-        slow += turns.take(a_second(valves, k, rate), float(k + 1))
+        slow += turns.take(a_second(valves, k, rate))
         due = turns.job(float(k + 1))
         if due is not None:
             fits.append((due[0], k + 1))
@@ -59,9 +59,16 @@ def test_a_slow_valve_is_named_once_and_never_fitted():
     assert slow == [1]
 
 
+def test_neither_a_busy_machine_nor_a_step_of_the_clock_makes_a_valve_slow():
+    turns = DynamicsInTurn(1, 0.1, WINDOW_S, 0.0)
+    slow = [name for k in (*range(100, 103), *range(80)) for name in turns.take(a_second([0], k))]
+    assert not slow
+    assert turns.job(1_000.0) is not None, "though its samples came late"
+
+
 def test_no_second_fit_begins_while_one_runs():
     turns = DynamicsInTurn(1, 0.1, WINDOW_S, 0.0)
     for k in range(80):
-        turns.take(a_second([0], k), float(k + 1))
+        turns.take(a_second([0], k))
     assert turns.job(80.0) is not None
     assert turns.job(81.0) is None

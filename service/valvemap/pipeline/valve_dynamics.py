@@ -43,8 +43,7 @@ class DynamicsInTurn:
     def __init__(self, valves: int, share: float, window_s: float, now: float) -> None:
         self._rest = 1.0 / share - 1.0  # times the duration of a fit
         self._window_s = window_s
-        self._counts = np.zeros(valves, np.int64)
-        self._since = now
+        self._counts, self._first = np.zeros(valves, np.int64), np.zeros(valves, np.int64)
         self._is_fast = np.zeros(valves, np.bool_)
         self._is_slow = np.zeros(valves, np.bool_)
         self._gathered: dict[int, _Window] = {}
@@ -52,23 +51,31 @@ class DynamicsInTurn:
         self._rests_until = now
         self._works = False
 
-    def take(self, samples: ByValve, now: float) -> list[int]:
-        """Take samples; return the valves that are newly known to be too slow."""
+    def take(self, samples: ByValve) -> list[int]:
+        """Take samples; return the valves that are newly known to be too slow.
+
+        Their rate is that of their own times: a busy machine, or a late connection, is none.
+        """
         members, starts, stops = samples.segments
-        self._counts[members] += stops - starts
         for valve, window in self._gathered.items():
             batch = samples.get(valve)
             if batch is not None:
                 window.take(batch)
-        passed = now - self._since
-        if passed < RATE_S:
+        t, is_first = samples.samples.t, self._counts[members] == 0
+        self._first[members[is_first]] = t[starts[is_first]]
+        self._counts[members] += stops - starts
+        span_s = 1e-9 * (t[stops - 1] - self._first[members])
+        self._counts[members[span_s < 0.0]] = 0
+        is_due = span_s >= RATE_S
+        if not is_due.any():
             return []
-        fast = self._counts >= LEAST_HZ * passed
-        slow = (self._counts > 0) & ~fast & ~self._is_fast
-        newly = np.flatnonzero(slow & ~self._is_slow).tolist()
-        self._is_fast |= fast
-        self._is_slow |= slow
-        self._counts[:], self._since = 0, now
+        due, span_s = members[is_due], span_s[is_due]
+        fast = self._counts[due] > LEAST_HZ * span_s
+        slow = ~fast & ~self._is_fast[due]
+        newly = due[slow & ~self._is_slow[due]].tolist()
+        self._is_fast[due] |= fast
+        self._is_slow[due] |= slow
+        self._counts[due] = 0
         self._choose()
         return list(newly)
 

@@ -40,7 +40,7 @@ class LiveDynamics:
 
     def take(self, samples: ByValve) -> None:
         """Take samples of any valves."""
-        for valve in self._turns.take(samples, self._clock.monotonic()):
+        for valve in self._turns.take(samples):
             status = DynamicsStatus.TOO_SLOW
             self._identification.note_dynamics(valve, DynamicsResults(status, status.sentence))
 
