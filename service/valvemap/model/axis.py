@@ -147,7 +147,7 @@ class AxisState:
     def has_changed(self) -> bool:
         """Whether an edge has changed suddenly, for certain, and not long ago."""
         chance = self.drift_chance
-        jumped = chance[:, flow_drift.OTHER_GAIN] + chance[:, flow_drift.OTHER_EDGE]
+        jumped = chance[:, flow_drift.OTHER_GAIN : flow_drift.NAMED].sum(axis=-1)
         moved = np.maximum(jumped, chance[:, flow_drift.WANDERING])
         return bool((moved > flow_rules.CERTAIN).any())
 

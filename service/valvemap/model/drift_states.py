@@ -15,6 +15,7 @@ VALVE_STATES: Final = (
         ]
     )
 )
+NEW_MODELS: Final = [drifts.SENSING, drifts.OTHER_ZERO, drifts.OTHER_PRESSURE]  # since 0.2.0
 
 LOGARITHM: Final = np.array(  # effects of ln ν, its bend, by those of powers of ν, see `flow_oil`
     [
@@ -44,7 +45,7 @@ def upgrade(arrays: dict[str, Any], prefix: str = "") -> None:
     """Insert the sensors' offsets, which earlier versions did not know."""
     old = {name: arrays[prefix + name] for name in ("x", "P", "chance", "now")}
     sides, n = len(old["x"]), drifts.STATES
-    models = np.delete(np.arange(drifts.MODELS), drifts.SENSING)
+    models = np.delete(np.arange(drifts.MODELS), NEW_MODELS)
     x, P = np.zeros((sides, drifts.MODELS, n)), np.zeros((sides, drifts.PACKED))
     chance, now = (
         np.zeros((sides, drifts.MODELS)),
@@ -52,11 +53,11 @@ def upgrade(arrays: dict[str, Any], prefix: str = "") -> None:
     )
     chance[:, models] = old["chance"]
     x[np.ix_(np.arange(sides), models, VALVE_STATES)] = old["x"]
-    x[:, drifts.SENSING] = x[:, drifts.STILL]
+    x[:, NEW_MODELS] = x[:, [drifts.STILL]]
     now[np.ix_(np.arange(sides), np.append(0, 1 + VALVE_STATES), VALVE_STATES)] = old["now"]
     for side in range(sides):
         for m in range(drifts.MODELS):
-            before = drifts.STILL if m == drifts.SENSING else m - (m > drifts.SENSING)
+            before = drifts.STILL if m in NEW_MODELS else int(np.searchsorted(models, m))
             whole = np.zeros((n, n))
             whole[np.ix_(VALVE_STATES, VALVE_STATES)] = old["P"][side, before]
             lower, at = np.tril_indices(drifts.SIZES[m]), drifts.PLACES[m]
@@ -86,3 +87,15 @@ def _logarithm(n: int) -> Floats:
     other = np.eye(n)
     other[drifts.LEVELS : drifts.RATES, drifts.LEVELS : drifts.RATES] = LOGARITHM
     return other
+
+
+def add_jumps_of_offsets(arrays: dict[str, Any], prefix: str = "") -> None:
+    """Insert the models in which an offset jumps."""
+    x, P, chance = (arrays[prefix + name] for name in ("x", "P", "chance"))
+    new, still = drifts.OTHER_ZERO, slice(drifts.PLACES[drifts.STILL + 1])
+    many = 2 * (still.stop or 0)
+    arrays |= {
+        prefix + "x": np.insert(x, [new, new], x[:, [drifts.STILL] * 2], axis=1),
+        prefix + "P": np.insert(P, [drifts.PLACES[new]] * many, np.tile(P[:, still], 2), axis=1),
+        prefix + "chance": np.insert(chance, [new, new], 0.0, axis=1),
+    }

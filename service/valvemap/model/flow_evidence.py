@@ -233,9 +233,9 @@ def solved(A: Floats, b: Floats, damped: float = 0.0) -> Floats:
 
 
 def precision(evidence: Evidence, at: Floats) -> Floats:
-    """Inverse covariance of the parameters (PARAMETERS, PARAMETERS), 0 for those that are fixed."""
+    """Inverse covariance of the map's parameters (OF_MAP, OF_MAP), 0 for those that are fixed."""
     J, ks = slopes(evidence, at), smooth(at)
-    noise, A = evidence.noise(at), np.zeros((paths.PARAMETERS, paths.PARAMETERS))
+    noise, A = evidence.noise(at), np.zeros((paths.OF_MAP, paths.OF_MAP))
     for n in range(len(ks)):
         J[:, n] = evidence.whitened(J[:, n].copy(), noise)
     A[np.ix_(ks, ks)] = np.einsum("ij,ik->jk", J, J) / max(noise.innovation, 1e-300)

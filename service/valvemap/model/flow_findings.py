@@ -57,10 +57,7 @@ LEVELS: Final = (  # code of its drift; unit; name; what to do
         " The map is without it. Relieve both lines and compare p1 and p2 with 0.",
     ),
 )
-CHANGES: Final = (
-    (FindingCode.GAIN_CHANGE, 100.0, "%", "gain"),
-    (FindingCode.EDGE_CHANGE, 1.0, "% of U", "edge"),
-)
+CHANGES: Final = FindingCode.GAIN_CHANGE, FindingCode.EDGE_CHANGE  # a sensor's: as it drifts
 
 
 def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
@@ -72,7 +69,7 @@ def findings(state: FlowMapState, both: Both) -> tuple[Finding, ...]:
     found = [*_operators(state), *_pump(state), *_play(state)]
     scales = 100.0, 1.0, float(state.scalars[fits.ZERO_SCALE]), float(both[1].breaks[-1] ** 2)
     found += [*_moving(state, scales, explained), *_wearing(state, both, explained)]
-    found += [*_changes(state, explained), *_compensator(state, both)]
+    found += [*_changes(state, scales, explained), *_compensator(state, both)]
     found += [*_misfit(state, nameless)]
     likely = (one for one in found if one.probability > rules.WORTH_SAYING)
     return tuple(sorted(likely, key=lambda one: (-one.probability, one.code)))
@@ -178,7 +175,7 @@ def _wearing(state: FlowMapState, both: Both, explained: float) -> Iterator[Find
         yield Finding(FindingCode.WEAR, share, text)
 
 
-def _changes(state: FlowMapState, explained: float) -> Iterator[Finding]:
+def _changes(state: FlowMapState, scales: Sequence[float], explained: float) -> Iterator[Finding]:
     counters = state.counters
     since = 1e-9 * float(max(counters[memory.CLOCK : memory.CLOCK + 2]))
     since -= 1e-9 * float(counters[memory.CHANGE_TIME])
@@ -186,10 +183,12 @@ def _changes(state: FlowMapState, explained: float) -> Iterator[Finding]:
     if not counters[memory.CHANGES] or since > rules.SAID_FOR or of == 0.0:
         return
     side, kind = divmod(int(counters[memory.CHANGE_KIND]), drifts.NAMED)
-    code, scale, unit, what = CHANGES[kind != drifts.OTHER_GAIN]
-    size = f"{scale * of:+.3g} {unit}"
+    k = kind - drifts.OTHER_GAIN
+    code, unit, what, advice = LEVELS[k]
+    code = CHANGES[k] if k < len(CHANGES) else code
+    size = f"{scales[k] * of:+.3g} {unit}"
     when = _utc(int(counters[memory.CHANGE_TIME]))
-    text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when} UTC."
+    text = f"The {what} at {SIDES[side % 2]} changed by {size} at {when} UTC.{advice}"
     yield Finding(code, rules.CERTAIN * explained, text)
 
 

@@ -107,7 +107,7 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
         path[flow_path.HYSTERESIS] += _sign(left > rules.OTHER_HYSTERESIS * noise**2)
     path[flow_path.NEWS] = found[flow_path.NEWS]
     of_found = flow_evidence.precision(evidence, found)
-    if _differ(found, given, of_found, state.precision):
+    if _differ(found, given, of_found, state.precision.astype(np.float64)):
         path[: flow_path.PARAMETERS] = found
         play[flow_play.HALF] = found[flow_path.PLAY]
         path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
@@ -121,11 +121,12 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
         _refine(state, both, evidence, np.zeros_like(found))
     else:
         state.precision[:] += of_found
+        known = state.precision.astype(np.float64)
         ks = [k for k in flow_evidence.smooth(found) if k != flow_path.PLAY]
         moved = np.zeros_like(found)
         if ks:
             weighed = of_found[np.ix_(ks, ks)] @ (found - given)[ks]
-            moved[ks] = flow_evidence.solved(state.precision[np.ix_(ks, ks)], weighed)
+            moved[ks] = flow_evidence.solved(known[np.ix_(ks, ks)], weighed)
         _refine(state, both, evidence, moved)
 
 
@@ -139,7 +140,8 @@ def _refine(
     if not ks:
         return
     slopes = np.array([evidence.moved(at, k, *both) for k in ks])
-    covariance = flow_evidence.solved(state.precision[np.ix_(ks, ks)], np.eye(len(ks)))
+    known = state.precision[np.ix_(ks, ks)].astype(np.float64)
+    covariance = flow_evidence.solved(known, np.eye(len(ks)))
     state.doubt[:] = np.sqrt(np.einsum("ki,kl,li->i", slopes, covariance, slopes))
     by = np.einsum("k,ki->i", moved[ks], slopes)
     state.theta[:] += by

@@ -53,7 +53,7 @@ class FlowMapState(State):
         Play between U and the spool, see :mod:`kernels.flow_play`.
     doubt : (n_U·n_s,) float32
         Standard deviation that the operators' parameters give the map at the sites, l/min.
-    precision : (PARAMETERS, PARAMETERS)
+    precision : (OF_MAP, OF_MAP) float32
         Inverse covariance of the operators' parameters, 0 of those that are not there.
     path : (PLACES,)
         Operators between map and samples, see :mod:`kernels.flow_path`.
@@ -63,13 +63,13 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 9  # 8: no oil in cells; 7: no offsets; 6: nothing held
+    state_version: ClassVar[int] = 9  # 8: no oil in cells, offsets did not jump; 7: no offsets
 
     cells: NDArray[np.float32]
     theta: NDArray[np.float32]
     std: NDArray[np.float32]
     doubt: NDArray[np.float32]
-    precision: Floats
+    precision: NDArray[np.float32]
     w: Floats
     v: Floats
     x: Floats
@@ -88,20 +88,24 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 8: cells did not know the oil's temperature; 7: sensors had no offsets; 6: no signal
-        was held; 5: edges wore as a whole; 4: noise was AR(1), without a white part; 3: nothing
-        nameless was looked for.
+        Version 8: cells did not know the oil's temperature, and offsets of sensors did not jump;
+        7: sensors had none; 6: no signal was held; 5: edges wore as a whole; 4: noise was AR(1),
+        without a white part; 3: nothing nameless was looked for.
         """
         if version not in ("3", "4", "5", "6", "7", "8"):
             return {}
-        if version != "8":
+        of_map = slice(flow_path.OF_MAP)
+        arrays["precision"] = arrays["precision"][of_map, of_map].astype(np.float32)
+        if version == "8":
+            _add_jumps_of_offsets(arrays)
+        else:
             cls._add_offsets(version, arrays)
         _add_oil(arrays)
         return arrays
 
     @staticmethod
     def _add_offsets(version: str, arrays: dict[str, Any]) -> None:
-        """Add what version 8 knew."""
+        """Add what version 8 knew, and jumps of offsets."""
         if version == "3":
             for name in ("x", "P"):
                 still = arrays[name][:, flow_drift.STILL]
@@ -121,7 +125,6 @@ class FlowMapState(State):
             return
         held, first = flow_path.PARAMETERS - flow_path.OF_MAP, flow_path.OF_MAP
         arrays["path"] = np.insert(arrays["path"], [first] * held + [2 * first] * held, 0.0)
-        arrays["precision"] = np.pad(arrays["precision"], (0, held))
         sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
         for name, size in (sizes | {"path": flow_path.PLACES, "stay": flow_memory.STAY}).items():
             arrays[name] = np.pad(arrays[name][:size], (0, max(size - len(arrays[name]), 0)))
@@ -197,6 +200,13 @@ def _add_oil(arrays: dict[str, Any]) -> None:
     arrays["scalars"][flow_fit.STAY_X : flow_fit.ALIKE + 1] = 0.0
 
 
+def _add_jumps_of_offsets(arrays: dict[str, Any]) -> None:
+    drift_states.add_jumps_of_offsets(arrays)
+    counters = arrays["counters"]
+    side, kind = divmod(counters[flow_memory.CHANGE_KIND], flow_drift.NAMED - 2)
+    counters[flow_memory.CHANGE_KIND] = kind + side * flow_drift.NAMED
+
+
 @lru_cache(maxsize=64)
 def axes(U_range: Range, dp_range: Range) -> tuple[Axis, Axis]:
     """Axes of U and s for a valve of these ranges (%, bar)."""
@@ -224,7 +234,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         theta=np.zeros(n_U * n_s, np.float32),
         std=np.zeros(n_U * n_s, np.float32),
         doubt=np.zeros(n_U * n_s, np.float32),
-        precision=np.zeros((flow_path.PARAMETERS, flow_path.PARAMETERS)),
+        precision=np.zeros((flow_path.OF_MAP, flow_path.OF_MAP), np.float32),
         w=np.ones(n_U - 2),
         v=np.ones(n_s - 2),
         x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),

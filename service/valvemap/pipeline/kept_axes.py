@@ -64,15 +64,16 @@ def shape_of(one: AxisRegression) -> dict[str, Any]:
 class _Kept(KeptShape):
     """The stored form of an axis."""
 
-    state_version: ClassVar[int] = 3  # 2: sensors had no offsets
+    state_version: ClassVar[int] = 4  # 3: offsets did not jump; 2: sensors had none
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add the sensors' offsets."""
-        if version != "2":
-            return {}
-        drift_states.upgrade(arrays, "drift_")
-        return arrays
+        if version == "2":
+            drift_states.upgrade(arrays, "drift_")
+        elif version == "3":
+            drift_states.add_jumps_of_offsets(arrays, "drift_")
+        return arrays if version in ("2", "3") else {}
 
     last: Any
     memory: Any

@@ -130,7 +130,8 @@ def _end_stay(
         )
         jumps = min(dt * changes_per_s, 0.1)
         variance = noise[NOISE] / many + of_map + of_other
-        drifts.step(drift, dt, jumps, rules.ODDS * jumps, residual, by, variance)
+        over = min(dt / rules.AFTER_JUMP, 0.5)
+        drifts.step(drift, dt, jumps, over, rules.ODDS * jumps, residual, by, variance)
         moving.last[edge] = t
     square = many * max(residual * residual - of_map, 0.0)
     if noise[STAYS] >= rules.FEWEST_STAYS:

@@ -11,6 +11,8 @@ Rates of a and e grow from none: where a part of an edge wears, not all of it dr
     SENSING          those of o and d as well
     OTHER_GAIN       a has changed by anything, not long ago
     OTHER_EDGE       e has
+    OTHER_ZERO       o has
+    OTHER_PRESSURE   d has
 
 Beside them, with a probability of its own against all of them:
 
@@ -28,11 +30,11 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Floats
 
-STILL, MOVING, SENSING, OTHER_GAIN, OTHER_EDGE, NAMED = 0, 1, 2, 3, 4, 5
+STILL, MOVING, SENSING, OTHER_GAIN, OTHER_EDGE, OTHER_ZERO, OTHER_PRESSURE, NAMED = range(8)
 WANDERING, MODELS = NAMED, NAMED + 1
 OF_VALVE = 2  # levels before it are the valve's, others the sensors'
 LEVELS, RATES, STATES = 4, 9, 13  # states from LEVELS on are effects of T, from RATES on rates
-SIZES = RATES, RATES + OF_VALVE, STATES, RATES, RATES, RATES  # states of each model
+SIZES = RATES, RATES + OF_VALVE, STATES, *(RATES,) * (MODELS - OTHER_GAIN)  # of each model
 SHOWN = RATES + OF_VALVE  # states of which the mean over the models is kept
 _NUMBERS = [n * (n + 1) // 2 for n in SIZES]  # of a covariance, see `pack`
 PLACES = tuple(sum(_NUMBERS[:m]) for m in range(MODELS))  # where each begins
@@ -71,6 +73,21 @@ def pack(i: int, j: int) -> int:
 
 
 @inner
+def jumped(chance: Floats) -> float:
+    """Probability that a level has changed suddenly."""
+    total = 0.0
+    for m in range(OTHER_GAIN, NAMED):
+        total += chance[m]
+    return total
+
+
+@inner
+def drifting(chance: Floats) -> float:
+    """Probability that a level drifts."""
+    return float(chance[MOVING] + chance[SENSING])
+
+
+@inner
 def forget(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
     """Begin: levels are 0, and may be about to drift."""
     x[:], P[:], chance[:], now[:] = 0.0, 0.0, 0.0, 0.0
@@ -95,11 +112,12 @@ def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
 
 @inner
 def step(
-    drift: Drift, dt: float, jumps: float, nameless: float, residual: float,
+    drift: Drift, dt: float, jumps: float, over: float, nameless: float, residual: float,
     by: Floats, variance: float,
 ) -> float:  # fmt: skip
     """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
 
+    ``over`` is the probability that a jump of before is a hypothesis of its own no longer.
     ``nameless`` of what has no name are expected to begin.
 
     Give the square of the stay in variances, a mean over the models as they were before it.
@@ -107,7 +125,7 @@ def step(
     """
     known = _as_at_first(drift, residual, by)
     if dt > 0.0:
-        _mix(drift, dt, jumps, nameless)
+        _mix(drift, dt, jumps, over, nameless)
         _advance(drift, dt)
     total = surprise = 0.0
     largest = -math.inf
@@ -185,15 +203,15 @@ def _correct(drift: Drift, m: int, off: float, S: float, of_T_alone: bool) -> No
 
 
 @inner
-def _transition(m: int, k: int, dt: float, jump: float) -> float:
+def _transition(m: int, k: int, dt: float, jump: float, over: float) -> float:
     """Probability of going from model m to model k within ``dt``."""
-    over = min(dt / rules.AFTER_JUMP, 0.5)
     if k >= OTHER_GAIN:
         if m >= OTHER_GAIN:
             return 1.0 - over if m == k else 0.0
-        return 0.5 * jump
+        return (0.5 if k <= OTHER_EDGE else rules.SENSORS_JUMP) * jump
     if m >= OTHER_GAIN:
-        return (0.9 if k == STILL else 0.1 if k == MOVING else 0.0) * over  # the valve jumped
+        drifts = 0.1 if over == 1.0 else 0.0  # a jump in doubt is no drift
+        return (1.0 - drifts if k == STILL else drifts if k == MOVING else 0.0) * over
     begins, ends = min(dt / rules.BETWEEN_DRIFTS, 0.1), min(dt / rules.PERSISTENCE, 0.1)
     if m == k:
         return (1.0 - (2.0 * begins if m == STILL else begins + ends)) * (1.0 - jump)
@@ -201,7 +219,7 @@ def _transition(m: int, k: int, dt: float, jump: float) -> float:
 
 
 @inner
-def _mix(drift: Drift, dt: float, jumps: float, nameless: float) -> None:
+def _mix(drift: Drift, dt: float, jumps: float, over: float, nameless: float) -> None:
     """Give each model what the others know, as far as they may turn into it."""
     _let_wander(drift, dt, nameless)
     x, chance, room = drift.x, drift.chance, drift.room
@@ -209,7 +227,7 @@ def _mix(drift: Drift, dt: float, jumps: float, nameless: float) -> None:
         room[0, k] = 0.0
         total = 0.0
         for m in range(NAMED):
-            part = _transition(m, k, dt, jumps) * chance[m]
+            part = _transition(m, k, dt, jumps, over) * chance[m]
             room[1, m, 0, k] = part
             total += part
             for i in range(SIZES[k]):

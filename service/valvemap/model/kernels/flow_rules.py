@@ -73,9 +73,10 @@ LEVELS: Final = (  # standard deviations: rate, 1/h; random walk beside that, 1/
     # what something without a name moves it by
     (0.15, 0.005, 0.3, 0.1),  # gain: a sudden change of 60 % is unusual only
     (4.0, 0.1, 2.0, 2.0),  # edge, %
-    (0.1, 0.005, 0.0, 0.0),  # offset of the flow, by its root mean square; a sudden one is not
-    (0.1, 0.005, 0.0, 0.0),  # told from a part of an edge that broke; offset of Δp, by the largest
+    (0.1, 0.005, 0.05, 0.0),  # offset of the flow, by its root mean square
+    (0.1, 0.005, 0.05, 0.0),  # offset of Δp, by the largest
 )
+SENSORS_JUMP: Final = 0.01  # of the sudden changes; those that are of one sensor's offset
 PERSISTENCE: Final = 3600.0  # s; how long a rate lasts, about
 BETWEEN_DRIFTS: Final = 36_000.0  # s; how long nothing drifts, about
 LEAST_GAIN: Final = 0.02  # of the flow at first; where less is left, samples tell nothing

@@ -247,7 +247,9 @@ def _learn_row(
         if memory.stay[SAMPLES] == 0.0:
             begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
             sensing = memory.chance[0, drifts.SENSING] + memory.chance[1, drifts.SENSING]
-            if sensing < rules.WORTH_SAYING:  # as flows were before it drifts
+            offset, of_offset = memory.now[side, 0], memory.now[side, 1 + drifts.ZERO]
+            is_none = offset[drifts.ZERO] ** 2 <= rules.SURE**2 * of_offset[drifts.ZERO]
+            if sensing < rules.WORTH_SAYING and is_none:  # as flows were before it moved
                 usual = math.sqrt(scalars[fits.SCALE])
                 scalars[fits.ZERO_SCALE] = max(scalars[fits.ZERO_SCALE], usual)
         known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]

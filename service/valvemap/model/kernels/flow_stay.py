@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_noise as noises
@@ -61,7 +63,7 @@ from valvemap.model.kernels.flow_memory import (
     Memory,
     Room,
 )
-from valvemap.model.samples import Floats, Singles
+from valvemap.model.samples import Floats, Singles, Times
 
 
 @inner
@@ -228,7 +230,8 @@ def _tell(
     of_valve = off
     for k in range(drifts.OF_VALVE, drifts.LEVELS):
         of_valve -= by[k] * drift.now[0, k]
-    surprise = drifts.step(drift, dt, jumps, nameless, residual, by, variance)
+    over = _over(drift, dt, now, counters)
+    surprise = drifts.step(drift, dt, jumps, over, nameless, residual, by, variance)
     scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
     scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
     _note_change(drift, side, now, off, by, memory)
@@ -245,15 +248,14 @@ def _note_wear(
     head = memory.wear[side, wears.NODES]
     u, s = float(cell[MEAN_U]), float(cell[MEAN_S])
     wears.note(memory.wear, axis_U, axis_s, side, u, s, off, by, drift.now, variance)
-    moved = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
+    moved = drifts.jumped(drift.chance)
     if is_young or moved > rules.WORTH_SAYING:
         wears.drop(memory.wear, side)
     head[wears.SINCE] += dt
     head[wears.STAYS] += 1.0
     if moved < rules.OVER and wears.is_due(head):  # gain and edge are one value for all sums
         wears.settle(memory.wear, side, drift.now, math.sqrt(scalars[fits.SCALE]))
-        whole = drift.chance[drifts.MOVING] + drift.chance[drifts.SENSING]
-        of_part = head[wears.CHANCE] * (1.0 - whole)  # none of a whole edge
+        of_part = head[wears.CHANCE] * (1.0 - drifts.drifting(drift.chance))  # none of a whole edge
         if of_part > rules.WORTH_SAYING:
             gain = 1.0 + drift.now[0, drifts.GAIN]
             wears.move(
@@ -299,6 +301,19 @@ def _alike(memory: Memory) -> float:
 
 
 @inner
+def _over(drift: Drift, dt: float, now: int, counters: Times) -> float:
+    """Probability that a jump of before is a hypothesis of its own no longer.
+
+    While one of a sensor's offset is likely, and for a while after a change was published, all
+    kinds of change, and that there is none, compete over what follows. Then what was found stands.
+    """
+    if counters[ALARMED]:
+        return 1.0 if 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP else 0.0
+    of_sensor = drift.chance[drifts.OTHER_ZERO] + drift.chance[drifts.OTHER_PRESSURE]
+    return 0.0 if of_sensor > rules.OVER else min(dt / rules.AFTER_JUMP, 0.5)
+
+
+@inner
 def _note_change(
     drift: Drift, side: int, now: int, off: float, by: Floats, memory: Memory
 ) -> None:  # fmt: skip
@@ -313,7 +328,7 @@ def _note_change(
     changed_s = 1e-9 * float(now - counters[CHANGE_TIME])
     if drift.chance[drifts.WANDERING] > rules.CERTAIN and changed_s > rules.AFTER_JUMP:
         counters[WANDERED] = now
-    jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
+    jumped = drifts.jumped(drift.chance)
     moved = max(jumped, drift.chance[drifts.WANDERING])
     if moved > rules.CERTAIN and not counters[ALARMED]:
         counters[ALARMED] = 1
@@ -321,20 +336,28 @@ def _note_change(
         counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
         counters[CHANGE_KIND], changed_s = drifts.OTHER_GAIN + side * drifts.NAMED, 0.0
         stay[CHANGE_SIZE], stay[CHANGE_OF] = 0.0, 0.0
-    elif moved < rules.OVER and changed_s > rules.AFTER_JUMP:
-        counters[ALARMED] = 0
+    is_own, is_recent = counters[CHANGE_KIND] // drifts.NAMED == side, changed_s <= rules.AFTER_JUMP
+    if moved < rules.OVER and counters[ALARMED]:
+        other = memory.chance[1 - side]
+        is_over = max(drifts.jumped(other), other[drifts.WANDERING]) < rules.OVER
+        is_drift = is_own and is_recent and drifts.drifting(drift.chance) > rules.CERTAIN
+        if is_drift:  # it was the beginning of one
+            counters[CHANGES] -= 1
+            stay[CHANGE_OF] = 0.0
+        if is_drift or (is_over and not is_recent):
+            counters[ALARMED] = 0
     if moved < rules.OVER and not counters[ALARMED]:
         for k in range(drifts.LEVELS):
             before[k] = drift.now[0, k]
-    if changed_s <= rules.AFTER_JUMP and counters[CHANGE_KIND] // drifts.NAMED == side:
+    if is_recent and is_own:
         for k in range(drifts.LEVELS):
             off -= by[k] * before[k]
         share = 1.0 if changed_s == 0.0 else rules.OF_CHANGE
         mean = (1.0 - share) * stay[CHANGE_SIZE] + share * off
         square = (1.0 - share) * stay[CHANGE_SIZE] ** 2 + share * off * off
         stay[CHANGE_SIZE] = math.copysign(math.sqrt(square), mean)
-    if counters[ALARMED] and jumped > rules.CERTAIN:
-        of_gain = drift.chance[drifts.OTHER_GAIN] > drift.chance[drifts.OTHER_EDGE]
-        kind, k = (drifts.OTHER_GAIN, 0) if of_gain else (drifts.OTHER_EDGE, 1)
+    if counters[ALARMED] and jumped > rules.WORTH_SAYING:
+        kind = drifts.OTHER_GAIN + int(np.argmax(drift.chance[drifts.OTHER_GAIN : drifts.NAMED]))
+        k = kind - drifts.OTHER_GAIN
         counters[CHANGE_KIND] = kind + side * drifts.NAMED
         stay[CHANGE_OF] = drift.x[kind, k] - before[k]
