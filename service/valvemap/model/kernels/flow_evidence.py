@@ -127,7 +127,7 @@ def _regressors(
         U = rows[i, paths.LEFT_U]
         if given[paths.DEAD_U] > 0.0:
             at = max(at, base[i])
-            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_U] + 0.5 * step:
+            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_U] + rules.NEAREST * step:
                 at += 1
             U = rows[at, paths.LEFT_U]
         u = paths.spool(U, step, fresh, path)
@@ -159,8 +159,8 @@ def _filtered(X: Floats, rows: Floats, t: Floats, base: np.ndarray, given: Float
         late, at = np.empty((N, K)), 0
         for i in range(N):
             at = max(at, base[i])
-            half = 0.5 * (t[i] - t[i - 1]) if i > 0 else 0.0
-            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_Q] + half:
+            near = rules.NEAREST * (t[i] - t[i - 1]) if i > 0 else 0.0
+            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_Q] + near:
                 at += 1
             late[i] = X[at]
         X = late

@@ -136,15 +136,24 @@ def spool(U: float, step: float, fresh: bool, path: Floats) -> float:  # noqa: F
 @inner
 def late(recent: Singles, newest: int, known: int, ahead: int, path: Floats) -> float:
     """U as it was a dead time ago, the oldest one where the rows do not reach so far."""
-    age, row, back = 0.0, newest, 0
-    for i in range(known - 1):
-        step = float(recent[row, STEP])
-        if age + 0.5 * step > path[DEAD_U] or step >= rules.GAP:
-            break
-        age += step
-        back = i + 1
-        row = row - 1 if row > 0 else len(recent) - 1
+    back, _, _ = _ago(recent, newest, known, path[DEAD_U])
+    row = newest - back if newest >= back else newest - back + len(recent)
     return between(recent, row, known - back, ahead + back, LEFT_U, path[HELD_U])[0]
+
+
+@inner
+def _ago(recent: Singles, newest: int, known: int, dead: float) -> tuple[int, float, bool]:
+    """Rows and s back to the row nearest to ``dead`` s ago, and whether it is known."""
+    age, row = 0.0, newest
+    for back in range(known - 1):
+        step = float(recent[row, STEP])
+        if age + rules.NEAREST * step > dead:
+            return back, age, True
+        if step >= rules.GAP:
+            return back, age, False
+        age += step
+        row = row - 1 if row > 0 else len(recent) - 1
+    return max(known - 1, 0), age, age + rules.NEAREST * float(recent[row, STEP]) > dead
 
 
 @inner
@@ -201,10 +210,13 @@ def metered(
     out[:] = 0.0
     total, age, row = 0.0, 0.0, newest
     part, u, r = 0.0, 0.0, 0.0
-    horizon = path[DEAD_Q] + path[AVERAGE] + rules.LAGS_LEFT * path[LAG_Q]
+    _, dead, is_known = _ago(recent, newest, known, path[DEAD_Q])
+    if not is_known:
+        return False
+    horizon = dead + path[AVERAGE] + rules.LAGS_LEFT * path[LAG_Q]
     for k in range(known):
         step = float(recent[row, STEP])
-        weight = _share(age + step, path) - _share(age, path)
+        weight = _share(age + step - dead, path) - _share(age - dead, path)
         dp, _ = between(recent, row, known - k, ahead + k, LEFT_DP, path[HELD_P])
         p1, _ = between(recent, row, known - k, ahead + k, LEFT_P1, path[HELD_P])
         root = effective(dp, p1, path)
@@ -217,7 +229,7 @@ def metered(
         out[5] += weight * root * root
         part, u, r = part + weight, u + weight * spool, r + weight * root
         age += step
-        is_last = age >= horizon or step >= rules.GAP or k == known - 1
+        is_last = age > horizon or step >= rules.GAP or k == known - 1
         if part >= 1.0 / rules.POINTS_SHOWN or (is_last and part > 0.0):
             flow = _flow(axis_U, axis_s, theta, least, u / part, r / part, work)
             out[2] += part * flow
@@ -245,9 +257,9 @@ def _flow(
 
 
 @inner
-def _share(age: float, path: Floats) -> float:
-    """Of what the meter shows, the share that is younger than ``age``, s."""
-    x, w, tau = age - path[DEAD_Q], path[AVERAGE], path[LAG_Q]
+def _share(x: float, path: Floats) -> float:
+    """Of what the meter shows, the share that is younger than ``x`` s before the dead time."""
+    w, tau = path[AVERAGE], path[LAG_Q]
     if x <= 0.0:
         return 0.0
     if tau <= 0.0:
