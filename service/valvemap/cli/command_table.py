@@ -70,7 +70,9 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "Approve a valve's map as reference, compare with it, restore it.",
     ),
     "history": Entry("history", "Past signals, as kept by the service."),
-    "state": Entry("state", "List, adopt, rename, export and import learnt states."),
+    "state": Entry(
+        "state", "List, adopt, rename, export and import learnt states of valves and axes."
+    ),
     "fleet": Entry("fleet", "Identify the valves of many machines, through Kafka."),
     "schema": Entry(
         "package",
