@@ -44,7 +44,7 @@ def test_a_plant_with_a_transmitter_alone_is_connected_and_checked(tmp_path, cap
     server.start()
     assert server.ready.wait(60)
     out = tmp_path / "plant.toml"
-    asked = ["connect", server.url, "--out", str(out), "--data", str(tmp_path), "--watch", "4"]
+    asked = ["connect", server.url, "--out", str(out), "--data", str(tmp_path), "--watch", "8"]
     try:
         assert run(asked) == 0, capsys.readouterr().err
         nodes = load_config(out).valves[0].nodes
