@@ -16,6 +16,7 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis, axis
 from valvemap.model.samples import Floats, Singles
 
+DEAD_TIMES: Final = paths.DEAD_U, paths.DEAD_Q
 LIMITS: Final = {paths.CHOKE: (0.2, 0.98)}
 SLOWEST: Final = dict.fromkeys(
     (paths.DEAD_U, paths.LAG_U, paths.DEAD_Q, paths.AVERAGE, paths.LAG_Q),
@@ -211,7 +212,7 @@ def slopes(evidence: Evidence, at: Floats) -> Floats:
 def around(evidence: Evidence, at: Floats, k: int) -> tuple[Floats, Floats]:
     """Parameters with more and with less of parameter k: dead times come in whole samples."""
     step = rules.DIFFERENCE * at[k]
-    step = max(step, evidence.step) if k in (paths.DEAD_U, paths.DEAD_Q) else step
+    step = max(step, evidence.step) if k in DEAD_TIMES else step
     return _limited(at, k, at[k] + step), _limited(at, k, at[k] - step)
 
 
@@ -219,7 +220,7 @@ def jointly(evidence: Evidence, at: Floats) -> Floats:
     """The likeliest parameters nearby."""
     for _ in range(rules.REFINEMENTS):
         before = at
-        at = _abruptly(evidence, _newton(evidence, at))
+        at = _abruptly(evidence, _by_samples(evidence, _newton(evidence, at)))
         if not evidence.gain_if_white(at, before) > rules.LIKELIER:
             break
     return at
@@ -256,6 +257,18 @@ def _newton(evidence: Evidence, at: Floats) -> Floats:
             tried = _limited(tried, k, at[k] + min(max(float(moved[n]), -most), most))
         if evidence.gain_if_white(tried, at) > 0.0:
             return tried
+    return at
+
+
+def _by_samples(evidence: Evidence, at: Floats) -> Floats:
+    """Refine dead times, which come in whole samples."""
+    for k in (k for k in DEAD_TIMES if at[k]):
+        for step in (evidence.step, -evidence.step):
+            while True:
+                tried = _limited(at, k, at[k] + step)
+                if not 0.0 < tried[k] != at[k] or not evidence.gain_if_white(tried, at) > 0.0:
+                    break
+                at = tried
     return at
 
 
