@@ -154,6 +154,7 @@ def test_a_mistyped_command_is_one_line_that_suggests_a_near_one(capsys):
     assert "'invert'" in line
 
 
+@pytest.mark.alone  # processor time, which a neighbour on the same core raises
 def test_help_and_invert_are_quick(files):
     model = next(file for file in files[1] if "Auto" in file.name)
     assert median_s("-m", "valvemap", "--help") <= MOST_HELP_S
