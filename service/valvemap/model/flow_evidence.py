@@ -264,11 +264,7 @@ def _by_samples(evidence: Evidence, at: Floats) -> Floats:
     """Refine dead times, which come in whole samples."""
     for k in (k for k in DEAD_TIMES if at[k]):
         for step in (evidence.step, -evidence.step):
-            while True:
-                tried = _limited(at, k, at[k] + step)
-                if not 0.0 < tried[k] != at[k] or not evidence.gain_if_white(tried, at) > 0.0:
-                    break
-                at = tried
+            at = _climbed(evidence, at, k, plus=step)
     return at
 
 
@@ -277,12 +273,19 @@ def _abruptly(evidence: Evidence, at: Floats) -> Floats:
     for k in (k for k in ABRUPT if at[k]):
         for step in rules.ABRUPT_STEPS:
             for factor in (step, 1.0 / step):
-                while True:
-                    tried = _limited(at, k, at[k] * factor)
-                    if tried[k] == at[k] or not evidence.gain_if_white(tried, at) > 0.0:
-                        break
-                    at = tried
+                at = _climbed(evidence, at, k, times=factor)
     return at
+
+
+def _climbed(
+    evidence: Evidence, at: Floats, k: int, times: float = 1.0, plus: float = 0.0
+) -> Floats:
+    """Change parameter k, which stays above 0, as long as the rows become likelier."""
+    while True:
+        tried = _limited(at, k, at[k] * times + plus)
+        if not 0.0 < tried[k] != at[k] or not evidence.gain_if_white(tried, at) > 0.0:
+            return at
+        at = tried
 
 
 def _limited(at: Floats, k: int, value: float) -> Floats:
