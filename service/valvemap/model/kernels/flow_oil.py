@@ -4,8 +4,8 @@
     z = g·x, g·L·x, g·L·y, g·K·x, s·|s|·(y - x)
 
 L = s₀ / (|s| + s₀) is large where flow is laminar, K the same for a smaller s₀. Cells keep the flow
-as it was, and means of x and y: what they say of the first temperature follows the law as it
-becomes known, and a later sample tells of θ by the difference to its own cell.
+as it was, and means of x and y: their flow at the first temperature follows the law as it becomes
+known, and a later sample gives θ by the difference to its own cell.
 """
 
 import math
