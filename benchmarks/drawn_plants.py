@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks import circumstances as c
-from benchmarks.one_model_rows import Flow, Row, late
+from benchmarks.one_model_rows import Flow, Row
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.findings import FindingCode
 
@@ -19,7 +19,7 @@ MOST_SAMPLES: Final = 60_000  # of a run
 MOMENTS: Final = 0.3, 0.6, 1.0  # of a run, after which the map is asked
 
 Rng = np.random.Generator
-Path = tuple[np.ndarray, np.ndarray]  # U, %; share of the largest Δp
+Path = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # s -> U, %; share of the largest Δp
 
 # Valves: opening u in -1 … 1, r = Δp over its largest; the flow over the largest one.
 
@@ -121,21 +121,24 @@ def hammering(rng: Rng) -> list[tuple[float, float, float]]:
 CYCLES: Final = moulding, pressing, winching, hammering
 
 
-def worked(cycle: Callable[[Rng], list], t: np.ndarray, rng: Rng, both: bool) -> Path:  # noqa: FBT001
-    """U and share of Δp at the times ``t``; where ``both``, every other turn has U below 0."""
+def worked(cycle: Callable[[Rng], list], last: float, rng: Rng, both: bool) -> Path:  # noqa: FBT001
+    """U and share of Δp at any times up to ``last``; where ``both``, every other turn has U < 0."""
     points, sign = [(0.0, 0.0, 0.8)], 1.0
     end = 0.0
-    while end < t[-1]:
+    while end < last:
         for duration, U, share in cycle(rng):
             end += duration
             points.append((end, sign * U, share))
         sign = -sign if both else 1.0
     at, U, share = np.array(points).T
-    return np.clip(np.interp(t, at, U), -100, 100), np.clip(np.interp(t, at, share), 0.005, 1.0)
+    U, share = np.clip(U, -100, 100), np.clip(share, 0.005, 1.0)
+    return lambda t: (np.interp(t, at, U), np.interp(t, at, share))
 
 
+DEAD_TIME: Final = "dead time of Q"
+DEAD_TIMES: Final = 0.05, 0.3  # s
 CIRCUMSTANCES: Final = (
-    *("coarse U and p", "noise of the reading", "slow noise", "gear pulses", "dead time of Q"),
+    *("coarse U and p", "noise of the reading", "slow noise", "gear pulses", DEAD_TIME),
     *("offset of Q jumps", "offset of dp jumps", "U is noisy", "times jitter", "spikes"),
 )
 
@@ -157,10 +160,14 @@ def drawn(seed: int) -> tuple[Row, str]:
     def valve(U, dp):
         return flow * shape(U / 100.0, dp / top)
 
-    U, share = worked(cycle, t, rng, both)
-    dp, noise = top * share, rng.uniform(0.001, 0.005) * flow
-    true = valve(U, dp)
-    shown, sigma, of_Q = _metered(true, there, (fs, flow, noise), seed, rng)
+    path = worked(cycle, t[-1], rng, both)
+    noise = rng.uniform(0.001, 0.005) * flow
+    dead = np.random.default_rng([seed, 37]).uniform(*DEAD_TIMES) if DEAD_TIME in there else 0.0
+    U, share = path(t - dead)
+    passed = valve(U, top * share)
+    shown, sigma, of_Q = _metered(passed, there, (fs, flow, noise), seed, rng)
+    U, share = path(t)
+    dp = top * share
     seen_U, seen_dp, of_dp = _sensed(U, dp, there, top, rng)
     causes = of_Q | of_dp
     samples = Samples.of((1e9 * t).astype(np.int64), seen_U, seen_dp, 0 * t, shown, 0 * t + 40.0)
@@ -173,15 +180,13 @@ def drawn(seed: int) -> tuple[Row, str]:
     return row, f"{words}: {', '.join(sorted(there)) or 'nothing'}"
 
 
-def _metered(true, there, sizes, seed, rng):
+def _metered(passed, there, sizes, seed, rng):
     """What the meter shows, its σ, and causes; sizes: Hz, largest flow, noise, l/min."""
-    N, (fs, flow, noise), causes = len(true), sizes, set()
+    N, (fs, flow, noise), causes = len(passed), sizes, set()
     error = noise * (c.ar(seed, N, 0.9, 1.0) if "slow noise" in there else c.white(seed, N, 1.0))
     if "noise of the reading" in there:
-        error = (rng.uniform(0.005, 0.015) * np.abs(true) / noise + 0.2) * error
-    passed, n = true, round(0.15 * fs)
-    if "dead time of Q" in there and n:
-        passed = late(true, n)
+        error = (rng.uniform(0.005, 0.015) * np.abs(passed) / noise + 0.2) * error
+    if DEAD_TIME in there:
         causes.add(FindingCode.DEAD_TIME)
     if "gear pulses" in there:
         pulse = rng.uniform(0.002, 0.01) * flow / fs

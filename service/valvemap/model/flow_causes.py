@@ -56,14 +56,14 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
 
     Operators are added while the rows fit better as if residuals were white, since one of several
     that are missing whitens nothing alone. Those that gain too little in the end are dropped.
-    Operators that explain the rows give way only to others that are clearly likelier.
+    Operators that are known give way only to others that are clearly likelier: rows in which
+    little moves tell nothing of them.
     """
     at = known = given.copy()
-    beam, is_explained = [at], False
+    beam = [at]
     if np.count_nonzero(given):
         at = known = jointly(evidence, at)
-        is_explained = evidence.explains(at)
-        beam = [at] if is_explained else [at, np.zeros_like(at)]
+        beam = [at] if evidence.explains(at) else [at, np.zeros_like(at)]
     for _ in range(rules.MOST_OPERATORS):
         beam = _grown(evidence, beam)
         if not beam or evidence.gain_if_white(beam[0], at) < rules.CLEAR:
@@ -73,7 +73,7 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
         at = _swapped(evidence, at)
     at = _needed(evidence, at, given)
     known = _needed(evidence, known, given)
-    if is_explained and evidence.gain(at, known) < rules.STILL_CLEAR:
+    if evidence.gain(at, known) < rules.STILL_CLEAR:
         at = known  # what is hardly likelier is not worth another map
     gains = np.zeros(paths.PARAMETERS)
     for k in np.flatnonzero(at):
@@ -91,6 +91,12 @@ def end_of_meter(evidence: Evidence, given: Floats) -> float:
     is_clear = min(evidence.gain(at, than) for than in without) >= rules.CLEAR
     is_clear = is_clear and evidence.explains(at)
     return float(at[paths.TOP]) if is_clear else 0.0
+
+
+def has_least(evidence: Evidence, given: Floats, least: float) -> bool:
+    """Whether the rows need a meter that shows no flow below ``least``, and leave nothing else."""
+    at = with_value(given, paths.LEAST, least)
+    return evidence.gain(at, given) >= rules.CLEAR and evidence.explains(at)
 
 
 def _grown(evidence: Evidence, beam: list[Floats]) -> list[Floats]:
@@ -114,12 +120,18 @@ def _swapped(evidence: Evidence, best: Floats) -> Floats:
             if best[k]
             for rival in group
             if not best[rival]
-            for value in TRIED[rival]
+            for value in (*TRIED[rival], *_of_age(best, k, rival))
         ]
         others = _best(evidence, _scored(evidence, best, tried))
         improved = bool(others) and evidence.gain(others[0], best) > rules.LIKELIER
         best = others[0] if improved else best
     return best
+
+
+def _of_age(at: Floats, k: int, rival: int) -> Iterator[float]:
+    """Return the value of a lag that shows flows as old as lag k does."""
+    if k in AGE:
+        yield float(at[k]) * AGE[k] / AGE[rival]
 
 
 def _scored(

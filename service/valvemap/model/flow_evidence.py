@@ -16,7 +16,6 @@ from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis, axis
 from valvemap.model.samples import Floats, Singles
 
-DEAD_TIMES: Final = paths.DEAD_U, paths.DEAD_Q
 LIMITS: Final = {paths.CHOKE: (0.2, 0.98)}
 SLOWEST: Final = dict.fromkeys(
     (paths.DEAD_U, paths.LAG_U, paths.DEAD_Q, paths.AVERAGE, paths.LAG_Q),
@@ -53,7 +52,6 @@ class Evidence:
 
     def __init__(self, axis_U: Axis, axis_s: Axis, rows: Floats) -> None:
         self.rows, self.Q, self._top = rows, rows[:, paths.LEFT_Q], float(axis_s.breaks[-1])
-        self.step = float(np.median(rows[:, paths.STEP])) if len(rows) else 0.0
         self._axis = coarse(axis_U.breaks[0], axis_U.breaks[-1])
         self._used = np.zeros(len(rows), np.bool_)
         flow_evidence.counted(rows, self._used)
@@ -116,7 +114,7 @@ class Evidence:
 
     def moved(self, at: Floats, k: int, axis_U: Axis, axis_s: Axis) -> Floats:
         """Derivative of the map's coefficients by parameter k, 0 where the rows do not reach."""
-        above, below = around(self, at, k)
+        above, below = around(at, k)
         near, slope = self._fit(at)[0], np.zeros(len(axis_U.sites) * len(axis_s.sites))
         b = (self._fit(above, near)[0] - self._fit(below, near)[0]) / (above[k] - below[k])
         flow_evidence.refine(self._axis, self._top, b, axis_U, axis_s, slope)
@@ -203,16 +201,15 @@ def slopes(evidence: Evidence, at: Floats) -> Floats:
     """Derivatives of the residual by the `smooth` parameters (N, p)."""
     J = np.empty((len(evidence.rows), len(smooth(at))))
     for n, k in enumerate(smooth(at)):
-        above, below = around(evidence, at, k)
+        above, below = around(at, k)
         J[:, n] = evidence.of(above).residual - evidence.of(below).residual
         J[:, n] /= above[k] - below[k]
     return J
 
 
-def around(evidence: Evidence, at: Floats, k: int) -> tuple[Floats, Floats]:
-    """Parameters with more and with less of parameter k: dead times come in whole samples."""
+def around(at: Floats, k: int) -> tuple[Floats, Floats]:
+    """Parameters with somewhat more and with somewhat less of parameter k."""
     step = rules.DIFFERENCE * at[k]
-    step = max(step, evidence.step) if k in DEAD_TIMES else step
     return _limited(at, k, at[k] + step), _limited(at, k, at[k] - step)
 
 
@@ -220,7 +217,7 @@ def jointly(evidence: Evidence, at: Floats) -> Floats:
     """The likeliest parameters nearby."""
     for _ in range(rules.REFINEMENTS):
         before = at
-        at = _abruptly(evidence, _by_samples(evidence, _newton(evidence, at)))
+        at = _abruptly(evidence, _newton(evidence, at))
         if not evidence.gain_if_white(at, before) > rules.LIKELIER:
             break
     return at
@@ -260,29 +257,19 @@ def _newton(evidence: Evidence, at: Floats) -> Floats:
     return at
 
 
-def _by_samples(evidence: Evidence, at: Floats) -> Floats:
-    """Refine dead times, which come in whole samples."""
-    for k in (k for k in DEAD_TIMES if at[k]):
-        for step in (evidence.step, -evidence.step):
-            at = _climbed(evidence, at, k, plus=step)
-    return at
-
-
 def _abruptly(evidence: Evidence, at: Floats) -> Floats:
     """Refine the parameters on which the residual depends by jumps, one after another."""
     for k in (k for k in ABRUPT if at[k]):
         for step in rules.ABRUPT_STEPS:
             for factor in (step, 1.0 / step):
-                at = _climbed(evidence, at, k, times=factor)
+                at = _climbed(evidence, at, k, factor)
     return at
 
 
-def _climbed(
-    evidence: Evidence, at: Floats, k: int, times: float = 1.0, plus: float = 0.0
-) -> Floats:
+def _climbed(evidence: Evidence, at: Floats, k: int, times: float) -> Floats:
     """Change parameter k, which stays above 0, as long as the rows become likelier."""
     while True:
-        tried = _limited(at, k, at[k] * times + plus)
+        tried = _limited(at, k, at[k] * times)
         if not 0.0 < tried[k] != at[k] or not evidence.gain_if_white(tried, at) > 0.0:
             return at
         at = tried

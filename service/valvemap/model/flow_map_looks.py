@@ -40,7 +40,7 @@ def new_room() -> flow_memory.Room:
     """Room for the kernels to work in."""
     shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
     return flow_memory.Room(
-        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(6)
+        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(8)
     )
 
 
@@ -216,12 +216,14 @@ def _watch(state: FlowMapState, both: Both) -> None:
     if before == 0.0 or least < before:
         path[flow_path.LEAST_SEEN] = least if math.isfinite(least) else 0.0
     path[at] += gain
-    there = path[at] >= rules.CLEAR
-    if there != (path[flow_path.LEAST] > 0.0):
-        path[flow_path.LEAST] = path[flow_path.LEAST_SEEN] if there else 0.0
+    least = float(path[flow_path.LEAST_SEEN]) if path[at] >= rules.CLEAR else 0.0
+    was_there = path[flow_path.LEAST] > 0.0
+    if least and not was_there:
+        evidence = flow_evidence.Evidence(*both, _rows(state))
+        least *= flow_causes.has_least(evidence, _given(state), least)
+    path[flow_path.LEAST] = least
+    if was_there != (least > 0.0):
         _empty_bounds(state, both)
-    elif there:
-        path[flow_path.LEAST] = path[flow_path.LEAST_SEEN]
 
 
 def _watch_pump(path: Floats, rows: Floats, noise: float) -> None:
@@ -294,7 +296,7 @@ def _begin_coarse(state: FlowMapState, both: Both, rows: Floats) -> None:
     scale = float(state.scalars[flow_fit.SCALE])
     state.std[:] = rules.COARSE * math.sqrt(scale)
     state.scalars[flow_fit.VARIANCE] = left  # what it was before came from another map
-    state.path[flow_path.FLOOR] = rules.OF_COARSE * left if flow_path.has_filter(given) else 0.0
+    state.path[flow_path.FLOOR] = rules.OF_COARSE * left if flow_path.has_past(given) else 0.0
     state.counters[flow_memory.FITTED] = 1
     state.counters[flow_memory.NEXT_FIT] = state.counters[flow_memory.USED] + len(rows) + 1
 
@@ -324,7 +326,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     counters[flow_memory.FITS] += 1
     floor = state.path[flow_path.FLOOR]
     state.scalars[flow_fit.VARIANCE] = max(state.scalars[flow_fit.VARIANCE], floor)
-    if flow_path.has_filter(state.path):  # what cells hold was corrected by earlier maps
+    if flow_path.has_past(state.path):  # what cells hold was corrected by earlier maps
         state.cells[:, [flow_cells.COUNT, flow_cells.WORTH]] *= rules.KEPT_BY_FILTERS
     ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
     counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead

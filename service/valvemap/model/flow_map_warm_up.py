@@ -44,8 +44,8 @@ def look() -> None:
 def begin_again() -> None:
     """Begin the map again, and follow a path through a play."""
     state = _blank()
-    flow_path.has_filter(state.path)
-    flow_path.has_filter(state.path[: flow_path.PARAMETERS])
+    flow_path.has_past(state.path)
+    flow_path.has_past(state.path[: flow_path.PARAMETERS])
     flow_stay.begin_replay(memory_of(state), 0, np.nan)
     flow_stay.forget_motion(memory_of(state))
     flow_play.behind(1.0, np.zeros(1), np.zeros(1))

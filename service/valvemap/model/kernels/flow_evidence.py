@@ -57,12 +57,15 @@ def leftover(
 
 @kernel
 def counted(rows: Floats, used: np.ndarray) -> None:
-    """Mark the rows that count, (N,): those that no lag joins to a stretch without samples."""
-    since = 0.0
-    for i in range(len(rows)):
+    """Mark the rows that count, (N,): those that no lag joins to a stretch without samples.
+
+    One of `rules.EVERY`, another one in each part of the rows: commands may come at such a beat.
+    """
+    since, N = 0.0, len(rows)
+    for i in range(N):
         step = rows[i, paths.STEP]
         since = 0.0 if i == 0 or step >= rules.GAP else since + step
-        used[i] = i % rules.EVERY == 0 and since >= rules.LONGEST_LAG
+        used[i] = (i + rules.EVERY * i // N) % rules.EVERY == 0 and since >= rules.LONGEST_LAG
 
 
 @kernel
@@ -118,7 +121,8 @@ def _regressors(
 ) -> None:  # fmt: skip
     path = np.zeros(paths.PLACES)
     path[: paths.PARAMETERS], path[paths.PHASE] = given, phase
-    low, high, at, p = axis.breaks[0], axis.breaks[-1], 0, 0.0
+    low, high, p = axis.breaks[0], axis.breaks[-1], 0.0
+    places, at, then = np.empty((len(rows), 2)), 0, 0  # spool and root; dead times ago
     for i in range(len(rows)):
         step = rows[i, paths.STEP]
         fresh = i == 0 or step >= rules.GAP
@@ -126,20 +130,40 @@ def _regressors(
         base[i] = i if fresh else base[i - 1]
         U = rows[i, paths.LEFT_U]
         if given[paths.DEAD_U] > 0.0:
-            at = max(at, base[i])
-            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_U] + rules.NEAREST * step:
-                at += 1
+            at, share = _before(t, at, base[i], i, given[paths.DEAD_U])
             U = rows[at, paths.LEFT_U]
+            if share > 0.0:
+                U += share * (rows[at + 1, paths.LEFT_U] - U)
         u = paths.spool(U, step, fresh, path)
         p = u if fresh else min(max(p, u - given[paths.PLAY]), u + given[paths.PLAY])
-        u = min(max(p, low), high)
-        s = paths.effective(rows[i, paths.LEFT_DP], rows[i, paths.LEFT_P1], path)
+        places[i, 0] = min(max(p, low), high)
+        places[i, 1] = paths.effective(rows[i, paths.LEFT_DP], rows[i, paths.LEFT_P1], path)
+        u, s = places[i, 0], places[i, 1]
+        if given[paths.DEAD_Q] > 0.0:
+            then, share = _before(t, then, base[i], i, given[paths.DEAD_Q])
+            u, s = places[then, 0], places[then, 1]
+            if share > 0.0:
+                u += share * (places[then + 1, 0] - u)
+                s = paths.root_between(s, places[then + 1, 1], share)
         _row(axis, u, s / top, X[i], work)
         if given[paths.NEWS] > paths.PAST and 0 < i < len(rows) - 1:
             around = rows[i - 1, paths.LEFT_U] + rows[i + 1, paths.LEFT_U]
             X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - 0.5 * around
         elif given[paths.NEWS] > 0.0 and i >= base[i] + rules.BEFORE_NEWS:
             X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - _expected(rows, i)
+
+
+@inner
+def _before(t: Floats, at: int, base: int, i: int, dead: float) -> tuple[int, float]:
+    """The last row, from ``at`` on, that is ``dead`` s older than row i, and the way to the next.
+
+    The first of the stretch, ``base``, where none is so old.
+    """
+    at, then = max(at, base), t[i] - dead
+    while at < i and t[at + 1] <= then:
+        at += 1
+    share = (then - t[at]) / (t[at + 1] - t[at]) if at < i else 0.0
+    return at, max(share, 0.0)
 
 
 @inner
@@ -155,15 +179,6 @@ def _expected(rows: Floats, i: int) -> float:
 def _filtered(X: Floats, rows: Floats, t: Floats, base: np.ndarray, given: Floats) -> Floats:
     """Regressors as the meter shows them."""
     N, K = X.shape
-    if given[paths.DEAD_Q] > 0.0:
-        late, at = np.empty((N, K)), 0
-        for i in range(N):
-            at = max(at, base[i])
-            near = rules.NEAREST * (t[i] - t[i - 1]) if i > 0 else 0.0
-            while at < i and t[at + 1] <= t[i] - given[paths.DEAD_Q] + near:
-                at += 1
-            late[i] = X[at]
-        X = late
     if given[paths.AVERAGE] > 0.0:
         mean, total, at, span = np.empty((N, K)), np.zeros(K), 0, 0.0
         for i in range(N):

@@ -134,26 +134,49 @@ def spool(U: float, step: float, fresh: bool, path: Floats) -> float:  # noqa: F
 
 
 @inner
-def late(recent: Singles, newest: int, known: int, ahead: int, path: Floats) -> float:
-    """U as it was a dead time ago, the oldest one where the rows do not reach so far."""
-    back, _, _ = _ago(recent, newest, known, path[DEAD_U])
-    row = newest - back if newest >= back else newest - back + len(recent)
-    return between(recent, row, known - back, ahead + back, LEFT_U, path[HELD_U])[0]
+def late(recent: Singles, newest: int, known: int, ahead: int, path: Floats) -> tuple[float, float]:
+    """U as it was a dead time ago, and its standard deviation on the way between two rows.
+
+    The oldest one where the rows do not reach so far.
+    """
+    back, _, share, _ = _ago(recent, newest, known, path[DEAD_U])
+    row, held = _row_before(recent, newest, back), path[HELD_U]
+    U, _ = between(recent, row, known - back, ahead + back, LEFT_U, held)
+    if share == 0.0:
+        return U, 0.0
+    older, back = _row_before(recent, row, 1), back + 1
+    U_older, _ = between(recent, older, known - back, ahead + back, LEFT_U, held)
+    before = _row_before(recent, older, 1) if back + 1 < known else older
+    at_older = abs(U - 2.0 * U_older + float(recent[before, LEFT_U]))
+    at_newer = at_older
+    if ahead + back > 1:
+        after = row + 1 if row + 1 < len(recent) else 0
+        at_newer = abs(float(recent[after, LEFT_U]) - 2.0 * U + U_older)
+    return U + share * (U_older - U), share * (1.0 - share) * (at_newer + at_older)
 
 
 @inner
-def _ago(recent: Singles, newest: int, known: int, dead: float) -> tuple[int, float, bool]:
-    """Rows and s back to the row nearest to ``dead`` s ago, and whether it is known."""
+def _row_before(recent: Singles, row: int, back: int) -> int:
+    """The row ``back`` rows before in the ring."""
+    return row - back if row >= back else row - back + len(recent)
+
+
+@inner
+def _ago(recent: Singles, newest: int, known: int, dead: float) -> tuple[int, float, float, bool]:
+    """Where the time ``dead`` s ago lies: on the way between two rows.
+
+    Rows and s back to the newer one; the share of the way to the older one; whether it is known.
+    """
     age, row = 0.0, newest
     for back in range(known - 1):
         step = float(recent[row, STEP])
-        if age + rules.NEAREST * step > dead:
-            return back, age, True
         if step >= rules.GAP:
-            return back, age, False
+            return back, age, 0.0, dead <= age
+        if age + step > dead:
+            return back, age, max(dead - age, 0.0) / step, True
         age += step
-        row = row - 1 if row > 0 else len(recent) - 1
-    return max(known - 1, 0), age, age + rules.NEAREST * float(recent[row, STEP]) > dead
+        row = _row_before(recent, row, 1)
+    return max(known - 1, 0), age, 0.0, dead <= age
 
 
 @inner
@@ -176,15 +199,21 @@ def shown(flow: float, path: Floats) -> float:
 
 
 @lean_kernel
-def has_filter(path: Floats) -> bool:
-    """`filters`, called from Python."""
-    return filters(path)
+def has_past(path: Floats) -> bool:
+    """`shows_past`, called from Python."""
+    return shows_past(path)
 
 
 @inner
 def filters(path: Floats) -> bool:
+    """Whether the meter shows flow of several moments."""
+    return bool(path[AVERAGE] > 0.0 or path[LAG_Q] > 0.0)
+
+
+@inner
+def shows_past(path: Floats) -> bool:
     """Whether the meter shows other flow than that of the moment."""
-    return bool(path[DEAD_Q] > 0.0 or path[AVERAGE] > 0.0 or path[LAG_Q] > 0.0)
+    return bool(path[DEAD_Q] > 0.0 or filters(path))
 
 
 @inner
@@ -202,26 +231,34 @@ def metered(
     """Means over what the meter shows now; False: not enough is known.
 
     ``newest`` is the row of the sample, ``known`` the number of rows up to it, ``ahead`` of those
-    behind it. ``out`` becomes the mean
+    behind it. ``out[:6]`` becomes the mean
     of spool and root; of the flow, less that at the mean place; of the squared difference; the
     variances of spool and root. Flows are those of the map ``theta``, see `forward`, at the mean
-    places of parts of equal weight.
+    places of parts of equal weight. ``out[6:]`` grows by the standard deviations of spool and root
+    on the way between two rows.
     """
-    out[:] = 0.0
+    out[:6] = 0.0
     total, age, row = 0.0, 0.0, newest
     part, u, r = 0.0, 0.0, 0.0
-    _, dead, is_known = _ago(recent, newest, known, path[DEAD_Q])
+    back, dead, share, is_known = _ago(recent, newest, known, path[DEAD_Q])
     if not is_known:
         return False
+    if share > 0.0:
+        _on_the_way(axis_s, recent, newest, known, ahead, back, share, path, out)
     horizon = dead + path[AVERAGE] + rules.LAGS_LEFT * path[LAG_Q]
     for k in range(known):
         step = float(recent[row, STEP])
         weight = _share(age + step - dead, path) - _share(age - dead, path)
-        dp, _ = between(recent, row, known - k, ahead + k, LEFT_DP, path[HELD_P])
-        p1, _ = between(recent, row, known - k, ahead + k, LEFT_P1, path[HELD_P])
-        root = effective(dp, p1, path)
-        root = min(max(root, axis_s.breaks[0]), axis_s.breaks[-1])
-        spool = float(recent[row, SPOOL])
+        spool, root = (
+            float(recent[row, SPOOL]),
+            _root(axis_s, recent, row, known - k, ahead + k, path),
+        )
+        is_last = step >= rules.GAP or k == known - 1
+        if share > 0.0 and weight > 0.0 and not is_last:
+            older = _row_before(recent, row, 1)
+            spool += share * (float(recent[older, SPOOL]) - spool)
+            behind = _root(axis_s, recent, older, known - k - 1, ahead + k + 1, path)
+            root = root_between(root, behind, share)
         total += weight
         out[0] += weight * spool
         out[1] += weight * root
@@ -229,7 +266,7 @@ def metered(
         out[5] += weight * root * root
         part, u, r = part + weight, u + weight * spool, r + weight * root
         age += step
-        is_last = age > horizon or step >= rules.GAP or k == known - 1
+        is_last = is_last or age > horizon
         if part >= 1.0 / rules.POINTS_SHOWN or (is_last and part > 0.0):
             flow = _flow(axis_U, axis_s, theta, least, u / part, r / part, work)
             out[2] += part * flow
@@ -237,7 +274,7 @@ def metered(
             part, u, r = 0.0, 0.0, 0.0
         if is_last:
             break
-        row = row - 1 if row > 0 else len(recent) - 1
+        row = _row_before(recent, row, 1)
     if total < rules.ENOUGH_SHOWN:
         return False
     for place in range(6):
@@ -246,6 +283,54 @@ def metered(
     out[4], out[5] = out[4] - out[0] ** 2, out[5] - out[1] ** 2
     out[2] -= _flow(axis_U, axis_s, theta, least, out[0], out[1], work)
     return True
+
+
+@inner
+def root_between(newer: float, older: float, share: float) -> float:
+    """Root of the Δp on the way between two of given roots."""
+    dp = newer * abs(newer)
+    dp += share * (older * abs(older) - dp)
+    return math.copysign(math.sqrt(abs(dp)), dp)
+
+
+@inner
+def _on_the_way(
+    axis_s: Axis, recent: Singles, newest: int, known: int, ahead: int, back: int, share: float,
+    path: Floats, out: Floats,
+) -> None:  # fmt: skip
+    """Add the standard deviations of spool and root between two rows to ``out[6:]``.
+
+    A straight line joins them. One that bends at either row may bend beside it as well, by as much
+    as w·(1 - w) of both second differences.
+    """
+    newer = _row_before(recent, newest, back)
+    older = _row_before(recent, newer, 1)
+    after = _row_before(recent, newest, back - 1) if back > 0 else newer
+    before = _row_before(recent, older, 1) if back + 2 < known else older
+    width = share * (1.0 - share)
+    u, v = float(recent[newer, SPOOL]), float(recent[older, SPOOL])
+    bend = abs(u - 2.0 * v + float(recent[before, SPOOL]))
+    out[6] += width * (
+        bend + (abs(float(recent[after, SPOOL]) - 2.0 * u + v) if back > 0 else bend)
+    )
+    u = _root(axis_s, recent, newer, known - back, ahead + back, path)
+    v = _root(axis_s, recent, older, known - back - 1, ahead + back + 1, path)
+    x = _root(axis_s, recent, before, known - back - 2, ahead + back + 2, path)
+    bend = other = abs(u - 2.0 * v + x)
+    if back > 0:
+        x = _root(axis_s, recent, after, known - back + 1, ahead + back - 1, path)
+        other = abs(x - 2.0 * u + v)
+    out[7] += width * (bend + other)
+
+
+@inner
+def _root(
+    axis_s: Axis, recent: Singles, row: int, known: int, ahead: int, path: Floats
+) -> float:  # fmt: skip
+    """Root of the Δp that counts at a row, within the axis."""
+    dp, _ = between(recent, row, known, ahead, LEFT_DP, path[HELD_P])
+    p1, _ = between(recent, row, known, ahead, LEFT_P1, path[HELD_P])
+    return min(max(effective(dp, p1, path), axis_s.breaks[0]), axis_s.breaks[-1])
 
 
 @inner

@@ -164,10 +164,6 @@ STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
 MOST_OPERATORS: Final = 4  # taken in one look
 SHARES_TOP: Final = (0.9, 0.97, 1.0)  # of the readings; where a meter's end is looked for
 SEEN_BELOW: Final = 5  # readings of no flow, from which on a meter may have a least flow
-NEAREST: Final = (
-    0.499  # samples; half a one, less rounding: a dead time between two of them is that of
-)
-# the older one, in the search and in the map alike
 POINTS_SHOWN: Final = 16  # parts of equal weight into which what a meter shows is divided
 BENT_BY_LAGS: Final = 0.1  # of the flow that a meter's filter adds to that of the mean place: its
 # standard deviation, as the map bends on the way

@@ -184,7 +184,8 @@ def _learn_row(
     """Predict and learn from a row as its signals were; give its status."""
     scalars, counters, at, path = memory.scalars, memory.counters, room.at, memory.path
     recent = memory.recent
-    u, _ = clipped(axis_U, _follow(row, U, step, memory))
+    room.means[6:] = 0.0
+    u, _ = clipped(axis_U, _follow(row, U, step, memory, room))
     known, side = False, 0 if u >= 0.0 else 1
     measured = paths.effective(dp, p1, path)
     r = clipped(axis_s, _true_root(axis_s, side, dp, p1, memory))[0]
@@ -195,8 +196,8 @@ def _learn_row(
         scalars[fits.NOW_T] = math.nan
     beyond = 0.0  # flow that the meter shows beyond that of the place
     bent, own = 0.0, 1.0  # variance of that; of what the sample says, the share on its own cell
-    loose = 0.0  # variance of the flow by that of signals that are held
-    if paths.filters(path):
+    loose = 0.0  # variance of the flow by that of signals on the way between two values
+    if paths.shows_past(path):
         if not _metered(axis_U, axis_s, row, u, memory, room):
             return _WARMING_UP
         u, r, beyond = room.means[0], clipped(axis_s, room.means[1] + shift)[0], room.means[2]
@@ -207,7 +208,7 @@ def _learn_row(
         look(axis_U, axis_s, memory, side, u, oil.viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
         bent = min(room.means[3], at[SURE]) if beyond != 0.0 else 0.0
         bent += (rules.BENT_BY_LAGS * beyond) ** 2
-        if paths.waits(path) > 0.0:
+        if paths.waits(path) + room.means[6] + room.means[7] > 0.0:
             loose = _loose(row, dp, p1, axis_U, axis_s, memory, room)
         at[SURE] += bent + loose
         at[TOTAL] += bent + loose
@@ -359,13 +360,13 @@ def _keep(i: int, batch: Batch, memory: Memory) -> tuple[int, float]:
 
 
 @inner
-def _follow(row: int, U: float, step: float, memory: Memory) -> float:
+def _follow(row: int, U: float, step: float, memory: Memory, room: Room) -> float:
     """Move the spool; give where it is."""
     path, recent = memory.path, memory.recent
     if path[paths.DEAD_U] > 0.0:
         ahead = _ahead(row, memory)
         known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
-        U = paths.late(recent, row, known, ahead, path)
+        U, room.means[6] = paths.late(recent, row, known, ahead, path)
     return plays.follow(memory.play, paths.spool(U, step, step >= rules.GAP, path))
 
 
@@ -385,14 +386,28 @@ def _metered(axis_U: Axis, axis_s: Axis, row: int, u: float, memory: Memory, roo
 def _loose(
     row: int, dp: float, p1: float, axis_U: Axis, axis_s: Axis, memory: Memory, room: Room
 ) -> float:  # fmt: skip
-    """Variance of the flow by that of signals that are on their way to their next value."""
-    path, at = memory.path, room.at
-    _, of_U = _between(row, paths.LEFT_U, path[paths.HELD_U], memory)
-    _, of_dp = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
-    u = clipped(axis_U, at[PLACE_U] + of_U)[0]
-    s = clipped(axis_s, paths.effective(dp + math.copysign(of_dp, dp), p1, path))[0]
-    flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
-    return float((surface(axis_U, axis_s, memory.theta, u, s, room.work) - flow) ** 2)
+    """Variance of the flow by that of signals on the way from one value to the next."""
+    path, of_u, of_s = memory.path, room.means[6], room.means[7]
+    if paths.waits(path) > 0.0:
+        _, of_U = _between(row, paths.LEFT_U, path[paths.HELD_U], memory)
+        _, of_dp = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
+        beside = paths.effective(dp + math.copysign(of_dp, dp), p1, path)
+        of_u, of_s = of_u + of_U, of_s + abs(beside - paths.effective(dp, p1, path))
+    square = _steepest(axis_U, axis_s, of_u, 0.0, memory, room) if of_u > 0.0 else 0.0
+    return square + (_steepest(axis_U, axis_s, 0.0, of_s, memory, room) if of_s > 0.0 else 0.0)
+
+
+@inner
+def _steepest(
+    axis_U: Axis, axis_s: Axis, du: float, ds: float, memory: Memory, room: Room
+) -> float:  # fmt: skip
+    """Largest square of the difference between the flow at `room.at` and that beside it."""
+    u, s, theta, work = room.at[PLACE_U], room.at[PLACE_S], memory.theta, room.work
+    flow, most = surface(axis_U, axis_s, theta, u, s, work), 0.0
+    for sign in (-1.0, 1.0):
+        x, y = clipped(axis_U, u + sign * du)[0], clipped(axis_s, s + sign * ds)[0]
+        most = max(most, abs(surface(axis_U, axis_s, theta, x, y, work) - flow))
+    return most * most
 
 
 @inner
