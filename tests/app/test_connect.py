@@ -54,6 +54,29 @@ def test_two_valves_of_a_foreign_server_become_a_configuration(foreign, tmp_path
     assert (data / "users.json").exists()
 
 
+@pytest.mark.parametrize("units", [PLANT, {**PLANT, "Volumenstrom": (None, None)}])
+def test_a_long_node_id_is_on_one_line_of_a_terminal_of_80_columns(
+    foreign, tmp_path, capsys, units
+):
+    folder = "Halle 3, Linie 12, Aggregat 4, Schlitten links, Ventil 1"
+    out = tmp_path / "plant.toml"
+    run(
+        [
+            "connect",
+            foreign(units, (folder,)),
+            "--out",
+            str(out),
+            "--watch",
+            "1",
+            "--data",
+            str(tmp_path),
+        ]
+    )
+    lines = capsys.readouterr().out.splitlines()
+    for name in ("Stellwert", "Druck vor Ventil", "Druck nach Ventil", "Volumenstrom"):
+        assert [line for line in lines if line.endswith(f"nsu=urn:plc;s={folder}/{name}")]
+
+
 def test_what_is_open_is_asked_and_nothing_is_written(foreign, tmp_path, capsys):
     names = {name: PLANT[name] for name in ("Stellwert", "Druck vor Ventil", "Volumenstrom")}
     out = tmp_path / "plant.toml"

@@ -151,8 +151,8 @@ def connect(
             "--signal=V1.U=NODE --signal=V1.p1=NODE --signal=V1.p2=NODE --signal=V1.Q=NODE"
         )
     console.print(_table(found))
-    if found.accepted:
-        console.print(_sheet(found))
+    for line in _sheet(found):
+        console.print(line, soft_wrap=True, highlight=False)
     command = _command(context)
     for line in (line for verdict in found.open for line in _question(verdict, command)):
         console.print(line, soft_wrap=True, highlight=False)
@@ -181,6 +181,9 @@ def _question(verdict: "Verdict", command: str) -> "Iterator[str]":
     if question is None:
         return
     yield f"{verdict.valve}: {question.about}"
+    if verdict.reading is not None:
+        for role, node in verdict.reading.nodes.items():
+            yield f"  {role:8} {printable(node.node)}"
     for number, option in enumerate(question.options, 1):
         yield f"  {number}. {option.text} ({100 * option.probability:.0f} %)"
         yield f"     {option.consequence}"
@@ -209,19 +212,19 @@ def _command(context: typer.Context) -> str:
     return " ".join(shlex.quote(printable(part)) for part in parts)
 
 
-def _sheet(found: "Found") -> Table:
-    from valvemap.app.sheet import HEADINGS, rows
+def _sheet(found: "Found") -> "Iterator[str]":
+    """Yield the lines of the sheet; a NodeId is on one line, so that it can be copied."""
+    from valvemap.app.sheet import rows
 
-    table = Table(title="Sheet of signals", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for heading in HEADINGS:
-        table.add_column(heading, overflow="fold")
     valve = None
     for row in rows(found.accepted):
         if row.valve != valve:
             valve = row.valve
-            table.add_row(Text(printable(valve), style="bold"))
-        table.add_row(*(Text(cell) for cell in row.cells))
-    return table
+            yield f"Signals of {printable(valve)}"
+        yield f"  {row.signal:8} {row.node}".rstrip()
+        bounds = row.range and f"range {row.range}"
+        seen = row.seen and f"seen {row.seen}"
+        yield f"           {'; '.join(filter(None, (row.unit, bounds, seen, row.reason)))}"
 
 
 def _skipped(found: "Found") -> list[str]:
@@ -281,36 +284,22 @@ def _trust(data: Path, refused: SourceRejected) -> bool:
 
 
 def _table(found: "Found") -> Table:
-    """Table of the signals; it fits a terminal of 80 columns if names are short."""
-    readings = {v.valve: v.reading for v in found.verdicts if v.reading is not None}
-    beginning = _beginning([n.node for r in readings.values() for n in r.nodes.values()])
-    nodes = f"; nodes begin with {beginning}" if beginning else ""
-    table = Table(
-        title=f"Values seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
-    )
+    """Table of the values seen; it fits a terminal of 80 columns."""
+    table = Table(title="Values seen", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("signal", no_wrap=True)
     for heading in ("rate\nHz", "skew\nms", "comes", "good\n%", "mean", "noise"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("node", overflow="fold")
-    for valve, reading in readings.items():
-        table.add_row(Text(printable(valve), style="bold"))
-        for role, node in reading.nodes.items():
-            seen = found.watched.get(valve, {}).get(node.node)
-            figures = ["", "", "", "", "", ""]
+    for verdict in found.verdicts:
+        if verdict.reading is None:
+            continue
+        table.add_row(Text(printable(verdict.valve), style="bold"))
+        for role, node in verdict.reading.nodes.items():
+            seen = found.watched.get(verdict.valve, {}).get(node.node)
+            figures: list[str] = []
             if seen is not None:
                 comes = "on change" if seen.on_change else "cyclic"
                 numbers = seen.rate_hz, seen.skew_ms, 100.0 * seen.good, seen.mean, seen.noise
                 rate, skew, good, mean, noise = (f"{number:.3g}" for number in numbers)
                 figures = [rate, skew, comes, good, mean, noise]
-            table.add_row(role, *figures, Text(printable(node.node.removeprefix(beginning))))
+            table.add_row(role, *figures)
     return table
-
-
-def _beginning(nodes: list[str]) -> str:
-    """Return the common prefix of all NodeIds up to ``s=`` or ``i=``; empty if they differ.
-
-    >>> _beginning(["nsu=urn:plc;s=FCV.U", "nsu=urn:plc;s=FCV.Q"])
-    'nsu=urn:plc;s='
-    """
-    found = {node[: node.find(";", 1) + 3] for node in nodes if node[:2] == "ns"}
-    return found.pop() if len(found) == 1 else ""
