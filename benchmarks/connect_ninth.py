@@ -70,21 +70,21 @@ def plant_of(spec: Spec, seed: int) -> Plant:
     return site.plant(spec.title, asks=spec.asks)
 
 
-def _level(level: float, spread: float = 0.0) -> Callable[[Machine], Floats]:
+def level(level: float, spread: float = 0.0) -> Callable[[Machine], Floats]:
     return lambda site: site.noisy(level, spread)
 
 
-def _like(role: str, factor: float = 1.0, offset: float = 0.0) -> Callable[[Machine], Floats]:
+def like(role: str, factor: float = 1.0, offset: float = 0.0) -> Callable[[Machine], Floats]:
     return lambda site: factor * site.true[role] + offset
 
 
-def _named(U: str, p1: str, p2: str, Q: str, T: str = "", bar: str = "bar") -> tuple[Row, ...]:
+def named(U: str, p1: str, p2: str, Q: str, T: str = "", bar: str = "bar") -> tuple[Row, ...]:
     """Return a valve's rows with the usual units as properties."""
     rows = Row(U, "U", "%"), Row(p1, "p1", bar), Row(p2, "p2", bar), Row(Q, "Q", "l/min")
     return (*rows, Row(T, "T", "°C")) if T else rows
 
 
-def _noted(*rows: tuple[str, str, str]) -> tuple[Row, ...]:
+def noted(*rows: tuple[str, str, str]) -> tuple[Row, ...]:
     """Return rows of (name, role, text), whose units stand in the text or nowhere."""
     unit = {"U": "%", "p1": "bar", "p2": "bar", "Q": "l/min", "T": "°C"}
     return tuple(Row(name, role, unit[role], text=text, stated=False) for name, role, text in rows)
@@ -93,26 +93,26 @@ def _noted(*rows: tuple[str, str, str]) -> tuple[Row, ...]:
 _SPECS: Final = {
     "spanish_mill": Spec(
         "Spanish rolling mill", "Laminador|Válvula V3|",
-        (*_named("Apertura válvula", "Presión antes", "Presión después", "Caudal"),
-         Row("Consigna de presión", "", "bar", _level(140)),
-         Row("Nivel depósito", "", "%", _level(61, 0.1))),
+        (*named("Apertura válvula", "Presión antes", "Presión después", "Caudal"),
+         Row("Consigna de presión", "", "bar", level(140)),
+         Row("Nivel depósito", "", "%", level(61, 0.1))),
     ),
     "french_bench": Spec(
         "French bench", "Banc|Distributeur D2|",
-        (*_named("Ouverture", "P amont", "P aval", "Débit", "Température huile"),
-         Row("Débit demandé", "", "l/min", _like("Q", 1.03)),
-         Row("Course vérin", "", "mm", _level(120, 0.5))),
+        (*named("Ouverture", "P amont", "P aval", "Débit", "Température huile"),
+         Row("Débit demandé", "", "l/min", like("Q", 1.03)),
+         Row("Course vérin", "", "mm", level(120, 0.5))),
     ),
     "italian_press": Spec(
         "Italian press", "Pressa|Valvola EV4|",
-        (*_named("Apertura valvola", "Pressione a monte", "Pressione a valle",
+        (*named("Apertura valvola", "Pressione a monte", "Pressione a valle",
                  "Portata istantanea"),
-         Row("Portata richiesta", "", "l/min", _like("Q", 0.97)),
-         Row("Velocità pompa", "", "rpm", _level(1_480, 2))),
+         Row("Portata richiesta", "", "l/min", like("Q", 0.97)),
+         Row("Velocità pompa", "", "rpm", level(1_480, 2))),
     ),
     "addresses_french": Spec(
         "S7 addresses, French comments", "S7|DB12|",
-        _noted(("DB12.DBD0", "U", "Consigne distributeur Y5 (%)"),
+        noted(("DB12.DBD0", "U", "Consigne distributeur Y5 (%)"),
                ("DB12.DBD4", "p1", "Pression amont Y5 (bar)"),
                ("DB12.DBD8", "p2", "Pression aval Y5 (bar)"),
                ("DB12.DBD12", "Q", "Débit Y5 (l/min)"),
@@ -136,77 +136,77 @@ _SPECS: Final = {
     ),
     "no_units": Spec(
         "no units", "Plant|FCV|",
-        _noted(("Command", "U", ""), ("Inlet pressure", "p1", ""), ("Outlet pressure", "p2", ""),
+        noted(("Command", "U", ""), ("Inlet pressure", "p1", ""), ("Outlet pressure", "p2", ""),
                ("Flow", "Q", "")),
         asks=True,
     ),
     "wrong_sign": Spec(
         "U is stated in % and works below zero", "Cella|EV1|",
-        (Row("Comando", "U", "%", _like("U", -1.0)), *_named("", "Pressione ingresso",
+        (Row("Comando", "U", "%", like("U", -1.0)), *named("", "Pressione ingresso",
          "Pressione uscita", "Portata")[1:]),
     ),
     "pump_is_inlet": Spec(
         "the pump's gauge is the inlet's", "Grupo|Bomba y válvula|",
-        _named("Señal válvula proporcional", "Presión bomba", "Presión cilindro", "Caudal bomba"),
+        named("Señal válvula proporcional", "Presión bomba", "Presión cilindro", "Caudal bomba"),
     ),
     "one_still": Spec(
         "a second valve stands still", "Ligne|",
         (*(Row(f"Vanne 1|{r.name}", r.role, r.unit) for r in
-           _named("Commande", "Pression entrée", "Pression sortie", "Débit")),
-         Row("Vanne 2|Commande", "U", "%", _level(0.0), valve="W"),
-         Row("Vanne 2|Pression entrée", "p1", "bar", _like("p1", 1.0, 2.0), valve="W"),
-         Row("Vanne 2|Pression sortie", "p2", "bar", _level(9.0, 0.1), valve="W"),
-         Row("Vanne 2|Débit", "Q", "l/min", _level(0.0, 0.05), valve="W")),
+           named("Commande", "Pression entrée", "Pression sortie", "Débit")),
+         Row("Vanne 2|Commande", "U", "%", level(0.0), valve="W"),
+         Row("Vanne 2|Pression entrée", "p1", "bar", like("p1", 1.0, 2.0), valve="W"),
+         Row("Vanne 2|Pression sortie", "p2", "bar", level(9.0, 0.1), valve="W"),
+         Row("Vanne 2|Débit", "Q", "l/min", level(0.0, 0.05), valve="W")),
     ),
     "turkish": Spec(
         "Turkish", "Pres|Valf 1|",
-        _named("Valf açıklığı", "Giriş basıncı", "Çıkış basıncı", "Debi", "Yağ sıcaklığı"),
+        named("Valf açıklığı", "Giriş basıncı", "Çıkış basıncı", "Debi", "Yağ sıcaklığı"),
     ),
     "czech": Spec(
         "Czech", "Lis|Ventil Y1|",
-        _named("Otevření ventilu", "Tlak před ventilem", "Tlak za ventilem", "Průtok"),
+        named("Otevření ventilu", "Tlak před ventilem", "Tlak za ventilem", "Průtok"),
     ),
     "dutch_lock": Spec(
         "Dutch lock gate", "Sluis|Klep 4|",
-        (*_named("Klepopening", "Druk voor klep", "Druk na klep", "Debiet", "Olietemperatuur"),
-         Row("Toerental pomp", "", "rpm", _level(1_450, 3))),
+        (*named("Klepopening", "Druk voor klep", "Druk na klep", "Debiet", "Olietemperatuur"),
+         Row("Toerental pomp", "", "rpm", level(1_450, 3))),
     ),
     "swedish": Spec(
         "Swedish", "Kran|Ventil|",
-        _named("Ventilöppning", "Tryck före ventil", "Tryck efter ventil", "Flöde"),
+        named("Ventilöppning", "Tryck före ventil", "Tryck efter ventil", "Flöde"),
     ),
     "korean": Spec(
-        "Korean", "프레스|밸브1|", _named("밸브 개도", "입구 압력", "출구 압력", "유량"),
+        "Korean", "프레스|밸브1|", named("밸브 개도", "입구 압력", "출구 압력", "유량"),
     ),
     "russian": Spec(
         "Russian", "Пресс|Клапан 1|",
-        _named("Открытие клапана", "Давление до клапана", "Давление после клапана", "Расход"),
+        named("Открытие клапана", "Давление до клапана", "Давление после клапана", "Расход"),
     ),
     "short_tags": Spec(
         "short tags, units at the end", "PLC|",
         (Row("V12_CMD_PCT", "U", "%", stated=False), Row("V12_PIN_BAR", "p1", "bar", stated=False),
          Row("V12_POUT_BAR", "p2", "bar", stated=False),
-         Row("V12_FLW_LPM", "Q", "l/min", stated=False), Row("V12_ALM", "", "", _level(0.0))),
+         Row("V12_FLW_LPM", "Q", "l/min", stated=False), Row("V12_ALM", "", "", level(0.0))),
     ),
     "marine": Spec(
         "marine winch", "HPU.PRV12|",
-        (*_named("Demand", "Press.Ups", "Press.Dns", "Flow"),
-         Row("Press.Pilot", "", "bar", _level(28, 0.2)), Row("Pos.Fbk", "", "%", _like("U", 1.01))),
+        (*named("Demand", "Press.Ups", "Press.Dns", "Flow"),
+         Row("Press.Pilot", "", "bar", level(28, 0.2)), Row("Pos.Fbk", "", "%", like("U", 1.01))),
     ),
     "implement_bus": Spec(
         "implement bus, kPa", "Tractor|Auxiliary valve 1|",
-        (*_named("Extend command", "Pump outlet pressure", "Extend port pressure", "Flow rate",
-                 bar="kPa"), Row("Engine speed", "", "rpm", _level(1_900, 5))),
+        (*named("Extend command", "Pump outlet pressure", "Extend port pressure", "Flow rate",
+                 bar="kPa"), Row("Engine speed", "", "rpm", level(1_900, 5))),
     ),
     "redundant": Spec(
         "two inlet gauges", "Test|Valve|",
-        (*_named("Command", "Inlet pressure 1", "Outlet pressure", "Flow"),
+        (*named("Command", "Inlet pressure 1", "Outlet pressure", "Flow"),
          Row("Inlet pressure 2", "", "bar", lambda s: s.true["p1"] + s.noisy(0.3, 0.1))),
     ),
     "mass_flow": Spec(
         "a meter of mass", "Test|Valve|",
-        (*_named("Command", "Inlet pressure", "Outlet pressure", "")[:3],
-         Row("Flow", "", "kg/min", _like("Q", 0.86))),
+        (*named("Command", "Inlet pressure", "Outlet pressure", "")[:3],
+         Row("Flow", "", "kg/min", like("Q", 0.86))),
         asks=True,
     ),
     "sensor_objects": Spec(
@@ -250,13 +250,13 @@ _SPECS: Final = {
     ),
     "two_temperatures": Spec(
         "the tank's temperature beside the valve's", "Planta|Válvula|",
-        (*_named("Mando", "Presión entrada", "Presión salida", "Caudal", "Temperatura aceite"),
-         Row("Temperatura motor", "", "°C", _level(71, 0.2))),
+        (*named("Mando", "Presión entrada", "Presión salida", "Caudal", "Temperatura aceite"),
+         Row("Temperatura motor", "", "°C", level(71, 0.2))),
     ),
     "set_and_actual": Spec(
         "set and actual values of each loop", "Line|HV7|",
-        (*_named("Out", "P1.Act", "P2.Act", "Q.Act"), Row("P1.Set", "", "bar", _level(150)),
-         Row("Q.Set", "", "l/min", _like("Q", 1.02)), Row("Out.Fbk", "", "%", _like("U", 0.99))),
+        (*named("Out", "P1.Act", "P2.Act", "Q.Act"), Row("P1.Set", "", "bar", level(150)),
+         Row("Q.Set", "", "l/min", like("Q", 1.02)), Row("Out.Fbk", "", "%", like("U", 0.99))),
     ),
 }  # fmt: skip
 

@@ -14,6 +14,7 @@ from benchmarks.connect_plants import Plant
 from benchmarks.connect_second import SECOND
 from benchmarks.connect_seventh import SEVENTH
 from benchmarks.connect_sixth import SIXTH
+from benchmarks.connect_tenth import TENTH
 from benchmarks.connect_unseen import UNSEEN
 
 SETS: Final[Mapping[str, Mapping[str, Callable[[int], Plant]]]] = {
@@ -24,5 +25,6 @@ SETS: Final[Mapping[str, Mapping[str, Callable[[int], Plant]]]] = {
     "seventh": SEVENTH,
     "eighth": EIGHTH,
     "ninth": NINTH,
+    "tenth": TENTH,
 }
 """Plants by set and name; each is made of a seed."""

@@ -35,11 +35,11 @@ def test_no_plant_as_vendors_write_them_is_wrong_in_silence(name):
 OF_FIFTH = {name: SETS["fifth"][name] for name in ("mobile_current", "german_ports", "card")}
 LATER = OF_FIFTH | {
     name: make
-    for of_set in ("fourth", "sixth", "seventh", "eighth", "ninth")
+    for of_set in ("fourth", "sixth", "seventh", "eighth", "ninth", "tenth")
     for name, make in SETS[of_set].items()
 }
 DOUBTFUL = {"mobile_current", "pump_and_supply", "two_loads", "statistics"}
-DOUBTFUL |= {"pumps_named_P1_P2", "slow_poll"}
+DOUBTFUL |= {"pumps_named_P1_P2", "slow_poll", "finnish"}
 """Plants that can be known, and are asked."""
 
 

@@ -72,6 +72,7 @@ _WHOLE_UNITS: Final[Mapping[str, str]] = {
     "pourcent": "%",
 }
 """Units that are written out, by the words for their parts, or whole."""
+_WORD_BEGINS: Final = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _SINGLE: Final = frozenset("cfCFKV%")  # letters that are units behind a low line
 _OTHERS = """
 mm cm m µm um inch in mm/s m/s m/min cm/s in/s rpm 1/min u/min min-1 r/min tr/min n kn mn nm knm
@@ -125,12 +126,18 @@ def _split(plain: str) -> tuple[str, Unit | None, str]:
 
 
 def known_unit(text: str) -> Unit | None:
-    """Return the unit of a text in any spelling; None if no signal of a valve has it."""
-    plain = unicodedata.normalize("NFKC", text).strip().casefold()
+    """Return the unit of a text in any spelling; None if no signal of a valve has it.
+
+    >>> [known_unit(text).symbol for text in ("LPerMin", "CubicMetersPerHour", "KPA")]
+    ['l/min', 'm³/h', 'kPa']
+    """
+    whole = unicodedata.normalize("NFKC", text).strip()
+    plain = whole.casefold()
     unit = (
         unit_of(_ALSO.get(plain, plain))
         or unit_of(plain.replace("_", "/"))
         or unit_of(_written_out(plain))
+        or unit_of(_written_out(_WORD_BEGINS.sub(" ", whole).casefold()))  # LPerMin
     )
     return unit if unit is not None and unit.quantity in _OURS else None
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from valvemap.plant import port_questions, ports, reading_questions
+from valvemap.plant.copies import without_copies
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.law import Fit
@@ -54,7 +55,10 @@ def judge(
 ) -> Verdict:
     """Judge one valve's variables by labels and values."""
     given, rating = given or Given(), rating or Rating()
-    return replace(_judged(group, record, given, rating), rating=rating)
+    group, copies = without_copies(group, record, given)
+    found = _judged(group, record, given, rating)
+    others = {**found.others, **{one.node: one.label.role for one in copies}}
+    return replace(found, rating=rating, others=others)
 
 
 def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdict:
