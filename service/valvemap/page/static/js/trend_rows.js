@@ -53,6 +53,19 @@ export function doubtSpans(found, of) {
   return spans;
 }
 
+/** Means of columns `U` and `dp` of the intervals within [from, to] in ms, and the doubt of each, undefined where none is known. */
+export function pointsOf(rows, [U, dp], doubts, [from, to]) {
+  const points = [];
+  let k = 0;
+  rows.t.forEach((t, i) => {
+    const at = 1000 * t;
+    if (at < from || at > to) return;
+    while (k < doubts.length && doubts[k].to <= at) k++;
+    points.push({ U: rows.of[U][0][i], dp: rows.of[dp][0][i], doubt: doubts[k]?.from <= at ? doubts[k].doubt : undefined });
+  });
+  return points;
+}
+
 /** Add the newest values (in the service's units), of time `at` in ms. */
 export function addNewest(rows, series, values, at) {
   if (!at || at <= rows.newest || Math.abs(Date.now() - at) > LATEST_MS || !values.some(Number.isFinite)) return;

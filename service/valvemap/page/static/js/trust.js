@@ -18,7 +18,7 @@ export const oldLink = (state, since) => ({ state, label: "not known", ...LINKS[
 /** Nothing of a valve or line is of now, by its row of the overview; null while it is. `start`: how far the service's start is, if it is not over. */
 export function oldRow({ reason, since, silent }, start) {
   const [label, why, isOld] = REASONS[reason];
-  if (start && (isOld || silent > STALE_S)) return { state: "valve", label: "starting", why: "The service has not started completely.", since: Date.now() - 1000 * silent, advice: `Wait: ${start}.` };
+  if (start && (isOld || silent > STALE_S)) return { state: "valve", isStart: true, label: "starting", why: "The service has not started completely.", since: Date.now() - 1000 * silent, advice: `Wait: ${start}.` };
   if (isOld) return { state: "valve", label, why, since, advice: "See Alarms for what to do." };
   return silent > STALE_S ? { ...SILENT, since: Date.now() - 1000 * silent } : null;
 }

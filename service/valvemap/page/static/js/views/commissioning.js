@@ -80,12 +80,12 @@ export function commissioningView(root, { live, ask, valve, estimator, choose })
     const old = live.oldOf(valve.name);
     mark(root, "stale", old !== null);
     const missing = waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "");
-    const lines = old ? [[false, `${told(old)} Nothing else is known now.`], ...(missing && !live.old ? [[false, `No samples: ${missing}`]] : [])] : [
+    const lines = old ? [[false, `${told(old)} Nothing else is known now.`], ...(missing && !live.old && !old.isStart ? [[false, `No samples: ${missing}`]] : [])] : [
       [arriving, arriving ? "Signals arrive and are aligned." : `No samples: ${missing || "a signal is missing."}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
-      [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
-      [share >= 0.6, `${fixed(100 * share, 0)} % of the range measured recently; 60 % make a map worth its name.`],
+      [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map needs 1 000.`],
+      [share >= 0.6, Number.isFinite(share) ? `${fixed(100 * share, 0)} % of the range was measured recently; a map needs 60 %.` : "How much of the range was measured is not known yet."],
       [of("Status") === 0, of("Status") === 0 ? "All parameters are determined." : "Not all parameters are determined, or the signals hold still."],
     ];
     if (!old && Number.isFinite(condition)) lines.push([condition < 1e4, condition < 1e4 ? "U and Δp vary enough, and apart from each other." : "U and Δp vary too little, or only together: vary one while the other rests."]);

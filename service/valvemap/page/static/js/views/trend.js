@@ -4,9 +4,10 @@ import { shadeSpans, timeChart } from "../charts.js";
 import { css, h, mark, onTheme, say } from "../dom.js";
 import { clock, fixed, INVERSE_STATUS, KINDS, NAN, span as spanText, spaced, STATUS } from "../format.js";
 import { merged } from "../intervals.js";
+import { operatingPoints } from "../operating_points.js";
 import { bounded, isFromAfar, readSpan, SPANS, stepOf, writeSpan } from "../spans.js";
 import { trendLanes } from "../trend_lanes.js";
-import { addNewest, codeSpans, doubtSpans, emptyRows, joined, tabled } from "../trend_rows.js";
+import { addNewest, codeSpans, doubtSpans, emptyRows, joined, pointsOf, tabled } from "../trend_rows.js";
 import { told } from "../trust.js";
 import { decimals, inUnits, shown } from "../units.js";
 
@@ -25,7 +26,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
     ["Signals.p1", "p₁", "bar", "--line-1"], ["Signals.p2", "p₂", "bar", "--line-2"], ["Signals.dp", "Δp", "bar", "--line-3"],
   ];
   const CODES = [`${estimator}.Status`, "Inverse.RequiredUStatus"]; // of the estimate, of the answer to the demand
-  const names = SERIES.map(([name]) => name), PREDICTED = 1;
+  const names = SERIES.map(([name]) => name), PREDICTED = 1, U = 4, DP = 8;
   let rows = emptyRows(SERIES, state.span), doubts = [], codes = CODES.map(() => []), others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
@@ -46,7 +47,8 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   }
   const charts = [["Flow", [0, 1]], ["Residual Q − Q̂", [2]], ["Control voltage and oil temperature", [4, 5]], ["Pressures", [6, 7, 8]]];
   const bodies = charts.map(() => h("div.chart.fit"));
-  const readout = h("tbody"), when = h("h2"), list = h("ol.marks");
+  const readout = h("tbody"), when = h("h2"), list = h("ol.marks"), points = operatingPoints();
+  closers.push(points.close);
 
   root.append(
     h("div.head", {}, title, badge, note, h("span.fill"), h("label", {}, "Compare ", live.valves.length > 1 ? otherValve : null, before)),
@@ -55,6 +57,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
       h("section.card.stack", { "aria-label": "Charts" }, lanes.canvas, charts.map(([name, of], k) => h("div.lane", {}, h("header", {}, h("h2", {}, name), h("span.fill"), legend(of)), bodies[k]))),
       h("div.side", {},
         h("section.card", {}, h("header", {}, when), h("table.readout", {}, h("thead", {}, h("tr", {}, h("th", {}, "Signal"), h("th.number", {}, "Value"), h("th.number", {}, "Least"), h("th.number", {}, "Largest"))), readout)),
+        points.element,
         h("section.card.grow", {}, h("header", {}, h("h2", {}, "What happened in this span")), list)),
     ),
   );
@@ -181,6 +184,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
     const compared = [0, 2, 4, 8].map((c) => others?.of[c][0]);
     const bare = rows.t.length ? null : [from() / 1000, to() / 1000]; // the axes of time, and the bands
     drawn.forEach(({ chart }, k) => chart.setData(bare ? [bare, ...chart.series.slice(1).map(() => [null, null])] : joined(rows.t, data[k], others?.t, compared[k])));
+    points.draw(pointsOf(rows, [U, DP], doubts, [from(), to()]));
     showReadout();
     showStanding();
     showMarks();
