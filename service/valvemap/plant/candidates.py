@@ -79,8 +79,11 @@ class Label:
     def gain(self, role: Role) -> float:
         """Return by how much a role is likelier than that the variable is left unused, nats."""
         best = max(self.evidence[other] for other in LEARNT if other is not role)
-        others = max(value for other, value in self.evidence.items() if other not in LEARNT)
-        return self.evidence[role] - max(0.0, best - _SPARE, others)
+        return self.evidence[role] - max(0.0, best - _SPARE, self._of_others)
+
+    @cached_property
+    def _of_others(self) -> float:
+        return max(value for other, value in self.evidence.items() if other not in LEARNT)
 
     @cached_property
     def is_relevant(self) -> bool:

@@ -1,7 +1,7 @@
 """The score of a reading: log likelihoods of its labels, units, ranges, magnitudes, and the law."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import inf, lgamma, log
 from typing import Final
 
@@ -28,12 +28,13 @@ _ONE_METER: Final = log(0.1)  # prior that a meter measures a valve that has non
 
 
 class Scores:
-    """Scores the readings of one valve's variables; keeps scaled signals and fits of the law."""
+    """Scores the readings of one valve's variables; keeps what several of them share."""
 
     def __init__(self, group: Group, record: Record, rating: Rating) -> None:
         self._group, self._record, self._rating = group, record, rating
         self._fits: dict[object, Fit] = {}
         self._signals: dict[object, evidence.Signal] = {}
+        self._dismissed: dict[object, dict[str, float]] = {}
 
     def reading(
         self,
@@ -117,16 +118,20 @@ class Scores:
 
         That a variable leaves its range is as unlikely if another one takes its place.
         """
+        key = tuple((role, one.node) for role, one in nodes.items())
+        if (found := self._dismissed.get(key)) is None:
+            found = self._dismissed[key] = dict(self._judged_ranges(nodes))
+        return found
+
+    def _judged_ranges(self, nodes: Mapping[Role, Candidate]) -> Iterator[tuple[str, float]]:
         taken = {one.node for one in nodes.values()}
-        found = {}
         for one in self._group.all:
             role = one.label.role
             if one.node in taken or role not in nodes:
                 continue
             if one.label.gain(role) >= nodes[role].label.gain(role):
                 nats = evidence.of_range(self._record.of(one), one.bounds, role)
-                found[f"{printable(one.path[-1])}, not taken for {role}, leaves its range"] = nats
-        return found
+                yield f"{printable(one.path[-1])}, not taken for {role}, leaves its range", nats
 
     def _fit(
         self,
