@@ -4,10 +4,11 @@ import asyncio
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support import ports
 from support.played_plant import PlayedPlant, served
+from support.served import patient
 
 pytestmark = pytest.mark.waits
 
@@ -27,7 +28,7 @@ async def test_edges_and_lines_are_served(config, open_server, tmp_path):
 
 
 async def asked(config):
-    async with Client(config.server.url) as client:
+    async with patient(config.server.url) as client:
         index = await client.get_namespace_index("urn:valvemap:service")
 
         def node(name):

@@ -3,10 +3,11 @@
 import asyncio
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from benchmarks.shared_meter import VALVES, flow, work
 from support.played_plant import PlayedPlant, served
+from support.served import patient
 
 pytestmark = pytest.mark.waits
 
@@ -37,7 +38,7 @@ async def test_each_valve_s_own_flow_is_served(config, open_server, tmp_path):
 
 
 async def asked(config):
-    async with Client(config.server.url) as client:
+    async with patient(config.server.url) as client:
         index = await client.get_namespace_index("urn:valvemap:service")
         compared = 0
         while compared < 3 * len(VALVES):  # of samples that are not of one moment, none counts

@@ -6,6 +6,12 @@ from contextlib import suppress
 from asyncua import Client, ua
 
 PASSWORD = "correct horse"
+PATIENCE_S = 30.0  # of a client in one process with its server, on a busy machine
+
+
+def patient(url):
+    """Return a client that does not take a busy event loop for a lost connection."""
+    return Client(url, timeout=PATIENCE_S, watchdog_intervall=PATIENCE_S)
 
 
 class Seen:
@@ -41,7 +47,7 @@ class serving:  # noqa: N801 - a context
                 if self.task.done():
                     self.task.result()
                 with suppress(OSError, ua.UaError, asyncio.TimeoutError):
-                    self.client = Client(self.url)
+                    self.client = patient(self.url)
                     self.client.set_user("operator")
                     self.client.set_password(PASSWORD)
                     await self.client.connect()
