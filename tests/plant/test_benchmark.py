@@ -8,17 +8,24 @@ from benchmarks.connect_sets import SETS
 from benchmarks.connect_third import KINDS, drawn, faulty
 
 RIGHT, CAUGHT = 0.9, 0.95  # shares
+SEEDS = pytest.mark.parametrize(
+    "seeds",
+    [range(500, 510), pytest.param(range(510, 535), marks=pytest.mark.soak)],
+    ids=["ten", "more"],
+)
 
 
-def test_right_labels_are_accepted_without_a_question_and_none_errs_in_silence():
-    found = [outcome(plant(seed)) for seed in range(500, 520)]
+@SEEDS
+def test_right_labels_are_accepted_without_a_question_and_none_errs_in_silence(seeds):
+    found = [outcome(plant(seed)) for seed in seeds]
     assert not [one.story for one in found if one.result == "wrong"]
     assert sum(one.result == "right" for one in found) >= RIGHT * len(found)
     assert all(one.obeyed for one in found if one.obeyed is not None)
 
 
-def test_swapped_signals_and_units_off_by_10_14_and_60_are_asked():
-    found = [outcome(contradicted(seed)) for seed in range(500, 520)]
+@SEEDS
+def test_swapped_signals_and_units_off_by_10_14_and_60_are_asked(seeds):
+    found = [outcome(contradicted(seed)) for seed in seeds]
     assert sum(one.result == "asked" for one in found) >= CAUGHT * len(found)
 
 
@@ -52,13 +59,15 @@ def test_plants_of_integrators_are_accepted_or_asked_and_never_wrong(name):
     assert found.obeyed in {None, True}
 
 
-def test_drawn_plants_are_accepted_among_distractors_and_none_errs_in_silence():
-    found = [outcome(drawn(seed)) for seed in range(500, 525)]
+@SEEDS
+def test_drawn_plants_are_accepted_among_distractors_and_none_errs_in_silence(seeds):
+    found = [outcome(drawn(seed)) for seed in seeds]
     assert not [one.story for one in found if one.result == "wrong"]
     assert sum(one.result == "right" for one in found) >= RIGHT * len(found)
     assert all(one.obeyed for one in found if one.obeyed is not None)
 
 
-def test_faults_that_no_name_shows_are_asked():
-    found = [outcome(faulty(seed, kind)) for kind in KINDS for seed in range(500, 502)]
+@pytest.mark.parametrize("seed", [500, pytest.param(501, marks=pytest.mark.soak)])
+def test_faults_that_no_name_shows_are_asked(seed):
+    found = [outcome(faulty(seed, kind)) for kind in KINDS]
     assert sum(one.result == "asked" for one in found) >= CAUGHT * len(found)
