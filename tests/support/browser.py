@@ -14,6 +14,8 @@ _ARGUMENTS = (
     "--use-angle=swiftshader",  # WebGL without a graphics card
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
+    "--disable-gpu-compositing",  # without a graphics card WebGL alone needs the emulated one
+    "--disable-gpu-rasterization",
 )
 
 
