@@ -5,12 +5,12 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from support.browser import Visit, chromium
+from support.browser import tab
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import ShownService
 
-pytestmark = pytest.mark.chromium
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 _MOST_BYTES = 2_000_000  # of all that is loaded without 3-D
 _LONGEST_TASK_MS = 100.0
@@ -22,17 +22,14 @@ _CLICK = """selector => new Promise(done => {
 
 
 @asynccontextmanager
-async def visit(shown, theme="light", size=(1280, 800)):
-    async with served(shown) as (page, url), chromium() as browser:
-        width, height = size
-        view = {"width": width, "height": height}
-        context = await browser.new_context(viewport=view, color_scheme=theme)
-        yield Visit(await context.new_page(), url), page
+async def visit(browser, shown):
+    async with served(shown) as (page, url), tab(browser, url) as visitor:
+        yield visitor, page
 
 
-async def test_a_service_that_is_gone_is_said_and_one_that_comes_back_is_shown():
+async def test_a_service_that_is_gone_is_said_and_one_that_comes_back_is_shown(browser):
     shown = ShownService()
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         await visitor.open("valve")
         await visitor.page.locator(".link[data-link=up]").wait_for()
         shown.up = False
@@ -44,23 +41,23 @@ async def test_a_service_that_is_gone_is_said_and_one_that_comes_back_is_shown()
         assert visitor.problems == []
 
 
-async def test_before_there_is_a_service_the_page_says_what_it_waits_for():
-    async with visit(ShownService(up=False)) as (visitor, _):
+async def test_before_there_is_a_service_the_page_says_what_it_waits_for(browser):
+    async with visit(browser, ShownService(up=False)) as (visitor, _):
         await visitor.open("valve")
         await visitor.page.locator("h1", has_text="does not answer").wait_for()
         assert visitor.problems == []
 
 
-async def test_without_a_valve_the_page_says_what_to_do():
-    async with visit(ShownService(names=())) as (visitor, _):
+async def test_without_a_valve_the_page_says_what_to_do(browser):
+    async with visit(browser, ShownService(names=())) as (visitor, _):
         await visitor.open("valve")
         await visitor.page.locator("h1", has_text="No valves yet").wait_for()
 
 
-async def test_commissioning_says_how_the_signals_come_and_advises_no_setting_for_it():
+async def test_commissioning_says_how_the_signals_come_and_advises_no_setting_for_it(browser):
     shown = ShownService(moving=False)
     shown.values["V1.Diagnostics.Timing"] = Read(["not found yet"])
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         await visitor.open("commissioning")
         await visitor.page.locator("li", has_text="is being found out").wait_for()
         assert "tolerance_ms" not in await visitor.text("main")
@@ -68,8 +65,8 @@ async def test_commissioning_says_how_the_signals_come_and_advises_no_setting_fo
         await visitor.page.locator(".coming li", has_text="its last value is held").wait_for()
 
 
-async def test_how_sure_a_parameter_is_of_another_estimator_by_keyboard():
-    async with visit(ShownService()) as (visitor, _):
+async def test_how_sure_a_parameter_is_of_another_estimator_by_keyboard(browser):
+    async with visit(browser, ShownService()) as (visitor, _):
         await visitor.open("valve")
         button = visitor.page.locator(".estimators button")
         await button.wait_for()
@@ -82,9 +79,9 @@ async def test_how_sure_a_parameter_is_of_another_estimator_by_keyboard():
         assert "0.02000" in await row.inner_text()
 
 
-async def test_an_operator_s_button_writes_the_demand_that_is_shown():
+async def test_an_operator_s_button_writes_the_demand_that_is_shown(browser):
     shown = ShownService()
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         visitor.password = "any"
         await visitor.open("map")
         write = visitor.page.locator("button", has_text="Write as FlowDemand")
@@ -103,9 +100,9 @@ async def test_an_operator_s_button_writes_the_demand_that_is_shown():
         pytest.param(1, id="with the machine to itself", marks=pytest.mark.soak),
     ],
 )
-async def test_three_hundred_valves_scroll_sort_and_filter_smoothly(slower):
+async def test_three_hundred_valves_scroll_sort_and_filter_smoothly(browser, slower):
     shown = ShownService(names=tuple(f"Valve-{k:03d}" for k in range(300)))
-    async with visit(shown) as (visitor, _):
+    async with visit(browser, shown) as (visitor, _):
         await visitor.open("overview")
         await visitor.page.locator(".rows a", has_text="Valve-000").wait_for()
         await visitor.page.evaluate(
@@ -128,8 +125,8 @@ async def test_three_hundred_valves_scroll_sort_and_filter_smoothly(slower):
         assert longest < slower * _LONGEST_TASK_MS
 
 
-async def test_all_but_the_surface_fits_into_two_megabytes():
-    async with visit(ShownService()) as (visitor, _):
+async def test_all_but_the_surface_fits_into_two_megabytes(browser):
+    async with visit(browser, ShownService()) as (visitor, _):
         for view in ("valve", "overview", "commissioning", "timeline"):
             await visitor.open(view)
             await visitor.page.wait_for_timeout(500)
@@ -138,9 +135,9 @@ async def test_all_but_the_surface_fits_into_two_megabytes():
 
 
 @pytest.mark.soak  # a figure of the machine: wants it for itself
-async def test_on_a_slow_machine_the_page_is_there_at_once_and_answers_at_once():
+async def test_on_a_slow_machine_the_page_is_there_at_once_and_answers_at_once(browser):
     paints, answers = [], []
-    async with visit(ShownService()) as (visitor, _):
+    async with visit(browser, ShownService()) as (visitor, _):
         page = visitor.page
         session = await page.context.new_cdp_session(page)
         await session.send("Emulation.setCPUThrottlingRate", {"rate": 4})
@@ -158,9 +155,9 @@ async def test_on_a_slow_machine_the_page_is_there_at_once_and_answers_at_once()
     assert sorted(answers)[2] <= 200
 
 
-async def test_a_closed_tab_leaves_nothing():
+async def test_a_closed_tab_leaves_nothing(browser):
     shown = ShownService()
-    async with visit(shown) as (visitor, page):
+    async with visit(browser, shown) as (visitor, page):
         await visitor.open("map")
         await visitor.page.locator(".answer .value[data-u]").wait_for()
         assert page.observer._wanted().maps

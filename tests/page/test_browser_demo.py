@@ -5,12 +5,12 @@ import asyncio
 import pytest
 import pytest_asyncio
 
-from support.browser import Visit, chromium
+from support.browser import tab
 from support.processes import free_port, rig_url, running, service_url, wait_for
 from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE
 
-pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 MOVES = {
     "valve/Valvistor": ".estimators tr[data-estimator=Auto]",
@@ -35,17 +35,15 @@ def demo(tmp_path_factory):
         yield f"http://127.0.0.1:{port}", service, password
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def visitor(demo):
+@pytest_asyncio.fixture(scope="module", loop_scope="session")
+async def visitor(browser, demo):
     url, _, password = demo
-    async with chromium() as browser:
-        context = await browser.new_context(viewport={"width": 1280, "height": 800})
-        visitor = Visit(await context.new_page(), url, password)
+    async with tab(browser, url, password) as visitor:
         yield visitor
         assert visitor.problems == []
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
+@pytest_asyncio.fixture(scope="module", loop_scope="session")
 async def nodes(demo):
     client = ResultsClient(SourceSettings(url=demo[1]), NAMESPACE)
     await client.connect()

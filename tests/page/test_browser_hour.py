@@ -11,7 +11,7 @@ import pytest
 import pytest_asyncio
 
 from guarded_opcua import UserStore
-from support.browser import Visit, chromium
+from support.browser import tab
 from support.interoperation import identification
 from support.plant import as_changes, plant
 from support.results import results_settings
@@ -21,7 +21,7 @@ from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.runtime.past import PastKeeper
 from valvemap.storage.history import HistoryFile
 
-pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 S = 1_000_000_000
 HZ = 10
@@ -65,7 +65,7 @@ class Hour:
         return replace(samples, t=t, p2=p2)
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
+@pytest_asyncio.fixture(scope="module", loop_scope="session")
 async def later(tmp_path_factory):
     """The page's URL and the time of the fault, UTC ns, an hour after it; the service runs on."""
     with HistoryFile(tmp_path_factory.mktemp("history") / "history.sqlite") as store:
@@ -88,11 +88,10 @@ async def later(tmp_path_factory):
 
 
 @asynccontextmanager
-async def visit(url):
-    async with chromium() as browser:
-        context = await browser.new_context(viewport={"width": 1280, "height": 800})
-        await context.add_init_script("localStorage.setItem('tour', 'closed')")
-        yield Visit(await context.new_page(), url)
+async def visit(browser, url):
+    async with tab(browser, url) as visitor:
+        await visitor.page.add_init_script("localStorage.setItem('tour', 'closed')")
+        yield visitor
 
 
 async def seen_in_the_trend(visitor, fault):
@@ -115,11 +114,11 @@ async def seen_in_the_trend(visitor, fault):
     raise AssertionError(told)
 
 
-async def test_a_fault_is_in_trend_alarm_list_and_map_an_hour_later(later):
+async def test_a_fault_is_in_trend_alarm_list_and_map_an_hour_later(browser, later):
     """After any navigation, a reload, and in another browser."""
     url, fault = later
     assert time.time_ns() - fault > 3_600 * S
-    async with visit(url) as visitor:
+    async with visit(browser, url) as visitor:
         page = visitor.page
         await visitor.open("trend/Valvistor?span=7200")
         await seen_in_the_trend(visitor, fault)
@@ -131,7 +130,7 @@ async def test_a_fault_is_in_trend_alarm_list_and_map_an_hour_later(later):
         await page.reload()
         await seen_in_the_trend(visitor, fault)
         assert visitor.problems == []
-    async with visit(url) as visitor:
+    async with visit(browser, url) as visitor:
         page = visitor.page
         await visitor.open("alarms?show=past")
         await page.locator(".alarm-list button", has_text=NAMED).first.click()

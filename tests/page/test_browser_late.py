@@ -7,9 +7,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-import pytest_asyncio
 
-from support.browser import Visit, chromium
+from support.browser import tab
 from support.processes import free_port
 from support.readings import Read
 from support.served_page import served
@@ -17,7 +16,7 @@ from support.shown_service import Alarm, ShownService
 from valvemap.errors import SourceLost
 from valvemap.page import web
 
-pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 S = 1_000_000_000
 SCRIPTS = Path(web.STATIC) / "js"
@@ -49,22 +48,13 @@ class Gate:
                 await asyncio.sleep(0.02)
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def browser():
-    async with chromium() as found:
-        yield found
-
-
 @asynccontextmanager
 async def visit(browser, shown, view, **settings):
-    async with served(shown, **settings) as (page, url):
-        context = await browser.new_context(viewport={"width": 1280, "height": 800})
-        visitor = Visit(await context.new_page(), url, "any")
+    async with served(shown, **settings) as (page, url), tab(browser, url, "any") as visitor:
         visitor.page.on("dialog", lambda dialog: asyncio.create_task(dialog.accept()))
         await visitor.open(view)
         await visitor.page.locator("main h1").wait_for()
         yield visitor, page
-        await context.close()
 
 
 def alarmed():
@@ -177,16 +167,14 @@ async def test_two_clicks_are_one_command(browser):
 
 async def test_a_server_with_other_valves_behind_the_same_address_is_shown(browser):
     port = free_port()
-    async with served(ShownService(names=("V1", "V2")), port=port) as (_, url):
-        context = await browser.new_context(viewport={"width": 1280, "height": 800})
-        visitor = Visit(await context.new_page(), url)
-        await visitor.open("overview")
-        await visitor.page.locator(".rows a", has_text="V2").wait_for()
-    async with served(ShownService(names=("W1", "W2")), port=port):
-        await visitor.page.locator(".rows a", has_text="W2").wait_for()
-        await visitor.page.keyboard.press("1")
-        await visitor.page.locator("h1", has_text="W1").wait_for()
-    await context.close()
+    async with tab(browser, f"http://127.0.0.1:{port}") as visitor:
+        async with served(ShownService(names=("V1", "V2")), port=port):
+            await visitor.open("overview")
+            await visitor.page.locator(".rows a", has_text="V2").wait_for()
+        async with served(ShownService(names=("W1", "W2")), port=port):
+            await visitor.page.locator(".rows a", has_text="W2").wait_for()
+            await visitor.page.keyboard.press("1")
+            await visitor.page.locator("h1", has_text="W1").wait_for()
 
 
 async def test_a_log_out_that_is_not_answered_is_not_shown_as_done(browser):

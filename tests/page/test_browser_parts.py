@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 from playwright.async_api import expect
 
-from support.browser import Visit, chromium
+from support.browser import tab
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
 from valvemap.vocabulary.statuses import AxisStatus
 
-pytestmark = pytest.mark.chromium
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 BAD_NO_COMMUNICATION = 0x8031_0000
 EDGES = ("Boom.PA", "Boom.AT", "Boom.PB", "Boom.BT")
@@ -26,20 +26,16 @@ def plant(**more):
 
 
 @asynccontextmanager
-async def visit(shown, view, theme="light", size=(1280, 800)):
-    async with served(shown) as (page, url), chromium() as browser:
-        width, height = size
-        view_ = {"width": width, "height": height}
-        context = await browser.new_context(viewport=view_, color_scheme=theme)
-        visitor = Visit(await context.new_page(), url, "any")
+async def visit(browser, shown, view):
+    async with served(shown) as (page, url), tab(browser, url, "any") as visitor:
         await visitor.open(view)
         await visitor.page.locator("main h1").wait_for()
         yield visitor, page
         assert visitor.problems == []
 
 
-async def test_the_edges_and_lines_of_a_valve_are_tabs_of_one_view():
-    async with visit(plant(), "map/Boom.PA") as (visitor, _):
+async def test_the_edges_and_lines_of_a_valve_are_tabs_of_one_view(browser):
+    async with visit(browser, plant(), "map/Boom.PA") as (visitor, _):
         tabs = visitor.page.locator(".tabs a")
         assert await tabs.all_inner_texts() == ["PA", "AT", "PB", "BT", "Line A", "Line B"]
         await tabs.nth(2).click()
@@ -51,15 +47,15 @@ async def test_the_edges_and_lines_of_a_valve_are_tabs_of_one_view():
         await visitor.page.locator("h1", has_text="Boom.BT").wait_for()
 
 
-async def test_a_plant_of_axes_alone_begins_with_its_axis():
-    async with visit(ShownService(names=(), axes=("Press",)), "") as (visitor, _):
+async def test_a_plant_of_axes_alone_begins_with_its_axis(browser):
+    async with visit(browser, ShownService(names=(), axes=("Press",)), "") as (visitor, _):
         await visitor.page.locator("h1", has_text="Press").wait_for()
         assert await visitor.page.locator(".views a", has_text="Valve").count() == 0
 
 
-async def test_a_speed_is_written_and_withdrawn_by_an_operator():
+async def test_a_speed_is_written_and_withdrawn_by_an_operator(browser):
     shown = plant()
-    async with visit(shown, "axis/Press") as (visitor, _):
+    async with visit(browser, shown, "axis/Press") as (visitor, _):
         write = visitor.page.get_by_role("button", name="Write as SpeedDemand")
         assert await write.is_disabled()
         await visitor.log_in()
@@ -75,9 +71,9 @@ async def test_a_speed_is_written_and_withdrawn_by_an_operator():
         await visitor.page.locator("[role=status]", has_text="is withdrawn").wait_for()
 
 
-async def test_a_flow_of_a_line_is_written_by_an_operator():
+async def test_a_flow_of_a_line_is_written_by_an_operator(browser):
     shown = plant()
-    async with visit(shown, "line/Boom.LineA") as (visitor, _):
+    async with visit(browser, shown, "line/Boom.LineA") as (visitor, _):
         await visitor.log_in()
         await visitor.page.get_by_role("button", name="Write as FlowDemand").click()
         await visitor.page.locator("[role=status]", has_text="Written").wait_for()
@@ -87,13 +83,13 @@ async def test_a_flow_of_a_line_is_written_by_an_operator():
         ]
 
 
-async def test_the_axes_with_a_set_position_are_drawn_side_by_side():
+async def test_the_axes_with_a_set_position_are_drawn_side_by_side(browser):
     shown = ShownService(names=(), axes=("Fixed", "Living", "Bare"))
     for axis, error in (("Fixed", 3.0), ("Living", 1.0)):
         columns = {"Time": [1.0, 2.0, 3.0], "Position": [error] * 3, "SetPosition": [0.0] * 3}
         for name, value in {"Rms": error, **columns}.items():
             shown.values[f"{axis}.Tracking.{name}"] = Read(value, 0, shown.t)
-    async with visit(shown, "axis/Fixed") as (visitor, _):
+    async with visit(browser, shown, "axis/Fixed") as (visitor, _):
         card = visitor.page.locator("section", has_text="How the axes follow")
         await card.locator(".legend", has_text="Living 1.00 mm").wait_for()
         assert "Fixed 3.00 mm" in await card.inner_text()
@@ -102,9 +98,9 @@ async def test_the_axes_with_a_set_position_are_drawn_side_by_side():
 
 
 @pytest.mark.parametrize("how", ["source lost", "still"])
-async def test_an_axis_without_samples_says_so_and_takes_no_demand(how):
+async def test_an_axis_without_samples_says_so_and_takes_no_demand(browser, how):
     shown = plant()
-    async with visit(shown, "axis/Press") as (visitor, _):
+    async with visit(browser, shown, "axis/Press") as (visitor, _):
         await visitor.log_in()
         badge = visitor.page.locator("main .head .badge")
         await badge.and_(visitor.page.locator("text=ok")).wait_for()
@@ -136,10 +132,10 @@ class Kept(ShownService):
         return found
 
 
-async def test_the_past_of_an_axis_is_in_its_trend_however_long_the_page_has_run():
+async def test_the_past_of_an_axis_is_in_its_trend_however_long_the_page_has_run(browser):
     worn = Alarm(name="EdgeChanged", source="Press", t=time.time_ns() - 200 * 10**9)
     shown = Kept(names=EDGES, axes=("Press",), alarms=[worn], past=[worn])
-    async with visit(shown, "axis/Press") as (visitor, _):
+    async with visit(browser, shown, "axis/Press") as (visitor, _):
         lanes = visitor.page.locator(".axis-trend canvas.lanes")
         said = "State and alarms: not excited from .* to .*; ok from .*; Edge changed from"
         await expect(lanes).to_have_attribute("aria-label", re.compile(said))
@@ -152,16 +148,16 @@ async def test_the_past_of_an_axis_is_in_its_trend_however_long_the_page_has_run
         await expect(lanes).to_have_attribute("aria-label", re.compile("Edge changed from"))
 
 
-async def test_an_axis_of_a_service_without_a_history_says_so():
-    async with visit(plant(keeps_history=False), "axis/Press") as (visitor, _):
+async def test_an_axis_of_a_service_without_a_history_says_so(browser):
+    async with visit(browser, plant(keeps_history=False), "axis/Press") as (visitor, _):
         await visitor.page.locator(".axis-trend", has_text="keeps no history").wait_for()
 
 
-async def test_the_sheet_tells_how_it_is_made():
+async def test_the_sheet_tells_how_it_is_made(browser):
     shown = ShownService(names=("V1",), more=("Commission",))
     shown.values["V1.Commission.State"] = Read(6)
     shown.values["V1.Commission.Recording"] = Read("data/commission/V1.csv")
-    async with visit(shown, "commissioning/V1") as (visitor, _):
+    async with visit(browser, shown, "commissioning/V1") as (visitor, _):
         card = visitor.page.locator(".sheet")
         await card.locator("p", has_text="data/commission/V1.csv").wait_for()
         told = await card.locator("code").inner_text()

@@ -7,15 +7,14 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import pytest
-import pytest_asyncio
 
-from support.browser import Visit, axe, chromium, serious
+from support.browser import axe, serious, tab
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
-pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 S = 1_000_000_000
 VIEWS = (
@@ -60,21 +59,11 @@ _USED = """() => { // share of the height of each column that texts, charts and 
 NO_DATA = 0x809B_0000
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def browser():
-    async with chromium() as found:
-        yield found
-
-
 @asynccontextmanager
-async def visit(browser, shown, theme="light", size=(1280, 800)):
-    async with served(shown, RIG) as (page, url):
-        width, height = size
-        view = {"width": width, "height": height}
-        context = await browser.new_context(viewport=view, color_scheme=theme)
-        await context.add_init_script("localStorage.setItem('tour', 'closed')")
-        yield Visit(await context.new_page(), url), page
-        await context.close()
+async def visit(browser, shown, **given):
+    async with served(shown, RIG) as (page, url), tab(browser, url, **given) as visitor:
+        await visitor.page.add_init_script("localStorage.setItem('tour', 'closed')")
+        yield visitor, page
 
 
 def alarmed():
@@ -391,14 +380,20 @@ async def test_the_worst_valve_is_first_with_its_health_and_alarms_beside(browse
         await visitor.page.locator(".needs a", has_text="Sensor frozen").wait_for()
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
-async def test_axe_finds_nothing_serious_in_any_view(browser, theme, size, request):
+@pytest.mark.parametrize("view", [*VIEWS, "alarms?show=past"])
+async def test_axe_finds_nothing_serious_in_any_theme_and_size(browser, view, request):
     script = axe(request.config.cache.mkdir("axe"))
     shown, _ = alarmed()
-    async with visit(browser, shown, theme, size) as (visitor, _):
-        for view in (*VIEWS, "alarms?show=past"):
-            await visitor.open(view)
-            await visitor.page.wait_for_timeout(1_000)
-            assert await serious(visitor, script) == [], view
+    async with visit(browser, shown, color_scheme="dark") as (visitor, _):
+        page = visitor.page
+        await visitor.open(view)
+        await page.wait_for_timeout(1_000)
+        for theme in ("dark", "light"):
+            await page.locator(f"html[data-theme={theme}]").wait_for()
+            for size, (width, height) in SIZES.items():
+                await page.set_viewport_size({"width": width, "height": height})
+                await page.wait_for_timeout(100)
+                assert await serious(visitor, script) == [], (theme, size)
+            await page.locator("button.theme").click()
+            await page.wait_for_timeout(400)  # a lamp's colour changes in 300 ms
         assert visitor.problems == []

@@ -6,9 +6,8 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import pytest
-import pytest_asyncio
 
-from support.browser import Visit, chromium
+from support.browser import tab
 from support.keyboard import Keyboard
 from support.readings import Read
 from support.served_page import served
@@ -16,7 +15,7 @@ from support.shown_parts import AXIS, LINE
 from support.shown_service import Alarm, ShownService
 from valvemap.page.judgement import Severity
 
-pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 S = 1_000_000_000
 BAD_SENSOR_FAILURE = 0x808C_0000
@@ -41,23 +40,14 @@ def plant():
     )
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def browser():
-    async with chromium() as found:
-        yield found
-
-
 @asynccontextmanager
 async def asked(browser, shown):
-    async with served(shown) as (page, url):
-        context = await browser.new_context(viewport={"width": 1280, "height": 800})
-        visitor = Visit(await context.new_page(), url)
+    async with served(shown) as (page, url), tab(browser, url) as visitor:
         await visitor.open("valve/V1")
         await visitor.page.locator("main h1").wait_for()
         await visitor.page.locator(".signals .value", has_text="60.0").wait_for()
         yield visitor.page, Keyboard(visitor.page), page.observer
         assert visitor.problems == []
-        await context.close()
 
 
 async def as_shown(page, text):

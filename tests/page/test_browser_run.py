@@ -5,12 +5,12 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from support.browser import Visit, axe, chromium, serious
+from support.browser import axe, serious, tab
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import ShownService
 
-pytestmark = pytest.mark.chromium
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 START = ("V1.Commission", "Start", ((0.5,),))
 RESUME = ("V1.Commission", "Resume", ((0.5,),))
@@ -30,19 +30,17 @@ def say(shown, state, progress):
 
 
 @asynccontextmanager
-async def opened(shown):
-    async with served(shown) as (_, url), chromium() as browser:
-        context = await browser.new_context(viewport={"width": 1280, "height": 800})
-        visitor = Visit(await context.new_page(), url, "any")
+async def opened(browser, shown, **given):
+    async with served(shown) as (_, url), tab(browser, url, "any", **given) as visitor:
         visitor.page.on("dialog", lambda dialog: asyncio.ensure_future(dialog.accept()))
         await visitor.open("commissioning")
         await visitor.page.locator("h1", has_text="V1").wait_for()
         yield visitor
 
 
-async def test_a_run_is_started_kept_alive_and_aborted_by_an_operator():
+async def test_a_run_is_started_kept_alive_and_aborted_by_an_operator(browser):
     shown = driven()
-    async with opened(shown) as visitor:
+    async with opened(browser, shown) as visitor:
         card = visitor.page.locator(".guided-run")
         start, resume, abort = (
             card.get_by_role("button", name=name) for name in ("Start", "Resume", "Abort")
@@ -82,9 +80,9 @@ async def test_a_run_is_started_kept_alive_and_aborted_by_an_operator():
         assert visitor.problems == []
 
 
-async def test_without_the_service_nothing_is_started_and_nothing_said():
+async def test_without_the_service_nothing_is_started_and_nothing_said(browser):
     shown = driven()
-    async with opened(shown) as visitor:
+    async with opened(browser, shown) as visitor:
         await visitor.log_in()
         say(shown, 2, "crossing triangles")
         card = visitor.page.locator(".guided-run")
@@ -95,17 +93,17 @@ async def test_without_the_service_nothing_is_started_and_nothing_said():
             assert await card.get_by_role("button", name=name).is_disabled()
 
 
-async def test_a_valve_that_cannot_be_driven_has_no_card():
-    async with opened(ShownService()) as visitor:
+async def test_a_valve_that_cannot_be_driven_has_no_card(browser):
+    async with opened(browser, ShownService()) as visitor:
         await visitor.page.locator(".checks li").first.wait_for()
         assert await visitor.page.locator(".guided-run").is_hidden()
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-async def test_axe_finds_nothing_serious(theme, request):
+async def test_axe_finds_nothing_serious(browser, theme, request):
     shown = driven()
-    async with opened(shown) as visitor:
-        await visitor.page.emulate_media(color_scheme=theme)
+    async with opened(browser, shown, color_scheme=theme) as visitor:
+        await visitor.page.locator(f"html[data-theme={theme}]").wait_for()
         await visitor.log_in()
         say(shown, 2, "crossing triangles")
         await visitor.page.locator(".guided-run", has_text="crossing triangles").wait_for()

@@ -4,13 +4,13 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from support.browser import Visit, chromium
+from support.browser import tab
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
 from valvemap.pipeline.alarms import RULES
 from valvemap.pipeline.alarms import Alarm as Alarms
 
-pytestmark = pytest.mark.chromium
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 RIG = "opc.tcp://127.0.0.1:1/rig/"
 BELOW = """() => document.querySelector('aside.tour').getBoundingClientRect().top
@@ -18,17 +18,15 @@ BELOW = """() => document.querySelector('aside.tour').getBoundingClientRect().to
 
 
 @asynccontextmanager
-async def opened(size=(1280, 800)):
+async def opened(browser, size=(1280, 800)):
     shown = ShownService(alarms=[Alarm(name="Changed", severity=500)])
-    async with served(shown, RIG) as (_, url), chromium() as browser:
-        width, height = size
-        context = await browser.new_context(viewport={"width": width, "height": height})
-        yield Visit(await context.new_page(), url)
+    async with served(shown, RIG) as (_, url), tab(browser, url, size=size) as visitor:
+        yield visitor
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (820, 1180), (390, 844)])
-async def test_the_tour_covers_nothing_and_is_done_where_its_links_lead(size):
-    async with opened(size) as visitor:
+async def test_the_tour_covers_nothing_and_is_done_where_its_links_lead(browser, size):
+    async with opened(browser, size) as visitor:
         page, step = visitor.page, visitor.page.locator("aside.tour button:last-child")
         await visitor.open("overview")
         for view in ("map", "rig", "alarms"):
@@ -42,8 +40,8 @@ async def test_the_tour_covers_nothing_and_is_done_where_its_links_lead(size):
         assert visitor.problems == []
 
 
-async def test_damage_lasts_unless_told_otherwise():
-    async with opened() as visitor:
+async def test_damage_lasts_unless_told_otherwise(browser):
+    async with opened(browser) as visitor:
         await visitor.open("rig")
         kind, duration = (visitor.page.locator(f"[name={x}]") for x in ("kind", "duration"))
         await kind.wait_for()
@@ -54,12 +52,11 @@ async def test_damage_lasts_unless_told_otherwise():
         assert float(await duration.input_value()) >= 2 * RULES[Alarms.SENSOR_FROZEN].limit
 
 
-async def test_a_sentence_has_the_times_of_the_rest_of_the_page():
+async def test_a_sentence_has_the_times_of_the_rest_of_the_page(browser):
     since = "since 2027-01-15 08:00:00 UTC"
     shown = ShownService(alarms=[Alarm(text=f"The flow changed by -4.1 l/min, {since}.")])
-    async with served(shown, RIG) as (_, url), chromium() as browser:
-        context = await browser.new_context(timezone_id="Europe/Berlin", locale="de-DE")
-        visitor = Visit(await context.new_page(), url)
+    place = {"timezone_id": "Europe/Berlin", "locale": "de-DE"}
+    async with served(shown, RIG) as (_, url), tab(browser, url, **place) as visitor:
         await visitor.open("alarms")
         measured = await visitor.text(".alarm-detail dd.measured")
         assert "since 15/01/2027 09:00:00." in measured

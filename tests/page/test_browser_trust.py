@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import pytest
 import pytest_asyncio
 
-from support.browser import Visit, chromium
+from support.browser import Visit, tab
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
 from valvemap.page import observer
 
-pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 S = 1_000_000_000
 BAD_NO_COMMUNICATION, BAD_USER_ACCESS_DENIED = 0x8031_0000, 0x801F_0000
@@ -111,16 +111,18 @@ def end(shown):
     shown.values.clear()
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def tabs():
+@pytest_asyncio.fixture(scope="module", loop_scope="session")
+async def tabs(browser):
     """Each view in a tab of its own, and one more; an operator is logged in."""
     shown = plant()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(observer, "_REFUSED_RETRY_S", 0.5)
-        async with served(shown, RIG, request_burst=2_000) as (_, url), chromium() as browser:
-            context = await browser.new_context(viewport={"width": 1280, "height": 800})
+        async with (
+            served(shown, RIG, request_burst=2_000) as (_, url),
+            tab(browser, url, "any") as first,
+        ):
+            context = first.page.context
             await context.add_init_script("localStorage.setItem('tour', 'closed')")
-            first = Visit(await context.new_page(), url, "any")
             await first.open("overview")
             await first.log_in()
             visits = {view: Visit(await context.new_page(), url) for view in VIEWS}

@@ -18,6 +18,10 @@ _ARGUMENTS = (
     "--disable-gpu-rasterization",
 )
 
+_VIOLATIONS = """() => axe.run({ resultTypes: ['violations'] }).then(({ violations }) =>
+    violations.map(({ impact, id, nodes: [{ html, failureSummary }] }) =>
+        [impact, id, html.slice(0, 200), failureSummary.slice(0, 300)]))"""
+
 
 @asynccontextmanager
 async def chromium():
@@ -32,6 +36,14 @@ async def chromium():
             yield browser
         finally:
             await browser.close()
+
+
+@asynccontextmanager
+async def tab(browser, url, password=None, size=(1280, 800), **given):
+    """A visit in a context of its own, which is closed at the end, also of a test that fails."""
+    viewport = dict(zip(("width", "height"), size, strict=True))
+    async with await browser.new_context(viewport=viewport, **given) as context:
+        yield Visit(await context.new_page(), url, password)
 
 
 class Visit:
@@ -91,9 +103,7 @@ def axe(cache):
 
 async def serious(visitor, script):
     """What axe finds serious or critical in the present view."""
-    found = await visitor.page.evaluate(script + "; axe.run()")
-    return [
-        (v["id"], v["nodes"][0]["html"][:200], v["nodes"][0]["failureSummary"][:300])
-        for v in found["violations"]
-        if v["impact"] in {"serious", "critical"}
-    ]
+    if not await visitor.page.evaluate("'axe' in window"):
+        await visitor.page.evaluate(script)
+    found = await visitor.page.evaluate(_VIOLATIONS)
+    return [tuple(one) for impact, *one in found if impact in {"serious", "critical"}]
