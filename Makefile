@@ -38,10 +38,11 @@ works: $(DEV)
 waits: $(DEV)
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or alone or $(PEERS))" $(call marked,waits)
 
-# Two files side by side: foreign programs start and wait for long. What draws is left alone.
+# Two files side by side: foreign programs start and wait for long. What draws comes last: two
+# browsers share the processor with nothing else.
 peers: $(DEV)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "($(PEERS)) and not (soak or chromium)"
-	$(BIN)/python -m pytest -m "chromium and not soak" $(call marked,chromium)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "chromium and not soak" $(call marked,chromium)
 
 # The guarded server alone: copied out of the tree with its tests, it must import and pass.
 hardened: $(DEV)
