@@ -84,6 +84,18 @@ def test_an_error_that_the_map_has_in_common_is_none():
     assert ratio(linear(), lambda course: course[-1] + 15.0) < 0.5 * STANDS
 
 
+def test_an_unsure_map_still_tells_whether_the_flow_changes_with_U():
+    """An error of the map is alike at values of U that are near: 8 % of travel tell."""
+    assert ratio(linear(std=0.3), sticks, steps=17, std=0.05) > STANDS
+
+
+def test_a_smooth_error_of_the_map_is_none():
+    def bent(course):
+        return course[-1] + 2.0 * math.sin(2.0 * math.pi * course[-1] / 80.0)
+
+    assert max(ratio(linear(std=0.3), bent, seed=k, steps=35) for k in range(20)) < 0.5 * STANDS
+
+
 def test_maps_that_differ_by_a_constant_each_second_are_none():
     assert max(ratio(linear(), follows, seed=k, refit=6) for k in range(50)) < 0.5 * STANDS
     assert ratio(linear(), sticks, refit=6) > STANDS

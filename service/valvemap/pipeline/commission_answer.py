@@ -8,11 +8,12 @@ and in whatever bunches the samples are delivered:
   constant;
 - the spool *stands*: the opening is a constant, within the meter's noise.
 
-Each opening is compared with the map as it was before it learnt that sample. The map's own standard
-deviation weighs its errors, so a map that is not known yet, or is flat, is no evidence. The
-constant takes up an error that a map has in common there: each fit has its own. How well maps
-predicted before the memory began widens their standard deviation, and tells the plays and lags
-apart: those that predicted worse must make up for it.
+Each opening is compared with the map as it was before it learnt that sample. A map's error is a
+smooth function of U: over little travel it is in common, and the steps from sample to sample are
+known better than the openings. It is a Gaussian process of the map's own standard deviation, and a
+constant besides, for each fit; the meter's noise is white. A map that is not known yet, or is flat,
+is so no evidence. How well maps predicted before the memory began widens all deviations, and tells
+the plays and lags apart: those that predicted worse must make up for it.
 """
 
 import math
@@ -29,7 +30,11 @@ PLAYS: Final = (0.0, 0.02, 0.04, 0.08, 0.12)  # shares of the range of U that a 
 LAGS_S: Final = (0.0, 0.05, 0.15)  # s; of the spool behind each play
 SPOOLS: Final = tuple(product(LAGS_S, PLAYS))
 TRAVEL: Final = 0.01  # share of the range of U between two remembered samples
-EVERY_NS: Final = 40_000_000  # ns; between them by the source's clock, else their errors are one
+EVERY_NS: Final = 40_000_000  # ns; between them by the source's clock
+ALIKE: Final = 0.2  # share of the range of U over which the errors of a map are alike
+ROUNDING: Final = 1e-12  # share of the largest variance that keeps a covariance regular
+TINY: Final = 1e-300
+CONSTANT: Final = 1e4  # standard deviation of a fit's constant, in those of the noise: any
 FORETOLD: Final = 0.1  # share of the range of U in a stretch by which a map is judged
 LEAST: Final = 3  # rows: a constant, and what tells whether it is one
 PROVEN: Final = 2  # stretches that a map must have foretold
@@ -44,8 +49,8 @@ class Expected:
     """What the map predicts on a regular grid: openings and standard deviations, l/min/√bar.
 
     ``U`` (n,) in %, ``s`` (m,) the square root of the pressure drop, √bar; ``opening`` and ``std``
-    (m, n). ``known`` (n,) says where U was seen; ``number`` is that of the fit; ``noise`` is the
-    part of ``std`` that is the meter's, l/min.
+    (m, n), of the map alone. ``known`` (n,) says where U was seen; ``number`` is that of the fit;
+    ``noise`` is the meter's standard deviation, l/min.
     """
 
     U: Floats
@@ -105,7 +110,7 @@ class Proof:
     """How well maps foretold what came next.
 
     ``errors`` are the RMS errors, in standard deviations, of the newest `PROVEN` stretches in which
-    U travelled, about each fit's mean and behind the likeliest spool; ``against`` as in `Row`.
+    U travelled, behind the likeliest spool; ``against`` as in `Row`.
     ``stretch`` are the rows of the one that has not ended.
     """
 
@@ -127,8 +132,7 @@ class Proof:
         free = len(stretch) - len({one.number for one in stretch})
         if max(U) - min(U) < FORETOLD * span or free < LEAST - 1:
             return replace(self, stretch=stretch)
-        error = _opening(stretch) - _of(stretch, "predicted")
-        z2 = _squares(error, _of(stretch, "std"), _fits(stretch))[:, -1].sum(axis=1) / free
+        z2 = _squares(stretch, span).sum(axis=1) / free
         found = np.array(self.against) + 0.5 * z2 / max(1.0, float(z2.min()))
         found = np.minimum(found - found.min(), SURPRISE)
         error_RMS = math.sqrt(float(z2[found.argmin()]))
@@ -140,7 +144,7 @@ class Answers:
     """Memory: `Row` by row, and how well maps foretold them.
 
     ``t`` is the time of the newest sample, ``kept`` that of the newest row, ns by the source's
-    clock; ``spools`` is U behind each of `SPOOLS` at the newest sample.
+    clock; ``spools`` is U behind each of `SPOOLS` at the newest sample; ``span`` the range of U, %.
     """
 
     rows: tuple[Row, ...] = ()
@@ -148,6 +152,7 @@ class Answers:
     kept: int = -(2**63)
     spools: tuple[float, ...] = ()
     proof: Proof = field(default_factory=Proof)
+    span: float = 100.0
 
     def after(
         self, t: int, U: float, opening: float, s: float, span: float, expected: Expected | None
@@ -165,7 +170,7 @@ class Answers:
             return replace(self, t=t, spools=spools)
         row = _row(opening, s, spools, expected, self.proof)
         rows = (*self.rows[1 - MOST :], row)
-        return Answers(rows, t, t, spools, self.proof.after(row, span))
+        return Answers(rows, t, t, spools, self.proof.after(row, span), span)
 
     def begun_anew(self) -> "Answers":
         """Return it without samples, after a pause; how well maps foretold is kept."""
@@ -189,13 +194,11 @@ def standing(answers: Answers) -> float:
     rows = tuple(row for row in answers.rows[::-1] if row.is_known)  # the newest first
     if len(rows) < LEAST:
         return 0.0
-    std, opening = _of(rows, "std"), _opening(rows)
     widened = np.array([row.wider for row in rows])[:, None] ** 2  # as it was when k rows began
-    off = _squares(opening - _of(rows, "predicted"), std, _fits(rows)) / widened
-    noise = np.array([[row.noise for row in rows]])
-    still = _squares(opening[:1], noise, np.zeros(len(rows), np.int64))
-    follows, stands = (np.minimum(0.5 * z2, CLIPPED).sum(axis=2) for z2 in (off, still))
-    ratio = (follows + _of(rows, "against")).min(axis=0) - stands[0]
+    off = np.tril(np.ones((len(rows), len(rows)))) * _squares(rows, answers.span)[:, None] / widened
+    follows = np.minimum(0.5 * off, CLIPPED).sum(axis=2)
+    stands = np.cumsum(np.minimum(0.5 * _squares_at_rest(rows), CLIPPED))
+    ratio = (follows + _of(rows, "against")).min(axis=0) - stands
     return max(float(ratio.max()), 0.0)
 
 
@@ -218,26 +221,34 @@ def _of(rows: tuple[Row, ...], name: str) -> Floats:
     return np.array([getattr(row, name) for row in rows]).T
 
 
-def _opening(rows: tuple[Row, ...]) -> Floats:
-    return np.tile([row.opening for row in rows], (len(SPOOLS), 1))
+def _squares(rows: tuple[Row, ...], span: float) -> Floats:
+    """Squares of what each row adds to those before it if the spool follows, (spools, N)."""
+    fits = np.array([row.number for row in rows])
+    U = np.array([row.U[0] for row in rows])
+    travel = np.cumsum(np.abs(np.diff(U, prepend=U[0]))) / (ALIKE * span)
+    alike = np.exp(-0.5 * (travel[:, None] - travel) ** 2)
+    std, of_fit = _of(rows, "std"), fits[:, None] == fits
+    common = std[:, :, None] * std[:, None, :] * alike
+    opening = np.array([row.opening for row in rows])
+    return _innovations(rows, opening - _of(rows, "predicted"), common * of_fit, of_fit)
 
 
-def _fits(rows: tuple[Row, ...]) -> NDArray[np.int64]:
-    return np.array([row.number for row in rows])
+def _squares_at_rest(rows: tuple[Row, ...]) -> Floats:
+    """Squares of what each row adds to those before it if the spool stands, (N,)."""
+    opening = np.array([[row.opening for row in rows]])
+    every = np.ones((len(rows), len(rows)), dtype=bool)
+    return np.asarray(_innovations(rows, opening, np.zeros((1, *every.shape)), every)[0])
 
 
-def _squares(x: Floats, std: Floats, fits: NDArray[np.int64]) -> Floats:
-    """Squares of the first k values about their mean of each fit, in their variance.
+def _innovations(
+    rows: tuple[Row, ...], x: Floats, common: Floats, of_fit: NDArray[np.bool_]
+) -> Floats:
+    """Squares of the innovations of x (k, N) about constants, in their variance.
 
-    Returns (spools, k, row); 0 for rows from k on.
+    ``common`` (k, N, N) is the covariance without constants and noise.
     """
-    N, weight = x.shape[1], std**-2.0
-    of_k = np.tri(N, dtype=bool)  # row < k
-    mean = np.zeros((len(x), N, N))
-    for fit in np.unique(fits):
-        own = fits == fit
-        total = np.cumsum(np.where(own, weight, 0.0), axis=1)
-        sums = np.cumsum(np.where(own, weight * x, 0.0), axis=1)
-        of_fit = np.divide(sums, total, out=np.zeros_like(sums), where=total > 0.0)
-        mean[:, :, own] = of_fit[:, :, None]
-    return np.asarray(np.where(of_k, weight[:, None, :] * (x[:, None, :] - mean) ** 2, 0.0))
+    noise = np.array([row.noise for row in rows])
+    constant = (CONSTANT * noise.max()) ** 2
+    least = ROUNDING * (common.max() + constant) + TINY
+    L = np.linalg.cholesky(common + constant * of_fit + np.diag(noise**2 + least))
+    return np.asarray(np.linalg.solve(L, x[:, :, None])[:, :, 0] ** 2)

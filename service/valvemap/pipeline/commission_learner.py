@@ -19,7 +19,7 @@ LEAST_DROP: Final = 2.0  # bar; smaller ones are not judged
 NEXT_DROP: Final = (
     60.0  # bar; by which Δp may leave the samples' range until the map is learnt again
 )
-FLOOR: Final = 0.005  # of the largest flow; error of map and meter that is always allowed
+FLOOR: Final = 0.005  # of the largest flow; error of the meter that is always allowed
 VISITS: Final = 3.0  # samples near a value of U that make a map there
 OVER: Final = 4  # samples; over which flows and p1 are averaged
 NEAR_MOST: Final = 0.97  # of the largest flow; above it p1 tells whether the supply is at its limit
@@ -53,8 +53,8 @@ class Learnt:
     """Result after N samples: the estimator's state, and the judged map.
 
     ``drops`` is the range of Δp that was seen, bar; ``supply`` what the pump gave; ``T`` the newest
-    temperature, °C; ``noise2`` the mean square of what the map left of Q, robustly, (l/min)²;
-    ``scatter2`` the meter's own, from successive samples;
+    temperature, °C; ``scatter2`` the mean square of the meter's noise, from successive samples,
+    (l/min)²;
     ``visited`` the number of samples near each of `POINTS_U` values of U, (POINTS_U,).
     """
 
@@ -63,7 +63,6 @@ class Learnt:
     drops: Range = (np.inf, -np.inf)
     T: float = np.nan
     supply: Supply = field(default_factory=Supply)
-    noise2: float = 0.0
     scatter2: float = 0.0
     visited: Floats = field(default_factory=lambda: np.zeros(POINTS_U))
     expected: Expected | None = None
@@ -88,7 +87,6 @@ def learn(
         drops,
         float(T[-1]) if len(T) else before.T,
         before.supply.after(good),
-        _averaged_in(before, before.noise2, _left2(estimator, state, good), len(good)),
         _averaged_in(before, before.scatter2, _scatter2(good.Q), len(good)),
         before.visited + _visits(settings.limits.U_range, good.U),
     )
@@ -111,23 +109,15 @@ def expected(estimator: Estimator[Any], U_range: Range, learnt: Learnt) -> Expec
     at = np.tile(U, POINTS_S), np.repeat(s**2, POINTS_U)
     Q, std = estimator.predict(learnt.state, *at, np.full(at[0].shape, learnt.T))
     Q, std = Q.reshape(POINTS_S, POINTS_U), std.reshape(POINTS_S, POINTS_U)
-    floor = (FLOOR * learnt.supply.most) ** 2
-    whole = np.sqrt(std**2 + max(learnt.noise2, floor))
-    meter = math.sqrt(max(learnt.scatter2, floor))
+    meter = max(math.sqrt(learnt.scatter2), FLOOR * learnt.supply.most)
     known = learnt.visited >= VISITS  # beyond the samples, a map may be too sure
-    return Expected(U, s, Q / s[:, None], whole / s[:, None], known, learnt.number, meter)
+    return Expected(U, s, Q / s[:, None], std / s[:, None], known, learnt.number, meter)
 
 
 def _visits(U_range: Range, U: Floats) -> Floats:
     place = (U - U_range[0]) / (U_range[1] - U_range[0]) * (POINTS_U - 1)
     near = np.clip(np.rint(place), 0, POINTS_U - 1).astype(np.int64)
     return np.bincount(near, minlength=POINTS_U).astype(np.float64)
-
-
-def _left2(estimator: Estimator[Any], state: Any, good: Samples) -> float:  # noqa: ANN401
-    """Mean square of what a map leaves of Q, by its median, (l/min)²."""
-    Q, _ = estimator.predict(state, good.U, good.dp, good.T)
-    return (1.4826 * float(np.median(np.abs(good.Q - Q)))) ** 2
 
 
 def _scatter2(Q: Floats) -> float:
