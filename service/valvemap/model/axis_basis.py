@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from valvemap.model.kernels import axis_rows as kernel
+from valvemap.model.kernels.axis_edges import ROOT
+from valvemap.model.kernels.axis_oil import KELVIN, WALTHER_SHIFT, thinness
 from valvemap.model.kernels.flow_basis import axis as spline_axis
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES
@@ -24,7 +26,7 @@ def leakage_share(T: float) -> float:
     >>> round(leakage_share(60.0), 2), leakage_share(math.nan)
     (2.23, 1.0)
     """
-    share = float(kernel.thinness(T, *WALTHER))
+    share = float(thinness(T, *WALTHER))
     return share if math.isfinite(share) else 1.0
 
 
@@ -46,7 +48,7 @@ def edge_regressors(U: ArrayLike, dp: ArrayLike) -> Floats:
     for b in range(3):
         values = np.sum(SPLINE.table[low, b] * powers, axis=-1) * s
         np.put_along_axis(X, (low + b)[..., None], values[..., None], axis=-1)
-    X[..., KNOTS - 1] = 0.01 * y * s * (np.abs(s) / kernel.ROOT - 1.0)
+    X[..., KNOTS - 1] = 0.01 * y * s * (np.abs(s) / ROOT - 1.0)
     return X
 
 
@@ -59,8 +61,8 @@ def moved_edge(gain: float, shift: float) -> Floats:
     True
     """
     y = np.arange(0.0, 100.5, 0.5)
-    plain = edge_regressors(y, kernel.ROOT**2)[:, :-1]  # there, s is 10 and the departure 0
-    shifted = edge_regressors(np.maximum(y - shift * (1.0 - y / 100.0), 0.0), kernel.ROOT**2)
+    plain = edge_regressors(y, ROOT**2)[:, :-1]  # there, s is 10 and the departure 0
+    shifted = edge_regressors(np.maximum(y - shift * (1.0 - y / 100.0), 0.0), ROOT**2)
     M = np.eye(KNOTS)
     if shift != 0.0:
         M[:-1, :-1] = np.linalg.lstsq(plain, shifted[:, :-1], rcond=None)[0]
@@ -69,8 +71,8 @@ def moved_edge(gain: float, shift: float) -> Floats:
 
 def _walther(nu_40: float, nu_100: float) -> tuple[float, float]:
     """Return a and b of lg lg(ν + 0.7) = a - b·lg(T in K) from two viscosities, mm²/s."""
-    at_40, at_100 = (math.log10(math.log10(nu + kernel.WALTHER_SHIFT)) for nu in (nu_40, nu_100))
-    lg_40, lg_100 = (math.log10(T + kernel.KELVIN) for T in (40.0, 100.0))
+    at_40, at_100 = (math.log10(math.log10(nu + WALTHER_SHIFT)) for nu in (nu_40, nu_100))
+    lg_40, lg_100 = (math.log10(T + KELVIN) for T in (40.0, 100.0))
     b = (at_40 - at_100) / (lg_100 - lg_40)
     return at_40 + b * lg_40, b
 

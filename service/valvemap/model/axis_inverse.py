@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from valvemap.model.axis import AxisGeometry
 from valvemap.model.axis_fit import AxisFit
-from valvemap.model.kernels.axis_rows import ROOT
+from valvemap.model.kernels.axis_edges import ROOT
 from valvemap.model.samples import Codes, Flags, Floats
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import InverseStatus

@@ -17,6 +17,7 @@ from valvemap.model.axis import AxisRegression, AxisSamples
 from valvemap.model.axis_basis import COMMON, columns, edge_regressors
 from valvemap.model.axis_fit import compared
 from valvemap.model.kernels import axis_rows as kernel
+from valvemap.model.kernels.axis_spool import limited
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES
 
@@ -115,10 +116,8 @@ def _smoothed(name: str) -> _Variant:
 
 def _slewed(period_s: float) -> _Variant:
     def variant(samples: AxisSamples, slew: float) -> AxisSamples:
-        most, U = slew * period_s, samples.U.copy()
-        for k in range(1, len(U)):
-            if abs(U[k] - U[k - 1]) > most:
-                U[k] = U[k - 1] + math.copysign(most, U[k] - U[k - 1])
+        U = np.empty_like(samples.U)
+        limited(samples.U, slew * period_s, U)
         return replace(samples, U=U)
 
     return variant

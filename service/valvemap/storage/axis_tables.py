@@ -10,7 +10,8 @@ import numpy as np
 from valvemap.errors import ConfigurationError
 from valvemap.model.axis_basis import WALTHER
 from valvemap.model.axis_inverse import HALVES, AxisTable
-from valvemap.model.kernels.axis_rows import KELVIN, ROOT, WALTHER_SHIFT
+from valvemap.model.kernels.axis_edges import ROOT
+from valvemap.model.kernels.axis_oil import KELVIN, WALTHER_SHIFT
 from valvemap.owned_files import write_whole
 from valvemap.storage.lookup_tables import FINITE, STATUSES, c_numbers, in_a_comment, literal
 from valvemap.vocabulary.edges import EDGES

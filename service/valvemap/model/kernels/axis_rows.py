@@ -21,6 +21,9 @@ from valvemap.model.kernels import axis_drift as moves
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.axis_drift import Moving
+from valvemap.model.kernels.axis_edges import add_edge
+from valvemap.model.kernels.axis_oil import thinness
+from valvemap.model.kernels.axis_spool import held
 from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Codes, Floats, Times
 
@@ -31,7 +34,6 @@ ATMOSPHERE_BAR: Final = 1.013
 PER_COMPLIANCE: Final = 1e-4  # 1/bar; unit of the coefficient 1/β: 1 is 1 GPa
 PER_LEAKAGE: Final = 1e-2  # l/min/bar; unit of the coefficient c
 PER_AIR: Final = 1e-2  # unit of the coefficient of the free air: 1 %
-ROOT: Final = 10.0  # √bar; where the departure from √Δp changes its sign
 
 USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
 
@@ -41,80 +43,7 @@ MEMORY: Final = (
     *("known", "settling", "withheld", "thinness", "upper", "v"),
 )
 PLAY_KNOWN: Final = 0.1  # %; up to this the place in the play is known
-KELVIN: Final = 273.15
-WALTHER_SHIFT: Final = 0.7  # mm²/s, as of ASTM D341
 _RENEWED: Final = 100  # rows; forgetting is applied at every hundredth one
-
-
-@inner
-def _held(memory: float, U: float, half: float) -> float:
-    return min(max(memory, U - half), U + half)
-
-
-@inner
-def _root(drop: float) -> float:
-    return math.copysign(math.sqrt(abs(drop)), drop)
-
-
-@kernel
-def thinness(T: float, a: float, b: float) -> float:
-    """Return the viscosity at 40 °C over that at T (°C), by Walther's equation; NaN without T."""
-    if not -50.0 < T < 200.0:
-        return math.nan
-    at_40: float = 10.0 ** (10.0 ** (a - b * math.log10(40.0 + KELVIN))) - WALTHER_SHIFT
-    at_T: float = 10.0 ** (10.0 ** (a - b * math.log10(T + KELVIN))) - WALTHER_SHIFT
-    return at_40 / at_T
-
-
-@inner
-def _interval(breaks: Floats, u: float) -> int:
-    low, high = 0, len(breaks) - 2
-    while low < high:
-        middle = (low + high + 1) // 2
-        if u >= breaks[middle]:
-            low = middle
-        else:
-            high = middle - 1
-    return low
-
-
-@inner
-def _basis(table: Floats, breaks: Floats, u: float, scale: float, row: Floats, at: int) -> None:
-    """Add the three spline functions at u, times ``scale``, to a row from ``at`` on."""
-    low = _interval(breaks, u)
-    y = u - breaks[low]
-    for b in range(3):
-        row[at + low + b] += scale * (
-            table[low, b, 0] + y * (table[low, b, 1] + y * table[low, b, 2])
-        )
-
-
-@inner
-def _edge(
-    table: Floats, breaks: Floats, y: float, drop: float, sign: float, moved: Floats,
-    theta: Floats, row: Floats, at: int, by_shift: int,
-) -> None:  # fmt: skip
-    """Add an edge's regressors at its own spool position y ≥ 0 (%) and drop (bar).
-
-    ``moved`` has gain and shift of the edge; the flow's derivative by the shift is added at
-    ``by_shift``.
-    """
-    s, y = _root(drop), min(y, 100.0)
-    scale, rest = sign * (1.0 + moved[0]), 1.0 - 0.01 * y
-    u = max(y - moved[1] * rest, 0.0)
-    _basis(table, breaks, u, scale * s, row, at)
-    row[at + len(breaks) + 1] += scale * 0.01 * u * s * (abs(s) / ROOT - 1.0)
-    row[by_shift] -= scale * s * rest * _rise(table, breaks, u, theta, at)
-
-
-@inner
-def _rise(table: Floats, breaks: Floats, u: float, theta: Floats, at: int) -> float:
-    """Slope of the spline at u."""
-    low = _interval(breaks, u)
-    y, rise = u - breaks[low], 0.0
-    for b in range(3):
-        rise += theta[at + low + b] * (table[low, b, 1] + 2.0 * y * table[low, b, 2])
-    return rise
 
 
 @inner
@@ -246,8 +175,8 @@ def axis_rows(
         rows[:] = 0.0
         if reason == USED:
             pA, pB, pS, pT = memory[5], memory[6], memory[7], memory[8]
-            memory[0] = _held(memory[0], memory[3], half)
-            memory[13] = _held(memory[13], memory[3], half)
+            memory[0] = held(memory[0], memory[3], half)
+            memory[13] = held(memory[13], memory[3], half)
             if memory[13] - memory[0] > PLAY_KNOWN:
                 memory[10] = settings[13]  # U has not yet shown where in its play the spool is
             if changes_per_s > 0.0:
@@ -265,14 +194,14 @@ def axis_rows(
                 s, d = pS + w * (now[4] - pS), pT + w * (now[5] - pT)
                 share_of, of_A, of_B = 1.0 / PARTS, rows[0], rows[1]
                 if y > 0.0:
-                    _edge(table, breaks, y, s - a, share_of, moved[0], theta, of_A, 0, n + 1)
+                    add_edge(table, breaks, y, s - a, share_of, moved[0], theta, of_A, 0, n + 1)
                     at = 3 * knots
-                    _edge(table, breaks, y, c - d, -share_of, moved[3], theta, of_B, at, n + 2)
+                    add_edge(table, breaks, y, c - d, -share_of, moved[3], theta, of_B, at, n + 2)
                 else:
                     at = knots
-                    _edge(table, breaks, -y, a - d, -share_of, moved[1], theta, of_A, at, n + 2)
+                    add_edge(table, breaks, -y, a - d, -share_of, moved[1], theta, of_A, at, n + 2)
                     at = 2 * knots
-                    _edge(table, breaks, -y, s - c, share_of, moved[2], theta, of_B, at, n + 1)
+                    add_edge(table, breaks, -y, s - c, share_of, moved[2], theta, of_B, at, n + 1)
             if memory[10] > 0.0:
                 memory[10] -= 1.0
                 reason = GAP
