@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import axis_unlike
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.axis_search import identify
-from valvemap.model.axis_signal_check import inconsistency
+from valvemap.model.axis_signal_check import NAMELESS, inconsistency
 from valvemap.vocabulary.statuses import AxisStatus
 from valvemap_rig.directional import DirectionalValve
 from valvemap_rig.machine import Controller, Machine
@@ -61,6 +62,24 @@ def test_a_wrong_zero_is_named(samples):
 def test_a_noisy_pressure_is_named_and_a_quiet_one_is_not(samples, name):
     assert inconsistency(KNOWN, noisy(samples, name, 4.0), 4.0).words == f"{name} noisy"
     assert inconsistency(KNOWN, noisy(samples, name, 0.1), 4.0) is None
+
+
+def test_two_wrong_signals_are_both_named(samples):
+    both = late(replace(samples, pA=samples.pA + 6.0), "x", 6)
+    found = inconsistency(KNOWN, both, 10.0)
+    assert found.words == "position or speed 60 ms too late, pA 6 bar too high"
+
+
+def test_a_valve_in_a_line_has_the_name_of_no_signal(monkeypatch):
+    monkeypatch.setattr(axis_unlike, "SECONDS", 70.0)
+    plant = axis_unlike.plants(704)["counterbalance valve, pB before it"]
+    shown, valve = axis_unlike.played(plant, 704), plant.axis.valve
+    t = np.arange(len(shown["U"])) * 10_000_000
+    samples = AxisSamples.of(t, **{name: shown[name] for name in axis_unlike.SIGNALS})
+    spool = {"play_percent": valve.play_percent, "spool_hz": valve.natural_frequency_hz}
+    found = inconsistency(AxisRegression(GEOMETRY, **spool), samples, 7.0)
+    assert found.words == NAMELESS
+    assert found.is_large
 
 
 @pytest.mark.parametrize("slew", [110.0, 150.0])

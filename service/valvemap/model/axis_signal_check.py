@@ -1,9 +1,10 @@
 """Whether one signal of an axis does not fit the others: what a better one would leave. Pure.
 
 Each signal is tried a little later or earlier, with another zero, or smoothed, U with a limited
-speed of the spool. Where the samples
-are much likelier so, the signal is inconsistent: the coefficients' difference is part of their
-uncertainty, and if it is large the answer must not be used.
+speed of the spool. Where the samples are much likelier so, the signal is inconsistent: the
+coefficients' difference is part of their uncertainty, and if it is large the answer must not be
+used. If samples stay inconsistent with three signals mended, the axis is not as assumed, and no
+signal is named.
 """
 
 import math
@@ -27,6 +28,9 @@ SMOOTHED: Final = 5  # samples whose mean stands for one
 MOST: Final = 8  # steps
 SLEWS: Final = tuple(float(round(2000.0 * 0.8**k, -1)) for k in range(16))  # %/s; of a spool
 SIGNIFICANT: Final = 30.0  # twice the log likelihood ratio that makes a signal inconsistent
+MOST_WRONG: Final = 3  # signals that are named at once
+UNEXPLAINED: Final = 0.1  # of the first gain; what others would add to it where they explain it not
+NAMELESS: Final = "several signals, or something in a line, as another valve: no name explains it"
 MOST_COMPLIANCE, MOST_FLOW = 0.1, 0.02  # shares of 1/β and flow, by which an answer may be off
 PRESSURES: Final = ("pA", "pB", "pS", "pT")
 
@@ -51,29 +55,64 @@ def inconsistency(
 ) -> Inconsistency | None:
     """Return the likeliest inconsistency, or None: no signal would fit better.
 
+    Signals are mended one after the other until nothing else would fit better: these are named. If
+    that does not end, or one comes again, none is.
+
     ``together`` is the number of rows that count as one.
     """
+    found = _likeliest(regression, samples, together)
+    if found is None:
+        return None
+    wrong, rest = [found], _likeliest(regression, found.mended, together)
+    while rest and len(wrong) < MOST_WRONG and all(rest.kind != one.kind for one in wrong):
+        wrong.append(rest)
+        rest = _likeliest(regression, rest.mended, together)
+    is_small = rest is None or rest.gain < UNEXPLAINED * found.gain
+    is_more = rest is not None and rest.kind == wrong[-1].kind  # of the same
+    words = ", ".join(one.words for one in wrong) if is_small or is_more else NAMELESS
+    change = np.sum([one.change for one in wrong], axis=0)
+    return Inconsistency(words, change, found.gain, _is_large(found.theta, change))
+
+
+@dataclass(frozen=True)
+class _Likeliest:
+    """The variant that fits best: coefficients without it, and what it changes, (n,) each.
+
+    ``kind`` are its words without the size.
+    """
+
+    kind: str
+    words: str
+    theta: Floats
+    change: Floats
+    gain: float
+    mended: AxisSamples
+
+
+def _likeliest(
+    regression: AxisRegression, samples: AxisSamples, together: float
+) -> _Likeliest | None:
+    """Return the variant that fits best, or None: none is significantly better."""
 
     def fitted(tried: AxisSamples) -> tuple[Floats, float, float]:
         state, _ = regression.update(regression.initial_state(), tried)
         return (*compared(state), 2.0 * float(state.squares[2]) / together)
 
     theta, rms, rows = fitted(samples)
-    best: tuple[float, str, Floats] | None = None
+    best: _Likeliest | None = None
     for words, sizes, variant in _variants(regression.period_s):
-        least, last, changed = rms, math.nan, theta
+        least, last, changed, mended = rms, math.nan, theta, samples
         for size in sizes:
-            other, left, _ = fitted(variant(samples, size))
+            tried = variant(samples, size)
+            other, left, _ = fitted(tried)
             if 2.0 * rows * math.log(max(left, 1e-9) / max(least, 1e-9)) > SIGNIFICANT:
                 break
             if left < least:
-                least, last, changed = left, size, other
+                least, last, changed, mended = left, size, other, tried
         gain = 2.0 * rows * math.log(rms / max(least, 1e-9))
-        if gain > max(SIGNIFICANT, best[0] if best else 0.0):
-            best = gain, words.format(last), changed - theta
-    if best is None:
-        return None
-    return Inconsistency(best[1], best[2], best[0], _is_large(theta, best[2]))
+        if gain > max(SIGNIFICANT, best.gain if best else 0.0):
+            best = _Likeliest(words, words.format(last), theta, changed - theta, gain, mended)
+    return best
 
 
 def _variants(period_s: float) -> Iterator[tuple[str, tuple[float, ...], _Variant]]:
