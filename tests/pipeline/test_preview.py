@@ -106,7 +106,7 @@ def test_the_types_of_public_parts_let_callers_read_and_no_more():
     assert types == READ_OF_PARTS
     identification = valves()
     public = {name for name in vars(identification) if not name.startswith("_")}
-    assert public == {*READ_OF_PARTS, "journal", "plans"}
+    assert public == {*READ_OF_PARTS, "journal", "changes", "plans"}
 
 
 def test_an_estimator_that_waits_has_no_result_while_the_others_run():

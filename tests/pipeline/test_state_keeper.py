@@ -1,6 +1,7 @@
 """States on disk, whatever the disk refuses: after a crash no sample is lost and no bit differs."""
 
 import asyncio
+import math
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from support.plant import plant
 from valvemap.clock import ManualClock
-from valvemap.errors import StorageError
+from valvemap.errors import StateFileLost, StorageError
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
@@ -183,3 +184,36 @@ async def test_valves_whose_samples_meet_are_saved_in_one_turn():
         saved.append({valve for valve, _ in disk.kept})
     turns = [turn for turn in saved if turn]
     assert turns[:4] == [{"V0"}, {"V1", "V3"}, {"V2"}, {"V.LineA", "V.PA", "V.AT"}]
+
+
+async def test_what_has_not_changed_is_packed_once_and_again_for_a_new_file():
+    known, source, clock = valves(), Source(), ManualClock()
+    disk = Disk([True, True, True, False, True, True])
+    keeper = StateKeeper(KeptValves(known), source, disk, clock, interval_s=1.0)
+    packed = []
+    for turn in range(6):
+        disk.kept.clear()
+        if turn in (0, 2, 3):
+            known.take(stream()[: SIGNALS * VALVES * (turn + 1)])
+        keeper.mark = turn + 1
+        clock.advance(1.0)
+        keeper.keep_in_turn(clock.monotonic())
+        await keeper.settle()
+        packed.append(len({valve for valve, _ in disk.kept} - {POSITION[0]}))
+        assert keeper.kept_at == clock.monotonic() or turn == 3
+    assert packed == [VALVES, 0, VALVES, 0, VALVES, 0]  # the fourth was refused
+    assert source.committed == 6
+    keeper._begin_again(StateFileLost("removed"))
+    disk.kept.clear()
+    keeper.keep_in_turn(clock.monotonic())
+    await keeper.settle()
+    assert len({valve for valve, _ in disk.kept} - {POSITION[0]}) == VALVES
+
+
+async def test_an_alarm_judged_by_publishing_is_a_change():
+    known = valves()
+    before = known.version
+    known.watch_service(1, 0.0, math.nan, 0.0)
+    assert known.version == before
+    list(known.results.of(range(VALVES)))
+    assert known.version != before

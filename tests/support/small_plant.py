@@ -129,7 +129,8 @@ class FakeStore:
         self.aside += aside
 
     def save(self, checkpoints):
-        self.kept = list(checkpoints)
+        rows = {(one.valve, one.estimator): one for one in (*self.kept, *checkpoints)}
+        self.kept = list(rows.values())
 
     def load(self):
         return self.kept

@@ -36,7 +36,7 @@ class AxisStates:
         arrivals: Arrivals,
         fail: Callable[[int, Exception], None] = lambda _number, _error: None,
     ) -> None:
-        self._axes, self._fail = axes, fail
+        self._axes, self._fail, self._changes = axes, fail, 0
         self._numbers = {axis.plan.name: number for number, axis in enumerate(axes)}
         self._memories = AxisMemories(arrivals, {k: axis.key for k, axis in enumerate(axes)})
 
@@ -44,6 +44,15 @@ class AxisStates:
     def units(self) -> list[list[int]]:
         """Single axes."""
         return [[number] for number in range(len(self._axes))]
+
+    @property
+    def version(self) -> tuple[int, ...]:
+        """Number of the changes noted."""
+        return (self._changes,)
+
+    def note_change(self) -> None:
+        """Note that a state may have changed."""
+        self._changes += 1
 
     def kept(self, numbers: Sequence[int]) -> list[Checkpoint]:
         """Return all states of these axes; each axis is packed at once."""

@@ -41,15 +41,16 @@ class CallJournal:
 
 
 class Journaled(Protocol):
-    """Owner of a journal; None: its calls are not noted."""
+    """Owner of a journal, None: its calls are not noted; ``changes``: number of counted calls."""
 
     journal: CallJournal | None
+    changes: int
 
 
 J = TypeVar("J", bound=Journaled)
 
 
-def changes_state(method: Callable[Concatenate[J, P], R]) -> Callable[Concatenate[J, P], R]:
+def noted_call(method: Callable[Concatenate[J, P], R]) -> Callable[Concatenate[J, P], R]:
     """Note each call of a method in its object's journal, if there is one."""
 
     @wraps(method)
@@ -59,3 +60,15 @@ def changes_state(method: Callable[Concatenate[J, P], R]) -> Callable[Concatenat
         return method(self, *args, **kws)
 
     return noted
+
+
+def changes_state(method: Callable[Concatenate[J, P], R]) -> Callable[Concatenate[J, P], R]:
+    """As `noted_call`, and count the call: kept states may differ from now on."""
+    noted = noted_call(method)
+
+    @wraps(method)
+    def counted(self: J, /, *args: P.args, **kws: P.kwargs) -> R:
+        self.changes += 1
+        return noted(self, *args, **kws)
+
+    return counted

@@ -74,6 +74,8 @@ class Fleet:
     ----------
     places : Places
         Errors at places that a valve visits again, and the ranking of its estimators by them.
+    changes : int
+        How often alarms were judged or a lane was stopped: publishing does so, too.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class Fleet:
         self._laggard = next((n for n in names if isinstance(plan.estimators[n], FindsLags)), None)
         self._finders = [n for n, one in plan.estimators.items() if isinstance(one, FindsCauses)]
         self._misfit_due = np.zeros(M, np.int64)
+        self.changes = 0
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
         """Gate samples and update the estimators; return the gated samples and the traces.
@@ -281,6 +284,7 @@ class Fleet:
         lanes = self._lanes.values() if name is None else [self._lanes[name]]
         if all(one.failed[m] for one in lanes):
             return
+        self.changes += 1
         for one in lanes:
             one.fail(m)
         failure = LaneFailure(self._names[m], name, step, error)
@@ -302,6 +306,7 @@ class Fleet:
 
     def watch(self, chosen: Times, do: Callable[[Rows], None]) -> None:
         """Judge the alarms of the given valves (K,); ``do`` is called with rows of the K."""
+        self.changes += 1
         running = np.flatnonzero(~self.stopped()[chosen])
         stop = partial(self.stop, None, Step.ALARMS)
         isolate(chosen[running], lambda rows: do(running[rows]), self._alarms_saved, stop)

@@ -23,7 +23,7 @@ from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
-from valvemap.pipeline.call_journal import Call, CallJournal, changes_state
+from valvemap.pipeline.call_journal import Call, CallJournal, changes_state, noted_call
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.demand_leads import DemandLeads
 from valvemap.pipeline.dynamics_reference import DynamicsReferences, Outcome
@@ -115,6 +115,7 @@ class Identification:
         waits: Collection[str] | None = None,
     ) -> None:
         self.journal = None if waits is None else CallJournal()
+        self.changes = 0
         self._arrivals = self.arrivals = arrivals = Arrivals(
             [plan.name for plan in plans], alignment, timing
         )
@@ -144,6 +145,12 @@ class Identification:
             Subject.ALARM: alarms,
         }
         self.plans = valves.plans
+
+    @property
+    def version(self) -> tuple[int, ...]:
+        """Equal as long as no state that `states` packs has changed."""
+        of_fleets = sum(fleet.changes for fleet in self._valves.fleets)
+        return self.changes, of_fleets, self._alarms.of_service.version
 
     def repeat(self, calls: Sequence[Call]) -> None:
         """Repeat the calls of a preview. A rejected command is rejected again."""
@@ -295,7 +302,7 @@ class Identification:
         """Note that these valves are silent until ``now``; return those with a new alarm."""
         return self._alarms.say_overdue(valves, now)
 
-    @changes_state
+    @noted_call
     def watch_service(
         self,
         now: int,

@@ -21,6 +21,10 @@ class KeptTogether(Protocol):
     def is_preview(self) -> bool:
         """Whether estimators wait: states saved now, and the position, would lose their samples."""
 
+    @property
+    def version(self) -> tuple[int, ...]:
+        """Equal as long as all states are; a state that is saved in this version is not again."""
+
     def kept(self, numbers: Sequence[int]) -> list[Checkpoint]:
         """Return all states of these owners."""
 
@@ -64,6 +68,11 @@ class KeptValves:
     def is_preview(self) -> bool:
         """Whether estimators wait for their kernels."""
         return self._identification.journal is not None
+
+    @property
+    def version(self) -> tuple[int, ...]:
+        """That of the identification."""
+        return self._identification.version
 
     def kept(self, numbers: Sequence[int]) -> list[Checkpoint]:
         """Return all states of these valves."""

@@ -228,6 +228,7 @@ class LiveAxes:
         return np.arange(len(self._connected)) if valves is None else valves
 
     def _use(self, samples: ByValve) -> None:
+        self._states.note_change()
         for row, error in self._arrivals.new_failures():
             log_left_out(self._arrivals.names[row], error)
         self._held.heard(samples.segments.members)
@@ -302,6 +303,7 @@ class LiveAxes:
             self._keep(pieces_of(axis.plan.name, results, with_map=with_map))
 
     def _results(self, number: int, now: float) -> AxisResults:
+        self._states.note_change()  # alarms are judged
         is_armed, status = self.led.shown(number)
         found = replace(self.axes[number].results(), is_armed=is_armed, feed_forward=status)
         if number in self._failed:

@@ -25,7 +25,8 @@ class StateKeeper:
     """Packs states a few valves, or axes, at a time and saves them in a thread.
 
     Valves whose samples meet, as behind one meter, are a unit: they are packed and saved together,
-    so that a restart continues with all of them at the same sample.
+    so that a restart continues with all of them at the same sample. A unit is not packed again
+    while nothing has changed since its last save; the save itself then only checks the file.
 
     Implements `KeptElsewhere`: of two keepers, the other's counters and age are shown with one's.
 
@@ -69,6 +70,7 @@ class StateKeeper:
         self._store = store
         self._clock = clock
         self._units = states.units
+        self._saved: dict[int, tuple[int, ...]] = {}  # by a unit's first number: its version
         self._valves = sum(map(len, self._units))
         self._interval_s = min(interval_s, max(1.0, self._valves / KEPT_PER_S))
         self._began, self._turns = clock.monotonic(), 0  # turns completed, saved or refused
@@ -164,8 +166,10 @@ class StateKeeper:
 
     async def _keep(self, units: Sequence[Sequence[int]], mark: Any) -> None:  # noqa: ANN401
         """Save these units; a refused save is counted and logged, and delays no batch."""
+        version = self._states.version
+        changed = [unit for unit in units if self._saved.get(unit[0]) != version]
         try:
-            states = [*await self._packed(units), *position_of(self._source, mark, self._clock)]
+            states = [*await self._packed(changed), *position_of(self._source, mark, self._clock)]
             began = self._clock.monotonic()
             await asyncio.to_thread(self._store.save, states)
         except StateFileLost as error:
@@ -175,6 +179,7 @@ class StateKeeper:
             self.failures += 1
             log.warning("checkpoint not kept", reason=str(error))
             return
+        self._saved |= {unit[0]: version for unit in changed}
         self.kept_at = self._clock.monotonic()
         self._saving_s = self.kept_at - began
         self._next = (self._next + len(units)) % len(self._units)
@@ -186,6 +191,7 @@ class StateKeeper:
         """Begin a new round: the new file has no state, and no mark may be ahead of one."""
         self.failures += 1
         self._file_lost = True
+        self._saved.clear()
         self._left_in_round = 0
         self._turns -= self._valves  # all are due
         log.error("state file lost", reason=str(error))
