@@ -53,7 +53,7 @@ class StateFile:
     def lose_power(self):
         self.committed = self.durable
 
-    def load(self):
+    def load(self, _together=()):
         return list(self.committed.values())
 
 

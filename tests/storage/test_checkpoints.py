@@ -257,6 +257,21 @@ def test_a_flipped_bit_costs_at_most_one_generation_and_is_never_believed(path, 
     assert fresh <= 3  # of 60: where the file's own order was hit
 
 
+def test_valves_whose_samples_meet_are_loaded_from_one_save_if_one_is_damaged(path):
+    """A line that is older than its edge sends samples that the edge takes for a clock's step."""
+    with CheckpointFile(path) as store:
+        for t in (1, 2):
+            store.save([checkpoint(valve, t=t) for valve in ("Line", "Edge", "Other")])
+            store.save([checkpoint("Edge", "RML", t=t)])
+        store._connection.execute(
+            "UPDATE checkpoint SET state = ? WHERE valve = 'Line' AND t = 2", (b"spoilt",)
+        )
+        apart = {(one.valve, one.estimator): one.t for one in store.load()}
+        met = {one.valve: one.t for one in store.load([["Line", "Edge"], ["Other"]])}
+    assert {name for name, t in apart.items() if t == 1} == {("Line", "RLS")}
+    assert met == {"Edge": 1, "Line": 1, "Other": 2}
+
+
 def test_with_any_byte_of_the_header_spoilt_it_starts(path):
     with CheckpointFile(path) as store:
         store.save([checkpoint(valve=f"V{n}", state=bytes(3000)) for n in range(4)])

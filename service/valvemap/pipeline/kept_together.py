@@ -65,6 +65,12 @@ class KeptValves:
         return list(found.values())
 
     @property
+    def together(self) -> list[list[str]]:
+        """The names of the valves of each unit."""
+        plans = self._identification.plans
+        return [[plans[number].name for number in unit] for unit in self.units]
+
+    @property
     def is_preview(self) -> bool:
         """Whether estimators wait for their kernels."""
         return self._identification.journal is not None

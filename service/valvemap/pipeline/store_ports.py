@@ -36,8 +36,12 @@ class CheckpointStore(Protocol):
             naming the file (disk full, read-only, locked).
         """
 
-    def load(self) -> Sequence["Checkpoint"]:
-        """Return the newest checkpoint of each (valve, estimator)."""
+    def load(self, together: Sequence[Sequence[str]] = ()) -> Sequence["Checkpoint"]:
+        """Return the newest checkpoint of each (valve, estimator).
+
+        ``together`` are names of valves whose samples meet: if a state of one is damaged, those of
+        the others are from the same earlier save.
+        """
 
     def put_aside(
         self,

@@ -169,7 +169,8 @@ class LiveService:
 
         ``known``, if not empty, replaces the stored checkpoints.
         """
-        kept, lost_place = resume_source(self._source, known or self._store.load())
+        stored = known or self._store.load(self._states.together)
+        kept, lost_place = resume_source(self._source, stored)
         refused = {**restore(self._states, self._store, kept), **lost_place}
         self.identification.was_away()
         self.health.states_refused = len({*refused, *self._store.damaged})

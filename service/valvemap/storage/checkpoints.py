@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock
@@ -175,10 +175,11 @@ class CheckpointFile(Closing):
         with self._lock, naming(self.path), transaction(self._connection):
             self._connection.executemany(rows_of.DELETE_ASIDE, [(n,) for n in numbers])
 
-    def load(self) -> list[Checkpoint]:
+    def load(self, together: Sequence[Sequence[str]] = ()) -> list[Checkpoint]:
         """Return the newest valid checkpoint of each (valve, estimator), in order of the names.
 
-        If one of a valve is damaged, the valve's other checkpoints are from the same earlier save.
+        If one of a valve is damaged, the valve's other checkpoints are from the same earlier save,
+        and so are those of the valves that are named ``together`` with it.
         """
         with self._lock, naming(self.path):
             rows = self._rows()
@@ -191,14 +192,7 @@ class CheckpointFile(Closing):
         )
         if self._log_was_torn:
             self.damaged.append(LOG)
-        hurt = {split_id(name)[0] for name in self.damaged}
-        until = {
-            valve: min(
-                max((r.saved for r in whole if r.name == name), default=self._saved)
-                for name in {r.name for r in whole if r.valve == valve}
-            )
-            for valve in hurt & {row.valve for row in whole}
-        }
+        until = _until(whole, {split_id(name)[0] for name in self.damaged}, together)
         newest: dict[tuple[str, str], Row] = {}
         for row in sorted(whole, key=lambda row: row.saved):
             if row.saved <= until.get(row.valve, row.saved) or row.name not in newest:
@@ -290,6 +284,22 @@ class CheckpointFile(Closing):
         with self._lock, naming(self.path):
             self._connection.close()
             self._in_use.close()
+
+
+def _until(
+    whole: Sequence[Row], hurt: Collection[str], together: Sequence[Sequence[str]]
+) -> dict[str, int]:
+    """Return the save up to which rows count, by valve with damaged ones and those with it."""
+    newest: dict[tuple[str, str], int] = {}
+    for row in whole:
+        newest[row.name] = max(row.saved, newest.get(row.name, row.saved))
+    units = {valve: unit for unit in together for valve in unit}
+    until: dict[str, int] = {}
+    for valve in hurt:
+        unit = units.get(valve, (valve,))
+        saved = [number for name, number in newest.items() if name[0] in unit]
+        until |= dict.fromkeys(unit, min(saved, default=0))
+    return until
 
 
 def _name(one: Checkpoint) -> tuple[str, str]:
