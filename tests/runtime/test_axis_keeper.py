@@ -25,7 +25,7 @@ class Store:
             raise self.error
         self.saved += 1
 
-    def load(self):
+    def load(self, _together=()):
         return []
 
 
@@ -86,3 +86,14 @@ async def test_a_lost_file_raises_it_at_once(
     await turn(live, keeper, clock)
     assert alarm_of(sink).active
     assert not np.isinf(sink.health.checkpoint_age_s)
+
+
+async def test_its_refused_states_are_counted_with_the_valves(
+    keeper, identification, source, sink, store, clock
+):
+    live = LiveService(identification, source, sink, store, clock, LiveSettings())
+    await live.start()
+    live.note_states_elsewhere(keeper)
+    keeper.refused, live.keeper.refused = 2, 1
+    await turn(live, keeper, clock)
+    assert sink.health.checkpoints_refused == 3

@@ -20,6 +20,9 @@ class KeptElsewhere(Protocol):
     failures: int
     """Saves that failed."""
 
+    refused: int
+    """States that were not restored at the start."""
+
     def age_s(self, now: float) -> float:
         """Time since the last save, monotonic s; ∞: the file was lost."""
 

@@ -120,6 +120,7 @@ class LiveAxes:
         """
         stored, lost_place = resume_source(self._source, self._store.load())
         refused = {**restore(self._states, self._store, stored), **lost_place}
+        self.keeper.refused = len({*refused, *self._store.damaged})
         if refused:
             log.warning(
                 "states of axes left aside, these start afresh",

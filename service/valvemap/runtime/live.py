@@ -173,7 +173,7 @@ class LiveService:
         kept, lost_place = resume_source(self._source, stored)
         refused = {**restore(self._states, self._store, kept), **lost_place}
         self.identification.was_away()
-        self.health.states_refused = len({*refused, *self._store.damaged})
+        self.keeper.refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # no sample has arrived yet
         if refused:
             log.warning(

@@ -27,8 +27,6 @@ class ServiceHealth:
     ----------
     worked_s
         Time spent on samples since the last publication, s.
-    states_refused
-        Number of states that were not restored at the start.
     kept_elsewhere
         The states of another keeper; None: there are none.
     certificate_until_ns
@@ -49,7 +47,7 @@ class ServiceHealth:
         self._identification, self._source, self._sink = identification, source, sink
         self._store, self._keeper, self._past = store, keeper, past
         self._clock, self._ages = clock, ages
-        self.worked_s, self.states_refused = 0.0, 0
+        self.worked_s = 0.0
         self.start_state = COMPLETE
         self.kept_elsewhere: KeptElsewhere | None = None
         self.certificate_until_ns = 0
@@ -65,7 +63,7 @@ class ServiceHealth:
         alarms = self._watch(now, other_s, late=late)
         known_s = other_s if math.isfinite(other_s) else math.nan
         age_s = float(np.fmax(now - self._keeper.kept_at, known_s))
-        failures = self._keeper.failures + (0 if elsewhere is None else elsewhere.failures)
+        keepers = [one for one in (self._keeper, elsewhere) if one is not None]
         await self._sink.show_health(
             Health(
                 age_s=self._ages.of(),
@@ -73,8 +71,8 @@ class ServiceHealth:
                 source=self._source.counters,
                 source_states=self._source.states,
                 checkpoint_age_s=age_s,
-                checkpoint_failures=failures,
-                checkpoints_refused=self.states_refused,
+                checkpoint_failures=sum(one.failures for one in keepers),
+                checkpoints_refused=sum(one.refused for one in keepers),
                 checkpoint_bytes=self._store.size,
                 history=PastCounters() if self._past is None else self._past.counters,
                 alarms=alarms,

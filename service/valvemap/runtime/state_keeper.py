@@ -51,6 +51,8 @@ class StateKeeper:
         Time of the last save, monotonic s; NaN before the first.
     failures : int
         Saves that failed.
+    refused : int
+        States that were not restored at the start.
     """
 
     def __init__(
@@ -63,7 +65,7 @@ class StateKeeper:
     ) -> None:
         self.mark: Any = None
         self.kept_at = math.nan
-        self.failures = 0
+        self.failures = self.refused = 0
         self._file_lost = False
         self._states = states
         self._source = source
