@@ -16,7 +16,11 @@ from support.served import PASSWORD, serving
 from valvemap.app.axes import axes_file, plan_of
 from valvemap.app.serve import serve
 from valvemap.config.loading import load_config
+from valvemap.model.axis import AxisRegression
+from valvemap.model.axis_basis import SIZE
+from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.axes import LEARNT, Axis
+from valvemap.pipeline.kept_axes import Learnt, pack, unpack
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
@@ -26,6 +30,7 @@ pytestmark = pytest.mark.waits
 
 
 SIGMA = 0.4  # l/min
+FORMER_KEY = "830111e9fc331cd4d5a1af781992b75ce85a253a7bb6e4219c8378cb4bae5274"  # of AXIS
 AXIS = """
 [[axes]]
 name = "Press"
@@ -211,3 +216,19 @@ def test_a_state_of_another_geometry_is_not_resumed(axis_config):
     (axis,) = axis_config.axes
     other = axis.model_copy(update={"piston_mm": 64.0})
     assert Axis(plan_of(axis_config, axis)).key != Axis(plan_of(axis_config, other)).key
+
+
+def test_a_state_of_a_version_without_meanings_is_resumed_if_all_is_as_it_was(axis_config):
+    """The hash is the one that version computed for this configuration."""
+    (axis,) = axis_config.axes
+    plan = plan_of(axis_config, axis)
+    assert plan.former_key == FORMER_KEY
+    regression = AxisRegression(plan.geometry, period_s=0.01)
+    learnt = Learnt(regression, regression.initial_state(), np.zeros((SIZE, SIZE)))
+    now = Axis(plan)
+    now.resume(LEARNT, pack(learnt, FORMER_KEY))
+    assert now.learnt.regression.period_s == regression.period_s
+    assert unpack(now.to_bytes()[LEARNT], now.key, regression)
+    other = axis.model_copy(update={"memory_s": 60.0})
+    with pytest.raises(StateMismatchError, match="other hyper-parameters"):
+        Axis(plan_of(axis_config, other)).resume(LEARNT, pack(learnt, FORMER_KEY))

@@ -1,7 +1,10 @@
 """Runs the axes of a configuration, beside its valves."""
 
 import asyncio
+import hashlib
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
@@ -131,16 +134,39 @@ def build_axis_plans(config: Config) -> list[AxisPlan]:
 def plan_of(config: Config, axis: AxisConfig) -> AxisPlan:
     """Return the plan of one axis of a configuration."""
     dead_B_l = axis.dead_A_l if axis.dead_B_l is None else axis.dead_B_l
+    geometry = AxisGeometry(axis.piston_mm, axis.rod_mm, axis.stroke_mm, axis.dead_A_l, dead_B_l)
     return AxisPlan(
         axis.name,
-        AxisGeometry(axis.piston_mm, axis.rod_mm, axis.stroke_mm, axis.dead_A_l, dead_B_l),
+        geometry,
         axis.memory_s,
         _meaning_of(config, axis),
         feed_forward_of(axis),
         axis.frozen,
         axis.nodes.speed is not None,
         axis.nodes.set_position is not None,
+        _former_key(axis, geometry),
     )
+
+
+def _former_key(axis: AxisConfig, geometry: AxisGeometry) -> str:
+    """Return what states were bound to before they had a meaning: all of these, as they were."""
+    signals = axis.model_dump(
+        mode="json",
+        include={"source", "nodes", "signals"},
+        exclude={"nodes": {"set_position"}, "signals": {"set_position"}},
+    )
+    bound = {
+        "type": "AxisPlan",
+        "name": axis.name,
+        "geometry": asdict(geometry),
+        "memory_s": axis.memory_s,
+        "meaning": json.dumps(signals, sort_keys=True),
+        "feed_forward": None,
+        "is_frozen": False,
+        "has_speed": axis.nodes.speed is not None,
+        "is_tracked": False,
+    }
+    return hashlib.sha256(json.dumps(bound, sort_keys=True).encode()).hexdigest()
 
 
 def _meaning_of(config: Config, axis: AxisConfig) -> Meaning:

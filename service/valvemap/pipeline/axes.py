@@ -27,7 +27,7 @@ from valvemap.model.axis_inverse import AxisTable, axis_table, invert
 from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_search import AxisResult, identify
 from valvemap.model.axis_travel import Travel
-from valvemap.model.estimator import key_of
+from valvemap.model.estimator import StateMismatchError, key_of
 from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
 from valvemap.model.lead import DemandCourse, lead_in_words, led, spool_delay
 from valvemap.model.samples import Floats, Samples
@@ -62,7 +62,8 @@ class AxisPlan:
 
     ``is_frozen``: the stored map stays as it is; nothing is learnt, nothing is found.
     ``has_speed``: the piston's speed is measured, and not its position. ``is_tracked``: there is a
-    set position; line B has it where line A has T.
+    set position; line B has it where line A has T. ``former_key``: what states of earlier versions
+    are bound to, if they are of this configuration; empty: there are none.
     """
 
     name: str
@@ -73,6 +74,7 @@ class AxisPlan:
     is_frozen: bool = False
     has_speed: bool = False
     is_tracked: bool = False
+    former_key: str = ""
 
 
 @dataclass(frozen=True)
@@ -429,8 +431,16 @@ class Axis:
         Raises
         ------
         StateMismatchError
-            if it is damaged, or of another geometry, memory, node or unit.
+            if it is damaged, or of another geometry, or measures another quantity.
         """
+        try:
+            self._resume(name, packed, self.key)
+        except StateMismatchError:
+            if not self.plan.former_key:
+                raise
+            self._resume(name, packed, self.plan.former_key)
+
+    def _resume(self, name: str, packed: bytes, key: str) -> None:
         regression = AxisRegression(
             self.plan.geometry,
             memory_s=self.plan.memory_s,
@@ -438,15 +448,15 @@ class Axis:
             has_place=not self.plan.has_speed,
         )
         if name == ALARMS:
-            self.alarms.from_bytes(packed, self.key)
+            self.alarms.from_bytes(packed, key)
             return
         if name == SEARCHES:
-            self._searches = Searches.from_bytes(packed, self.key).resumed()
+            self._searches = Searches.from_bytes(packed, key).resumed()
             return
         if name == WATCH:
-            self._watch = unpack_watch(packed, self.key, regression)
+            self._watch = unpack_watch(packed, key, regression)
             return
-        self.continue_from(unpack(packed, self.key, regression))
+        self.continue_from(unpack(packed, key, regression))
 
 
 def _solved(
