@@ -199,7 +199,7 @@ class StateKeeper:
         log.error("state file lost", reason=str(error))
 
     async def _packed(self, units: Sequence[Sequence[int]]) -> list[Checkpoint]:
-        """Pack states into bytes, a few valves at a time, yielding to the event loop.
+        """Pack states into bytes, a few valves at a time, yielding to the event loop after each.
 
         A unit is packed at once: an instant later its samples would not meet.
         """
@@ -213,6 +213,8 @@ class StateKeeper:
                 self._packing_s = (self._clock.monotonic() - began) / len(some)
                 some = []
                 await asyncio.sleep(0)
+        if not units:
+            await asyncio.sleep(0)
         return packed
 
     def _states_of(self, valves: Sequence[int]) -> list[Checkpoint]:
