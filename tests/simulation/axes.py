@@ -42,7 +42,8 @@ class Axes:
         self.states = StateFile()
         self.learnt = []  # samples (k) of both lines, in their order
         self.of_A = []  # those of line A alone, by which the axis counts
-        self.live = None
+        self.live = self.client = None
+        self.delivers = False  # whether its source did, until an orderly stop
         self.installed, self.edits = InstalledAxis(), list(world.case.axis_edits)
         self.parts = [(0, self.installed)]  # how many were learnt before each configuration
         first = first_state(self.installed.plan, self.case.period_s)
@@ -67,7 +68,7 @@ class Axes:
         flags = (self.case.numbered,) * len(LINES)
         arrivals = Arrivals(["A", "B"], Alignment(alignment, (("T",),) * len(LINES), flags))
         clock = self.world.time
-        client = Client(self.server, clock, self._lines())
+        client = self.client = Client(self.server, clock, self._lines())
         self.world.clients.append(client)
         sources = Sources([Part(None, client, LINES)])
         self.live = LiveAxes(
@@ -150,6 +151,10 @@ class Axes:
         self.learnt += [self.number_of[t] for t in samples.t.tolist()]
         self.world.note(("axis", samples.t.tolist()))
 
+    def judge_calm(self):
+        """After its last fault, its source delivers again."""
+        self.delivers = judge.delivers(self.world, self.client, "the axis")
+
     async def end(self):
         """An orderly stop: all is saved."""
         await self.live.finish()
@@ -184,11 +189,27 @@ class Axes:
         if ahead:
             self.world.violated(f"axis: the position is ahead of the state by {sorted(ahead)[:5]}")
 
+    def _judge_newest(self):
+        """All that was delivered of both lines in the end is learnt, but for what waits."""
+        unmet = [
+            {self.number_of.get(t) for t in one.t.tolist()} for one in self.live.axes[0]._unmet
+        ]
+        if stuck := set.intersection(*unmet) - {None}:
+            self.world.violated(f"axis: {sorted(stuck)[:5]} wait for samples that are there")
+        excused = set.union(*(self.server.excused[line] for line in LINES))
+        excused |= {k for _, k in self.server.undelivered()}
+        left = set(range(max(self.learnt) + 1, self.server.subscribed)) - self._waiting() - excused
+        dropped = excused - set(self.learnt)
+        if left := {k for k in left if not judge.is_overtaken(self.world, self.server, k, dropped)}:
+            self.world.violated(f"axis: {sorted(left)[:5]} are not learnt, which were delivered")
+
     def _judge_end(self):
         """Each lost sample is one that the source dropped, and is counted; none is learnt twice."""
         world, learnt, server = self.world, self.learnt, self.server
         if not learnt:
             return
+        if self.delivers:
+            self._judge_newest()
         if len(set(learnt)) < len(learnt):
             world.violated("axis: learnt samples twice")
         lost = set(range(min(learnt), max(learnt))) - set(learnt)

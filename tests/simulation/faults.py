@@ -18,9 +18,11 @@ from valvemap.pipeline.axis_states import AxisStates, AxisTerms
 from valvemap.pipeline.edges import NEVER_MET
 from valvemap.pipeline.edges import kernel as edges_kernel
 from valvemap.pipeline.estimator_commands import EstimatorCommands
+from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kept_states import MEMORY, KeptStates
 from valvemap.pipeline.kept_together import KeptValves
 from valvemap.runtime import sources as sources_module
+from valvemap.runtime import supervisor
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.state_keeper import StateKeeper
@@ -119,7 +121,7 @@ def a_memory_that_is_not_restored():
     """Waiting samples, and the numbers of those learnt, are forgotten in a restart."""
     load = StateFile.load
     return mock.patch.object(
-        StateFile, "load", lambda self: [one for one in load(self) if one.estimator != MEMORY]
+        StateFile, "load", lambda self, *_: [one for one in load(self) if one.estimator != MEMORY]
     )
 
 
@@ -169,7 +171,7 @@ def settings_that_are_not_restored():
     load = StateFile.load
     plain = {"lam": None, "frozen": False}
     return mock.patch.object(
-        StateFile, "load", lambda self: [replace(one, **plain) for one in load(self)]
+        StateFile, "load", lambda self, *_: [replace(one, **plain) for one in load(self)]
     )
 
 
@@ -247,6 +249,28 @@ def a_disarmed_valve_that_is_led():
     return mock.patch.object(ArmedValves, "disarm", return_value=None)
 
 
+def a_lost_source_that_is_not_asked_again():
+    """After a lost connection the supervisor does not connect again."""
+    wait = supervisor._wait
+
+    async def for_ever(stop, _pause_s, consumer, tick_s):
+        await wait(stop, 1e9, consumer, tick_s)
+
+    return mock.patch.object(supervisor, "_wait", for_ever)
+
+
+def a_clock_set_back_that_ends_the_learning():
+    """Samples of a source whose clock was set back for more than a minute are dropped."""
+    take = Identification.take
+
+    def dropping(self, changes):
+        newest = changes.source_time.max(initial=0)
+        self.latest = max(getattr(self, "latest", 0), newest)
+        return take(self, changes if newest > self.latest - 60 * 10**9 else changes[:0])
+
+    return mock.patch.object(Identification, "take", dropping)
+
+
 FAULTS = (
     an_early_acknowledgement,
     a_lost_sync,
@@ -272,4 +296,6 @@ FAULTS = (
     a_meter_that_is_not_restored,
     old_samples_that_still_lead,
     a_disarmed_valve_that_is_led,
+    a_lost_source_that_is_not_asked_again,
+    a_clock_set_back_that_ends_the_learning,
 )

@@ -9,6 +9,7 @@ from valvemap.pipeline.provenance import MEMORY
 from valvemap.vocabulary.statuses import Quality
 
 SLACK_S = 1.0  # between two looks at what is shown
+CALM_S = 12.0  # after the last fault of a connection, until which its samples come again
 _CLOSE = 1e-9  # relative to the largest parameter; of a map converted to another unit
 
 
@@ -143,9 +144,29 @@ def of_history(world, keeper):
         world.violated(f"history holds rows never published: {dict(invented)}")
 
 
+def of_calm(world, clients):
+    """After its last fault, each source delivers again; note which do until an orderly stop."""
+    world.delivering = set()
+    for client in clients:
+        valves = client.server.case.valves
+        if delivers(world, client, f"V{valves[0]}"):
+            world.delivering.update(valves)
+
+
+def delivers(world, client, name):
+    """Whether samples come; in the calm they must, if nothing else delays them."""
+    case = world.case
+    last = max((sum(cut) for cut in client.server.cuts), default=0.0)
+    calm_from = max(last, world.disturbed) + CALM_S + 4.0 * (case.sink_s + case.thread_s)
+    if world.time.elapsed > calm_from and not client.delivers:
+        world.violated(f"nothing comes any more of {name}, though its source is there")
+    return client.delivers
+
+
 def of_counts(world, identification):
     """Every lost sample is one that the source dropped, and is counted."""
     for valve, learnt in enumerate(world.learnt):
+        _of_newest(world, identification, valve)
         if not learnt:
             continue
         server = world.server_of[valve]
@@ -169,6 +190,31 @@ def of_counts(world, identification):
         if is_exact and not len(lost) <= counted <= len(lost) + unmatched:
             named = {name: counters[name] for name in COUNTER_NAMES}
             world.violated(f"V{valve} lost {len(lost)}, counted {named}")
+
+
+def _of_newest(world, identification, valve):
+    """All that the source delivered in the end is learnt, but for what waits."""
+    learnt, server = world.learnt[valve], world.server_of[valve]
+    if valve not in world.delivering:
+        return
+    waits = waiting(world, identification, valve)
+    rows = meeting.rows_behind(world, valve)
+    there = [set(world.learnt[row]) | unmet(world, identification, row) for row in rows]
+    stuck = unmet(world, identification, valve) & set.intersection(*there)
+    if stuck:
+        world.violated(f"V{valve}: {sorted(stuck)[:5]} wait for samples that are there")
+    excused = _excused(world, valve) | {k for v, k in server.undelivered() if v in rows}
+    first = max(learnt, default=min(server.acknowledged[valve], default=server.taken))
+    left = set(range(first + 1, server.subscribed)) - waits - excused
+    dropped = excused - set(learnt)
+    if left := {k for k in left if not is_overtaken(world, server, k, dropped)}:
+        world.violated(f"V{valve} has not learnt {sorted(left)[:5]}, which its source delivered")
+
+
+def unmet(world, identification, valve):
+    """The samples of a valve that wait for those of others."""
+    times = meeting.times_unmet(identification, valve)
+    return {world.number_of[valve][t] for t in times if t in world.number_of[valve]}
 
 
 def _excused(world, valve):

@@ -84,12 +84,13 @@ class Server:
         self._subscriptions = {}
         self._sent = {}
         self._ids = 0
-        self._cuts = (*case.cuts, *((when, away, 0.0) for when, away, _ in case.restarts))
+        self.cuts = (*case.cuts, *((when, away, 0.0) for when, away, _ in case.restarts))
         self._steps = (*case.steps, *((when, by) for when, _, by in case.restarts))
         self._restarts = [when for when, *_ in case.restarts]
         self._oldest = 0  # sample of the history
         self._sampled = 0
         self.longest = 0  # queue of a subscription
+        self._ended_at = None  # samples taken when a client said good-bye; None: none has
 
     def _change_type(self, rows, valve, signal, kind):
         """Give some samples of a node another type; values that are no numbers do not arrive."""
@@ -112,10 +113,10 @@ class Server:
 
     def cut_at(self, now):
         """The cut under way, or None."""
-        return next((c for c in self._cuts if c[0] <= now < c[0] + c[1]), None)
+        return next((c for c in self.cuts if c[0] <= now < c[0] + c[1]), None)
 
     def next_cut(self, now):
-        return min((c[0] for c in self._cuts if c[0] > now), default=np.inf)
+        return min((c[0] for c in self.cuts if c[0] > now), default=np.inf)
 
     def advance(self):
         """Sample until now; end subscriptions that no client has used for their lifetime."""
@@ -162,15 +163,31 @@ class Server:
         for message in known.kept:
             self.excuse((valve, k) for valve, k, *_ in message.changes)
 
+    def undelivered(self):
+        """The samples (valve, k) that wait for a client, or for its acknowledgement."""
+        self.advance()
+        for known in self._subscriptions.values():
+            yield from ((valve, k) for k in known.queue for valve in self.case.valves)
+            yield from ((valve, k) for valve, k, *_ in known.held)
+            for message in known.kept:
+                yield from ((valve, k) for valve, k, *_ in message.changes)
+
     def end(self, number):
         """A client deletes its subscription."""
         self.advance()
+        self._ended_at = 0  # it has lapsed: samples since then are in no queue
         if number in self._subscriptions:
+            self._ended_at = self._sampled
             self._end(self._subscriptions[number])
+
+    @property
+    def subscribed(self):
+        """Number of samples of each valve until now, or until the client's good-bye; else 0."""
+        return self.taken if self._ended_at is None else self._ended_at
 
     def subscribe(self):
         self.advance()
-        self._ids += 1
+        self._ids, self._ended_at = self._ids + 1, None
         known = _Subscription(self._ids, since=self._time.elapsed)
         self._subscriptions[known.id] = known
         return known.id
@@ -309,6 +326,11 @@ class Client:
     @property
     def clock_offset_s(self):
         return self.server.ahead_s() - self._time.service_ahead_s
+
+    @property
+    def delivers(self):
+        """Whether its subscription runs, and a message has come since it was connected."""
+        return self._connected and not self._doubtful
 
     def hold_back(self):
         self._holds_back = True

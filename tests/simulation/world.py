@@ -146,7 +146,8 @@ class World:
         self.violations = []
         self.counts = Counter(kind for part in case.sources for *_, kind in part.retyped)
         self.trace = hashlib.sha256()
-        self.disturbed = 0.0  # end of the last stall
+        self.disturbed = 0.0  # end of the last stall, or begin of this life
+        self.delivering = set()  # valves whose source delivered until an orderly stop
         self.all_saved = False  # whether the last life ended so
 
     def _numbers(self, valve):
@@ -198,6 +199,7 @@ class World:
             self.leading.begin()
             for client in clients:
                 client.leading = self.leading
+        self.disturbed = max(self.disturbed, self.time.elapsed)
         self.meanings |= {one.meaning.to_text(): one for one in self.plant}
         parts = [
             Part(str(n) if len(clients) > 1 else None, client, client.server.case.valves)
@@ -275,6 +277,9 @@ class World:
         at_work.cancel()
         if kind != "stop":
             return
+        judge.of_calm(self, [p.source for p in sources.parts])
+        if self.axes is not None:
+            self.axes.judge_calm()
         live.end_soon()
         stop.set()
         await supervising
