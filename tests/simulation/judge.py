@@ -157,6 +157,7 @@ def delivers(world, client, name):
     """Whether samples come; in the calm they must, if nothing else delays them."""
     case = world.case
     last = max((sum(cut) for cut in client.server.cuts), default=0.0)
+    last = max(last, client.server.lapsed_at)
     calm_from = max(last, world.disturbed) + CALM_S + 4.0 * (case.sink_s + case.thread_s)
     if world.time.elapsed > calm_from and not client.delivers:
         world.violated(f"nothing comes any more of {name}, though its source is there")
@@ -195,7 +196,7 @@ def of_counts(world, identification):
 def _of_newest(world, identification, valve):
     """All that the source delivered in the end is learnt, but for what waits."""
     learnt, server = world.learnt[valve], world.server_of[valve]
-    if valve not in world.delivering:
+    if valve not in world.delivering or server not in world.all_taken:
         return
     waits = waiting(world, identification, valve)
     rows = meeting.rows_behind(world, valve)

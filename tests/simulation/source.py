@@ -90,6 +90,7 @@ class Server:
         self._oldest = 0  # sample of the history
         self._sampled = 0
         self.longest = 0  # queue of a subscription
+        self.lapsed_at = 0.0  # when a subscription last ended
         self._ended_at = None  # samples taken when a client said good-bye; None: none has
 
     def _change_type(self, rows, valve, signal, kind):
@@ -158,6 +159,7 @@ class Server:
 
     def _end(self, known):
         del self._subscriptions[known.id]
+        self.lapsed_at = self._time.elapsed
         self.excuse((valve, k) for k in known.queue for valve in self.case.valves)
         self.excuse((valve, k) for valve, k, *_ in known.held)
         for message in known.kept:

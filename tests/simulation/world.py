@@ -148,6 +148,7 @@ class World:
         self.trace = hashlib.sha256()
         self.disturbed = 0.0  # end of the last stall, or begin of this life
         self.delivering = set()  # valves whose source delivered until an orderly stop
+        self.all_taken = []  # servers of which the stop refused no part of a batch
         self.all_saved = False  # whether the last life ended so
 
     def _numbers(self, valve):
@@ -295,6 +296,11 @@ class World:
             judge.of_history(self, keeper)
         else:
             self.rows.judge(keeper)
+        marks = live.keeper.mark or [None] * len(sources.parts)
+        clients = [part.source for part in sources.parts]
+        self.all_taken = [
+            c.server for c, mark in zip(clients, marks, strict=True) if c.mark == mark
+        ]
         judge.of_counts(self, identification)
 
     def _learn(self, name, samples: Samples):
