@@ -304,6 +304,22 @@ def test_beyond_its_ranges_it_learns_nothing_and_says_so():
         np.testing.assert_array_equal(getattr(after, field.name), getattr(state, field.name))
 
 
+def test_a_u_that_trembles_below_0_has_the_leakage_of_the_closed_valve():
+    rng = np.random.default_rng(3)
+    U, dp = rng.uniform(0, 100, 4_000), rng.uniform(20, 198, 4_000)
+    U[::4] = rng.normal(0.0, 1.0, 1_000)  # at rest, by a sensor's noise
+
+    def leaking(U, dp):
+        return bent(U, dp) + 0.03 * dp
+
+    estimator = FlowMap()
+    state, _ = learnt(U, dp, leaking(U, dp), estimator=estimator)
+    at = np.array([-3.0, -0.01, 0.0, 0.01])
+    Q, std = estimator.predict(state, at, np.full(4, 150.0), np.full(4, 40.0))
+    np.testing.assert_allclose(Q, leaking(at, 150.0), atol=SIGMA)
+    assert (abs(Q - leaking(at, 150.0)) < 3.0 * std).all()
+
+
 def test_results_of_many_valves_are_those_of_each_without_their_cells():
     estimator = FlowMap()
     states = [

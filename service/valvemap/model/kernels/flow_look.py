@@ -151,7 +151,7 @@ def evaluate(
             continue
         u, _ = clipped(axis_U, U[i])
         r, _ = clipped(axis_s, paths.effective(dp[i], math.inf, memory.path))
-        side = 0 if U[i] >= 0.0 else 1
+        side = 0 if u >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
         look(axis_U, axis_s, memory, side, u, oil.viscosity(memory, T[i]), room, False)  # noqa: FBT003
         width = memory.path[paths.STICK] + memory.path[paths.RELAYS]

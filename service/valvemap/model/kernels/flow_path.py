@@ -330,7 +330,7 @@ def _root(
     """Root of the Δp that counts at a row, within the axis."""
     dp, _ = between(recent, row, known, ahead, LEFT_DP, path[HELD_P])
     p1, _ = between(recent, row, known, ahead, LEFT_P1, path[HELD_P])
-    return min(max(effective(dp, p1, path), axis_s.breaks[0]), axis_s.breaks[-1])
+    return float(min(max(effective(dp, p1, path), axis_s.breaks[0]), axis_s.breaks[-1]))
 
 
 @inner
