@@ -19,7 +19,15 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.flow_evidence import Evidence, jointly, slopes, smooth, solved, with_value
+from valvemap.model.flow_evidence import (
+    Evidence,
+    jointly,
+    limited,
+    slopes,
+    smooth,
+    solved,
+    with_value,
+)
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.samples import Floats
@@ -114,7 +122,7 @@ def _swapped(evidence: Evidence, best: Floats) -> Floats:
     improved = True
     while improved and evidence.spent < rules.MOST_TRIED:
         tried = [
-            with_value(with_value(best, k, 0.0), rival, value)
+            limited(with_value(best, k, 0.0), rival, value)
             for group in RIVALS
             for k in group
             if best[k]

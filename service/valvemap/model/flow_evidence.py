@@ -210,7 +210,13 @@ def slopes(evidence: Evidence, at: Floats) -> Floats:
 def around(at: Floats, k: int) -> tuple[Floats, Floats]:
     """Parameters with somewhat more and with somewhat less of parameter k."""
     step = rules.DIFFERENCE * at[k]
-    return _limited(at, k, at[k] + step), _limited(at, k, at[k] - step)
+    return limited(at, k, at[k] + step), limited(at, k, at[k] - step)
+
+
+def limited(at: Floats, k: int, value: float) -> Floats:
+    """Parameters with another value of k, within its bounds."""
+    low, high = LIMITS.get(k, SLOWEST.get(k, (0.0, math.inf)))
+    return with_value(at, k, min(max(value, low), high))
 
 
 def jointly(evidence: Evidence, at: Floats) -> Floats:
@@ -251,7 +257,7 @@ def _newton(evidence: Evidence, at: Floats) -> Floats:
         tried = at
         for n, k in enumerate(ks):
             most = 0.5 * at[k]
-            tried = _limited(tried, k, at[k] + min(max(float(moved[n]), -most), most))
+            tried = limited(tried, k, at[k] + min(max(float(moved[n]), -most), most))
         if evidence.gain_if_white(tried, at) > 0.0:
             return tried
     return at
@@ -269,12 +275,7 @@ def _abruptly(evidence: Evidence, at: Floats) -> Floats:
 def _climbed(evidence: Evidence, at: Floats, k: int, times: float) -> Floats:
     """Change parameter k, which stays above 0, as long as the rows become likelier."""
     while True:
-        tried = _limited(at, k, at[k] * times)
+        tried = limited(at, k, at[k] * times)
         if not 0.0 < tried[k] != at[k] or not evidence.gain_if_white(tried, at) > 0.0:
             return at
         at = tried
-
-
-def _limited(at: Floats, k: int, value: float) -> Floats:
-    low, high = LIMITS.get(k, SLOWEST.get(k, (0.0, math.inf)))
-    return with_value(at, k, min(max(value, low), high))
