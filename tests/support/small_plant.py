@@ -1,6 +1,6 @@
 """A small plant and a service around it, without network or clock."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
@@ -127,6 +127,11 @@ class FakeStore:
 
     def put_aside(self, aside, moved):
         self.aside += aside
+        gone = {(one.valve, one.estimator) for one, _ in aside} | moved.keys()
+        named = [(one, (one.valve, one.estimator)) for one in self.kept]
+        new = [(one, moved[name]) for one, name in named if name in moved]
+        self.kept = [one for one, name in named if name not in gone]
+        self.kept += [replace(one, valve=name[0], estimator=name[1]) for one, name in new]
 
     def save(self, checkpoints):
         rows = {(one.valve, one.estimator): one for one in (*self.kept, *checkpoints)}
