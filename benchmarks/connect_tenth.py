@@ -1,6 +1,6 @@
 """Plants in languages, habits of makes and shapes that no earlier set has; one table.
 
-Drawn before the tables of names were looked at, in the form of :mod:`benchmarks.connect_ninth`.
+Drawn before the tables of names were consulted, in the form of :mod:`benchmarks.connect_ninth`.
 """
 
 from collections.abc import Callable
