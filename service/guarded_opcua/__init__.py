@@ -1,4 +1,29 @@
-"""A hardened OPC UA server; it is independent of the application that it serves."""
+"""A hardened OPC UA server; it is independent of the application that it serves.
+
+`HardenedServer` is created from `ServerSettings` (address, certificates, users, limits).
+`add_object`, `add_variable` and `add_method` build its address space, `HardenedServer.write`
+publishes values. `Block` publishes arrays of values, `Historian` and `ConditionKeeper` are the
+owner's ports for history and alarms.
+
+Examples
+--------
+>>> import asyncio
+>>> settings = ServerSettings(
+...     url="opc.tcp://127.0.0.1:0/plant/",
+...     application_uri="urn:example:server",
+...     application_name="plant",
+...     namespace_uri="urn:example:plant",
+...     none_on_loopback=True,
+... )
+>>> async def publish(speed: float, now: int) -> str:
+...     async with await HardenedServer.create(settings) as server:
+...         pump = await add_object(server, None, "Pump")
+...         variable = await add_variable(server, pump, "Pump.Speed", 0.0)
+...         server.write([(variable, speed, 0, now)])  # 0: the status code Good
+...         return variable.id.to_string()
+>>> asyncio.run(publish(1450.0, now=1_800_000_000_000_000_000))
+'ns=2;s=Pump.Speed'
+"""
 
 from guarded_opcua.address_space.blocks import Block
 from guarded_opcua.address_space.declarations import (
@@ -40,18 +65,12 @@ from guarded_opcua.errors import (
 from guarded_opcua.history.events import EventHistorian, PastEvent
 from guarded_opcua.history.historian import Cells, Historian, Records, Span, Summarising
 from guarded_opcua.lifecycle import Startable
-from guarded_opcua.monitoring.event_filter import Event
-from guarded_opcua.security.certificates import (
-    OwnCertificate,
-    Pki,
-    ensure_certificate,
-    expiry_warning,
-    load_certificate,
-    rejected,
-    thumbprint,
-    trust,
-)
-from guarded_opcua.security.users import Account, Role, UserStore
+from guarded_opcua.monitoring.events import Event
+from guarded_opcua.security.accounts import Account, Role
+from guarded_opcua.security.certificates import expiry_warning, load_certificate, thumbprint
+from guarded_opcua.security.own_certificate import OwnCertificate, ensure_certificate
+from guarded_opcua.security.pki_folders import Pki, rejected, trust
+from guarded_opcua.security.users import UserStore
 from guarded_opcua.server import HardenedServer, ServerCounters
 from guarded_opcua.settings import Limits, Product, ServerSettings
 

@@ -15,10 +15,10 @@ from guarded_opcua.allowance import Allowance
 from guarded_opcua.binary.encoding import encode_variant, instant
 from guarded_opcua.clock import Clock
 from guarded_opcua.logs import audit_logger
-from guarded_opcua.monitoring.event_filter import Event
+from guarded_opcua.monitoring.events import Event
+from guarded_opcua.security.accounts import Role
 from guarded_opcua.security.certificates import thumbprint
 from guarded_opcua.security.identity import Principal
-from guarded_opcua.security.users import Role
 from guarded_opcua.subscriptions.registry import Subscriptions
 
 _log = audit_logger()

@@ -23,8 +23,8 @@ from guarded_opcua.security.certificates import expiry_warning
 from guarded_opcua.security.login_queue import LoginQueue
 from guarded_opcua.security.peer_certificates import PeerTrust
 from guarded_opcua.server_certificate import server_certificate
+from guarded_opcua.sessions.registry import Sessions
 from guarded_opcua.sessions.services import Services
-from guarded_opcua.sessions.session import Sessions
 from guarded_opcua.settings import ServerSettings
 from guarded_opcua.subscriptions.pace import Pace
 from guarded_opcua.transport.endpoints import (
@@ -141,7 +141,7 @@ class HardenedServer(LocalServer, Startable):
         return ServerCounters(
             sessions=len(self._sessions),
             subscriptions=len(self._subscriptions.by_number),
-            monitored_items=self._subscriptions.item_count,
+            monitored_items=self._subscriptions.items.count,
             queued_notifications=self._subscriptions.ledger.queued,
             lost_notifications=self._subscriptions.ledger.lost,
             requests=self._traffic.requests,

@@ -5,12 +5,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
 from guarded_opcua.errors import CertificateError
-from guarded_opcua.security.certificates import (
-    KEY_BITS,
-    ensure_certificate,
-    load_certificate,
-    make_certificate,
-)
+from guarded_opcua.security.certificates import KEY_BITS, load_certificate
+from guarded_opcua.security.own_certificate import ensure_certificate, make_certificate
 from guarded_opcua.settings import ServerSettings
 
 

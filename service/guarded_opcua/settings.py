@@ -4,7 +4,7 @@ import datetime as dt
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from guarded_opcua.security.certificates import Pki
+from guarded_opcua.security.pki_folders import Pki
 from guarded_opcua.security.users import UserStore
 
 

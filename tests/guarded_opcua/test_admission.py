@@ -7,7 +7,7 @@ import time
 
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from guarded_opcua import (
@@ -23,6 +23,8 @@ from guarded_opcua import (
 )
 from guarded_opcua.security.login_queue import LoginQueue
 from support import door_attacks
+from support.served import patient
+from support.users import CHEAP
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -38,7 +40,7 @@ class Door:
 
     async def log_in(self, user=None, *, secured=False):
         """Log in and out; return the seconds it took to get in."""
-        client = Client(self.server.url)
+        client = patient(self.server.url)
         client.application_uri = "urn:test:client"
         if secured:
             policy = SecurityPolicyBasic256Sha256
@@ -55,7 +57,7 @@ async def opened(folder, limits):
     pki = Pki(folder / "server")
     own = ensure_certificate(Pki(folder / "client"), "urn:test:client", ("localhost",), "client")
     trust(pki, own.certificate)
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("olga", Role.OPERATOR, PASSWORD)
     settings = ServerSettings(
         url="opc.tcp://127.0.0.1:0/door/",
@@ -116,7 +118,7 @@ async def test_a_part_of_all_room_is_kept_for_operators(tmp_path):
     async with door.server, contextlib.AsyncExitStack() as stack:
 
         async def enter(user=None):
-            client = Client(door.server.url)
+            client = patient(door.server.url)
             if user is not None:
                 client.set_user(user)
                 client.set_password(PASSWORD)

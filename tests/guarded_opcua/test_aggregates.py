@@ -8,7 +8,7 @@ import statistics
 import numpy as np
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,6 +23,7 @@ from guarded_opcua import (
 from guarded_opcua.history.aggregate_kinds import Aggregate
 from guarded_opcua.history.aggregates import Aggregation
 from guarded_opcua.history.intervals import Intervals, Rules
+from support.served import patient
 
 GOOD, UNCERTAIN, BAD = 0, 0x408F0000, 0x80890000
 CALCULATED, INTERPOLATED, PARTIAL, MANY = 0x401, 0x402, 0x404, 0x410
@@ -327,7 +328,7 @@ async def served():
     folder = await add_object(server, None, "Plant")
     flow = await add_variable(server, folder, "Plant.Flow", 0.0)
     server.add_history([flow], Kept(records()))
-    async with server, Client(server.url) as client:
+    async with server, patient(server.url) as client:
         yield client, flow
 
 

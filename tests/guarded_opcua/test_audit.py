@@ -5,7 +5,7 @@ import time
 
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from guarded_opcua import (
@@ -24,6 +24,8 @@ from guarded_opcua import (
 )
 from support import node_peer
 from support.peer import Peer
+from support.served import patient
+from support.users import CHEAP
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -82,7 +84,7 @@ class Plant:
         )
 
     def client(self, user=None, password=PASSWORD):
-        client = Client(self.server.url)
+        client = patient(self.server.url)
         client.application_uri = "urn:test:client"
         if user is not None:
             client.set_user(user)
@@ -93,7 +95,7 @@ class Plant:
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def plant(tmp_path_factory):
     folder = tmp_path_factory.mktemp("audit")
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     for name, role in (("sara", Role.SECURITY_ADMIN), ("oskar", Role.OPERATOR)):
         users.add(name, role, PASSWORD)
     pki = Pki(folder / "server")

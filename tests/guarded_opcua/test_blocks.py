@@ -20,7 +20,7 @@ from guarded_opcua.clock import ManualClock
 from guarded_opcua.errors import ServerError
 from guarded_opcua.monitoring import block_items
 from guarded_opcua.monitoring.block_items import BlockItem
-from guarded_opcua.security.users import Role
+from guarded_opcua.security.accounts import Role
 from guarded_opcua.sessions.session import Session
 from guarded_opcua.subscriptions.pace import Pace
 from guarded_opcua.subscriptions.publish_queue import PublishRequest
@@ -256,7 +256,7 @@ class Play:
             request = ua.MonitoredItemCreateRequest(
                 ua.ReadValueId(side.variables[name][column].id, ua.AttributeIds.Value), mode, asked
             )
-            return side.server._subscriptions.create_item(
+            return side.server._subscriptions.items.create(
                 side.sessions[who], number, request, stamps
             )
 
@@ -272,7 +272,7 @@ class Play:
         request = ua.MonitoredItemModifyRequest(self.rng.choice(items), asked)
         stamps = ua.TimestampsToReturn(self.rng.randrange(4))
         self.both(
-            lambda s: s.server._subscriptions.modify_item(s.sessions[who], number, request, stamps)
+            lambda s: s.server._subscriptions.items.modify(s.sessions[who], number, request, stamps)
         )
 
     def set_mode(self):
@@ -280,7 +280,7 @@ class Play:
         mode = self.rng.choice((Mode.Disabled, Mode.Reporting, self.other))
         for item in self.rng.sample(items, min(2, len(items))):
             self.both(
-                lambda s, item=item: s.server._subscriptions.set_monitoring(
+                lambda s, item=item: s.server._subscriptions.items.set_monitoring(
                     s.sessions[who], number, item, mode
                 )
             )
@@ -290,7 +290,7 @@ class Play:
         if len(items) < 2 or self.plain:
             return
         a, b = self.rng.sample(items, 2)
-        self.both(lambda s: s.server._subscriptions.link(s.sessions[who], number, a, b))
+        self.both(lambda s: s.server._subscriptions.items.link(s.sessions[who], number, a, b))
 
     def delete(self):
         who, number, items = self.some()
@@ -298,7 +298,7 @@ class Play:
             return
         gone = self.rng.choice(items)
         items.remove(gone)
-        self.both(lambda s: s.server._subscriptions.delete_item(s.sessions[who], number, gone))
+        self.both(lambda s: s.server._subscriptions.items.delete(s.sessions[who], number, gone))
 
     def switch(self):
         who, number, _ = self.some()
@@ -310,7 +310,9 @@ class Play:
     def resend(self):
         who, number, _ = self.some()
         self.both(
-            lambda s: at_once(s.server._subscriptions.resend(s.sessions[who], number, no_breath))
+            lambda s: at_once(
+                s.server._subscriptions.items.resend(s.sessions[who], number, no_breath)
+            )
         )
 
     def write(self):

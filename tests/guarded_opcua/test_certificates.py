@@ -10,19 +10,10 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from guarded_opcua.errors import CertificateError
-from guarded_opcua.security import certificates
-from guarded_opcua.security.certificates import (
-    MAX_REJECTED,
-    Pki,
-    ensure_certificate,
-    expiry_warning,
-    load_certificate,
-    make_certificate,
-    reject,
-    rejected,
-    thumbprint,
-    trust,
-)
+from guarded_opcua.security import own_certificate
+from guarded_opcua.security.certificates import expiry_warning, load_certificate, thumbprint
+from guarded_opcua.security.own_certificate import ensure_certificate, make_certificate
+from guarded_opcua.security.pki_folders import MAX_REJECTED, Pki, reject, rejected, trust
 
 URI = "urn:test-host:valvemap:rig"
 HOSTS = ("localhost", "rig.example", "127.0.0.1")
@@ -45,7 +36,7 @@ def pki(tmp_path):
 
 @pytest.fixture
 def own(pki, key, monkeypatch):
-    monkeypatch.setattr(certificates.rsa, "generate_private_key", lambda **_: key)
+    monkeypatch.setattr(own_certificate.rsa, "generate_private_key", lambda **_: key)
     return ensure_certificate(pki, URI, HOSTS, "rig")
 
 
@@ -106,7 +97,7 @@ def test_a_certificate_that_names_too_little_is_renewed_with_the_same_key(pki, o
 
 
 def test_a_foreign_key_beside_a_certificate_is_an_error_that_names_both(other_key, pki, own):
-    own.key.write_bytes(certificates._key_bytes(other_key))
+    own.key.write_bytes(own_certificate._key_bytes(other_key))
     with pytest.raises(CertificateError, match=r"rig\.der: does not belong to .*rig\.pem"):
         ensure_certificate(pki, URI, HOSTS, "rig")
 

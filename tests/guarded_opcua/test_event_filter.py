@@ -7,12 +7,8 @@ import pytest_asyncio
 from asyncua import ua
 
 from guarded_opcua import HardenedServer, ServerSettings
-from guarded_opcua.monitoring.event_filter import (
-    Event,
-    EventFilter,
-    EventFilterRefused,
-    types_above,
-)
+from guarded_opcua.monitoring.event_filter import EventFilter, EventFilterRefused, types_above
+from guarded_opcua.monitoring.events import Event
 from guarded_opcua.monitoring.like_operator import like
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -5,8 +5,8 @@ from asyncua import ua
 
 from guarded_opcua import ManualClock, Role
 from guarded_opcua.chores import Chores
-from guarded_opcua.monitoring.event_filter import Event
 from guarded_opcua.monitoring.event_item import EventItem, Listening
+from guarded_opcua.monitoring.events import Event
 from guarded_opcua.subscriptions.events import EventDelivery
 
 SERVER, PLANT = ua.NodeId(ua.ObjectIds.Server), ua.NodeId("Plant", 1)

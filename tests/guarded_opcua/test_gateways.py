@@ -8,6 +8,7 @@ from asyncua.ua import ua_binary
 
 from guarded_opcua import HardenedServer, Role, ServerSettings, UserStore
 from support.raw_peer import RawPeer
+from support.users import CHEAP
 
 PASSWORD = "correct horse"
 GATEWAY, OTHER = "urn:test:page", "urn:test:client"
@@ -15,7 +16,7 @@ GATEWAY, OTHER = "urn:test:page", "urn:test:client"
 
 @pytest.fixture
 async def url():
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("olga", Role.OPERATOR, PASSWORD)
     settings = ServerSettings(
         url="opc.tcp://127.0.0.1:0/gate/",

@@ -6,7 +6,7 @@ import datetime as dt
 import numpy as np
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import (
     HardenedServer,
@@ -18,6 +18,7 @@ from guarded_opcua import (
     add_object,
     add_variable,
 )
+from support.served import patient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -93,7 +94,7 @@ async def server():
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def client(server):
-    async with Client(server.url) as made:
+    async with patient(server.url) as made:
         yield made
 
 
@@ -212,7 +213,7 @@ async def test_continuation_points_are_few_the_sessions_own_and_released(server,
     results = await read(client, [server.flow] * (POINTS + 1), details)
     assert [r.StatusCode.value for r in results] == [0] * POINTS + [Codes.BadNoContinuationPoints]
     points = [result.ContinuationPoint for result in results[:POINTS]]
-    async with Client(server.url) as stranger:
+    async with patient(server.url) as stranger:
         (result,) = await read(stranger, [(server.flow, points[0])], details)
         assert result.StatusCode.value == Codes.BadContinuationPointInvalid
     (result,) = await read(client, [(server.count, points[0])], details)
@@ -272,7 +273,7 @@ async def test_a_historian_that_takes_its_time_holds_up_nobody_else(server, clie
     server.memory.slow = asyncio.Event()
     try:
         reading = asyncio.create_task(read(client, [server.flow], raw(T0, T0 + 9 * MS)))
-        async with Client(server.url) as other:
+        async with patient(server.url) as other:
             assert await other.get_node(server.other.id).read_value() == 0.0
         assert not reading.done()
         server.memory.slow.set()

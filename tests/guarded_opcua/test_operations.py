@@ -6,7 +6,7 @@ import datetime as dt
 import numpy as np
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from guarded_opcua import (
@@ -21,6 +21,8 @@ from guarded_opcua import (
     add_variable,
 )
 from guarded_opcua.sessions.operations import answer_each
+from support.served import patient
+from support.users import CHEAP
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -54,7 +56,7 @@ class Past:
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def server():
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("olga", Role.OPERATOR, PASSWORD)
     settings = ServerSettings(
         url="opc.tcp://127.0.0.1:0/operations/",
@@ -88,7 +90,7 @@ async def server():
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def client(server):
-    client = Client(server.url)
+    client = patient(server.url)
     client.set_user("olga")
     client.set_password(PASSWORD)
     async with client:

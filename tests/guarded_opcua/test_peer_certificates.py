@@ -9,13 +9,14 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from guarded_opcua.clock import ManualClock
-from guarded_opcua.security.certificates import Pki, fingerprint, rejected
+from guarded_opcua.security.certificates import fingerprint
 from guarded_opcua.security.peer_certificates import (
     CertificateRefused,
     PeerTrust,
     Use,
     check_host_name,
 )
+from guarded_opcua.security.pki_folders import Pki, rejected
 from support import certificate_cases as cases
 from support.certificates import (
     DAY,

@@ -3,9 +3,10 @@
 import asyncio
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import HardenedServer, ServerSettings, add_object, add_variable
+from support.served import patient
 
 NAMESPACE = "urn:removal"
 UNKNOWN = ua.StatusCodes.BadNodeIdUnknown
@@ -55,7 +56,7 @@ def nodes(client, index, *names):
 
 async def test_who_monitors_hears_that_the_node_is_unknown_and_may_stop(server):
     index = server.namespace_index
-    async with Client(server.url) as client:
+    async with patient(server.url) as client:
         seen = Seen()
         subscription = await client.create_subscription(50, seen)
         handles = await subscription.subscribe_data_change(
@@ -74,7 +75,7 @@ async def test_who_monitors_hears_that_the_node_is_unknown_and_may_stop(server):
 async def test_what_begins_alike_stays(server):
     index = server.namespace_index
     server.remove([ua.NodeId("A", index)], [server.root])
-    async with Client(server.url) as client:
+    async with patient(server.url) as client:
         gone, there = nodes(client, index, "A.Alone", "A1.Alone")
         with pytest.raises(ua.uaerrors.BadNodeIdUnknown):
             await gone.read_value()
@@ -86,7 +87,7 @@ async def test_what_begins_alike_stays(server):
 @pytest.mark.parametrize("looked_at", [False, True])
 async def test_a_node_may_come_again(server, looked_at):
     index = server.namespace_index
-    async with Client(server.url) as client:
+    async with patient(server.url) as client:
         alone, block = nodes(client, index, "A.Alone", "A.Block")
         if looked_at:
             assert await block.read_value() == 2.0

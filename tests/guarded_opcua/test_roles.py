@@ -6,7 +6,7 @@ import threading
 
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 from asyncua.crypto.security_policies import (
     SecurityPolicyAes256Sha256RsaPss,
     SecurityPolicyBasic256,
@@ -32,6 +32,8 @@ from guarded_opcua import (
     trust,
 )
 from guarded_opcua.address_space.role_permissions import ROLE_IDS
+from support.served import patient
+from support.users import CHEAP
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -106,7 +108,7 @@ class Plant:
         return 2 * a, text
 
     async def client(self, endpoint="None", user=None, password=PASSWORD):
-        client = Client(self.server.url)
+        client = patient(self.server.url)
         client.application_uri = "urn:test:client"
         policy = ENDPOINTS.get(endpoint, endpoint)
         if policy is not None:
@@ -123,7 +125,7 @@ async def plant(tmp_path_factory):
     pki = Pki(folder / "server")
     own = ensure_certificate(Pki(folder / "client"), "urn:test:client", ("localhost",), "client")
     trust(pki, own.certificate)
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     for name, role in ROLES.items():
         if name is not None:
             users.add(name, role, PASSWORD)
@@ -293,7 +295,7 @@ async def test_the_session_goes_on_while_another_guesses(plant, observer, monkey
 
 
 async def test_an_endpoint_that_is_not_offered_cannot_be_used(plant):
-    client = Client(plant.server.url)
+    client = patient(plant.server.url)
     client.application_uri = "urn:test:client"
     offered = await client.connect_and_get_server_endpoints()
     policies = {(e.SecurityPolicyUri.split("#")[1], e.SecurityMode.name) for e in offered}
@@ -307,7 +309,7 @@ async def test_an_endpoint_that_is_not_offered_cannot_be_used(plant):
 
 async def test_an_unknown_certificate_is_refused_and_kept_for_the_administrator(plant, tmp_path):
     own = ensure_certificate(Pki(tmp_path), "urn:test:stranger", ("localhost",), "stranger")
-    client = Client(plant.server.url)
+    client = patient(plant.server.url)
     client.application_uri = "urn:test:stranger"
     await client.set_security(SecurityPolicyBasic256Sha256, str(own.certificate), str(own.key))
     with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):

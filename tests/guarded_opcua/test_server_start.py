@@ -7,7 +7,7 @@ import socket
 import sys
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 from asyncua.server.address_space import AddressSpace, NodeManagementService
 
 from guarded_opcua import HardenedServer, Limits, Pki, ServerSettings, Unit, add_object
@@ -16,6 +16,7 @@ from guarded_opcua.address_space import standard_nodes as module
 from guarded_opcua.address_space.standard_nodes import load_standard_address_space
 from guarded_opcua.errors import ConfigurationError, ServerError
 from guarded_opcua.logs import Bounded
+from support.served import patient
 
 
 def settings(url="opc.tcp://127.0.0.1:0/x/", **changes):
@@ -69,9 +70,9 @@ async def test_a_port_in_use_is_told_with_the_endpoint_and_the_server_starts_lat
 async def test_answers_do_not_wait_to_be_sent_with_the_next_one():
     server = await HardenedServer.create(settings())
     await server.start()
-    async with Client(server.url):
+    async with patient(server.url):
         (connection,) = server._listener._connections
-        sock = connection._transport.get_extra_info("socket")
+        sock = connection.transport.get_extra_info("socket")
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     await server.stop()
 

@@ -22,6 +22,8 @@ from guarded_opcua import (
 )
 from support.proxy import Proxy
 from support.raw_peer import RawPeer
+from support.served import patient
+from support.users import CHEAP
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -33,7 +35,7 @@ EVERY = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def server():
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("oskar", Role.OPERATOR, PASSWORD)
     users.add("erna", Role.ENGINEER, PASSWORD)
     settings = ServerSettings(
@@ -63,7 +65,7 @@ async def server():
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def client(server):
-    async with Client(server.url) as made:
+    async with patient(server.url) as made:
         yield made
 
 
@@ -664,7 +666,7 @@ async def test_get_monitored_items_and_resend_data_serve_the_owner_alone(server,
     assert (numbers, handles) == ([subscribed.items[0].MonitoredItemId], [0])
     await client.nodes.server.call_method(resend, number)
     await until(lambda: subscribed.values)
-    async with Client(server.url) as other:
+    async with patient(server.url) as other:
         for method in (list_, resend):
             call = other.nodes.server.call_method(method, number)
             assert await code_of(call) == Codes.BadUserAccessDenied
@@ -726,7 +728,7 @@ async def test_events_of_the_server_reach_a_client_that_asks_for_them(server, cl
 
 
 async def _logged_in(server, user):
-    client = Client(server.url)
+    client = patient(server.url)
     client.set_user(user)
     client.set_password(PASSWORD)
     await client.connect()

@@ -11,7 +11,8 @@ from guarded_opcua.ledger import Holding, Ledger
 from guarded_opcua.monitoring.data_change import ChangeRule
 from guarded_opcua.monitoring.data_item import DataItem
 from guarded_opcua.monitoring.parameters import Monitoring
-from guarded_opcua.subscriptions.subscription import RepublishStore, Subscription, Timing
+from guarded_opcua.subscriptions.sent_messages import RepublishStore
+from guarded_opcua.subscriptions.subscription import Subscription, Timing
 
 
 class Owner:

@@ -8,8 +8,10 @@ import pytest
 
 from guarded_opcua.clock import ManualClock
 from guarded_opcua.errors import ConfigurationError
+from guarded_opcua.security.accounts import Role
 from guarded_opcua.security.certificates import fingerprint, thumbprint
-from guarded_opcua.security.users import Role, UserStore
+from guarded_opcua.security.passwords import Cost
+from guarded_opcua.security.users import UserStore
 from support.certificates import root, self_signed
 
 PASSWORD = "correct horse"
@@ -31,7 +33,7 @@ def store(clock):
 def quick_hash(monkeypatch):
     """For many guesses: scrypt takes 40 ms of processor time at each."""
     monkeypatch.setattr(
-        "guarded_opcua.security.users._hash",
+        "guarded_opcua.security.users.hash_password",
         lambda password, *_: hashlib.sha256(password.encode()).digest(),
     )
 
@@ -77,7 +79,7 @@ def test_a_success_forgets_the_failures_before_it(store):
 
 
 def test_names_that_nobody_has_flush_no_users_failures_and_stay_bounded(store, monkeypatch):
-    monkeypatch.setattr("guarded_opcua.security.users._hash", lambda *_: bytes(32))
+    monkeypatch.setattr("guarded_opcua.security.users.hash_password", lambda *_: bytes(32))
     for _ in range(5):
         store.authenticate("anna", "wrong horse", "10.0.0.1")
     for number in range(3000):
@@ -106,6 +108,16 @@ def test_a_saved_store_is_read_back_and_holds_no_password(store, tmp_path):
     store.save(file)
     assert PASSWORD not in file.read_text()
     assert UserStore.load(file).authenticate("anna", PASSWORD) is Role.ENGINEER
+
+
+def test_a_store_hashes_at_its_cost_and_a_file_of_cheap_hashes_is_refused(tmp_path):
+    users = UserStore(cost=Cost(n=2))
+    users.add("anna", Role.ENGINEER, PASSWORD)
+    assert users.accounts["anna"].cost == (2, 8, 1)
+    assert users.authenticate("anna", PASSWORD) is Role.ENGINEER
+    users.save(tmp_path / "users.json")
+    with pytest.raises(ConfigurationError, match="scrypt cost out of range"):
+        UserStore.load(tmp_path / "users.json")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX modes")
@@ -179,7 +191,7 @@ def test_an_authority_stands_for_whom_it_certifies_by_name(store):
     store.add_certificate("carl", Role.OPERATOR, authority.der)
     assert store.by_certificate(authority.issue("carl").certificate).name == "carl"
     assert store.by_certificate(authority.issue("anna").certificate) is None
-    assert store.account("carl").anchors == {fingerprint(authority.der)}
+    assert store.accounts["carl"].anchors == {fingerprint(authority.der)}
 
 
 def test_a_certificate_stored_by_an_earlier_version_is_still_known(tmp_path):

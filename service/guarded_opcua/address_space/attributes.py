@@ -20,7 +20,7 @@ from guarded_opcua.address_space.role_permissions import role_permissions
 from guarded_opcua.binary.index_range import IndexRangeError, parse_index_range, select
 from guarded_opcua.errors import CommandRejected
 from guarded_opcua.logs import bounded_logger
-from guarded_opcua.security.users import Role
+from guarded_opcua.security.accounts import Role
 
 _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes

@@ -8,7 +8,7 @@ from asyncua import ua
 
 from guarded_opcua.address_space.units import Unit
 from guarded_opcua.errors import CommandRejected
-from guarded_opcua.security.users import Role
+from guarded_opcua.security.accounts import Role
 
 Range = tuple[float, float]
 Value = Any  # bool, int, float, str, or a list or array of them
@@ -67,3 +67,20 @@ class Method:
     inputs: tuple[Argument, ...]
     outputs: tuple[Argument, ...]
     required: Role
+
+
+def argument_of_method(argument: Argument) -> ua.Argument:
+    """Return the entry of InputArguments or OutputArguments; unit and range are in its text."""
+    text = argument.description
+    if argument.unit is not None:
+        text = f"{text} [{argument.unit.value[1]}]".strip()
+    if argument.value_range is not None:
+        low, high = argument.value_range
+        text = f"{text} ({low:g} to {high:g})".strip()
+    return ua.Argument(
+        Name=argument.name,
+        DataType=ua.NodeId(argument.type.value),
+        ValueRank=ua.ValueRank.OneDimension if argument.array else ua.ValueRank.Scalar,
+        ArrayDimensions=[0] if argument.array else [],
+        Description=ua.LocalizedText(text),
+    )

@@ -16,11 +16,12 @@ from guarded_opcua.address_space.declarations import (
     Range,
     Value,
     Variable,
+    argument_of_method,
 )
 from guarded_opcua.address_space.insertion import insert, property_item
 from guarded_opcua.address_space.units import Unit
 from guarded_opcua.errors import ServerError
-from guarded_opcua.security.users import Role
+from guarded_opcua.security.accounts import Role
 
 _ANALOG_UNIT_RANGE_TYPE = ua.NodeId(17570)
 
@@ -234,7 +235,7 @@ async def add_method(
     method = Method(await _add(server, item), function, tuple(inputs), tuple(outputs), required)
     for name, arguments in (("InputArguments", inputs), ("OutputArguments", outputs)):
         if arguments:
-            await add_property(server, method.id, name, [_described(a) for a in arguments])
+            await add_property(server, method.id, name, [argument_of_method(a) for a in arguments])
     server.register_method(method)
     return method.id
 
@@ -293,19 +294,3 @@ def _variable_type(unit: Unit | None, value_range: Range | None) -> ua.NodeId:
     if value_range is None:
         raise ServerError("a variable with a unit needs a value_range")
     return _ANALOG_UNIT_RANGE_TYPE
-
-
-def _described(argument: Argument) -> ua.Argument:
-    text = argument.description
-    if argument.unit is not None:
-        text = f"{text} [{argument.unit.value[1]}]".strip()
-    if argument.value_range is not None:
-        low, high = argument.value_range
-        text = f"{text} ({low:g} to {high:g})".strip()
-    return ua.Argument(
-        Name=argument.name,
-        DataType=ua.NodeId(argument.type.value),
-        ValueRank=ua.ValueRank.OneDimension if argument.array else ua.ValueRank.Scalar,
-        ArrayDimensions=[0] if argument.array else [],
-        Description=ua.LocalizedText(text),
-    )

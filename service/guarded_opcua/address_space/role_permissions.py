@@ -7,7 +7,7 @@ from typing import Final
 from asyncua import ua
 
 from guarded_opcua.address_space.declarations import Method, Variable
-from guarded_opcua.security.users import Role
+from guarded_opcua.security.accounts import Role
 
 ROLE_IDS: Final = {
     Role.OBSERVER: ua.NodeId(ua.ObjectIds.WellKnownRole_Observer),

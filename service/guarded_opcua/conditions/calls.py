@@ -16,8 +16,8 @@ from guarded_opcua.conditions.nodes import METHODS, ConditionNodes
 from guarded_opcua.conditions.refresh import Refresh
 from guarded_opcua.errors import CommandRejected
 from guarded_opcua.logs import bounded_logger
-from guarded_opcua.monitoring.event_filter import Event
-from guarded_opcua.security.users import Role
+from guarded_opcua.monitoring.events import Event
+from guarded_opcua.security.accounts import Role
 from guarded_opcua.subscriptions.registry import Subscriptions
 from guarded_opcua.subscriptions.subscription import Owner
 
@@ -138,7 +138,7 @@ class Conditions:
         if number in self._refreshing:
             return _Codes.BadRefreshInProgress
         try:
-            items = self._subscriptions.event_items(session, *numbers)
+            items = self._subscriptions.items.event_items(session, *numbers)
         except ServiceError as error:
             return int(error.code)
         marks = (

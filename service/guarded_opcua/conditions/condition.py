@@ -13,7 +13,7 @@ from enum import Enum
 from asyncua import ua
 
 from guarded_opcua.binary.encoding import instant
-from guarded_opcua.monitoring.event_filter import Event
+from guarded_opcua.monitoring.events import Event
 
 _Ids = ua.ObjectIds
 _Types = ua.VariantType

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 from guarded_opcua.clock import Clock
 from guarded_opcua.conditions.keeper import ConditionKeeper
-from guarded_opcua.monitoring.event_filter import Event
 from guarded_opcua.monitoring.event_item import EventItem
+from guarded_opcua.monitoring.events import Event
 from guarded_opcua.subscriptions.registry import Subscriptions
 from guarded_opcua.subscriptions.subscription import Subscription
 

@@ -163,15 +163,15 @@ class Aggregation:
         return Records(values, codes, t, t)
 
     def _of_line_or_cells(self) -> tuple[_Floats, _Codes32]:
-        return {
+        compute = {
             Aggregate.INTERPOLATIVE: self._interpolative,
             Aggregate.AVERAGE: self._average,
             Aggregate.TIME_AVERAGE: self._time_average,
-            Aggregate.MINIMUM: self._extremes,
-            Aggregate.MAXIMUM: self._extremes,
+            **dict.fromkeys((Aggregate.MINIMUM, Aggregate.MAXIMUM), self._extremes),
             Aggregate.COUNT: self._count,
             Aggregate.TOTAL: self._total,
-        }[self._aggregate]()
+        }[self._aggregate]
+        return compute()
 
     def _duration(self) -> tuple[_Floats, _Codes32]:
         kind, in_percent = DURATIONS[self._aggregate]

@@ -9,7 +9,8 @@ from asyncua import ua
 
 from guarded_opcua.binary.encoding import encode_structure, nanoseconds_given
 from guarded_opcua.history.historian import EVER, Span
-from guarded_opcua.monitoring.event_filter import Event, EventFilter
+from guarded_opcua.monitoring.event_filter import EventFilter
+from guarded_opcua.monitoring.events import Event
 from guarded_opcua.turn import Turn
 
 MOST_EVENTS: Final = 500  # events filtered per page; bounds the cost of a request

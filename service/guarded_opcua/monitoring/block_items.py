@@ -5,21 +5,24 @@ interval, a queue that discards the newest, triggering links or mode Sampling ar
 ``data_item``: see :func:`serves`.
 """
 
-from typing import Any
-
 import numpy as np
 from asyncua import ua
-from numpy.typing import NDArray
 
-from guarded_opcua.address_space.blocks import Batch, Block, Bools
+from guarded_opcua.address_space.batches import Batch, Bools
+from guarded_opcua.address_space.blocks import Block
 from guarded_opcua.binary.records import Form, encode_records
-from guarded_opcua.monitoring.block_queue import BlockQueue, Counts, Notifications, Slots
+from guarded_opcua.monitoring.block_changes import BlockChanges, grown
+from guarded_opcua.monitoring.block_queue import (
+    BlockQueue,
+    Counts,
+    Notifications,
+    Slots,
+    notifications,
+)
 from guarded_opcua.monitoring.parameters import Monitoring, Queued, Reporter
 
 _FEWEST = 50  # variables; smaller blocks are faster item by item
 _Mode = ua.MonitoringMode
-_Trigger = ua.DataChangeTrigger
-_Pair = tuple[NDArray[Any], NDArray[Any]]
 _Order = tuple[Slots, Slots]  # slots in use, ordered by column, and these columns
 
 
@@ -113,15 +116,8 @@ class BlockItems:
         self._column = np.zeros(0, np.intp)
         self._handle = np.zeros(0, np.uint32)
         self._size = np.zeros(0, np.int64)
-        self._trigger = np.zeros(0, np.int8)
-        self._deadband = np.zeros(0)
         self._stamps = np.zeros(0, np.int8)
-        # last reported values
-        self._reported = np.zeros(0, np.bool_)
-        self._values = np.zeros((0, block.width), block.dtype)
-        self._codes = np.zeros(0, np.uint32)
-        self._has = np.zeros(0, np.bool_)
-        self._source = np.zeros(0, np.int64)
+        self._changes = BlockChanges(block)
 
     def add(
         self, number: int, wanted: ua.ReadValueId, column: int, monitoring: Monitoring
@@ -146,7 +142,7 @@ class BlockItems:
 
     def start(self, slot: int) -> None:
         """Sample for the first time."""
-        self._reported[slot] = False
+        self._changes.forget(slot)
         column = int(self._column[slot])
         moment = self._subscription.holding.next_moment() - column
         self._see(self.block.newest(column), np.array([slot]), np.array([column]), moment)
@@ -216,17 +212,7 @@ class BlockItems:
 
     def release(self, item: BlockItem) -> tuple[list[Queued], ua.DataValue | None]:
         """Remove an item; return its queue, with the moments, and its last reported value."""
-        slot, block = item.slot, self.block
-        last = None
-        if self._reported[slot]:
-            last = block.data_value(
-                self._values[slot],
-                int(self._codes[slot]),
-                bool(self._has[slot]),
-                int(self._source[slot]),
-                0,
-            )
-        taken = self.queue.take_all_of(slot)
+        last, taken = self._changes.last(item.slot), self.queue.take_all_of(item.slot)
         queued = [] if taken is None else [self._queued(taken, i) for i in range(len(taken))]
         self.remove(item)
         return queued, last
@@ -242,85 +228,12 @@ class BlockItems:
 
     def _see(self, batch: Batch, slots: Slots, columns: Slots, moment: int) -> None:
         """Queue the changes in a batch of exactly these columns."""
-        changed = self._changes(batch, slots)
+        changed = self._changes.find(batch, slots)
         if not changed.any():
             return
         rows = np.arange(len(batch))[:, None]
         self._push(batch, slots, changed, moment + rows * len(self.block) + columns)
         self._subscription.hurry()
-
-    def _changes(self, batch: Batch, slots: Slots) -> Bools:
-        """Return which samples are changes, shape (k, slots); see ``ChangeRule.is_change``."""
-        if batch.present is None and not self._deadband[slots].any():
-            return self._changes_of_all(batch, slots)
-        changed = np.zeros(batch.codes.shape, np.bool_)
-        for row in range(len(batch)):
-            one = self._is_change(
-                slots,
-                ~self._reported[slots],
-                (self._values[slots], batch.values[row]),
-                (self._codes[slots], batch.codes[row]),
-                (self._has[slots], batch.has[row]),
-                (self._source[slots], batch.source[row]),
-            )
-            if batch.present is not None:
-                one &= batch.present[row]
-            self._remember(slots[one], batch, row, np.flatnonzero(one))
-            changed[row] = one
-        return changed
-
-    def _changes_of_all(self, batch: Batch, slots: Slots) -> Bools:
-        """Return the changes without a deadband, by comparing each sample with the one before."""
-        unreported = np.zeros(batch.codes.shape, np.bool_)
-        unreported[0] = ~self._reported[slots]
-        changed = self._is_change(
-            slots,
-            unreported,
-            (np.concatenate((self._values[None, slots], batch.values[:-1])), batch.values),
-            (np.concatenate((self._codes[None, slots], batch.codes[:-1])), batch.codes),
-            (np.concatenate((self._has[None, slots], batch.has[:-1])), batch.has),
-            (np.concatenate((self._source[None, slots], batch.source[:-1])), batch.source),
-        )
-        if changed[-1].all():
-            self._remember(slots, batch, -1, slice(None))
-        else:
-            which = np.flatnonzero(changed.any(axis=0))
-            last = len(batch) - 1 - np.argmax(changed[::-1, which], axis=0)
-            self._remember(slots[which], batch, last, which)
-        return changed
-
-    def _is_change(
-        self,
-        slots: Slots,
-        unreported: Bools,
-        values: _Pair,
-        codes: _Pair,
-        has: _Pair,
-        source: _Pair,
-    ) -> Bools:
-        """Compare reported with new values; shapes (slots, …) or (k, slots, …)."""
-        trigger, deadband = self._trigger[slots], self._deadband[slots]
-        old, new = values
-        differs = old != new
-        if deadband.any():
-            with np.errstate(invalid="ignore"):
-                far = np.abs(new - old)
-            beyond = np.where(np.isnan(far), differs, far > deadband[:, None])
-            differs = np.where(deadband[:, None] > 0.0, beyond, differs)
-        if self.block.dtype.kind == "f":
-            differs &= ~(np.isnan(old) & np.isnan(new))
-        differs = differs[..., 0] if differs.shape[-1] == 1 else differs.any(axis=-1)
-        differs = (differs & has[1]) | (has[0] != has[1])
-        differs |= (trigger == _Trigger.StatusValueTimestamp) & (source[0] != source[1])
-        differs &= trigger != _Trigger.Status
-        return differs | (codes[0] != codes[1]) | unreported
-
-    def _remember(self, slots: Slots, batch: Batch, row: int | Slots, which: Slots | slice) -> None:
-        self._reported[slots] = True
-        self._values[slots] = batch.values[row, which]
-        self._codes[slots] = batch.codes[row, which]
-        self._has[slots] = batch.has[row, which]
-        self._source[slots] = batch.source[row, which]
 
     def _push(self, batch: Batch, slots: Slots, changed: Bools, moments: Counts) -> None:
         queue, holding = self.queue, self._subscription.holding
@@ -331,7 +244,7 @@ class BlockItems:
             numbers = queue.tail[slots] + np.cumsum(changed, axis=0) - 1
             queue.tail[slots] += counts
             holding.add(total)
-            queue.append(_notifications(batch, slots, changed, numbers, moments))
+            queue.append(notifications(batch, slots, changed, numbers, moments))
             return
         for row in np.flatnonzero(changed.any(axis=1)):
             here = slice(row, row + 1)
@@ -352,38 +265,21 @@ class BlockItems:
         queue.tail[slots[pushed]] += 1
         queue.discard(slots[full])
         queue.flag(slots[lost])
-        queue.append(_notifications(batch, slots, changed, numbers[None], moments))
+        queue.append(notifications(batch, slots, changed, numbers[None], moments))
 
     def _set(self, slot: int, monitoring: Monitoring) -> None:
         self._handle[slot] = monitoring.client_handle
         self._size[slot] = monitoring.queue_size
-        self._trigger[slot] = monitoring.rule.trigger
-        self._deadband[slot] = monitoring.rule.deadband
+        self._changes.set_rule(slot, monitoring.rule)
         self._stamps[slot] = monitoring.stamps
 
     def _grow(self) -> None:
         old, new = len(self.modes), max(16, 2 * len(self.modes))
-        more = new - old
         self._free = list(range(new - 1, old - 1, -1))
         self.queue.grow(new)
-        for name in (
-            "modes",
-            "number",
-            "_column",
-            "_handle",
-            "_size",
-            "_trigger",
-            "_deadband",
-            "_stamps",
-            "_reported",
-            "_values",
-            "_codes",
-            "_has",
-            "_source",
-        ):
-            held = getattr(self, name)
-            empty = np.zeros((more, *held.shape[1:]), held.dtype)
-            setattr(self, name, np.concatenate((held, empty)))
+        self._changes.grow(new)
+        for name in ("modes", "number", "_column", "_handle", "_size", "_stamps"):
+            setattr(self, name, grown(getattr(self, name), new))
 
 
 def _common(columns: Slots, written: Slots) -> tuple[Slots, Slots]:
@@ -395,24 +291,3 @@ def _common(columns: Slots, written: Slots) -> tuple[Slots, Slots]:
     which = first[of_batch] + nth
     order = np.argsort(which)
     return which[order], of_batch[order]
-
-
-def _notifications(
-    batch: Batch, slots: Slots, pushed: Bools, numbers: Counts, moments: Counts
-) -> Notifications:
-    everything = bool(pushed.all())
-
-    def flat(array: NDArray[Any]) -> NDArray[Any]:
-        return array.reshape(pushed.size, *array.shape[2:]) if everything else array[pushed]
-
-    slot = flat(np.broadcast_to(slots, pushed.shape))
-    return Notifications(
-        slot,
-        flat(numbers),
-        flat(moments),
-        flat(batch.values),
-        flat(batch.codes),
-        flat(batch.has),
-        flat(batch.source),
-        np.full(len(slot), batch.server),
-    )

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from guarded_opcua.address_space.blocks import Codes, Ticks, Values
+from guarded_opcua.address_space.batches import Batch, Bools, Codes, Ticks, Values
 from guarded_opcua.monitoring.parameters import OVERFLOW
 
 Slots = NDArray[np.intp]
@@ -164,3 +164,25 @@ class BlockQueue:
         left = [part[self._alive(part)] for part in self._log]
         self._log = deque(part for part in left if len(part))
         self._logged = self._live
+
+
+def notifications(
+    batch: Batch, slots: Slots, pushed: Bools, numbers: Counts, moments: Counts
+) -> Notifications:
+    """Return those samples of a batch that were pushed, (k, slots), with number and moment."""
+    everything = bool(pushed.all())
+
+    def flat(array: NDArray[Any]) -> NDArray[Any]:
+        return array.reshape(pushed.size, *array.shape[2:]) if everything else array[pushed]
+
+    slot = flat(np.broadcast_to(slots, pushed.shape))
+    return Notifications(
+        slot,
+        flat(numbers),
+        flat(moments),
+        flat(batch.values),
+        flat(batch.codes),
+        flat(batch.has),
+        flat(batch.source),
+        np.full(len(slot), batch.server),
+    )

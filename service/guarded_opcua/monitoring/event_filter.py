@@ -1,19 +1,18 @@
-"""Events and EventFilters (Part 4, 7.22.3 and 7.7).
+"""EventFilters (Part 4, 7.22.3 and 7.7).
 
 A filter comes from a peer, so it is checked on creation: an accepted filter is evaluated in bounded
 time, and operands that cannot be compared yield null (Part 4, table 121).
 """
 
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
+from guarded_opcua.monitoring.events import Event
 from guarded_opcua.monitoring.like_operator import MAX_PATTERN, like
-from guarded_opcua.security.users import Role
 
 _Codes = ua.StatusCodes
 _Operator = ua.FilterOperator
@@ -50,41 +49,6 @@ _FEWEST_AND_MOST = {
 
 class EventFilterRefused(Exception):  # noqa: N818 - it is an answer
     """A filter is invalid or not supported."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """An event.
-
-    Attributes
-    ----------
-    emitters
-        Objects whose subscribers receive the event.
-    kind
-        EventType.
-    fields
-        Fields by browse path, joined by ``/``.
-    audience
-        Lowest role that receives the event.
-    condition
-        ConditionId of a condition's event (Part 9, 5.5.2).
-    """
-
-    emitters: tuple[ua.NodeId, ...]
-    kind: ua.NodeId
-    fields: Mapping[str, ua.Variant]
-    audience: Role = Role.OBSERVER
-    condition: ua.NodeId | None = None
-
-
-def event_of_asyncua(event: Any) -> Event:  # noqa: ANN401 - asyncua's event objects
-    """Convert an event of asyncua's generator."""
-    fields = {
-        name: ua.Variant(getattr(event, name), kind)
-        for name, kind in event.data_types.items()
-        if getattr(event, name) is not None
-    }
-    return Event((event.emitting_node,), event.EventType, fields)
 
 
 def filter_of_fields(paths: Iterable[str]) -> ua.EventFilter:

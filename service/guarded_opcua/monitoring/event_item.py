@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from asyncua import ua
 
-from guarded_opcua.monitoring.event_filter import Event, EventFilter
+from guarded_opcua.monitoring.event_filter import EventFilter
+from guarded_opcua.monitoring.events import Event
 from guarded_opcua.monitoring.parameters import Reporter
 
 QueuedEvent = tuple[int, Sequence[ua.Variant]]  # client handle, fields

@@ -10,6 +10,7 @@ from asyncua.crypto import uacrypto
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import rsa
 
+from guarded_opcua.security.accounts import Role
 from guarded_opcua.security.certificate_rules import (
     CertificateRefused,
     Use,
@@ -19,7 +20,7 @@ from guarded_opcua.security.certificate_rules import (
 )
 from guarded_opcua.security.login_queue import LoginQueue
 from guarded_opcua.security.peer_certificates import PeerTrust
-from guarded_opcua.security.users import Role, UserStore
+from guarded_opcua.security.users import UserStore
 
 _Codes = ua.StatusCodes
 _MAX_PASSWORD_BYTES = 4_096
@@ -105,7 +106,7 @@ def still_accepted(
 
     It uses the folders of ``trust`` as last read.
     """
-    account = users.account(principal.name)
+    account = users.accounts.get(principal.name)
     if account is None and principal.name == ANONYMOUS:
         return True
     if account is None or account.role != principal.role:

@@ -5,7 +5,8 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass
 
 from guarded_opcua.clock import Clock
-from guarded_opcua.security.users import Role, UserStore
+from guarded_opcua.security.accounts import Role
+from guarded_opcua.security.users import UserStore
 
 _PAUSE_S = 0.1  # s; delay of unknown users after a wrong password, limits the load of guessing
 _MOST_WAITING = 5  # queued checks of one address; further ones are refused unhashed

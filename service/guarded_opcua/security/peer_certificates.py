@@ -20,7 +20,8 @@ from guarded_opcua.security.certificate_rules import (
     name_of,
     parse,
 )
-from guarded_opcua.security.certificates import Pki, fingerprint, reject, thumbprint
+from guarded_opcua.security.certificates import fingerprint, thumbprint
+from guarded_opcua.security.pki_folders import Pki, reject
 from guarded_opcua.security.trust_folders import Stamp, TrustFolders
 
 CHECK_HOST_NAME = "source.check_host_name"

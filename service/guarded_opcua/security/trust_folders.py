@@ -10,12 +10,8 @@ from guarded_opcua.errors import CertificateError
 from guarded_opcua.logs import bounded_logger
 from guarded_opcua.security.certificate_paths import TrustLists
 from guarded_opcua.security.certificate_rules import UNREADABLE, read_through
-from guarded_opcua.security.certificates import (
-    CERTIFICATE_SUFFIXES,
-    Pki,
-    files_with,
-    load_certificate,
-)
+from guarded_opcua.security.certificates import load_certificate
+from guarded_opcua.security.pki_folders import CERTIFICATE_SUFFIXES, Pki, files_with
 from guarded_opcua.security.revocation import RevocationList
 
 _log = bounded_logger(__name__)

@@ -1,15 +1,13 @@
-"""Users: roles, hashed passwords, lock-out."""
+"""Users of a server: their log-in, lock-out and file."""
 
 import base64
-import hashlib
 import hmac
 import json
-import re
 import secrets
 import sys
 from collections import OrderedDict
-from dataclasses import asdict, dataclass, fields, replace
-from enum import IntEnum
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Self
 
@@ -19,58 +17,18 @@ from cryptography.x509.oid import NameOID
 from guarded_opcua.clock import Clock, SystemClock
 from guarded_opcua.errors import ConfigurationError, StorageError
 from guarded_opcua.logs import bounded_logger
+from guarded_opcua.security.accounts import Account, Role, check_account, check_name
 from guarded_opcua.security.certificate_rules import UNREADABLE, extension
 from guarded_opcua.security.certificates import fingerprint, thumbprint
 from guarded_opcua.security.lock_out import Failures
+from guarded_opcua.security.passwords import DEFAULT_COST, Cost, hash_password
 from guarded_opcua.security.whole_files import write_owner_only
 
 _log = bounded_logger(__name__)
 
-_SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 2**14, 8, 1  # 16 MB and about 40 ms per guess
-_SCRYPT_MEMORY = 64 * 1024 * 1024
 _REMEMBERED_STRANGERS = 1_000  # unknown names with failures
 _REMEMBERED_ORIGINS = 100  # addresses from which a user has logged in
 _DUMMY_SALT = bytes(16)
-_HEX = re.compile("([0-9a-f]{40}|[0-9a-f]{64})?")
-
-
-class Role(IntEnum):
-    """Permissions of a user; a higher role includes the lower ones.
-
-    >>> Role.OPERATOR >= Role.OBSERVER
-    True
-    """
-
-    OBSERVER = 1
-    OPERATOR = 2
-    ENGINEER = 3
-    SECURITY_ADMIN = 4
-
-
-@dataclass(frozen=True)
-class Account:
-    """A stored user with a salted scrypt hash of the password, a certificate, or both.
-
-    ``password_hash`` and ``salt`` are base64. ``thumbprint`` is the SHA-256 of the user's
-    certificate in hex, or its SHA-1 if an earlier version stored it. ``authority`` is the SHA-256
-    of an authority that certifies the user under the common name ``name``. At least one of them is
-    not empty.
-    """
-
-    name: str
-    role: Role
-    salt: str = ""
-    password_hash: str = ""
-    thumbprint: str = ""
-    authority: str = ""
-    n: int = _SCRYPT_N
-    r: int = _SCRYPT_R
-    p: int = _SCRYPT_P
-
-    @property
-    def anchors(self) -> frozenset[str]:
-        """Thumbprints of the user's certificate and of its authority."""
-        return frozenset({self.thumbprint, self.authority} - {""})
 
 
 class UserStore:
@@ -80,6 +38,9 @@ class UserStore:
     for ``lock_seconds``. Ten times as many from all addresses lock the name, except for addresses
     from which the user has logged in before; this limits distributed guessing. While locked, the
     right password is refused, too.
+
+    New passwords are hashed at ``cost``. A file with hashes that are cheaper than the default is
+    not loaded, so a lower cost suits only a store that stays in memory, as in tests.
 
     >>> store = UserStore()
     >>> store.add("anna", Role.ENGINEER, "correct horse")
@@ -95,7 +56,9 @@ class UserStore:
         allowed_failures: int = 5,
         lock_seconds: float = 300.0,
         clock: Clock | None = None,
+        cost: Cost = DEFAULT_COST,
     ) -> None:
+        self._cost = cost
         self._accounts: dict[str, Account] = {}
         self._file: Path | None = None
         self._stamp: tuple[int, ...] = ()
@@ -106,7 +69,7 @@ class UserStore:
         self._clock = clock or SystemClock()
 
     @classmethod
-    def one_time(cls, name: str, role: Role) -> tuple[Self, str]:
+    def one_time(cls, name: str, role: Role, cost: Cost = DEFAULT_COST) -> tuple[Self, str]:
         """Create a store with one user and a random password, which is not stored.
 
         Returns
@@ -114,7 +77,7 @@ class UserStore:
         tuple
             The store, and the password to display once.
         """
-        store, password = cls(), secrets.token_urlsafe(12)
+        store, password = cls(cost=cost), secrets.token_urlsafe(12)
         store.add(name, role, password)
         return store, password
 
@@ -123,9 +86,10 @@ class UserStore:
         """The names of all users, sorted."""
         return tuple(sorted(self._accounts))
 
-    def account(self, name: str) -> Account | None:
-        """Return the stored account, or None if there is no such user."""
-        return self._accounts.get(name)
+    @property
+    def accounts(self) -> Mapping[str, Account]:
+        """The stored accounts, by name."""
+        return self._accounts
 
     def add(self, name: str, role: Role, password: str) -> None:
         """Add a user with a password, or replace it.
@@ -135,7 +99,7 @@ class UserStore:
         ConfigurationError
             if the name is empty or longer than 64 characters, or the password has fewer than 8.
         """
-        _check_name(name)
+        check_name(name)
         if len(password) < 8:
             raise ConfigurationError(f"user {name}: a password needs at least 8 characters")
         salt = secrets.token_bytes(16)
@@ -143,7 +107,8 @@ class UserStore:
             name=name,
             role=Role(role),
             salt=base64.b64encode(salt).decode(),
-            password_hash=base64.b64encode(_hash(password, salt)).decode(),
+            password_hash=base64.b64encode(hash_password(password, salt, self._cost)).decode(),
+            **self._cost._asdict(),
         )
 
     def add_certificate(self, name: str, role: Role, certificate: bytes) -> None:
@@ -157,7 +122,7 @@ class UserStore:
         ConfigurationError
             if the name is empty or longer than 64 characters, or the certificate is malformed.
         """
-        _check_name(name)
+        check_name(name)
         try:
             shown = x509.load_der_x509_certificate(certificate)
             constraints = extension(shown, x509.BasicConstraints)
@@ -202,8 +167,7 @@ class UserStore:
         account = self._accounts.get(name)
         stored = account if account is not None and account.password_hash else None
         salt = base64.b64decode(stored.salt) if stored else _DUMMY_SALT
-        cost = (stored.n, stored.r, stored.p) if stored else (_SCRYPT_N, _SCRYPT_R, _SCRYPT_P)
-        digest = _hash(password, salt, cost)
+        digest = hash_password(password, salt, stored.cost if stored else self._cost)
         expected = base64.b64decode(stored.password_hash) if stored else bytes(len(digest))
         right = hmac.compare_digest(digest, expected) and stored is not None
         if self.locked(name, origin):
@@ -305,7 +269,7 @@ class UserStore:
         for number, entry in enumerate(entries):
             try:
                 account = Account(**{**entry, "role": Role(entry["role"])})
-                _check_account(account)
+                check_account(account)
             except (TypeError, KeyError, ValueError, ConfigurationError) as error:
                 raise ConfigurationError(f"{file}: user {number + 1}: {error}") from error
             accounts[account.name] = account
@@ -317,47 +281,9 @@ class UserStore:
         return self._failures_of_users if known else self._failures_of_strangers
 
 
-def _hash(
-    password: str,
-    salt: bytes,
-    cost: tuple[int, int, int] = (_SCRYPT_N, _SCRYPT_R, _SCRYPT_P),
-) -> bytes:
-    n, r, p = cost
-    return hashlib.scrypt(
-        password.encode("utf-8", "surrogatepass"),
-        salt=salt,
-        n=n,
-        r=r,
-        p=p,
-        maxmem=_SCRYPT_MEMORY,
-        dklen=32,
-    )
-
-
 def _stamp(file: Path) -> tuple[int, ...]:
     try:
         held = file.stat()
     except OSError:
         return ()
     return held.st_mtime_ns, held.st_ctime_ns, held.st_size, held.st_ino
-
-
-def _check_name(name: str) -> None:
-    if not name or len(name) > 64:
-        raise ConfigurationError("a user's name needs 1 to 64 characters")
-
-
-def _check_account(account: Account) -> None:
-    for given in fields(account):
-        value, kind = getattr(account, given.name), type(given.default)
-        if given.name != "role" and type(value) is not (str if given.name == "name" else kind):
-            raise ConfigurationError(f"{given.name} is {str(value)[:40]!r}, of the wrong type")
-    _check_name(account.name)
-    if account.n > 2**16 or account.n < 2**14 or account.r != 8 or not 1 <= account.p <= 4:
-        raise ConfigurationError(f"{account.name}: scrypt cost out of range")
-    if not (account.thumbprint or account.authority or account.password_hash):
-        raise ConfigurationError(f"{account.name}: neither password_hash nor thumbprint")
-    if not _HEX.fullmatch(account.thumbprint) or not _HEX.fullmatch(account.authority):
-        raise ConfigurationError(f"{account.name}: a thumbprint has 40 or 64 digits 0-9, a-f")
-    base64.b64decode(account.salt, validate=True)
-    base64.b64decode(account.password_hash, validate=True)

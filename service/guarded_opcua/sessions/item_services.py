@@ -49,7 +49,7 @@ class ItemServices:
 
         async def create(item: ua.MonitoredItemCreateRequest) -> bytes:
             return encode_structure(
-                self._subscriptions.create_item(request.session, number, item, stamps)
+                self._subscriptions.items.create(request.session, number, item, stamps)
             )
 
         kind = _Ids.CreateMonitoredItemsResponse_Encoding_DefaultBinary
@@ -64,7 +64,7 @@ class ItemServices:
 
         async def modify(item: ua.MonitoredItemModifyRequest) -> bytes:
             return encode_structure(
-                self._subscriptions.modify_item(request.session, number, item, stamps)
+                self._subscriptions.items.modify(request.session, number, item, stamps)
             )
 
         kind = _Ids.ModifyMonitoredItemsResponse_Encoding_DefaultBinary
@@ -78,7 +78,7 @@ class ItemServices:
         session, number = request.session, params.SubscriptionId
 
         async def delete(item: int) -> bytes:
-            return encode_status(self._subscriptions.delete_item(session, number, item))
+            return encode_status(self._subscriptions.items.delete(session, number, item))
 
         kind = _Ids.DeleteMonitoredItemsResponse_Encoding_DefaultBinary
         return await self._operations.answer(
@@ -91,7 +91,9 @@ class ItemServices:
         session, number, mode = request.session, params.SubscriptionId, params.MonitoringMode
 
         async def switch(item: int) -> bytes:
-            return encode_status(self._subscriptions.set_monitoring(session, number, item, mode))
+            return encode_status(
+                self._subscriptions.items.set_monitoring(session, number, item, mode)
+            )
 
         kind = _Ids.SetMonitoringModeResponse_Encoding_DefaultBinary
         return await self._operations.answer(
@@ -101,14 +103,14 @@ class ItemServices:
     async def _set_triggering(self, request: Request, params: ua.SetTriggeringParameters) -> bytes:
         add, remove = list(params.LinksToAdd or ()), list(params.LinksToRemove or ())
         self._operations.check_count([*add, *remove])
-        session, subscriptions = request.session, self._subscriptions
+        session, items = request.session, self._subscriptions.items
         where = params.SubscriptionId, params.TriggeringItemId
 
         async def unlink(linked: int) -> bytes:
-            return encode_status(subscriptions.unlink(session, *where, linked))
+            return encode_status(items.unlink(session, *where, linked))
 
         async def link(linked: int) -> bytes:
-            return encode_status(subscriptions.link(session, *where, linked))
+            return encode_status(items.link(session, *where, linked))
 
         removed = await self._operations.each(request, remove, unlink, encode_status)
         added = await self._operations.each(request, add, link, encode_status)

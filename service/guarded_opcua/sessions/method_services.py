@@ -82,9 +82,9 @@ class MethodServices:
         elif number not in session.subscriptions:
             result.StatusCode = ua.StatusCode(_Codes.BadUserAccessDenied)
         elif wanted.MethodId == _RESEND_DATA:
-            await self._subscriptions.resend(session, number, request.turn.breathe)
+            await self._subscriptions.items.resend(session, number, request.turn.breathe)
         else:
-            pairs = self._subscriptions.items_of(session, number)
+            pairs = self._subscriptions.items.of(session, number)
             result.OutputArguments = [
                 ua.Variant([pair[side] for pair in pairs], ua.VariantType.UInt32, is_array=True)
                 for side in (0, 1)

@@ -8,9 +8,9 @@ from asyncua import ua
 from guarded_opcua.chores import Chores
 from guarded_opcua.clock import Clock
 from guarded_opcua.logs import bounded_logger
-from guarded_opcua.monitoring.event_filter import Event
 from guarded_opcua.monitoring.event_item import EventItem
-from guarded_opcua.security.users import Role
+from guarded_opcua.monitoring.events import Event
+from guarded_opcua.security.accounts import Role
 from guarded_opcua.subscriptions.subscription import Subscription
 
 _log = bounded_logger(__name__)

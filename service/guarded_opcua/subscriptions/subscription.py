@@ -1,11 +1,8 @@
-"""One subscription: publishing cycle and retransmission queue (Part 4, 5.14)."""
+"""One subscription and its publishing cycle (Part 4, 5.14)."""
 
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
-
-from asyncua import ua
 
 from guarded_opcua.address_space.blocks import Block
 from guarded_opcua.binary.encoding import encode_message, ticks_of_ns
@@ -14,8 +11,9 @@ from guarded_opcua.ledger import Holding
 from guarded_opcua.monitoring.block_items import BlockItem, BlockItems
 from guarded_opcua.monitoring.data_item import DataItem
 from guarded_opcua.monitoring.event_item import EventItem
-from guarded_opcua.security.users import Role
+from guarded_opcua.security.accounts import Role
 from guarded_opcua.subscriptions.reports import Reports
+from guarded_opcua.subscriptions.sent_messages import RepublishStore, SentMessages
 
 Item = DataItem | EventItem | BlockItem
 
@@ -74,15 +72,6 @@ class Message:
     more: bool
 
 
-@dataclass
-class RepublishStore:
-    """Capacity for unacknowledged messages, shared by all subscriptions."""
-
-    messages: int
-    capacity: int
-    held: int = 0
-
-
 class Subscription:
     """Collects the notifications of its items and publishes them in each cycle."""
 
@@ -104,7 +93,7 @@ class Subscription:
         self.items: dict[int, Item] = {}
         self.links = 0  # number of triggering links
         self.waiting_since: float | None = None
-        self._store = store
+        self.sent = SentMessages(store)
         self.clock = clock
         self._expired = expired
         self._reports = Reports()
@@ -112,7 +101,6 @@ class Subscription:
         self._linked_by: dict[int, set[int]] = {}
         self._stopped = False
         self._pending: dict[int, DataItem] = {}
-        self._unacknowledged: OrderedDict[int, bytes] = OrderedDict()
         self._sequence = 1
         self._silent_cycles = timing.keep_alive_count  # the first cycle always sends a message
         self._unheard_cycles = 0
@@ -209,31 +197,18 @@ class Subscription:
         content = encode_message(sequence, ticks_of_ns(self.clock.now()), notifications)
         if notifications:
             self._sequence = 1 if sequence == _LAST_SEQUENCE else sequence + 1
-            self._keep(sequence, content)
+            self.sent.keep(sequence, content)
         more = self.publishing and bool(self._reports)
-        return Message(sequence, content, tuple(self._unacknowledged), more)
+        return Message(sequence, content, self.sent.available, more)
 
     def heard_of(self) -> None:
         """Restart the lifetime counter: the client is active."""
         self._unheard_cycles = 0
 
-    def acknowledge(self, sequence: int) -> int:
-        """Drop an acknowledged message; return a status code."""
-        content = self._unacknowledged.pop(sequence, None)
-        if content is None:
-            return ua.StatusCodes.BadSequenceNumberUnknown
-        self._store.held -= len(content)
-        return ua.StatusCodes.Good
-
     def republish(self, sequence: int) -> bytes | None:
         """Return an unacknowledged message, None if it is not available."""
         self.heard_of()
-        return self._unacknowledged.get(sequence)
-
-    @property
-    def available(self) -> list[int]:
-        """Sequence numbers that are available for Republish."""
-        return list(self._unacknowledged)
+        return self.sent.messages.get(sequence)
 
     def retime(self, timing: Timing) -> None:
         """Set revised parameters and restart the publishing cycle."""
@@ -266,8 +241,7 @@ class Subscription:
         self._reports.clear()
         self._pending.clear()
         self._triggered.clear()
-        self._store.held -= sum(map(len, self._unacknowledged.values()))
-        self._unacknowledged.clear()
+        self.sent.clear()
 
     def _report_linked(self) -> None:
         triggered, self._triggered = self._triggered, set()
@@ -314,12 +288,3 @@ class Subscription:
         if not self.publishing or not self._reports:
             return []
         return self._reports.take(self.timing.notifications_per_publish)
-
-    def _keep(self, sequence: int, content: bytes) -> None:
-        self._unacknowledged[sequence] = content
-        self._store.held += len(content)
-        while len(self._unacknowledged) > self._store.messages or (
-            self._store.held > self._store.capacity and len(self._unacknowledged) > 1
-        ):
-            _, dropped = self._unacknowledged.popitem(last=False)
-            self._store.held -= len(dropped)

@@ -1,7 +1,6 @@
 """One TCP connection: frames, secure channel, sessions; limits before authentication."""
 
 import asyncio
-from collections import deque
 from collections.abc import Awaitable
 from functools import partial
 from typing import Any, Protocol, TypeVar
@@ -13,32 +12,24 @@ from asyncua.crypto.uacrypto import InvalidSignature
 from asyncua.ua import ua_binary
 
 from guarded_opcua.allowance import Allowance
-from guarded_opcua.binary.bounded_decoding import Budget, Reader, decode, decode_slowly
+from guarded_opcua.binary.bounded_decoding import Reader, decode
 from guarded_opcua.binary.encoding import encode_publish_response, ticks_of_ns
 from guarded_opcua.logs import bound_asyncua, bounded_logger
-from guarded_opcua.sessions.requests import Request
 from guarded_opcua.subscriptions.publish_queue import PublishRequest
 from guarded_opcua.subscriptions.subscription import Message
+from guarded_opcua.transport.answering import Answers
 from guarded_opcua.transport.channel import Channel
 from guarded_opcua.transport.fair_turns import Cost
+from guarded_opcua.transport.frames import CLOSE, HELLO, MESSAGE, OPEN, Frames
+from guarded_opcua.transport.greeting import PeerLimits, acknowledged, check
 from guarded_opcua.transport.handshake import Handshake
 from guarded_opcua.transport.shared import Shared
 
 _log = bounded_logger(__name__)
 T = TypeVar("T")
 _Codes = ua.StatusCodes
-_Ids = ua.ObjectIds
 
-_HELLO, _OPEN, _MESSAGE, _CLOSE = b"HEL", b"OPN", b"MSG", b"CLO"
-_CHUNK_KINDS = b"FCA"
-_HELLO_BYTES = 8 + 20 + 4 + 4_096
-_OPEN_BYTES = 24 * 1024
-_CLOSE_BYTES = 1_024
-_SMALLEST_BUFFER = 8_192  # Part 6, 7.1.2.3
-_FRAMES_AHEAD, _BYTES_AHEAD = 32, 128 * 1024
-_ERRORS_FORGIVEN = 20
 _BYTES_PER_REQUEST = 16 * 1024  # a larger request or response consumes one more unit per 16 KiB
-_CLOSE_CHANNEL = _Ids.CloseSecureChannelRequest_Encoding_DefaultBinary
 
 
 class Door(Protocol):
@@ -61,29 +52,26 @@ class Connection(asyncio.BufferedProtocol):
         self.host = "?"
         self.cost = Cost(earned_until=shared.clock.monotonic())
         self.writable = True
-        self.since = self.idle_since = shared.clock.monotonic()
+        self.since = shared.clock.monotonic()
         self.blocked_since: float | None = None
         self.channel: Channel
-        self._transport: asyncio.Transport
+        self.transport: asyncio.Transport
         self._shared = shared
         self._door = door
         self._limits = shared.limits
-        self._frames: deque[bytes] = deque()
-        self._buffer = bytearray()
+        self._frames = Frames()
         self._arrived = asyncio.Event()
         self._writable_again = asyncio.Event()
         self._paused = False
         self._greeted = False
-        self._errors = 0
         self._before_session = 0
-        self._requests_before_session = 0
         self._allowance = Allowance(
             shared.clock, self._limits.allowed_requests_per_second, self._limits.request_burst
         )
-        self._peer_message_bytes = 0
-        self._peer_chunks = 0
+        self._peer_limits = PeerLimits()
         self._task: asyncio.Task[None] | None = None
         self._handshake = Handshake(shared, self)
+        self._answers = Answers(shared, self._handshake, self)
 
     @property
     def peer_certificate(self) -> bytes | None:
@@ -91,24 +79,19 @@ class Connection(asyncio.BufferedProtocol):
         return self.channel.peer_certificate
 
     @property
+    def idle_since(self) -> float:
+        """Monotonic time of the last request of a session, s."""
+        return self._answers.idle_since
+
+    @property
     def progress(self) -> int:
         """Progress of the handshake: 0 connected, 1 Hello received, 2 secure channel open."""
         return self._greeted + self.channel.is_open()
 
-    @property
-    def unsent(self) -> int:
-        """Bytes in the send buffer."""
-        return self._transport.get_write_buffer_size()
-
-    @property
-    def is_closing(self) -> bool:
-        """Whether the connection is closing or closed."""
-        return self._transport.is_closing()
-
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Start serving, unless the connection is not admitted."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - TCP gives nothing else
-        self._transport = transport
+        self.transport = transport
         name = transport.get_extra_info("peername")
         self.host = str(name[0]) if name else "?"
         limits = self._limits
@@ -135,7 +118,6 @@ class Connection(asyncio.BufferedProtocol):
         if self._task is not None:
             self._task.cancel()
         self._frames.clear()
-        self._buffer.clear()
         self._door.forget(self)
 
     def pause_writing(self) -> None:
@@ -159,7 +141,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def buffer_updated(self, count: int) -> None:
         """Split received bytes into frames; close the connection on invalid or oversized ones."""
-        if self._transport.is_closing():
+        if self.transport.is_closing():
             return
         data = self._shared.arrivals[:count]
         if not self._handshake.done:
@@ -167,38 +149,26 @@ class Connection(asyncio.BufferedProtocol):
             if self._before_session > self._limits.handshake_bytes:
                 self.fail(_Codes.BadTcpMessageTooLarge, "sends too much before it logs in")
                 return
-        self._buffer += data
-        while len(self._buffer) >= 8:
-            size = int.from_bytes(self._buffer[4:8], "little")
-            if not self._plausible(bytes(self._buffer[:4]), size):
-                self.fail(_Codes.BadTcpMessageTypeInvalid, "sends no OPC UA, or too large a frame")
-                return
-            if len(self._buffer) < size:
-                break
-            self._frames.append(bytes(self._buffer[:size]))
-            del self._buffer[:size]
+        if not self._frames.add(data, self.channel.limits.max_recv_buffer):
+            self.fail(_Codes.BadTcpMessageTypeInvalid, "sends no OPC UA, or too large a frame")
+            return
         if self._frames:
             self._arrived.set()
-        waiting = sum(map(len, self._frames))
-        if (len(self._frames) > _FRAMES_AHEAD or waiting > _BYTES_AHEAD) and not self._paused:
+        if self._frames.are_many and not self._paused:
             self._paused = True
-            self._transport.pause_reading()
+            self.transport.pause_reading()
 
     def fail(self, code: int, reason: str) -> None:
         """Send an error message with the reason, and close."""
-        if self._transport.is_closing():
+        if self.transport.is_closing():
             return
         _log.warning("%s: disconnected: %s", self.host, reason)
         if self._greeted and self.writable:
             error = ua.ErrorMessage(ua.StatusCode(code), None)
-            self._transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Error, error))
-            self._transport.close()
+            self.transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Error, error))
+            self.transport.close()
         else:
-            self._transport.abort()
-
-    def abort(self) -> None:
-        """Close immediately, without flushing the send buffer."""
-        self._transport.abort()
+            self.transport.abort()
 
     def charge(self, cost: float) -> None:
         """Charge processor time to the connection, s."""
@@ -230,10 +200,11 @@ class Connection(asyncio.BufferedProtocol):
         if not isinstance(response, bytes):
             response.ResponseHeader.RequestHandle = handle
             response = ua_binary.struct_to_binary(response)
-        if self._too_large(response):
+        size, buffer = len(response), self.channel.limits.max_send_buffer
+        if size > self._limits.response_bytes or not self._peer_limits.permit(size, buffer):
             self.refuse(request_id, handle, _Codes.BadResponseTooLarge)
         else:
-            self._allowance.spend(len(response) / _BYTES_PER_REQUEST)
+            self._allowance.spend(size / _BYTES_PER_REQUEST)
             self._send(request_id, response)
 
     async def breathe(self) -> None:
@@ -255,15 +226,11 @@ class Connection(asyncio.BufferedProtocol):
         """Answer an OpenSecureChannel."""
         content = ua_binary.struct_to_binary(response)
         kind = ua.MessageType.SecureOpen
-        self._transport.write(self.channel.message_to_binary(content, kind, request_id))
+        self.transport.write(self.channel.message_to_binary(content, kind, request_id))
 
     def log_in(self) -> None:
         """Apply the limits of authenticated users."""
         self.channel.limits.max_message_size = self._limits.message_bytes
-
-    def close(self) -> None:
-        """Close after the send buffer is flushed."""
-        self._transport.close()
 
     async def _run(self) -> None:
         bound_asyncua()
@@ -274,16 +241,16 @@ class Connection(asyncio.BufferedProtocol):
                 await self._arrived.wait()
             while not self.writable:
                 await self._writable_again.wait()
-            if not self._allowance.covers(1.0 + len(self._frames[0]) / _BYTES_PER_REQUEST):
+            if not self._allowance.covers(1.0 + self._frames.next_size / _BYTES_PER_REQUEST):
                 await self._shared.clock.sleep(1.0 / self._limits.allowed_requests_per_second)
                 continue
             await self._shared.turns.take(self.cost)
             try:
-                keep = await self._process(self._frames.popleft())
+                keep = await self._process(self._frames.take())
             finally:
                 self._shared.turns.give(self.cost)
             if not keep:
-                self._transport.close()
+                self.transport.close()
                 return
             await asyncio.sleep(0)
 
@@ -292,9 +259,9 @@ class Connection(asyncio.BufferedProtocol):
             message = self._receive(frame)
             if message is None:
                 return True
-            if isinstance(message, ua.Message) and frame[:3] == _MESSAGE:
-                return await self._serve(message)
-            return frame[:3] != _CLOSE
+            if isinstance(message, ua.Message) and frame[:3] == MESSAGE:
+                return await self._answers.serve(message)
+            return frame[:3] != CLOSE
         except (ServiceError, ua.UaStatusCodeError) as error:
             self.fail(error.code, ua.StatusCode(error.code).name)
         except InvalidSignature:
@@ -307,129 +274,39 @@ class Connection(asyncio.BufferedProtocol):
     def _receive(self, frame: bytes) -> Any:  # noqa: ANN401 - asyncua's messages
         body = Buffer(frame)
         header = ua_binary.header_from_binary(body)
-        if header.MessageType == _HELLO:
-            self._greet(decode(ua.Hello, Reader(frame[header.header_size :], self._budget())))
+        if header.MessageType == HELLO:
+            shown = Reader(frame[header.header_size :], self._answers.budget())
+            self._greet(decode(ua.Hello, shown))
             return None
         if not self._greeted:
             raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
-        if header.MessageType == _OPEN:
-            shown = Reader(frame[header.header_size :], self._budget())
+        if header.MessageType == OPEN:
+            shown = Reader(frame[header.header_size :], self._answers.budget())
             self.channel.check_open_frame(decode(ua.AsymmetricAlgorithmHeader, shown), shown.left)
         elif not self.channel.is_open():
             raise ServiceError(_Codes.BadTcpSecureChannelUnknown)
         message = self.channel.receive_from_header_and_body(header, body)
-        if message is not None and header.MessageType == _OPEN:
-            self._handshake.open_channel(message, self._budget())
+        if message is not None and header.MessageType == OPEN:
+            self._handshake.open_channel(message, self._answers.budget())
         return message
 
     def _greet(self, hello: ua.Hello) -> None:
         if self._greeted:
             raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
-        smallest = min(hello.ReceiveBufferSize, hello.SendBufferSize)
-        if smallest < _SMALLEST_BUFFER or len(hello.EndpointUrl or "") > 4_096:
-            self._greeted = True  # so that the peer receives the reason
-            raise ServiceError(_Codes.BadConnectionRejected)
-        self._greeted = True
-        limits = self.channel.limits
-        limits.max_send_buffer = min(hello.ReceiveBufferSize, limits.max_send_buffer)
-        limits.max_recv_buffer = min(hello.SendBufferSize, limits.max_recv_buffer)
-        self._peer_message_bytes = hello.MaxMessageSize
-        self._peer_chunks = hello.MaxChunkCount
-        acknowledge = ua.Acknowledge(
-            ProtocolVersion=0,
-            ReceiveBufferSize=limits.max_recv_buffer,
-            SendBufferSize=limits.max_send_buffer,
-            MaxMessageSize=self._limits.message_bytes,
-            MaxChunkCount=self._limits.chunks,
-        )
-        self._transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, acknowledge))
-
-    async def _serve(self, message: ua.Message) -> bool:
-        """Answer a request; return whether the connection stays open."""
-        request_id = message.SequenceHeader().RequestId
-        body = Reader(bytes(message.body()), self._budget())
-        self._shared.traffic.requests += 1
-        service = decode(ua.NodeId, body)
-        header = decode(ua.RequestHeader, body)
-        number = service.Identifier if service.NamespaceIndex == 0 else None
-        if number == _CLOSE_CHANNEL:
-            return False
-        try:
-            response = await self._answer(number, request_id, header, body)
-        except (ServiceError, ua.UaStatusCodeError) as error:
-            self._refused(request_id, header, error.code)
-            return self._forgiven(error.code)
-        except Exception:  # noqa: BLE001 - a fault is the answer
-            _log.exception("%s: request %s failed", self.host, number)
-            self._refused(request_id, header, _Codes.BadInternalError)
-            return True
-        if response is not None:
-            self.respond(request_id, header.RequestHandle, response)
-        return True
-
-    async def _answer(
-        self,
-        service: Any,  # noqa: ANN401 - whatever a peer sends
-        request_id: int,
-        header: ua.RequestHeader,
-        body: Reader,
-    ) -> Any:  # noqa: ANN401 - any response
-        if self._handshake.answers(service):
-            if not self._handshake.done:
-                self._requests_before_session += 1
-                if self._requests_before_session > self._limits.handshake_messages:
-                    raise ServiceError(_Codes.BadTcpServerTooBusy)
-            return await self._handshake.answer(service, header, body)
-        session = self._handshake.session_of(header)
-        services = self._shared.services
-        self.idle_since = self._shared.clock.monotonic()
-        session.touch()
-        kind = services.parameters(service)
-        params = await decode_slowly(kind, body, self.breathe)
-        return await services.answer(service, Request(session, request_id, header, self), params)
-
-    def _refused(self, request_id: int, header: ua.RequestHeader, code: int) -> None:
-        self._shared.traffic.count_refusal(code)
-        self.refuse(request_id, header.RequestHandle, code)
-
-    def _forgiven(self, code: int) -> bool:
-        if code in (_Codes.BadDecodingError, _Codes.BadEncodingLimitsExceeded):
-            self._errors += 1
-        return self._errors <= _ERRORS_FORGIVEN
-
-    def _budget(self) -> Budget:
-        limits = self._limits
-        if not self._handshake.done:
-            return Budget(1_000, 1_000, limits.handshake_bytes, 8)
-        return Budget(limits.elements, limits.array_length, limits.string_bytes, limits.nesting)
+        self._greeted = True  # so that the peer receives the reason of a refusal
+        check(hello)
+        self._peer_limits = PeerLimits(hello.MaxMessageSize, hello.MaxChunkCount)
+        answer = acknowledged(hello, self.channel.limits, self._limits)
+        self.transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, answer))
 
     def _send(self, request_id: int, response: bytes) -> None:
-        if self._transport.is_closing():
+        if self.transport.is_closing():
             return
         data = self.channel.message_to_binary(response, ua.MessageType.SecureMessage, request_id)
-        self._transport.write(data)
+        self.transport.write(data)
         self._door.sent(self)
 
-    def _too_large(self, response: bytes) -> bool:
-        size = len(response)
-        if size > self._limits.response_bytes:
-            return True
-        if self._peer_message_bytes and size > self._peer_message_bytes:
-            return True
-        usable = self.channel.limits.max_send_buffer - 256
-        return bool(self._peer_chunks) and size > self._peer_chunks * usable
-
-    def _plausible(self, kind: bytes, size: int) -> bool:
-        most = {
-            _HELLO: _HELLO_BYTES,
-            _OPEN: _OPEN_BYTES,
-            _CLOSE: _CLOSE_BYTES,
-            _MESSAGE: self.channel.limits.max_recv_buffer,
-        }.get(kind[:3], 0)
-        whole = kind[:3] == _MESSAGE or kind[3:] == b"F"
-        return 8 < size <= most and kind[3] in _CHUNK_KINDS and whole
-
     def _resume_reading(self) -> None:
-        if self._paused and not self._transport.is_closing():
+        if self._paused and not self.transport.is_closing():
             self._paused = False
-            self._transport.resume_reading()
+            self.transport.resume_reading()

@@ -77,7 +77,7 @@ class Listener:
         for session in self._shared.sessions:
             self._shared.sessions.close(session, code=ua.StatusCodes.BadServerHalted)
         for connection in self._connections:
-            connection.close()
+            connection.transport.close()  # flushes the send buffer
         if self._server is not None:
             await self._server.wait_closed()
         await asyncio.sleep(0)
@@ -104,11 +104,11 @@ class Listener:
         """Disconnect the slowest reader if the send buffers of all connections are too large."""
         if connection.writable:
             return
-        total = sum(other.unsent for other in self._connections)
+        total = sum(map(_unsent, self._connections))
         if total > self._shared.limits.unsent_bytes:
-            slowest = max(self._connections, key=lambda other: other.unsent)
+            slowest = max(self._connections, key=_unsent)
             _log.warning("%s: disconnected: reads too slowly", slowest.host)
-            slowest.abort()
+            slowest.transport.abort()
 
     def _logged_in(self, _newcomer: object = None) -> Container[Any]:
         """Return the connections with an active session."""
@@ -117,7 +117,7 @@ class Listener:
     def _give_way(self, connection: Connection) -> None:
         _log.warning("%s: disconnected: gives way to others", connection.host)
         self._shared.sessions.lose_line(connection)
-        connection.abort()
+        connection.transport.abort()
 
     async def _reap_for_ever(self) -> None:
         while True:
@@ -137,7 +137,7 @@ class Listener:
             blocked = connection.blocked_since
             if blocked is not None and now - blocked > limits.slow_reader_seconds:
                 _log.warning("%s: disconnected: reads too slowly", connection.host)
-                connection.abort()
+                connection.transport.abort()
             elif connection.channel.expired:
                 connection.fail(ua.StatusCodes.BadSecureChannelClosed, "channel not renewed")
             elif connection not in logged_in and now - connection.idle_since > (
@@ -155,7 +155,7 @@ class Listener:
             return
         for connection in self._connections:
             await asyncio.sleep(0)
-            if connection.is_closing:
+            if connection.transport.is_closing():
                 continue
             try:
                 connection.channel.check_again()
@@ -177,3 +177,8 @@ class Listener:
     def _end(self, session: Session, code: int) -> None:
         self._shared.audit.session_closed(Actor(session, session.host))
         self._shared.sessions.close(session, code=code)
+
+
+def _unsent(connection: Connection) -> int:
+    """Bytes in the send buffer."""
+    return connection.transport.get_write_buffer_size()

@@ -14,8 +14,8 @@ from guarded_opcua.clock import Clock
 from guarded_opcua.security.login_queue import LoginQueue
 from guarded_opcua.security.peer_certificates import PeerTrust
 from guarded_opcua.security.users import UserStore
+from guarded_opcua.sessions.registry import Sessions
 from guarded_opcua.sessions.services import Services
-from guarded_opcua.sessions.session import Sessions
 from guarded_opcua.settings import Limits
 from guarded_opcua.transport.fair_turns import FairTurns
 
