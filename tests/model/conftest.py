@@ -13,10 +13,10 @@ from valvemap.model.forgetting import (
     Variable,
 )
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.tensor_spline import TensorSpline
 
 ESTIMATORS = {
     "least squares": RecursiveLeastSquares(),

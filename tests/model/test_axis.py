@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from support.soaked import soaked
 from valvemap.model import axis_search
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.axis_basis import leakage_share
@@ -155,12 +156,13 @@ def test_play_and_spool_are_found_by_the_residual(block):
     assert error(machine(), result.fit) < 0.3
 
 
-def test_a_slow_spool_is_found_too():
+@pytest.mark.parametrize("seconds", [80, *soaked(120)])
+def test_a_slow_spool_is_found_too(seconds):
     one = machine()
     slow = one.model_copy(
         update={"valve": one.valve.model_copy(update={"natural_frequency_hz": 9.0})}
     )
-    found = identify(of(played(slow)), GEOMETRY).fit.regression
+    found = identify(of(played(slow, seconds=seconds)), GEOMETRY).fit.regression
     assert found.spool_hz == pytest.approx(9.0, rel=0.1)
     assert found.play_percent == pytest.approx(2.0, abs=0.3)
 
@@ -191,6 +193,22 @@ def test_slow_and_short_recordings_are_refused(block):
     assert short.status is AxisStatus.TOO_SHORT
     assert "30 s of use" in short.sentence
     assert identify(of(block)[:1], GEOMETRY).status is AxisStatus.TOO_SHORT
+
+
+@pytest.mark.parametrize(
+    ("moved", "words"),
+    [
+        (lambda x: x + 300.0, "mm, the stroke 0 … 800 mm"),
+        (lambda x: x - 300.0, "mm, the stroke 0 … 800 mm"),
+        (lambda x: x / 1000.0, "of a stroke of 800 mm: is it in mm?"),
+    ],
+)
+def test_positions_that_contradict_the_stroke_are_refused(block, moved, words):
+    samples = of(block)
+    samples.x[:] = moved(samples.x)
+    result = identify(samples, GEOMETRY, searched=False)
+    assert result.status is AxisStatus.SIGNAL_INCONSISTENT
+    assert words in result.sentence
 
 
 def test_at_an_end_stop_and_below_three_bar_nothing_is_learnt(block):

@@ -16,7 +16,7 @@ from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_inverse import axis_table, invert, line_weights
 from valvemap.model.kernels.axis_rows import COMPLIANCE, LEAKAGE
 from valvemap.storage.axis_tables import axis_block, checksum, write_axis_table
-from valvemap.storage.lookup_tables import literal
+from valvemap.storage.table_text import literal
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import InverseStatus
 from valvemap_rig.directional import DirectionalValve, true_edge_flow

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import axis_unlike
+from support.soaked import soaked
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.axis_search import identify
 from valvemap.model.axis_signal_check import NAMELESS, inconsistency
@@ -58,7 +59,7 @@ def test_a_wrong_zero_is_named(samples):
     assert found.words == "pA 6 bar too high"
 
 
-@pytest.mark.parametrize("name", ["pA", "pB"])
+@pytest.mark.parametrize("name", ["pA", *soaked("pB")])
 def test_a_noisy_pressure_is_named_and_a_quiet_one_is_not(samples, name):
     assert inconsistency(KNOWN, noisy(samples, name, 4.0), 4.0).words == f"{name} noisy"
     assert inconsistency(KNOWN, noisy(samples, name, 0.1), 4.0) is None
@@ -82,7 +83,7 @@ def test_a_valve_in_a_line_has_the_name_of_no_signal(monkeypatch):
     assert found.is_large
 
 
-@pytest.mark.parametrize("slew", [110.0, 150.0])
+@pytest.mark.parametrize("slew", [110.0, *soaked(150.0)])
 def test_a_spool_that_cannot_follow_is_named_with_its_speed(slew):
     result = identify(played(k_p=3.0, slew_percent_s=slew), GEOMETRY)
     assert result.status in {AxisStatus.SIGNAL_INCONSISTENT, AxisStatus.BULK_MODULUS}

@@ -8,8 +8,9 @@ import pytest
 from benchmarks import measured_data
 from benchmarks.certified import digits, digits_of_std, digits_of_theta, strucchange_errors
 from support.plain_qr import plain_qr_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import Polynomial
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
 
 SETS = ["norris", "pontius", "noint1", "longley", "wampler1", "wampler2", "wampler3"]

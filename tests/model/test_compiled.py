@@ -1,5 +1,6 @@
 """Compiled kernels never run with a callee of yesterday: all go through one decorator."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,15 @@ def test_one_that_was_made_for_any_machine_holds_on_any(machine):
 def test_another_kernel_than_then_has_to_be_warmed_up(machine, monkeypatch):
     warmed_up.note_warm_up()
     monkeypatch.setattr(warmed_up, "_ROOMS", "model/kernels/l*.py")
+    assert not warmed_up.was_warmed_up()
+
+
+def test_what_a_kernel_imports_may_not_have_changed_either(machine, monkeypatch):
+    samples = Path(kernels.__file__).parents[1] / "samples.py"
+    warmed_up.note_warm_up()
+    tree = warmed_up.TREES.of(samples, "valvemap.model.samples")
+    changed = replace(tree, content="another")
+    monkeypatch.setitem(warmed_up.TREES._by_file, samples, changed)
     assert not warmed_up.was_warmed_up()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from valvemap.model import spool_fit as fit
+from valvemap.model import spool_model as spool
 from valvemap.model.dynamics import Dynamics, fit_dynamics
 from valvemap.model.kernels import dynamics as kernels
 from valvemap.model.samples import Samples
@@ -67,7 +68,7 @@ def test_a_search_from_the_delay_begins_near_a_slow_meter():
 
 def test_a_play_is_found_beside_the_spool():
     grid = fit._gridded(stepped(10.0, play=4.0), 0.01)
-    without, _ = fit.descend(grid, fit.Point(F, ZETA, fit.NO_SLEW, 0.0, LAG))
+    without, _ = fit.descend(grid, spool.Point(F, ZETA, spool.NO_SLEW, 0.0, LAG))
     assert abs(without.lag - LAG) > 0.002
     _, p = fit._with_play(grid, without)
     assert p.play == pytest.approx(4.0, abs=0.1)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from support.soaked import soaked
 from valvemap.model.fleet import alone, member
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.kernels.flow_path import DEAD_Q, DEAD_U
@@ -17,7 +18,7 @@ def flow(U, dp):
 
 
 @pytest.mark.parametrize("fs", [10.0, 100.0])
-@pytest.mark.parametrize("late", [2, 3, 5])
+@pytest.mark.parametrize("late", [2, *soaked(3, 5)])
 def test_the_map_is_as_late_as_the_search_found_it_where_blows_open_the_valve(late, fs):
     rng, N = np.random.default_rng(late), 6_000
     opening = np.repeat(rng.uniform(0.0, 100.0, N // 4) * rng.integers(0, 2, N // 4), 4)
@@ -28,7 +29,9 @@ def test_the_map_is_as_late_as_the_search_found_it_where_blows_open_the_valve(la
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.4])
-@pytest.mark.parametrize(("dead", "fs"), [(0.15, 10.0), (0.07, 20.0), (0.33, 10.0), (0.031, 50.0)])
+@pytest.mark.parametrize(
+    ("dead", "fs"), [(0.15, 10.0), (0.031, 50.0), *soaked((0.07, 20.0), (0.33, 10.0))]
+)
 def test_a_dead_time_that_ends_between_two_samples_is_found_to_a_part_of_one(dead, fs, jitter):
     rng, N = np.random.default_rng(int(1000 * dead)), 6_000
     t = np.cumsum((1.0 + rng.uniform(-jitter, jitter, N)) / fs)

@@ -6,12 +6,19 @@ from dataclasses import fields, make_dataclass
 import numpy as np
 import pytest
 
-from valvemap.model import drift_states
+from valvemap.model import drift_states, flow_causes
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.fleet import member, members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import FlowMapState
-from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_memory, flow_path
+from valvemap.model.kernels import (
+    flow_cells,
+    flow_drift,
+    flow_fit,
+    flow_memory,
+    flow_path,
+    flow_rules,
+)
 from valvemap.model.portable_flow_map import GaussianMap
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.findings import FindingCode as Code
@@ -113,6 +120,21 @@ def test_a_pump_at_its_limit_is_told_from_a_meter_at_its_end():
     assert "70" in one.sentence
 
 
+@pytest.mark.parametrize("falls", [0.3, 0.7, 0.8])
+def test_a_pressure_drop_that_falls_as_the_valve_opens_is_no_pump_at_its_limit(falls):
+    """Its flow has a largest value, too, and changes little there."""
+    for seed in range(4):
+        U, load = cycle(seed)
+        dp = 180.0 * (1.0 - falls * U / 100.0) * (1.0 - 0.05 * (seed % 2) * load / 195.0)
+        rng = np.random.default_rng([seed, 5])
+        rows = np.zeros((N, flow_path.COLUMNS))
+        rows[:, flow_path.LEFT_U], rows[:, flow_path.LEFT_DP] = U, dp + 0.2 * rng.normal(size=N)
+        rows[:, flow_path.LEFT_Q] = valve(U, dp) + SIGMA * rng.normal(size=N)
+        parts = (rows[i : i + 1280] for i in range(0, N - 1279, 1280))
+        found = [flow_causes.most_delivered(one, SIGMA)[1] for one in parts]
+        assert sum(found) < flow_rules.STILL_CLEAR, (seed, found)
+
+
 def test_a_drift_has_a_rate_per_hour():
     found = FlowMap().findings(
         learnt(lambda U, dp, t, e: valve(U, dp) * (1 - 0.15 * t / 3600) + e, fs=10.0)
@@ -166,7 +188,8 @@ def hidden():
     for seed in range(2):
         for name in HIDDEN:
             why = MISSED.get((name, seed))
-            marks = pytest.mark.xfail(strict=True, reason=f"missed: {why}") if why else ()
+            marks = [pytest.mark.xfail(strict=True, reason=f"missed: {why}")] if why else []
+            marks += [pytest.mark.soak] if seed else []
             yield pytest.param(name, seed, marks=marks)
 
 
@@ -193,15 +216,19 @@ def test_a_map_that_travels_is_no_surer_than_where_it_was_learnt():
     )
 
 
-@pytest.mark.parametrize("version", [3, 4, 5, 6, 7, 8])
+@pytest.mark.parametrize("version", [3, 4, 5, 6, 7, 8, 9, 10])
 def test_a_state_of_before_keeps_all_that_was_learnt(version):
     state = learnt(lambda U, dp, t, e: valve(U, dp) + e)
     effects = np.array([0.02, 0.1, 0.05, 0.03, 0.01])
     state.now[:, 0, EFFECTS] = state.x[..., EFFECTS] = effects
     state.scalars[[flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.LEARNT_T]] = 30.0
     arrays = {field.name: getattr(state, field.name) for field in fields(state)}
-    _without_oil(arrays)
-    _without_jumps_of_offsets(arrays) if version == 8 else _without_offsets(arrays)
+    state.scalars[flow_fit.READING :] = state.stay[flow_memory.NOISY] = 0.0  # not known then
+    arrays["scalars"] = arrays["scalars"][: flow_fit.READING]
+    arrays["stay"] = arrays["stay"][: flow_memory.NOISY if version == 10 else flow_memory.LOOSE]
+    if version < 9:
+        _without_oil(arrays)
+        _without_jumps_of_offsets(arrays) if version == 8 else _without_offsets(arrays)
     held = np.arange(flow_path.OF_MAP, flow_path.PARAMETERS)
     if version < 7:
         arrays["path"] = np.delete(arrays["path"], [*held, *held + flow_path.PARAMETERS])
@@ -233,7 +260,7 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
         ]
         np.testing.assert_allclose(read.P[:, known], state.P[:, known], rtol=1e-9, atol=1e-12)
     older.state_version = 2
-    with pytest.raises(StateMismatchError, match="version 2, version 9 is needed"):
+    with pytest.raises(StateMismatchError, match="version 2, version 11 is needed"):
         FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
 
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from support.missed import missed
+from support.soaked import soaked
 from valvemap.model.fleet import members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
-from valvemap.model.inverse_map import _search
+from valvemap.model.inverse_forms import invert_by_search
 from valvemap.model.kernels import flow_drift, flow_memory, flow_rules
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Adaptation, InverseStatus, Status
@@ -178,19 +179,19 @@ WAYS = {
 
 
 @pytest.mark.parametrize(
-    ("truth", "way"),
+    ("truth", "way", "seed"),
     [
-        *((bent, way) for way in WAYS),
+        *((bent, way, 17) for way in WAYS),
         *(
-            pytest.param(laminar, way, marks=missed(".4-1.4 σ: its bend near 0 is not seen"))
+            pytest.param(laminar, way, 17, marks=missed(".4-1.4 σ: its bend near 0 is not seen"))
             for way in WAYS
             if way != "stays"
         ),
-        pytest.param(laminar, "stays", marks=missed("held .35-.48 on nine of ten seeds")),
+        pytest.param(laminar, "stays", 1, marks=missed("held .42-.63 on nine of ten seeds")),
     ],
 )
-def test_where_the_pressure_drop_goes_with_u_the_roots_law_decides_beside_it(truth, way):
-    U = cycle(17, 20_000, 100.0)[0]
+def test_where_the_pressure_drop_goes_with_u_the_roots_law_decides_beside_it(truth, way, seed):
+    U = cycle(seed, 20_000, 100.0)[0]
     dp = WAYS[way](U)
     state, _ = learnt(U, dp, truth(U, dp))
     for off in (-5.0, 0.0, 5.0):
@@ -202,7 +203,7 @@ def test_where_the_pressure_drop_goes_with_u_the_roots_law_decides_beside_it(tru
         assert np.mean(error <= 1.96 * std) >= 0.9
 
 
-@pytest.mark.parametrize("at", range(10_000, 12_000, 250))
+@pytest.mark.parametrize("at", [*range(10_000, 12_000, 500), *soaked(*range(10_250, 12_000, 500))])
 def test_the_size_of_a_change_is_that_of_the_places_visited_wherever_it_was_found(at):
     U, dp = cycle(14, 14_000, 100.0)
     Q = bent(U, dp)
@@ -368,7 +369,10 @@ def test_its_exact_inverse_is_what_a_search_finds(low):
     state.now[:, 0, :2] = (0.02, 0.7), (0.02, -0.4)  # gain and edge moved
     Q, dp, T = rng.uniform(-250, 280, 500), rng.uniform(-50, 200, 500), rng.uniform(25, 60, 500)
     with np.errstate(all="ignore"):
-        found, searched = flow_map.inverted(state, Q, dp, T), _search(flow_map, state, Q, dp, T)
+        found, searched = (
+            flow_map.inverted(state, Q, dp, T),
+            invert_by_search(flow_map, state, Q, dp, T),
+        )
     np.testing.assert_array_equal(found[3], searched.status)
     assert np.bincount(found[3]).min() > 10
     ok = found[3] == InverseStatus.OK

@@ -2,8 +2,10 @@
 
 import pytest
 
+from benchmarks.drawn_plants import drawn
 from benchmarks.one_model import measured
 from benchmarks.one_model_sensors import offset
+from benchmarks.unseen_plants import judged
 from valvemap.model.flow_map import FlowMap
 from valvemap.vocabulary.findings import FindingCode
 
@@ -33,3 +35,13 @@ def test_what_the_meter_shows_is_predicted_with_its_offset():
     flow_map = FlowMap()
     _, trace = flow_map.update(flow_map.initial_state(), row.samples)
     assert abs(trace.residual[-2_000:].mean()) < 0.1
+
+
+def test_no_offset_moves_where_a_valve_that_is_shut_has_any_pressure_drop():
+    """The map is not known there but for its mean, and no flow runs against Δp."""
+    row, words = drawn(10037)
+    assert words.startswith("10037 poppet, hammering")
+    figures = judged(row)[-1]
+    assert figures["found"] == set()
+    assert figures["rmse"] < 0.5
+    assert figures["held"] > 0.9

@@ -17,10 +17,10 @@ from valvemap.model.forgetting import (
     Variable,
 )
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 
 GPM = 3.785411784  # l/min
 

@@ -15,9 +15,10 @@ from valvemap.model.forgetting import (
     with_lam,
 )
 from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.survey import survey
 from valvemap.vocabulary.statuses import Status

@@ -15,12 +15,13 @@ from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import inverse_table, invert
 from valvemap.model.kernels import flow_memory, flow_play
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
+from valvemap.model.model_structures import FiveTerms, Polynomial
 from valvemap.model.monotone import Monotone
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples, Trace
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import InverseStatus
 
 Q_MAX = 200.0

@@ -7,16 +7,16 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks import circumstances, coverage
+from support.soaked import soaked
+from valvemap.model.armax import recursive_maximum_likelihood
 from valvemap.model.estimator import key_of
 from valvemap.model.kernels import likelihood_memory as memories
 from valvemap.model.kernels.factors import covariance
-from valvemap.model.maximum_likelihood import (
-    MaximumLikelihood,
-    recursive_maximum_likelihood,
-)
+from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.maximum_likelihood_state import MaximumLikelihoodState
-from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.model.model_structures import FiveTerms
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import Quality, Status
 
 A, B, D = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, -1.0, 0.2]
@@ -38,8 +38,10 @@ def sensitivities(y, u, v):
     return np.stack(columns, axis=1)
 
 
-@pytest.mark.parametrize("seeds", [75, pytest.param(300, marks=pytest.mark.soak)])
-@pytest.mark.parametrize("p0", PRIORS)
+@pytest.mark.parametrize(
+    ("p0", "seeds"),
+    [(0.1, 75), (np.inf, 75), *soaked(*((p0, 300) for p0 in PRIORS))],
+)
 def test_armax_is_found_at_the_cramer_rao_bound_by_every_seed(p0, seeds):
     data = [armax(seed) for seed in range(seeds)]
     psi = [sensitivities(*each) for each in data]

@@ -12,12 +12,8 @@ from scipy.interpolate import BSpline
 
 from valvemap.errors import ConfigurationError
 from valvemap.model.kernels.polynomial import products
-from valvemap.model.model_structures import (
-    FiveTerms,
-    Polynomial,
-    StructureWithPrior,
-    TensorSpline,
-)
+from valvemap.model.model_structures import FiveTerms, Polynomial, StructureWithPrior
+from valvemap.model.tensor_spline import TensorSpline
 
 KINKED = TensorSpline((0, 50, 100), (0, 4, 9, 15), T=(20, 60), dead_band=8)
 STRUCTURES = {

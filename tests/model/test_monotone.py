@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from valvemap.model.inverse_map import invert
-from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
+from valvemap.model.model_structures import FiveTerms, Polynomial
 from valvemap.model.monotone import Monotone, monotone_rows, nearest
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import InverseStatus
 
 

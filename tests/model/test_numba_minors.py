@@ -28,7 +28,7 @@ CHECKS = (
 )
 BITS = """
 import numba, numpy as np
-from valvemap.model.maximum_likelihood import recursive_maximum_likelihood
+from valvemap.model.armax import recursive_maximum_likelihood
 from valvemap.model.recursive_least_squares import recursive_least_squares
 
 rng = np.random.default_rng(8)

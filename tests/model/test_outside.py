@@ -5,17 +5,25 @@ import pytest
 
 from benchmarks.outside import Q_MAX, SURE, VALVES, figures, learnt
 from support.missed import missed
+from support.soaked import soaked
 from valvemap.model.inverse_map import invert
 from valvemap.model.residual_spread import TWO_SIDED_95
 from valvemap.model.samples import Samples, Segments
-from valvemap.pipeline.valve_state import predicted, predicted_measurement
+from valvemap.pipeline.lane_predictions import predicted, predicted_measurement
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 PARTS = (((5, 40), (5, 60)), ((45, 90), (80, 190)))
 ESTIMATORS = ("RLS", "RML", "RBF", "Auto")
 
 
-@pytest.fixture(scope="module", params=VALVES)
+# A curve of the usual form, one with a kink, and one that eq. (7) can follow.
+IN_SHORT = ("ordinary", "dead band", "eq. (7)")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[*IN_SHORT, *soaked(*(name for name in VALVES if name not in IN_SHORT))],
+)
 def asked(request):
     """Figures of each estimator on one valve, pooled over two parts of its range."""
     valve, total = VALVES[request.param], {}
@@ -141,6 +149,20 @@ def test_eq_7_stops_being_followed_where_its_interval_is_no_longer_narrow():
     far = status == Status.EXTRAPOLATING
     assert 10 < far.sum() < 50
     assert TWO_SIDED_95 * std[~far].max() <= SURE * Q_MAX
+
+
+@pytest.mark.parametrize("name", ["RLS", "RML", "Auto"])
+def test_eq_7_is_not_followed_beyond_the_ranges_of_its_estimator(name):
+    fleet, _ = learnt(VALVES["eq. (7)"], PARTS[1], 3)
+    lane = fleet.lane(0, name)
+    whole, T = np.array([150.0, 102.0, 60.0, 60.0]), np.full(4, np.nan)
+    dp = np.array([100.0, 100.0, 205.0, 900.0])
+    guessed = predicted(lane, whole, dp, T)[2] == Status.EXTRAPOLATING
+    assert guessed[:2].all()  # RLS and RML describe U of 0 ... 100 %
+    if name == "Auto":  # its map ends at 200 bar and gives its border beyond
+        answer = invert(lane.estimator, lane.state, 20.0, dp, np.nan, support=lane.support)
+        assert guessed[3]
+        assert answer.status[3] == InverseStatus.EXTRAPOLATING
 
 
 def test_what_was_reset_has_seen_nothing_and_what_is_frozen_sees_no_more(fleet):

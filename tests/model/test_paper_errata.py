@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.recursive_least_squares import recursive_least_squares
 
 LAM = 0.97
 

@@ -5,10 +5,11 @@ import pytest
 
 from valvemap.errors import ConfigurationError
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import FiveTerms, StructureWithPrior, TensorSpline
+from valvemap.model.model_structures import FiveTerms, StructureWithPrior
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 
 SIGMA = 0.4  # l/min, 0.2 % of 200
 

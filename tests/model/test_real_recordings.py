@@ -17,12 +17,15 @@ from benchmarks.recordings import (
     r2,
     settled_r2,
 )
+from support.soaked import soaked
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential, SlidingWindow, Variable
 from valvemap.model.least_squares import batch_least_squares
-from valvemap.model.model_structures import FiveTerms, TensorSpline
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
+from valvemap.model.model_structures import FiveTerms
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import Status
 
 elsewhere = pytest.mark.skipif(not measured_data.elsewhere_is_there(), reason=measured_data.ABSENT)
@@ -53,7 +56,7 @@ def test_one_step_ahead_with_lam_0_999_explains_0_9989_of_the_flow(circuit):
     assert one_step_ahead(circuit, Exponential(0.999)) >= 0.9989
 
 
-@pytest.mark.parametrize("rule", [Variable(0.995), Adaptive(0.99), SlidingWindow(100)])
+@pytest.mark.parametrize("rule", [Variable(0.995), Adaptive(0.99), *soaked(SlidingWindow(100))])
 def test_one_step_ahead_rules_that_follow_the_rig_explain_0_9994(circuit, rule):
     assert one_step_ahead(circuit, rule) >= 0.9994
 

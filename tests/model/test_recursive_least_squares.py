@@ -14,8 +14,9 @@ from valvemap.model.forgetting import (
 )
 from valvemap.model.kernels import row_layout
 from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
 from valvemap.vocabulary.statuses import Quality, Status
 
@@ -129,11 +130,13 @@ def test_it_is_as_exact_as_batch_qr_however_ill_conditioned_and_sorted_the_sampl
     # One order or another may be kind to batch QR: its worst is the yardstick for all of ours.
     ascending = np.round(np.linspace(-8.8, -3.1, 82), 9)
     shuffled = np.random.default_rng(0).permutation(ascending)
+    orders = [
+        (np.vander(x, degree + 1, increasing=True), np.round(0.8 + 0.1 * np.sin(x), 3))
+        for x in (ascending, ascending[::-1], shuffled)
+    ]
+    exact = exact_least_squares(*orders[0])  # the same fractions in any order
     ours, batch = [], []
-    for x in (ascending, ascending[::-1], shuffled):
-        y = np.round(0.8 + 0.1 * np.sin(x), 3)
-        X = np.vander(x, degree + 1, increasing=True)
-        exact = exact_least_squares(X, y)
+    for X, y in orders:
         ours.append(lost_digits(recursive_least_squares(X, y).theta, exact))
         batch.append(lost_digits(plain_qr_least_squares(X, y), exact))
     assert max(ours) <= max(*batch, 2.0) + 1.0

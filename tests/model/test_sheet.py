@@ -11,7 +11,7 @@ from valvemap.model.judged_sheet import Verdict, judge
 from valvemap.model.samples import Samples
 from valvemap.model.sheet import Figure, Measured, SheetError, make_sheet
 from valvemap.model.sheet_figures import KEYS
-from valvemap.model.sweep_fit import spool
+from valvemap.model.sweep_equations import spool
 
 NEAR = {
     "rated_flow": 0.5,

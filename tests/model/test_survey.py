@@ -7,12 +7,13 @@ from support.plant import plant
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.model.model_structures import FiveTerms
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples
 from valvemap.model.survey import survey
+from valvemap.model.tensor_spline import TensorSpline
 
 WHERE = {
     "a low U": (0, 40, 10, 200),

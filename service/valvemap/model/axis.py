@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from valvemap.model.axis_basis import KNOTS, PLACES, SIZE, SPLINE, WALTHER
 from valvemap.model.kernels import axis_drift, flow_drift, flow_rules
 from valvemap.model.kernels import axis_rows as kernel
-from valvemap.model.samples import Codes, Flags, Floats, Times
+from valvemap.model.samples import Codes, Flags, Floats, Times, column
 from valvemap.vocabulary.edges import EDGES
 
 SPOOL_DAMPING: Final = 0.8  # of the assumed spool; its frequency is found
@@ -88,11 +88,11 @@ class AxisSamples:
     @classmethod
     def of(cls, t: ArrayLike, **signals: ArrayLike | None) -> "AxisSamples":
         """Convert anything array-like; a signal that is not given is NaN."""
-        time = np.ascontiguousarray(t, dtype=np.int64)
+        time = column(t, np.int64)
         given = {
             name: np.full(time.shape, np.nan)
             if (values := signals.get(name)) is None
-            else np.ascontiguousarray(values, dtype=np.float64)
+            else column(values, np.float64)
             for name in (*_SIGNALS, *_OTHERS)
         }
         return cls(time, **given)

@@ -18,6 +18,10 @@ _SLOWEST_S: Final = 0.0205  # s; 50 Hz: slower, the intervals no longer follow v
 _LEAST_S: Final = 60.0  # s of use; 30 s leave the maps at several standard deviations of a meter
 _LEAST_SHARE: Final = 0.3  # of the intervals must be of use
 _MISSING_SHARE: Final = 0.5
+_STRAY: Final = 0.005  # of the positions at each end; spikes contradict no stroke
+_BEYOND_STROKE: Final = 0.03  # of the stroke, by a sensor's zero
+_LEAST_BEYOND_MM: Final = 5.0  # mm; the same of a short stroke
+_LEAST_TRAVEL: Final = 0.002  # of the stroke; positions in m move by less
 _MODULUS_GPa: Final = (0.1, 2.0)
 _LEAST_SWING: Final = 10.0  # %; U must reach it in both directions
 _PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 13.0)  # %
@@ -78,7 +82,7 @@ def identify(
     regression = AxisRegression(geometry, period_s, has_place=not np.isfinite(samples.v).any())
     _, moves = Rest.initial().update(samples)
     resting, samples = int(np.sum(~moves)), samples[moves]
-    left_out, refused = _too_little(regression, samples, resting)
+    left_out, refused = _unusable(regression, samples, resting)
     if refused is not None:
         return refused
     if searched:
@@ -106,6 +110,17 @@ def fitted(regression: AxisRegression, samples: AxisSamples) -> tuple[AxisState,
     start = with_theta(regression.initial_state(), fit(regression, first).theta)
     state, _ = regression.update(start, samples)
     return state, fit(regression, state)
+
+
+def _unusable(
+    regression: AxisRegression, samples: AxisSamples, resting: int
+) -> tuple[dict[str, int], AxisResult | None]:
+    """As `_too_little`, and the refusal of positions that contradict the stroke."""
+    fault = _misplaced(samples.x, regression.geometry.stroke_mm) if regression.has_place else ""
+    if not fault:
+        return _too_little(regression, samples, resting)
+    status = AxisStatus.SIGNAL_INCONSISTENT
+    return {}, AxisResult(status, f"{status.sentence} ({fault})", None, {})
 
 
 def _too_little(
@@ -155,12 +170,28 @@ def _period(samples: AxisSamples) -> tuple[float, AxisResult | None]:
         return refusal(AxisStatus.MISSING_PRESSURE, f"{', '.join(missing)} missing")
     for name in ("x", "U"):
         if np.mean(~np.isfinite(getattr(samples, name))) > _MISSING_SHARE:
-            return refusal(AxisStatus.MISSING_SIGNAL, f"{name} missing")
+            there = float(np.mean(np.isfinite(getattr(samples, name))))
+            part = f"{name} in {100.0 * there:.0f} % of the samples" if there else f"{name} missing"
+            return refusal(AxisStatus.MISSING_SIGNAL, part)
     period_s = 1e-9 * float(np.median(np.diff(samples.t)))
     if not 0.0 < period_s <= _SLOWEST_S:
         rate = f"{1.0 / period_s:.1f} Hz" if period_s > 0.0 else "no time between the samples"
         return refusal(AxisStatus.TOO_SLOW, rate)
     return period_s, None
+
+
+def _misplaced(x: Floats, stroke_mm: float) -> str:
+    """How positions (N,), mm, contradict the stroke; empty if they do not."""
+    x = x[np.isfinite(x)]
+    if not len(x):
+        return ""
+    low, high = (float(q) for q in np.quantile(x, [_STRAY, 1.0 - _STRAY]))
+    slack = max(_BEYOND_STROKE * stroke_mm, _LEAST_BEYOND_MM)
+    if low < -slack or high > stroke_mm + slack:
+        return f"x is {low:.4g} … {high:.4g} mm, the stroke 0 … {stroke_mm:g} mm"
+    if 0.0 < high - low < _LEAST_TRAVEL * stroke_mm:
+        return f"x is {low:.3g} … {high:.3g} mm, of a stroke of {stroke_mm:g} mm: is it in mm?"
+    return ""
 
 
 def _is_still(samples: AxisSamples, name: str) -> bool:

@@ -17,7 +17,7 @@ diagnostics and files by having the methods.
 | `Invertible` | have an exact inverse |
 | `InPieces` | know the form of their map, so that its tables have certified errors |
 | `ResidualStd` | take their standard deviation from the residuals |
-| `MeasuresNoise` | tell the meter's noise from errors of the map |
+| `MeasuresNoise` | separate the meter's noise from errors of the map |
 | `FindsCauses` | weigh causes of what the samples show |
 | `Portable` | can write their map to a file |
 | `ManyModels` of :mod:`~valvemap.model.fleet` | update many models in one call |
@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, runtim
 
 from valvemap.model.change import Change
 from valvemap.model.model_structures import Structure
+from valvemap.model.protocol_checks import CheckedByClass
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.vocabulary.findings import Finding
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @runtime_checkable
-class LinearInParameters(Protocol):
+class LinearInParameters(Protocol, metaclass=CheckedByClass):
     """An estimator of a structure's parameters: each is published by name."""
 
     @property
@@ -46,7 +47,7 @@ class LinearInParameters(Protocol):
 
 
 @runtime_checkable
-class Informed(LinearInParameters, Protocol):
+class Informed(LinearInParameters, Protocol, metaclass=CheckedByClass):
     """An estimator that also has the information about its parameters."""
 
     def information(self, state: Any) -> Floats:  # noqa: ANN401 - the estimator's own
@@ -54,7 +55,7 @@ class Informed(LinearInParameters, Protocol):
 
 
 @runtime_checkable
-class Forgetful(Protocol):
+class Forgetful(Protocol, metaclass=CheckedByClass):
     """An estimator with a forgetting factor."""
 
     @property
@@ -66,7 +67,7 @@ class Forgetful(Protocol):
 
 
 @runtime_checkable
-class FindsChanges(Protocol):
+class FindsChanges(Protocol, metaclass=CheckedByClass):
     """An estimator with detection of abrupt plant changes, if its settings enable it."""
 
     @property
@@ -81,7 +82,7 @@ class FindsChanges(Protocol):
 
 
 @runtime_checkable
-class FindsLags(Protocol):
+class FindsLags(Protocol, metaclass=CheckedByClass):
     """An estimator that estimates how U and Q lag."""
 
     def lags_many(self, states: Any, chosen: Times) -> Sequence[tuple[float, float]]:  # noqa: ANN401
@@ -92,15 +93,15 @@ class FindsLags(Protocol):
 
 
 @runtime_checkable
-class Censors(Protocol):
-    """An estimator that does not learn samples whose flow the meter does not show."""
+class Censors(Protocol, metaclass=CheckedByClass):
+    """An estimator that leaves out samples whose flow the meter cannot show."""
 
     def censored(self, states: Any) -> Times:  # noqa: ANN401 - its own states
         """Return the number of such samples of each of M models (M,)."""
 
 
 @runtime_checkable
-class Restarts(Protocol):
+class Restarts(Protocol, metaclass=CheckedByClass):
     """An estimator that restarts its map, for example when it finds other lags."""
 
     def began(self, states: Any) -> Times:  # noqa: ANN401
@@ -111,7 +112,7 @@ class Restarts(Protocol):
 
 
 @runtime_checkable
-class ChoosesStructure(Protocol):
+class ChoosesStructure(Protocol, metaclass=CheckedByClass):
     """An estimator that selects its structure from the samples."""
 
     def structure_now(self, state: Any) -> Structure | None:  # noqa: ANN401 - its own state
@@ -122,14 +123,14 @@ class ChoosesStructure(Protocol):
 
 
 @runtime_checkable
-class FitsInBursts(Protocol):
+class FitsInBursts(Protocol, metaclass=CheckedByClass):
     """An estimator that fits a map in some updates: for seconds, if kernels run interpreted."""
 
     fits_in_bursts: ClassVar[bool]
 
 
 @runtime_checkable
-class UsesTemperature(Protocol):
+class UsesTemperature(Protocol, metaclass=CheckedByClass):
     """An estimator whose map may depend on the oil temperature."""
 
     @property
@@ -138,7 +139,7 @@ class UsesTemperature(Protocol):
 
 
 @runtime_checkable
-class PathDependent(Protocol):
+class PathDependent(Protocol, metaclass=CheckedByClass):
     """An estimator whose flow depends on the direction of U (hysteresis)."""
 
     def half_play(self, state: Any) -> float:  # noqa: ANN401 - the estimator's state
@@ -162,7 +163,7 @@ class PathDependent(Protocol):
 
 
 @runtime_checkable
-class Invertible(Protocol):
+class Invertible(Protocol, metaclass=CheckedByClass):
     """An estimator with an exact inverse."""
 
     def inverted(
@@ -176,7 +177,7 @@ class Invertible(Protocol):
 
 
 @runtime_checkable
-class InPieces(Protocol):
+class InPieces(Protocol, metaclass=CheckedByClass):
     """An estimator that knows where its map is smooth; structures are known without it."""
 
     def form(self, state: Any, T: float) -> "MapForm | None":  # noqa: ANN401 - its own state
@@ -184,22 +185,22 @@ class InPieces(Protocol):
 
 
 @runtime_checkable
-class ResidualStd(Protocol):
+class ResidualStd(Protocol, metaclass=CheckedByClass):
     """An estimator whose standard deviation is that of its residuals, misfit and noise together."""
 
     std_of_residuals: ClassVar[Literal[True]]
 
 
 @runtime_checkable
-class MeasuresNoise(Protocol):
-    """An estimator that tells the noise of the flow meter from errors of its map."""
+class MeasuresNoise(Protocol, metaclass=CheckedByClass):
+    """An estimator that separates the noise of the flow meter from errors of its map."""
 
     def noise_std(self, state: Any) -> float:  # noqa: ANN401 - its own state
         """Return the standard deviation of the noise, l/min."""
 
 
 @runtime_checkable
-class FindsCauses(Protocol):
+class FindsCauses(Protocol, metaclass=CheckedByClass):
     """An estimator that weighs causes of what the samples show."""
 
     def findings(self, state: Any) -> tuple[Finding, ...]:  # noqa: ANN401 - its own state
@@ -207,7 +208,7 @@ class FindsCauses(Protocol):
 
 
 @runtime_checkable
-class Portable(Protocol):
+class Portable(Protocol, metaclass=CheckedByClass):
     """An estimator that can write its map to a file."""
 
     def to_map(self, state: Any) -> "PortableMap":  # noqa: ANN401

@@ -1,7 +1,7 @@
 """Dynamics of spool and flow meter, fitted together with the static map. Pure.
 
-The model and its search are in :mod:`~valvemap.model.spool_fit`; here the samples are chosen, and
-the result is judged.
+The model is in :mod:`~valvemap.model.spool_model`, its search in
+:mod:`~valvemap.model.spool_fit`; here the samples are chosen, and the result is judged.
 """
 
 import math
@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 
 from valvemap.model import spool_fit as fit
+from valvemap.model import spool_model as spool
 from valvemap.model.samples import Floats, Samples
-from valvemap.model.spool_fit import Grid, Hold, Point
+from valvemap.model.spool_model import Grid, Hold, Point
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.statuses import Quality, Status
 
@@ -84,11 +85,11 @@ class Dynamics:
     def flow(self, U: Floats, dp: Floats) -> Floats:
         """Static flow at (U, Δp), both (N,), l/min."""
         s = np.sign(dp) * np.sqrt(np.abs(dp)) / self.axis[2]
-        return np.asarray(fit.static_columns(U, s, self.axis) @ self.theta)
+        return np.asarray(spool.static_columns(U, s, self.axis) @ self.theta)
 
     def step_response(self, seconds: float = 0.3) -> tuple[Floats, Floats]:
         """Return times (s) and the spool's travel, %, after a step of ``step_percent``."""
-        return fit.response(self._point, self.step_percent, seconds)
+        return spool.response(self._point, self.step_percent, seconds)
 
     def frequency_response(self, f: Floats) -> tuple[Floats, Floats]:
         """Return magnitude (dB) and phase (degrees) from U to the spool at f (N,), Hz.
@@ -107,7 +108,7 @@ class Dynamics:
         return Point(
             self.natural_frequency.value,
             self.damping.value,
-            slew if math.isfinite(slew) else fit.NO_SLEW,
+            slew if math.isfinite(slew) else spool.NO_SLEW,
             dead if math.isfinite(dead) else 0.0,
             0.0,
         )
@@ -158,28 +159,28 @@ def _longest_stretch(samples: Samples, period: float) -> Samples:
 
 def _judged(grid: Grid, p: Point) -> Dynamics:
     """Decide by profile likelihood which parameters are determined; give standard deviations."""
-    unlimited, S_unlimited = fit.descend(grid, replace(p, slew=fit.NO_SLEW), fixed=(fit.SLEW,))
-    r, S, theta = fit.residual(grid, p)
-    noise2 = S / max(len(r) - fit.COLUMNS - fit.FREE, 1)
-    free = [j for j in range(fit.FREE) if j not in p.fixed]
+    unlimited, S_unlimited = fit.descend(grid, replace(p, slew=spool.NO_SLEW), fixed=(spool.SLEW,))
+    r, S, theta = spool.residual(grid, p)
+    noise2 = S / max(len(r) - spool.COLUMNS - spool.FREE, 1)
+    free = [j for j in range(spool.FREE) if j not in p.fixed]
     P = _spread(grid, p, r, noise2, free)
     flat = fit.FLAT * noise2 * fit.colour(r, grid.period)
     has_slew = math.sqrt(P[2, 2]) < UNSURE and S_unlimited - S > flat
     if not has_slew:
         p = unlimited
-        r, S, theta = fit.residual(grid, p)
-        P = _spread(grid, p, r, noise2, [j for j in free if j != fit.SLEW])
+        r, S, theta = spool.residual(grid, p)
+        P = _spread(grid, p, r, noise2, [j for j in free if j != spool.SLEW])
     std = np.sqrt(np.maximum(P.diagonal(), 0.0))
     step = float(np.abs(np.diff(grid.U)).max()) if grid.hold is Hold.CONSTANT else 0.0
     step = max(step, 0.1 * float(np.ptp(grid.U)))
-    gain = fit.static_residual(grid) - S
+    gain = spool.static_residual(grid) - S
     follows = p.dead + 1.96e-3 * std[3] > -EARLY * grid.period
     lags = (
         follows
         and gain > fit.FLAT * noise2 * fit.colour(r, grid.period)
         and p.f < fit.SEEN / grid.period
     )
-    f = _quantity(p.f, p.f * std[0], known=lags and std[0] < UNSURE and p.f < 0.9 * fit.FASTEST)
+    f = _quantity(p.f, p.f * std[0], known=lags and std[0] < UNSURE and p.f < 0.9 * spool.FASTEST)
     zeta = _quantity(p.zeta, p.zeta * std[1], known=f.status is Status.OK and std[1] < UNSURE)
     return Dynamics(
         natural_frequency=f,
@@ -199,7 +200,7 @@ def _judged(grid: Grid, p: Point) -> Dynamics:
 
 def _spread(grid: Grid, p: Point, r: Floats, noise2: float, free: list[int]) -> Floats:
     """Return the covariance of all numbers; those that are not free have none."""
-    P = np.zeros((fit.FREE, fit.FREE))
+    P = np.zeros((spool.FREE, spool.FREE))
     J = fit.jacobian(grid, p.free, r, free)
     P[np.ix_(free, free)] = _covariance(J, r, noise2, grid.period)
     return P
@@ -221,7 +222,7 @@ def _covariance(J: Floats, r: Floats, noise2: float, period: float) -> Floats:
         across = g[k:].T @ g[:-k]
         middle += (1.0 - k / many) * (across + across.T)
     white, coloured = noise2 * inverse, inverse @ middle @ inverse
-    wider = np.sqrt(np.maximum(coloured.diagonal() / np.maximum(white.diagonal(), fit.TINY), 1.0))
+    wider = np.sqrt(np.maximum(coloured.diagonal() / np.maximum(white.diagonal(), spool.TINY), 1.0))
     return np.asarray(white * np.outer(wider, wider), np.float64)
 
 
@@ -236,7 +237,7 @@ def _rise(p: Point, P: Floats, step: float, *, known: bool) -> Quantity:
     if not known:
         return Quantity()
     x, at = p.free, _time_to_90(p, step)
-    gradient = np.empty(fit.FREE)
+    gradient = np.empty(spool.FREE)
     for j, size in enumerate(fit.MOVES):
         moved = x.copy()
         moved[j] += size
@@ -246,7 +247,7 @@ def _rise(p: Point, P: Floats, step: float, *, known: bool) -> Quantity:
 
 def _time_to_90(p: Point, step: float) -> float:
     seconds = 2.0 * step / p.slew + 3.0 * max(p.zeta, 1.0) / p.f + max(p.dead, 0.0)
-    t, x = fit.response(p, step, seconds)
+    t, x = spool.response(p, step, seconds)
     reached = np.flatnonzero(x >= 0.9 * step)
     if not len(reached):
         return seconds

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
-from valvemap.model.samples import Floats, Samples, Trace, field_names
+from valvemap.model.samples import Floats, Samples, Trace, columns_of, field_names
 from valvemap.vocabulary.statuses import Adaptation
 
 
@@ -37,11 +37,13 @@ class State:
     def to_bytes(self, key: str) -> bytes:
         """Serialize the state; ``key`` identifies the hyper-parameters."""
         kind = type(self)
-        arrays = [np.asarray(getattr(self, name)) for name in field_names(kind)]
+        arrays = [
+            array if type(array) is np.ndarray else np.asarray(array) for array in columns_of(self)
+        ]
         names = str(kind.state_version), kind.__name__, key
-        layout = tuple((array.dtype, array.shape) for array in arrays)
+        layout = tuple([(array.dtype, array.shape) for array in arrays])
         head, header = _npy_head(names, field_names(kind), layout)
-        return b"".join((head, *(array.tobytes() for array in arrays), header))
+        return b"".join([head, *[array.tobytes() for array in arrays], header])
 
     @classmethod
     def from_bytes(cls, data: bytes, key: str) -> Self:
@@ -72,7 +74,7 @@ class State:
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:  # noqa: ARG003
-        """Arrays of an older version as this one has them; none where it is not known."""
+        """Convert the arrays of an older version to this one; empty if that version is unknown."""
         return {}
 
     def contents(self) -> Mapping[str, Contents]:
@@ -121,7 +123,7 @@ def _npy_kind(head: bytes) -> np.dtype[Any]:
 
 
 def _difference(header: tuple[str, ...], expected: tuple[str, str, str]) -> str:
-    """Say in what a state is another one: type, version or hyper-parameters."""
+    """Return in what two states differ: type, version or hyper-parameters."""
     if len(header) != len(expected) or header[1] != expected[1]:
         return f"it is a state of {' '.join(map(str, header[1:2]))}, not of {expected[1]}"
     if header[0] != expected[0]:
@@ -217,7 +219,7 @@ class Estimator(Protocol[S]):
 
 
 def key_of(estimator: object) -> str:
-    """Hash of an estimator's hyper-parameters: states and checkpoints are bound to it."""
+    """Hash of an estimator's hyper-parameters, to which its states and checkpoints are bound."""
     assert hasattr(estimator, "__dataclass_fields__")  # noqa: S101 - a programmer's mistake
     return _key_of(_ByText(estimator))
 

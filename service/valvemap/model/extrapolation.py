@@ -11,8 +11,8 @@ from valvemap.model.residual_spread import TWO_SIDED_95
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
 
-EQ_7: Final = frozenset({"1", "U", "s", "U*s", "dp"})
-
+ABOUT_U: Final = 5.0  # %; samples so far beyond the range, by a sensor's offset, are learnt
+ABOUT_DP: Final = 0.1  # of the range of Δp; the same, 5 % of its root
 ONE_EDGE: Final = (0.0, 100.0)  # %: eq. (7) and the splines of `Auto` describe one metering edge
 
 SURE: Final = 0.7  # distance at which the interval starts to grow; 1 at the border of *inside*
@@ -35,9 +35,9 @@ def trusted(
 
     Inside, up to a margin at the border, the map's std is returned. Outside, a map of eq. (7) that
     has passed the lack-of-fit test keeps the std of its parameters, increased by half, while the
-    interval is narrow; this does not count as extrapolation. Any other map is extrapolated, and its
-    std grows with the distance from the samples. If eq. (7) is rejected, its std includes the
-    misfit everywhere.
+    interval is narrow, within the estimator's ranges; this does not count as extrapolation. Any
+    other map is extrapolated, and its std grows with the distance from the samples. If eq. (7) is
+    rejected, its std includes the misfit everywhere.
 
     Parameters
     ----------
@@ -68,6 +68,7 @@ def trusted(
     holds = np.zeros(len(U), np.bool_)
     if suffices:
         holds = (warmth <= 1.0) & (TWO_SIDED_95 * widened <= NARROW * support.Q_max)
+        holds &= within_ranges(estimator, U, dp)
         holds[holds] = support.may_hide(U[holds], dp[holds]) <= HIDDEN * support.Q_max
     return np.where(holds, widened, guessed), outside & ~holds
 
@@ -83,10 +84,50 @@ def U_range_of(estimator: Any) -> tuple[float, float]:  # noqa: ANN401 - any est
     return float(low), float(high)
 
 
+def dp_range_of(estimator: Any) -> tuple[float, float]:  # noqa: ANN401 - any estimator
+    """Range of Δp (bar) that an estimator's map covers; infinite where the map is a formula.
+
+    >>> from valvemap.model.rbf_network import RbfNetwork
+    >>> dp_range_of(RbfNetwork()), dp_range_of(object())
+    ((0.0, 200.0), (-inf, inf))
+    """
+    low, high = getattr(estimator, "dp_range", (-np.inf, np.inf))
+    return float(low), float(high)
+
+
+def ranges_of(estimator: Any) -> str:  # noqa: ANN401 - any estimator
+    """Ranges of an estimator's map in words.
+
+    >>> from valvemap.model.rbf_network import RbfNetwork
+    >>> ranges_of(RbfNetwork()), ranges_of(object())
+    ('U 0 … 100 %, Δp 0 … 200 bar', 'U 0 … 100 %')
+    """
+    (low_U, high_U), (low, high) = U_range_of(estimator), dp_range_of(estimator)
+    of_dp = f", Δp {low:g} … {high:g} bar" if np.isfinite(high - low) else ""
+    return f"U {low_U:g} … {high_U:g} %{of_dp}"
+
+
+def within_ranges(
+    estimator: Any,  # noqa: ANN401 - any estimator
+    U: Floats,
+    dp: Floats,
+    about_U: float = 0.0,
+    about_dp: float = 0.0,
+) -> NDArray[np.bool_]:
+    """Whether N points lie in the ranges of an estimator's map; beyond, it gives its border.
+
+    ``about_U`` (%) and ``about_dp`` (of the range) are allowed beyond; NaN lies within.
+    """
+    (low_U, high_U), (low, high) = U_range_of(estimator), dp_range_of(estimator)
+    slack = about_dp * (high - low) if np.isfinite(high - low) else 0.0
+    beyond = (low_U - about_U > U) | (high_U + about_U < U)
+    return np.asarray(~(beyond | (low - slack > dp) | (high + slack < dp)))
+
+
 def is_eq7(estimator: Any, state: Any) -> bool:  # noqa: ANN401 - any estimator and its state
     """Whether a map has the structure of eq. (7), so that its lack of fit can be tested."""
     if isinstance(estimator, ChoosesStructure):
         structure = estimator.structure_now(state)
     else:
         structure = getattr(estimator, "structure", None)
-    return isinstance(structure, Polynomial) and set(structure.terms) == EQ_7
+    return isinstance(structure, Polynomial) and structure.is_eq7

@@ -11,7 +11,17 @@ from valvemap.model.forgetting import Forgetting
 from valvemap.model.least_squares_learning import batch_of, learn_segments
 from valvemap.model.least_squares_state import RlsState
 from valvemap.model.place_grid import Grid
-from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace, field_names
+from valvemap.model.protocol_checks import CheckedByClass
+from valvemap.model.samples import (
+    Codes,
+    Floats,
+    Samples,
+    Segments,
+    Times,
+    Trace,
+    columns_of,
+    field_names,
+)
 
 UNREAD = frozenset(  # arrays of a state that no result depends on
     {"flows", "places", "visits", "window", "cells", "slots", "recent"}
@@ -22,7 +32,7 @@ In_contra = TypeVar("In_contra", bound=State, contravariant=True)
 
 
 @runtime_checkable
-class ManyModels(Protocol[In_contra]):
+class ManyModels(Protocol[In_contra], metaclass=CheckedByClass):
     """An estimator that can update many models in one call."""
 
     def initial_state(self) -> Any:  # noqa: ANN401 - of its own kind
@@ -66,13 +76,17 @@ def alone(state: S) -> S:
 def member(fleet: S, m: int) -> S:
     """Return the state of model m: views, not copies."""
     kind = type(fleet)
-    return kind(*[getattr(fleet, name)[m] for name in field_names(kind)])
+    return kind(*[array[m] for array in columns_of(fleet)])
 
 
 def copied(state: S) -> S:
     """Return a copy of a state."""
-    kind = type(state)
-    return kind(*[np.array(getattr(state, name)) for name in field_names(kind)])
+    return type(state)(*[np.array(array) for array in columns_of(state)])
+
+
+def copied_member(fleet: S, m: int) -> S:
+    """Return a copy of the state of model m."""
+    return type(fleet)(*[np.array(array[m]) for array in columns_of(fleet)])
 
 
 def members(fleet: S, chosen: Times) -> S:
@@ -119,8 +133,8 @@ def learn_fleet(
 ) -> tuple[RlsState, Trace]:
     """Update model m with the samples ``offsets[m]`` to ``offsets[m + 1] - 1``.
 
-    The result equals that of :func:`~valvemap.model.least_squares_state.learn` for each model, bit
-    by bit.
+    The result equals that of :func:`~valvemap.model.least_squares_learning.learn` for each model,
+    bit by bit.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
         at = known  # what is hardly likelier is not worth another map
     gains = np.zeros(paths.PARAMETERS)
     for k in np.flatnonzero(at):
-        gains[k] = evidence.gain(at, with_value(at, int(k), 0.0))
+        gains[k] = evidence.gain(at, _without(evidence, at, int(k)))
     return at, gains
 
 
@@ -176,7 +176,18 @@ def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
         short = [(_surplus(evidence, at, k, given), k) for k in map(int, np.flatnonzero(at))]
         if not short or min(short)[0] >= 0.0:
             return at
-        at = with_value(at, min(short)[1], 0.0)
+        at = _without(evidence, at, min(short)[1])
+
+
+def _without(evidence: Evidence, at: Floats, k: int) -> Floats:
+    """The likeliest parameters without operator k: a lag that is there may take over its age."""
+    without = with_value(at, k, 0.0)
+    taken = [
+        limited(without, int(other), at[other] + at[k] * AGE[k] / AGE[int(other)])
+        for other in np.flatnonzero(without)
+        if k in AGE and int(other) in AGE
+    ]
+    return min([without, *taken], key=lambda at: evidence.of(at).square)
 
 
 def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
@@ -184,7 +195,7 @@ def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
 
     Where rows tell that a known one has another value, they have to need it, too.
     """
-    without = with_value(at, k, 0.0)
+    without = _without(evidence, at, k)
     gain = evidence.gain(at, without)
     if k == paths.NEWS:  # each controller moves the next U by the noise of this Q, which is no harm
         gain = min(gain, evidence.gain(with_value(at, k, paths.PAST), without))
@@ -266,7 +277,8 @@ def most_delivered(rows: Floats, noise: float) -> tuple[float, float]:
 
     A pump at its limit holds the flow while the valve opens: the pressure drop falls instead. What
     the flow would have fallen with √Δp, or risen with U, is compared with the noise. A flow that
-    differs by more than noise meanwhile is no such limit: a working cycle may come near a level.
+    differs by more than noise during that, or from the largest one, is evidence against a limit:
+    where Δp falls as the valve opens, the flow has a largest value as well.
     """
     Q, U = np.abs(rows[:, paths.LEFT_Q]), np.abs(rows[:, paths.LEFT_U])
     s, width = np.sqrt(np.abs(rows[:, paths.LEFT_DP])), rules.MOST_STAY * noise
@@ -281,5 +293,7 @@ def most_delivered(rows: Floats, noise: float) -> tuple[float, float]:
             rise = 1.0 - U[high] / max(U[low], 1e-9)
             size = level * min(fall, rise) / max(noise, 1e-9)
             is_even = np.var(Q[begin:end]) < rules.EXPLAINED * noise**2
-            evidence += rules.MOST_OF_JUMP if is_even and size > rules.MOST_OF_JUMP else 0.0
+            is_limit = is_even and abs(np.mean(Q[begin:end]) - level) < noise
+            if size > rules.MOST_OF_JUMP:
+                evidence += rules.MOST_OF_JUMP if is_limit else -rules.MOST_OF_JUMP
     return level, evidence

@@ -59,7 +59,8 @@ class FlowMap:
         Of the valve, % and bar.
     lam
         Forgetting factor of a cell, per sample that falls into it, LEAST_LAM <= lam <= 1: by
-        default 500 samples, .05 σ, less than a map needs. What moves in time needs none of it.
+        default 500 samples, .05 σ, less than a map needs. Samples of one visit within .12 s are
+        one. What moves in time needs none of it.
 
     Examples
     --------

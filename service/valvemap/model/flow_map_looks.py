@@ -231,9 +231,9 @@ def _watch_pump(path: Floats, rows: Floats, noise: float) -> None:
     level, gain = flow_causes.most_delivered(rows, noise)
     width = rules.MOST_STAY * noise
     if level > path[flow_path.MOST] + width:
-        path[flow_path.MOST], path[flow_path.MOST_GAIN] = level, gain
+        path[flow_path.MOST], path[flow_path.MOST_GAIN] = level, max(gain, 0.0)
     elif level > path[flow_path.MOST] - width:
-        path[flow_path.MOST_GAIN] += gain
+        path[flow_path.MOST_GAIN] = max(path[flow_path.MOST_GAIN] + gain, 0.0)
 
 
 def _differ(found: Floats, given: Floats, of_found: Floats, of_given: Floats) -> bool:

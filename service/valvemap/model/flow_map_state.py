@@ -63,7 +63,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 9  # 8: no oil in cells, offsets did not jump; 7: no offsets
+    state_version: ClassVar[int] = 11  # 10: noise alike everywhere; 9: stays without LOOSE
 
     cells: NDArray[np.float32]
     theta: NDArray[np.float32]
@@ -88,12 +88,22 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 8: cells did not know the oil's temperature, and offsets of sensors did not jump;
-        7: sensors had none; 6: no signal was held; 5: edges wore as a whole; 4: noise was AR(1),
-        without a white part; 3: nothing nameless was looked for.
+        Version 10: noise was alike everywhere; 9: stays did not know signals on their way
+        between two values; 8: cells did not know the oil's temperature, and offsets of sensors did
+        not jump; 7: sensors had none; 6: no signal was held; 5: edges wore as a whole; 4: noise was
+        AR(1), without a white part; 3: nothing nameless was looked for.
         """
-        if version not in ("3", "4", "5", "6", "7", "8"):
+        if version not in ("3", "4", "5", "6", "7", "8", "9", "10"):
             return {}
+        if version not in ("9", "10"):
+            cls._add_former(version, arrays)
+        for name, size in (("stay", flow_memory.STAY), ("scalars", flow_fit.SCALARS)):
+            arrays[name] = np.pad(arrays[name], (0, max(size - len(arrays[name]), 0)))
+        return arrays
+
+    @classmethod
+    def _add_former(cls, version: str, arrays: dict[str, Any]) -> None:
+        """Add what version 9 knew."""
         of_map = slice(flow_path.OF_MAP)
         arrays["precision"] = arrays["precision"][of_map, of_map].astype(np.float32)
         if version == "8":
@@ -101,7 +111,6 @@ class FlowMapState(State):
         else:
             cls._add_offsets(version, arrays)
         _add_oil(arrays)
-        return arrays
 
     @staticmethod
     def _add_offsets(version: str, arrays: dict[str, Any]) -> None:

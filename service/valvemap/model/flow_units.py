@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.estimator import State
+from valvemap.model.protocol_checks import CheckedByClass
 
 Powers = Mapping[str, NDArray[np.int64]]
 """The power of Q of each value, by array; arrays that are not named do not depend on Q's unit."""
@@ -20,7 +21,7 @@ S = TypeVar("S", bound=State)
 
 
 @runtime_checkable
-class FlowHomogeneous(Protocol):
+class FlowHomogeneous(Protocol, metaclass=CheckedByClass):
     """An estimator whose states may be homogeneous in Q."""
 
     def flow_powers(self, state: Any) -> Powers | None:  # noqa: ANN401 - the estimator's state

@@ -17,7 +17,7 @@ from valvemap.model.forgetting import (
 )
 from valvemap.model.kernels import rules
 from valvemap.model.kernels.change_detection import SUSPICIOUS, value_of
-from valvemap.model.kernels.places import LONGEST
+from valvemap.model.kernels.place_visits import LONGEST
 from valvemap.model.kernels.rules import EVERY_NTH, Rule
 
 

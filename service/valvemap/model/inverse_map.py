@@ -5,7 +5,7 @@ s = -a2/a4 and has the wrong sign beyond. Here a status reports that, and U stay
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -14,21 +14,28 @@ from numpy.typing import ArrayLike, NDArray
 from valvemap.model.capabilities import Invertible, MeasuresNoise, PathDependent
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.extrapolation import U_range_of, is_eq7, trusted
+from valvemap.model.inverse_forms import (
+    U_MAX,
+    Found,
+    invert_affine,
+    invert_by_search,
+    invert_spline,
+    on_branch,
+    theta_of,
+)
 from valvemap.model.inversion import Inversion
 from valvemap.model.kernels import inverse as kernel
 from valvemap.model.linear_map import LinearMap
-from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
-from valvemap.model.monotone_search import search
+from valvemap.model.model_structures import Polynomial
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Codes, Floats
+from valvemap.model.samples import Floats
 from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from valvemap.model.support import Support
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import DELIVERS, InverseStatus
 
-U_MAX: Final = 100.0
 T_REFERENCE: Final = 40.0  # °C; stands in for a temperature that is missing
 TWO_SIDED_95: Final = 1.959963984540054
-ROUNDING: Final = 1e-12
 CERTAIN_NOISE: Final = 3.0  # standard deviations of the meter's noise
 CERTAIN_SHARE: Final = 5e-3  # of the largest flow, for meters with hardly any noise
 LEVELS, CHUNK = 41, 256  # levels of U for an uncertain answer; answers processed together
@@ -86,20 +93,20 @@ def invert(
     with np.errstate(all="ignore"):
         structure = getattr(estimator, "structure", None)
         match structure:
-            case Polynomial() if set(structure.powers_of_U) <= {0, 1}:
-                theta = _theta_of(estimator, state, structure)
-                found = _invert_affine(structure, theta, demand, drop, temperature)
+            case Polynomial() if structure.is_affine_in_U:
+                theta = theta_of(estimator, state, structure)
+                found = invert_affine(structure, theta, demand, drop, temperature)
             case TensorSpline() if (structure.U[0], structure.U[-1]) == (0.0, U_MAX):
-                theta = structure.coefficients(_theta_of(estimator, state, structure))
+                theta = structure.coefficients(theta_of(estimator, state, structure))
                 nodes = np.array(structure.T, np.float64)
-                found = _invert_spline(*structure.knots, nodes, theta, demand, drop, temperature)
+                found = invert_spline(*structure.knots, nodes, theta, demand, drop, temperature)
             case _ if isinstance(estimator, Invertible):
-                found = _Found(*estimator.inverted(state, demand, drop, temperature))
+                found = Found(*estimator.inverted(state, demand, drop, temperature))
             case _:
-                found = _search(estimator, state, demand, drop, temperature)
+                found = invert_by_search(estimator, state, demand, drop, temperature)
         if isinstance(estimator, PathDependent):
             lag = estimator.half_play(state) * np.asarray(direction, np.float64)
-            found = _on_branch(found, np.broadcast_to(lag, demand.shape), U_range_of(estimator))
+            found = on_branch(found, np.broadcast_to(lag, demand.shape), U_range_of(estimator))
         points = np.nan_to_num(found.U), drop, temperature
         std, lacking = _spread(estimator, state, *points)
         std = std if widened is None else widened(std, *points)
@@ -118,7 +125,7 @@ def invert(
         status = np.where(guessed & has_U, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
         answer = _uncertain(replace(answer, status=status), badly_known)
         bent = is_eq7(estimator, state) and support.is_eq7_refuted
-        doubtful = np.flatnonzero(has_U & (guessed | bent))
+        doubtful = (has_U & (guessed | bent)).nonzero()[0]
         given = demand, drop, temperature
         return _widened(estimator, state, (support, accuracy, widened), given, answer, doubtful)
 
@@ -127,90 +134,12 @@ def inverse_table(
     estimator: Estimator[S], state: S, Q_axis: ArrayLike, dp_axis: ArrayLike, T: float
 ) -> Floats:
     """U in % over two axes, shape (len(Q_axis), len(dp_axis)); NaN where Q is not deliverable."""
-    Q, dp = np.meshgrid(
-        np.asarray(Q_axis, np.float64), np.asarray(dp_axis, np.float64), indexing="ij"
-    )
-    answer = invert(estimator, state, Q.ravel(), dp.ravel(), T)
-    return np.where(np.isin(answer.status, DELIVERS), answer.U, np.nan).reshape(Q.shape)
+    Q, dp = np.asarray(Q_axis, np.float64), np.asarray(dp_axis, np.float64)
+    answer = invert(estimator, state, np.repeat(Q, len(dp)), np.tile(dp, len(Q)), T)
+    return np.where(_DELIVERS[answer.status], answer.U, np.nan).reshape(len(Q), len(dp))
 
 
-@dataclass(frozen=True)
-class _Found:
-    """U in [0, 100] or NaN, U unclipped, dQ/dU there, status; all (N,)."""
-
-    U: Floats
-    unclipped: Floats
-    slope: Floats
-    status: Codes
-
-
-def _theta_of(estimator: Estimator[S], state: S, structure: Structure) -> Floats:
-    """Return the structure's parameters: an estimator may have more (a noise model)."""
-    theta = np.asarray(estimator.parameters(state)[0], np.float64)
-    names = {name: place for place, name in enumerate(estimator.parameter_names)}
-    return theta[[names[name] for name in structure.parameter_names]]
-
-
-def _invert_affine(
-    structure: Polynomial, theta: Floats, Q: Floats, dp: Floats, T: Floats
-) -> _Found:
-    """Invert Q = closed + slope·U, which is valid only if slope = dQ/dU > 0."""
-    with_U = structure.powers_of_U == 1
-    one = np.ones_like(dp)
-    terms = theta * structure.regressors(one, dp, T)
-    closed, slope = terms[:, ~with_U].sum(axis=1), terms[:, with_U].sum(axis=1)
-    unclipped = (Q - closed) / slope
-    # Sizes of the terms at the point or at 100 bar; values below their rounding error are zero.
-    sizes = np.abs(theta * structure.regressors(one, np.maximum(np.abs(dp), 100.0), T))
-    size = sizes[:, ~with_U].sum(axis=1) + U_MAX * sizes[:, with_U].sum(axis=1)
-    tolerance = ROUNDING * (size + np.abs(Q))
-    plateau = U_MAX * np.abs(terms[:, with_U]).sum(axis=1) <= ROUNDING * size
-    unclipped = np.where(plateau, np.sign(Q - closed) * np.inf, unclipped)
-    delivers = plateau & (np.abs(Q - closed) <= tolerance)
-    unclipped[delivers] = 0.0
-    status = _select(
-        (~np.isfinite(closed) | ~np.isfinite(slope), InverseStatus.UNIDENTIFIED),
-        (delivers, InverseStatus.OK),
-        (~plateau & (slope * U_MAX <= ROUNDING * size), InverseStatus.NOT_MONOTONE),
-        (Q - closed > slope * U_MAX + tolerance, InverseStatus.ABOVE_REACH),
-        (Q - closed < -tolerance, InverseStatus.BELOW_REACH),
-    )
-    return _Found(np.clip(unclipped, 0.0, U_MAX), unclipped, slope, status)
-
-
-def _invert_spline(
-    knots_U: Floats, knots_s: Floats, nodes: Floats, theta: Floats, Q: Floats, dp: Floats, T: Floats
-) -> _Found:
-    U, unclipped, slope = np.empty_like(Q), np.empty_like(Q), np.empty_like(Q)
-    status = np.empty(len(Q), np.uint8)
-    theta = np.ascontiguousarray(theta)
-    kernel.invert(knots_U, knots_s, nodes, theta, Q, dp, T, U, unclipped, slope, status)
-    return _Found(U, unclipped, slope, status)
-
-
-def _on_branch(found: _Found, lag: Floats, reach: tuple[float, float]) -> _Found:
-    """Add the hysteresis lag (%) of the map to U, within its range."""
-    led = found.unclipped + lag
-    moved = (lag != 0.0) & (found.status <= InverseStatus.BELOW_REACH) & np.isfinite(led)
-    above, below = led > reach[1], led < reach[0]
-    status = _select((above, InverseStatus.ABOVE_REACH), (below, InverseStatus.BELOW_REACH))
-    return _Found(
-        U=np.where(moved, np.clip(led, *reach), found.U),
-        unclipped=np.where(moved, led, found.unclipped),
-        slope=found.slope,
-        status=np.where(moved, status, found.status).astype(np.uint8),
-    )
-
-
-def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats) -> _Found:
-    def flow(U: Floats, points: NDArray[np.intp]) -> Floats:
-        return estimator.predict(state, U, dp[points], T[points])[0]
-
-    U, slope, status = search(flow, Q, U_range_of(estimator))
-    # Outside the range, the tangent at its end estimates the distance of the demand.
-    beyond = (Q - flow(np.nan_to_num(U), np.arange(len(Q)))) / slope
-    outside = (status == InverseStatus.ABOVE_REACH) | (status == InverseStatus.BELOW_REACH)
-    return _Found(U, np.where(outside, U + beyond, U), slope, status)
+_DELIVERS = np.array([status in DELIVERS for status in range(max(InverseStatus) + 1)])
 
 
 def _spread(
@@ -301,14 +230,8 @@ def _widened(
     return replace(answer, lower=lower, upper=upper)
 
 
-def _select(*cases: tuple[NDArray[np.bool_], InverseStatus]) -> Codes:
-    """Return the status of the first case that holds, OK if none does."""
-    conditions, codes = zip(*cases, strict=True)
-    return np.asarray(np.select(conditions, codes, InverseStatus.OK), np.uint8)
-
-
 def _answer(
-    found: _Found, std: Floats, finite: NDArray[np.bool_], reach: tuple[float, float]
+    found: Found, std: Floats, finite: NDArray[np.bool_], reach: tuple[float, float]
 ) -> Inversion:
     unknown = (found.status == InverseStatus.UNIDENTIFIED) | np.isinf(std)
     status = np.where(unknown, InverseStatus.UNIDENTIFIED, found.status)

@@ -1,8 +1,11 @@
-"""Answers of an inverse map."""
+"""Answers of an inverse map: the control voltage of a demanded flow, with interval and status."""
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from valvemap.model.samples import Codes, Floats
+from valvemap.vocabulary.statuses import InverseStatus
 
 
 @dataclass(frozen=True)
@@ -24,3 +27,11 @@ class Inversion:
     lower: Floats
     upper: Floats
     status: Codes
+
+    def __repr__(self) -> str:
+        """Return all fields, statuses by name."""
+        names = np.array([InverseStatus(int(code)).name for code in self.status.flat])
+        shown = names.reshape(self.status.shape).tolist()
+        return (
+            f"Inversion(U={self.U!r}, lower={self.lower!r}, upper={self.upper!r}, status={shown})"
+        )

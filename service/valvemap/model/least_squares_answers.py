@@ -6,8 +6,9 @@ from valvemap.model.forgetting import Forgetting
 from valvemap.model.forgetting_rules import keeps_all, rule_of
 from valvemap.model.kernels import reaction, uncertainty
 from valvemap.model.kernels.factors import covariance
-from valvemap.model.kernels.places import PROVEN
-from valvemap.model.kernels.recursion import Memory, evaluate
+from valvemap.model.kernels.linear_answers import evaluate
+from valvemap.model.kernels.place_layout import PROVEN
+from valvemap.model.kernels.recursion import Memory
 from valvemap.model.kernels.row_layout import (
     FACTORED,
     FLOOR,

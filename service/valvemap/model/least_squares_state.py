@@ -19,7 +19,7 @@ from valvemap.model.forgetting_rules import rule_of
 from valvemap.model.kernels import reaction
 from valvemap.model.kernels.factors import rotate_in
 from valvemap.model.kernels.information_form import determine
-from valvemap.model.kernels.places import (
+from valvemap.model.kernels.place_layout import (
     DEVIATION,
     FIELDS,
     FIELDS_OF_VISITS,
@@ -247,7 +247,7 @@ _places_of = lru_cache(maxsize=64)(places)
 
 def writable(array: A) -> A:
     """Return the array or a copy: the kernel is compiled for plain writable arrays only."""
-    return np.require(array, requirements=["C", "W", "A"])
+    return array if array.flags.carray else np.require(array, requirements=["C", "W", "A"])
 
 
 def memory_of(state: RlsState) -> Memory:

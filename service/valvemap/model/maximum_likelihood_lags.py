@@ -69,8 +69,10 @@ def lags_of(states: MaximumLikelihoodState) -> Lags:
     """Return the lags of the models whose recent scores have a significant mean."""
     samples = np.minimum(BLOCK * states.colour[:, BLOCKS], 2.0 * LATELY)
     sure = samples >= FEWEST * BLOCK
-    M, Omega = (mirrored(square[sure]) for square in (states.moments, states.omega))
-    score = states.blocks[sure, SCORE]
+    score, M = states.blocks[sure, SCORE], mirrored(states.moments[sure])
+    if not sure.any():
+        return Lags(sure, score, score, M, samples[sure])
+    Omega = mirrored(states.omega[sure])
     with np.errstate(all="ignore"):
         inverse = np.linalg.pinv(M, hermitian=True)
         theta = (inverse @ score[:, :, None])[:, :, 0]

@@ -5,14 +5,13 @@ from typing import Final, Self
 
 import numpy as np
 
+from valvemap.model.least_squares_answers import parameter_covariance
+from valvemap.model.least_squares_state import RlsState
 from valvemap.model.linear_map import LinearParameters
-from valvemap.model.model_structures import Structure, TensorSpline
-from valvemap.model.recursive_least_squares import (
-    RecursiveLeastSquares,
-    RlsState,
-    parameter_covariance,
-)
+from valvemap.model.model_structures import Structure
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples, Trace
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import Adaptation
 
 GRID_U: Final = np.linspace(0.0, 100.0, 21)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from valvemap.model.kernels.places import NODES_A, NODES_B, TOP_DP
+from valvemap.model.kernels.place_layout import NODES_A, NODES_B, TOP_DP
 from valvemap.model.model_structures import Structure
 from valvemap.model.samples import Floats
 

@@ -14,6 +14,7 @@ from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_memory as memory
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
+from valvemap.model.kernels import flow_reading as readings
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.samples import Floats, Singles
@@ -21,6 +22,7 @@ from valvemap.model.samples import Floats, Singles
 SCALARS: Final = (
     *(fits.VARIANCE, fits.MISFIT, fits.SCALE, fits.PLAIN, fits.LEAST),
     *(fits.PAIR_PRODUCT, fits.PAIRS, fits.PAIR_SQUARE),
+    *(fits.READING + readings.PART, fits.READING + readings.MEAN),
 )
 FIRST_SCALARS: Final = 5  # of models of before, which did not know what errors have in common
 TEMPERATURES: Final = fits.FIRST_T, fits.LEARNT_T
@@ -41,7 +43,7 @@ class GaussianMap:
         operators, l/min.
     moving : (2, 10, 9)
         What moves in time on either side of U = 0: its mean, then its covariance.
-    scalars, temperatures : (8,), (2,)
+    scalars, temperatures : (10,), (2,)
         See `SCALARS`; that of the first sample, and the mean, °C, NaN where unknown.
     operators, play : (13,), (2,)
         Between the map and the samples; half the play, %, and the information about it.

@@ -5,7 +5,6 @@ from functools import lru_cache
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from valvemap.model.change import Change
 from valvemap.model.fleet import learn_many, member, update_one
@@ -19,7 +18,6 @@ from valvemap.model.forgetting import (
     least_lam,
     with_lam,
 )
-from valvemap.model.kernels.change_detection import FEWEST_BETWEEN
 from valvemap.model.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
 from valvemap.model.kernels.rules import LARGEST
 from valvemap.model.least_squares_answers import (
@@ -32,7 +30,6 @@ from valvemap.model.least_squares_answers import (
     predict,
     variances,
 )
-from valvemap.model.least_squares_learning import learn
 from valvemap.model.least_squares_state import RlsState, flow_powers, initial_state
 from valvemap.model.linear_map import LinearParameters
 from valvemap.model.model_structures import (
@@ -42,18 +39,9 @@ from valvemap.model.model_structures import (
     reads_temperature,
     rows_of,
 )
-from valvemap.model.place_grid import grid_of, grid_of_rows
+from valvemap.model.place_grid import grid_of
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.vocabulary.statuses import Adaptation, Quality
-
-__all__ = [
-    "Change",
-    "RecursiveLeastSquares",
-    "RlsResult",
-    "RlsState",
-    "parameter_covariance",
-    "recursive_least_squares",
-]
 
 
 @dataclass(frozen=True)
@@ -161,7 +149,7 @@ class RecursiveLeastSquares:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
         variance, is_known = variances(states, self.forgetting)
         theta, std = states.theta.copy(), np.sqrt(np.maximum(variance, 0.0))
-        for m in np.flatnonzero(~is_known).tolist():
+        for m in (~is_known).nonzero()[0].tolist():
             theta[m], std[m] = self.parameters(member(states, m))
         return theta, std
 
@@ -233,86 +221,3 @@ def _parameters_of_a_sample(structure: Structure) -> int:
     squares = (rows**2).sum(axis=1)
     ratio = rows.sum(axis=1) ** 2 / np.where(squares > 0.0, squares, 1.0)
     return max(1, round(float(ratio.max())))
-
-
-@dataclass(frozen=True)
-class RlsResult:
-    """Result of :func:`recursive_least_squares` over N samples with n regressors.
-
-    Attributes
-    ----------
-    theta : (n,)
-        Parameters after the last sample.
-    theta_history : (N, n)
-        Parameters after each sample; 0 in undetermined directions.
-    innovations : (N,)
-        y - Xᵀtheta before each sample; NaN where earlier samples do not determine Xᵀtheta.
-    covariance : (n, n)
-        Covariance of theta (σ² estimated from the innovations); NaN while not determined.
-    status : (N,)
-        :class:`~valvemap.vocabulary.statuses.Status`.
-    changes : (C, 3)
-        A row per detected change of the plant (`Adaptive` only): sample of the alarm, first sample
-        after the change as estimated, mean innovation from there to the alarm.
-    """
-
-    theta: Floats
-    theta_history: Floats
-    innovations: Floats
-    covariance: Floats
-    status: Codes
-    changes: Floats
-
-
-def recursive_least_squares(
-    X: ArrayLike, y: ArrayLike, forgetting: float | Forgetting = 1.0, p0: float = np.inf
-) -> RlsResult:
-    """Recursive least squares over arrays, sample by sample.
-
-    Parameters
-    ----------
-    X : (N, n)
-        Regressors.
-    y : (N,)
-        Output.
-    forgetting
-        λ of exponential forgetting, or a rule of :mod:`valvemap.model.forgetting`.
-    p0
-        P(0) = p0·I; infinite: exact least squares from the first samples on.
-
-    Raises
-    ------
-    ValueError
-        if shapes do not fit, or λ or p0 is out of range.
-
-    Examples
-    --------
-    >>> recursive_least_squares([[1, 0], [1, 1], [1, 2], [1, 3]], [1, 3, 5, 7]).theta.round(9)
-    array([1., 2.])
-    """
-    regressors = np.ascontiguousarray(X, dtype=np.float64)
-    output = np.ascontiguousarray(y, dtype=np.float64)
-    if regressors.ndim != 2 or output.shape != regressors.shape[:1]:
-        raise ValueError(
-            f"X {regressors.shape} and y {output.shape} do not fit: (N, n) and (N,) are wanted"
-        )
-    rule = forgetting if isinstance(forgetting, Forgetting) else Exponential(float(forgetting))
-    if not p0 > 0.0:
-        raise ValueError(f"p0 = {p0!r} is not positive")
-    N, n = regressors.shape
-    state = initial_state(n, rule, p0)
-    thetas, changes = np.empty((N, n)), np.empty((N // FEWEST_BETWEEN + 1, 3))
-    usable, grid = np.ones(N, np.uint8), None
-    if isinstance(rule, Adaptive):
-        grid = grid_of_rows(regressors)
-    state, trace = learn(
-        state, rule, regressors, output, np.arange(N), usable, thetas, changes, grid
-    )
-    return RlsResult(
-        theta=state.theta,
-        theta_history=thetas,
-        innovations=trace.residual,
-        covariance=parameter_covariance(state, rule),
-        status=trace.status,
-        changes=changes[: state.counters[CHANGES]],
-    )

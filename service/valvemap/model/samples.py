@@ -1,9 +1,10 @@
 """Data types of the core: samples as input, traces as output, both as structures of arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, NamedTuple, Self
+from operator import attrgetter
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,8 @@ Times = NDArray[np.int64]
 Codes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 
+D = TypeVar("D", bound=np.generic)
+
 
 def field_names(kind: type[Any]) -> tuple[str, ...]:
     """Names of the fields of a dataclass, in their order."""
@@ -26,6 +29,28 @@ def field_names(kind: type[Any]) -> tuple[str, ...]:
 @cache
 def _field_names(kind: type[Any]) -> tuple[str, ...]:
     return tuple(field.name for field in fields(kind))
+
+
+def columns_of(one: Any) -> tuple[Any, ...]:  # noqa: ANN401 - any dataclass
+    """Return the values of all fields of a dataclass, in their order."""
+    return _getter(type(one))(one)  # type: ignore[arg-type] # a class is hashable
+
+
+@cache
+def _getter(kind: Any) -> Callable[[Any], tuple[Any, ...]]:  # noqa: ANN401 - a class
+    names = field_names(kind)
+    if len(names) == 1:  # `attrgetter` then returns the value alone
+        return lambda one: (getattr(one, names[0]),)
+    return attrgetter(*names)
+
+
+def column(values: ArrayLike, kind: type[D]) -> NDArray[D]:
+    """Return values as a contiguous array that may be written, a copy only where needed.
+
+    A kernel would be compiled again for a read-only array.
+    """
+    found = np.ascontiguousarray(values, dtype=kind)
+    return found if found.flags.writeable else found.copy()
 
 
 @dataclass(frozen=True)
@@ -81,12 +106,12 @@ class Samples:
         **optional: ArrayLike | None,
     ) -> Self:
         """Convert anything array-like; optional signals default to NaN, quality to GOOD."""
-        time = np.ascontiguousarray(t, dtype=np.int64)
+        time = column(t, np.int64)
         given = {"U": U, "p1": p1, "p2": p2, "Q": Q, "T": T, **optional}
         signals = {
             name: np.full(time.shape, np.nan)
             if (values := given.pop(name, None)) is None
-            else np.ascontiguousarray(values, dtype=np.float64)
+            else column(values, np.float64)
             for name in MEASURED
         }
         assert not given, f"no such signals: {list(given)}"  # noqa: S101 - a programmer's mistake
@@ -96,7 +121,7 @@ class Samples:
             quality=(
                 np.full(time.shape, Quality.GOOD, np.uint8)
                 if quality is None
-                else np.ascontiguousarray(quality, np.uint8)
+                else column(quality, np.uint8)
             ),
         )
 
@@ -122,7 +147,10 @@ class Samples:
     @property
     def values(self) -> Floats:
         """Return all signals in the order of the table, (N, COUNT)."""
-        return np.stack([getattr(self, name) for name in MEASURED], axis=1)
+        found = np.empty((len(self.t), len(MEASURED)))
+        for k, name in enumerate(MEASURED):
+            found[:, k] = getattr(self, name)
+        return found
 
     @property
     def dp(self) -> Floats:
@@ -133,7 +161,7 @@ class Samples:
         return len(self.t)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Self:
-        return type(self)(*[getattr(self, name)[rows] for name in field_names(type(self))])
+        return type(self)(*[column[rows] for column in columns_of(self)])
 
 
 class Segments(NamedTuple):
@@ -153,7 +181,7 @@ class Segments(NamedTuple):
 
     def of(self, chosen: NDArray[np.bool_]) -> "Segments":
         """Return the chosen segments; ``chosen`` is a mask (S,)."""
-        return Segments(*(array[chosen] for array in self))
+        return Segments(self.members[chosen], self.starts[chosen], self.stops[chosen])
 
     def among(self, rows: NDArray[np.bool_]) -> "Segments":
         """Return the segments after a selection of rows by a mask (N,)."""
@@ -182,6 +210,11 @@ class Trace:
     residual: Floats
     early: Floats
     status: Codes
+
+    def put(self, rows: slice | Flags, part: "Trace") -> None:
+        """Write the results of the given samples; ``rows`` is a slice or a mask (N,)."""
+        for name in field_names(Trace):
+            getattr(self, name)[rows] = getattr(part, name)
 
     def __len__(self) -> int:
         return len(self.status)

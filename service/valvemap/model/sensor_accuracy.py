@@ -28,7 +28,7 @@ class SensorAccuracy:
     @property
     def is_stated(self) -> bool:
         """Whether any sensor has a systematic error."""
-        return any(astuple(self))
+        return bool(self.U or self.p1 or self.p2 or self.Q or self.T)
 
     def beside(self, *limits: float) -> "SensorAccuracy":
         """Combine with further independent uniform errors with limits ±, by signal.

@@ -15,9 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.samples import Floats, Samples
+from valvemap.model.samples import Floats, Samples, Times
 from valvemap.model.sheet_figures import ELSEWHERE, GRID, OF_SIDES, OF_VALVE, Row, Side
-from valvemap.model.sweep_fit import FEWEST, SweepFit, fit_sweep, usable
+from valvemap.model.sweep_equations import SweepFit
+from valvemap.model.sweep_fit import FEWEST, fit_sweep, usable
 
 TRAVERSES: Final = 2  # in each direction; fewer are no test
 WHOLE: Final = 0.95  # of the range of U; less is no traverse
@@ -54,7 +55,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Ranges of U (%), Δp (bar) and T (°C), pace (%/s), duration (s) of the data.
+    """Ranges of U (%), Δp (bar) and T (°C), pace of the traverses (%/s), duration (s) of the data.
 
     ``in_traverses`` is the share of samples in traverses of the range of U.
     """
@@ -142,7 +143,13 @@ def make_sheet(
         Figure(row.key, "", row.name, row.unit, "", Measured.NOT_MEASURED, reason=row.reason)
         for row in ELSEWHERE
     ]
-    return Sheet(dp_rated, tuple(figures), conditions, _not_a_test(conditions), fit)
+    return Sheet(
+        dp_rated,
+        tuple(figures),
+        conditions,
+        too_few_traverses(conditions) or _work(conditions),
+        fit,
+    )
 
 
 def name_of(end: float, sides: int) -> str:
@@ -187,22 +194,23 @@ def _figure(row: Row, name: str, sides: tuple[Side, ...], not_driven: str = "") 
 
 def _conditions(samples: Samples, U_range: tuple[float, float]) -> Conditions:
     T = samples.T[np.isfinite(samples.T)]
-    dt = np.maximum(np.diff(samples.t) * 1e-9, 1e-9)
-    traverses, inside = _traverses(samples.U, U_range)
+    starts, turns, inside = _traverses(samples.U, U_range)
+    took = 1e-9 * (samples.t[turns] - samples.t[starts])
+    way = np.abs(samples.U[turns] - samples.U[starts])
     return Conditions(
         U=(float(samples.U.min()), float(samples.U.max())),
         dp=(float(samples.dp.min()), float(samples.dp.max())),
         T=(float(T.min()), float(T.max())) if len(T) else (math.nan, math.nan),
-        pace=float(np.median(np.abs(np.diff(samples.U)) / dt)) if len(dt) else math.nan,
+        pace=float(np.median(way / np.maximum(took, 1e-9))) if len(took) else math.nan,
         duration=1e-9 * float(samples.t[-1] - samples.t[0]),
         samples=len(samples),
-        traverses=traverses,
+        traverses=len(turns),
         in_traverses=inside / len(samples),
     )
 
 
-def _traverses(U: Floats, U_range: tuple[float, float]) -> tuple[int, int]:
-    """Number of traverses of the range, and of the samples in them."""
+def _traverses(U: Floats, U_range: tuple[float, float]) -> tuple[Times, Times, int]:
+    """First and last sample of each traverse of the range, and the number of samples in them."""
     low, high = U_range
     margin = (1.0 - WHOLE) * (high - low)
     ends = np.where(low + margin >= U, -1, np.where(high - margin <= U, 1, 0))
@@ -217,16 +225,21 @@ def _traverses(U: Floats, U_range: tuple[float, float]) -> tuple[int, int]:
             inside += b - a
     if len(at):
         inside += int(np.count_nonzero(ends))
-    return len(turns), min(inside, len(U))
+    return starts, turns, min(inside, len(U))
 
 
-def _not_a_test(conditions: Conditions) -> str:
+def too_few_traverses(conditions: Conditions) -> str:
+    """Why there is no sweep among the samples, whatever the others are; empty if there is one."""
     rate = (conditions.samples - 1) / max(conditions.duration, 1e-9)
     if rate < SLOWEST_HZ:
         return f"the samples come at {rate:.3g} Hz; a test has 50 Hz or more"
     if conditions.traverses < 2 * TRAVERSES:
         times = conditions.traverses
         return f"U went through its range {times} times; a test does so {2 * TRAVERSES} times"
+    return ""
+
+
+def _work(conditions: Conditions) -> str:
     if conditions.in_traverses < IN_TRAVERSES:
         share = 100.0 * conditions.in_traverses
         return f"{share:.0f} % of the samples belong to traverses of the range; the rest is work"

@@ -28,13 +28,14 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.map_pieces import Indices, MapPieces
+from valvemap.model.map_pieces import MapPieces
+from valvemap.model.polynomials import Indices
 from valvemap.model.samples import Floats
 
 SLACK: Final = 1.05  # of the largest error found at a centre: a bound below is not refined
 DEEPEST: Final = 12  # splits of a cell along each axis
 MOST: Final = 200_000  # boxes at a time
-ROWS: Final = 2_048  # boxes with so many slopes at a time
+ROWS: Final = 2_048  # boxes per batch
 END: Final = 100.0  # % of U
 ROUNDING: Final = 1e-4  # % and l/min; literals have 12 digits
 

@@ -24,7 +24,7 @@ from valvemap.model.kernels.axis_drift import Moving
 from valvemap.model.kernels.axis_edges import add_edge
 from valvemap.model.kernels.axis_oil import thinness
 from valvemap.model.kernels.axis_spool import held
-from valvemap.model.kernels.compiled import inner, kernel
+from valvemap.model.kernels.compiled import Index, inner, kernel
 from valvemap.model.samples import Codes, Floats, Times
 
 PARTS: Final = 4  # parts of an interval; a spool of 100 Hz then moves by a quarter of its way
@@ -48,20 +48,36 @@ _RENEWED: Final = 100  # rows; forgetting is applied at every hundredth one
 
 @inner
 def _sum_row(
-    M: Floats, b: Floats, squares: Floats, row: Floats, places: Times, line: int, weight: float
-) -> None:
-    n = len(b)
+    M: Floats, b: Floats, squares: Floats, row: Floats, first: int, own: int, line: int,
+    weight: float,
+) -> None:  # fmt: skip
+    """Add a row of a line to its sums: ``own`` columns from ``first`` on, and the common ones."""
+    n, common = Index(len(b)), Index(len(b) - COMMON)
+    begin, end = Index(first), Index(first + own)
     y = row[n]
     squares[line] += weight * y * y
-    for p in range(len(places)):
-        j = places[p]
+    for j in range(begin, end):
         value = weight * row[j]
-        if value == 0.0:
-            continue
-        b[j] += value * y
-        for q in range(p + 1):
-            k = places[q]
-            M[j, k] += value * row[k]
+        if value != 0.0:
+            b[j] += value * y
+            for k in range(begin, j + Index(1)):
+                M[j, k] += value * row[k]
+    for j in range(common, n):
+        value = weight * row[j]
+        if value != 0.0:
+            b[j] += value * y
+            for k in range(begin, end):
+                M[j, k] += value * row[k]
+            for k in range(common, j + Index(1)):
+                M[j, k] += value * row[k]
+
+
+@inner
+def _smooth(row: Floats, stages: Floats, share: float, first: int, past: int) -> None:
+    """Low-pass the columns from ``first`` to ``past`` - 1 of a row by both stages of the filter."""
+    for j in range(Index(first), Index(past)):
+        stages[0, j] += share * (row[j] - stages[0, j])
+        stages[1, j] += share * (stages[0, j] - stages[1, j])
 
 
 @inner
@@ -130,14 +146,14 @@ def axis_rows(
         without a row after one that is left out, Walther's a and b of the oil, sudden changes
         expected of an edge per second (0: none is followed).
     places
-        Columns of line A and of line B, (2, ·).
+        Columns of line A and of line B, (2, ·): those of its edges side by side, then `COMMON`.
     status, residual
         Out: reason (N,), and residuals of both lines (N, 2), l/min.
     speeds
         Out: the piston's speed over the interval (N, 2), mm/s: as measured, and as it is by the
         coefficients. NaN where the interval is left out.
     """
-    n, common = len(b), len(b) - COMMON
+    n, common, own = len(b), len(b) - COMMON, places.shape[1] - COMMON
     knots = len(breaks) + 2  # m + 2 functions on m intervals, and the departure
     half = settings[1]
     share, forget, stride = settings[8], settings[9], int(settings[15])
@@ -255,11 +271,9 @@ def axis_rows(
                     errors[line, 1] *= factor
                     errors[line, 4] *= factor
             for line in range(2):
-                row, first, second = rows[line], filtered[line, 0], filtered[line, 1]
-                for p in range(places.shape[1] + 3):
-                    j = places[line, p] if p < places.shape[1] else n + p - places.shape[1]
-                    first[j] += share * (row[j] - first[j])
-                    second[j] += share * (first[j] - second[j])
+                row, second = rows[line], filtered[line, 1]
+                _smooth(row, filtered[line], share, places[line, 0], places[line, 0] + own)
+                _smooth(row, filtered[line], share, common, n + 3)
                 if not is_row:
                     continue
                 e, weight = second[n], 1.0
@@ -270,7 +284,7 @@ def axis_rows(
                     weight = moves.weight_of_row(
                         moving, line, second, theta, e, t[i], jumps_per_s, room, by
                     )
-                _sum_row(M, b, squares, second, places[line], line, weight)
+                _sum_row(M, b, squares, second, places[line, 0], own, line, weight)
                 residual[i, line] = e
                 for p in range(places.shape[1]):
                     score[places[line, p]] += weight * e * second[places[line, p]]

@@ -20,14 +20,9 @@ samples for a while. That does not change the result, but the detection is earli
 import numpy as np
 
 from valvemap.model.kernels.compiled import inlined
-from valvemap.model.kernels.places import (
-    CLIP,
-    POWER_MEMORY,
-    PROVEN,
-    Remembered,
-    noise_lasts,
-    shake,
-)
+from valvemap.model.kernels.place_layout import CLIP, PROVEN, Remembered
+from valvemap.model.kernels.place_visits import noise_lasts
+from valvemap.model.kernels.places import POWER_MEMORY, shake
 from valvemap.model.kernels.row_layout import (
     ATTENTIVE,
     CHANGES,

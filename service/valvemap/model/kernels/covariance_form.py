@@ -3,7 +3,8 @@
 import numpy as np
 
 from valvemap.model.kernels.compiled import inlined
-from valvemap.model.kernels.places import LONGEST, PROVEN
+from valvemap.model.kernels.place_layout import PROVEN
+from valvemap.model.kernels.place_visits import LONGEST
 from valvemap.model.kernels.row_layout import (
     COUNT,
     HASTE,

@@ -35,7 +35,7 @@ def deposit(
     if weight <= 0.0:
         return
     before = cell[COUNT]
-    kept = min(1.0, max(memory - weight, 0.0) / before) if before > 0.0 else 1.0
+    kept = 1.0 if before + weight <= memory else max(1.0 - weight / memory, 0.0)
     total = kept * before + weight
     share = weight / total
     du, ds = u - cell[MEAN_U], s - cell[MEAN_S]

@@ -16,13 +16,12 @@ import math
 
 import numpy as np
 
+from valvemap.model.kernels import flow_between as between
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import Index, inner, kernel, maker
 from valvemap.model.kernels.flow_basis import Axis, interval, values
 from valvemap.model.samples import Floats, Singles
-
-ALONG_S = 3
 
 
 @kernel
@@ -44,11 +43,11 @@ def leftover(
     prior, other, left, last = b.copy(), np.empty(K), np.empty(N), np.empty(3)
     out[0] = math.inf
     for phase in rules.PHASES:  # where friction held the spool at first is not known
-        X = np.zeros((N, K))
-        _regressors(axis, top, rows, given, phase, X, t, base, work)
+        X, ways = np.zeros((N, K)), np.zeros((N, between.WAYS))
+        _regressors(axis, top, rows, given, phase, X, ways, t, base, work)
         X = _filtered(X, rows, t, base, given)
         other[:], last[2] = prior, phase
-        _fit(X, rows, used, given, ridge, other, left, last)
+        _fit(axis, X, ways, rows, used, given, ridge, other, left, last)
         if last[0] < out[0]:
             out[:], b[:], residual[:] = last, other, left
         if in_phase or given[paths.STICK] == 0.0:
@@ -80,7 +79,7 @@ def joined(rows: Floats, held_U: float, held_p: float, out: Floats) -> None:
 
 def terms_of(axis: Axis) -> int:
     """Number of coefficients of the coarse map."""
-    return ALONG_S * len(axis.sites) + 2  # the last is that of U's news
+    return between.ALONG_S * len(axis.sites) + 2  # the last is that of U's news
 
 
 @kernel
@@ -107,22 +106,25 @@ def _row(axis: Axis, u: float, share: float, x: Floats, work: Floats) -> None:
     k = interval(axis, u)
     values(axis, k, u, 0.0, work)
     for a in range(3):
-        to = ALONG_S * (k + a)
+        to = between.ALONG_S * (k + a)
         x[to] = work[a] * share
         x[to + 1] = work[a] * share * abs(share)
         x[to + 2] = work[a] * share / (abs(share) + rules.LAMINAR)
-    x[ALONG_S * len(axis.sites)] = 1.0
+    x[between.ALONG_S * len(axis.sites)] = 1.0
 
 
 @maker
 def _regressors(
-    axis: Axis, top: float, rows: Floats, given: Floats, phase: float, X: Floats, t: Floats,
-    base: np.ndarray, work: Floats,
+    axis: Axis, top: float, rows: Floats, given: Floats, phase: float, X: Floats, ways: Floats,
+    t: Floats, base: np.ndarray, work: Floats,
 ) -> None:  # fmt: skip
+    """Fill the regressors (N, K), and the places ``ways`` (N, between.WAYS) between two rows."""
     path = np.zeros(paths.PLACES)
     path[: paths.PARAMETERS], path[paths.PHASE] = given, phase
     low, high, p = axis.breaks[0], axis.breaks[-1], 0.0
     places, at, then = np.empty((len(rows), 2)), 0, 0  # spool and root; dead times ago
+    usual = between.usual_bend(rows[:, paths.LEFT_U])
+    of_dp = between.noise_of(rows[:, paths.LEFT_DP]) / (top * top)
     for i in range(len(rows)):
         step = rows[i, paths.STEP]
         fresh = i == 0 or step >= rules.GAP
@@ -134,17 +136,35 @@ def _regressors(
             U = rows[at, paths.LEFT_U]
             if share > 0.0:
                 U += share * (rows[at + 1, paths.LEFT_U] - U)
+                ways[i, between.OFF_U] = between.bends(
+                    rows[:, paths.LEFT_U], at, base[i], share, usual
+                )
         u = paths.spool(U, step, fresh, path)
         p = u if fresh else min(max(p, u - given[paths.PLAY]), u + given[paths.PLAY])
         places[i, 0] = min(max(p, low), high)
         places[i, 1] = paths.effective(rows[i, paths.LEFT_DP], rows[i, paths.LEFT_P1], path)
-        u, s = places[i, 0], places[i, 1]
+    usual, of_root = between.usual_bend(places[:, 0]), between.usual_bend(places[:, 1])
+    is_filtered = paths.filters(path)  # a mean over several rows does not depend on one of them
+    for i in range(len(rows)):
+        u, s, kept = places[i, 0], places[i, 1], between.kept_by_meter(rows[i, paths.STEP], given)
         if given[paths.DEAD_Q] > 0.0:
             then, share = _before(t, then, base[i], i, given[paths.DEAD_Q])
             u, s = places[then, 0], places[then, 1]
             if share > 0.0:
                 u += share * (places[then + 1, 0] - u)
                 s = paths.root_between(s, places[then + 1, 1], share)
+                kept *= between.kept(share)
+                if not is_filtered:
+                    ways[i, between.OFF_U] += between.bends(
+                        places[:, 0], then, base[i], share, usual
+                    )
+                    ways[i, between.OFF_S] = (
+                        between.bends(places[:, 1], then, base[i], share, of_root) / top
+                    )
+        ways[i, between.NOISE_S] = (
+            of_dp / (2.0 * max(abs(s) / top, rules.LAMINAR)) * math.sqrt(1.0 - kept)
+        )
+        ways[i, between.SPOOL], ways[i, between.SHARE] = u, s / top
         _row(axis, u, s / top, X[i], work)
         if given[paths.NEWS] > paths.PAST and 0 < i < len(rows) - 1:
             around = rows[i - 1, paths.LEFT_U] + rows[i + 1, paths.LEFT_U]
@@ -215,8 +235,8 @@ def _filtered(X: Floats, rows: Floats, t: Floats, base: np.ndarray, given: Float
 
 @maker
 def _fit(
-    X: Floats, rows: Floats, used: np.ndarray, given: Floats, ridge: float, b: Floats,
-    residual: Floats, out: Floats,
+    axis: Axis, X: Floats, ways: Floats, rows: Floats, used: np.ndarray, given: Floats,
+    ridge: float, b: Floats, residual: Floats, out: Floats,
 ) -> None:  # fmt: skip
     N, K = X.shape
     prior = b.copy()
@@ -224,12 +244,15 @@ def _fit(
     path = np.zeros(paths.PLACES)
     path[: paths.PARAMETERS] = given
     flows, limit, known = np.zeros(N), math.inf, 0
+    scale, noise = np.ones(N), 0.0  # σ²/variance of a row; σ²
+    settled = not ways[:, between.OFF_U :].any()
+    has_ways = not settled
     residual[:] = 0.0
     for k_round in range(rules.ROBUST_ROUNDS):
         A, x_Q = np.zeros(K * K), np.zeros(K)
         refused, counted = 0, 0
         for i in range(N):
-            Q, weight = rows[i, paths.LEFT_Q], 1.0
+            Q, weight = rows[i, paths.LEFT_Q], scale[i]
             if not used[i]:
                 continue
             if top > 0.0 and rules.NEAR_TOP * top < Q:  # tells something where it is contradicted
@@ -254,11 +277,12 @@ def _fit(
         for k in range(K):
             A[k * K + k] += ridge
             x_Q[k] += ridge * prior[k]
-        if counted <= K or (known > 0 and refused == 0 and top + least == 0.0):
+        is_done = refused == 0 and top + least == 0.0 and settled
+        if counted <= K or (known > 0 and is_done):
             break
         b[:] = x_Q
         _solve(A.reshape((K, K)), b)
-        square, known = 0.0, 0
+        known = 0
         for i in range(N):
             if used[i]:
                 flow = 0.0
@@ -270,7 +294,11 @@ def _fit(
                     other = Q - flow if abs(flow) < least else Q
                     residual[i] = other if abs(other) < abs(residual[i]) else residual[i]
                 known += 1
-                square += residual[i] ** 2
+        if has_ways:
+            noise, settled = between.weigh(axis, b, ways, used, noise, residual, scale)
+        square = 0.0
+        for i in range(N):
+            square += residual[i] ** 2 if used[i] else 0.0
         limit = math.inf
         for _ in range(rules.ROBUST_STEPS):
             limit = rules.MOST_STAY * math.sqrt(square / max(known, 1))

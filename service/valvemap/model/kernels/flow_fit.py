@@ -13,6 +13,7 @@ import numpy as np
 
 from valvemap.model.kernels import flow_plain as plain
 from valvemap.model.kernels import flow_prior as prior
+from valvemap.model.kernels import flow_reading as readings
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_solve as solved
 from valvemap.model.kernels.banded import factorise, invert_band
@@ -48,7 +49,8 @@ ERROR_BEFORE = 34  # error of the sample before the last one
 REFUTED = 35  # log likelihood against the map by the first samples of cells
 LEARNT_T = 36  # °C; mean over what the cells know
 ZERO_SCALE = 37  # l/min; root mean square of the flow by which the meter's offset is counted
-SCALARS = 38
+READING = 38  # numbers of `flow_reading`
+SCALARS = READING + readings.NUMBERS
 
 
 @inner
@@ -74,6 +76,8 @@ def fit(
             known += 1
     if known == 0 or not scale > 0.0:
         return False
+    alike = 1.0 + scalars[SLOW] * (2.0 * scalars[COLOUR] ** 2 / (1.0 - scalars[COLOUR] ** 2))
+    readings.estimate(scalars[READING:], scalars[WITHIN_WEIGHT], alike)
     guess, lam = np.empty(prior.FAMILIES), scalars[LAM : LAM + prior.FAMILIES]
     _first_guess(axis_s, scale, guess)
     if fresh:
@@ -86,7 +90,7 @@ def fit(
     scalars[SCALE_BEFORE] = scale
     of, to = _room(len(axis_U.sites) * n_s, 2 * n_s + 3, known)
     work = np.empty((4, 3))
-    solved.gather(axis_U, axis_s, cells, work, of)
+    solved.gather(axis_U, axis_s, cells, scalars[READING:], work, of)
     ridge, done = 1.0 / (rules.ANYTHING**2 * scale), False
     square = 1.0 / (rules.SQUARE**2 * scale)
     for k_round in range(rounds + 1):

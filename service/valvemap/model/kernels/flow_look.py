@@ -6,11 +6,13 @@ from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_oil as oil
 from valvemap.model.kernels import flow_path as paths
+from valvemap.model.kernels import flow_reading as readings
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_wear as wears
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, between_sites, surface_and_slopes
 from valvemap.model.kernels.flow_memory import (
+    AGAINST,
     AS_LEARNT,
     FITTED,
     FLOW,
@@ -62,6 +64,7 @@ def look(
         axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work
     )
     allowed = paths.forward(flow, side, at[PLACE_S], memory.scalars[fits.LEAST])
+    at[AGAINST] = gain * (flow - allowed)
     if flow != allowed:
         flow, slope, along = allowed, 0.0, 0.0
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
@@ -159,7 +162,8 @@ def evaluate(
         worn = wears.variance_at(memory.wear, axis_U, axis_s, side, at[PLACE_U], at[PLACE_S])
         both = at[SLOPE] * rules.BOTH_BRANCHES * width
         worn += _unnoticed(memory.x[side], memory.chance[side], at)
-        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + worn + both * both + common)
+        worn += common * readings.ratio(scalars[fits.READING :], at[FLOW])
+        Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL] + law + worn + both * both)
 
 
 @lean_kernel

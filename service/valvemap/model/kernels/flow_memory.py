@@ -37,7 +37,9 @@ KNOWN_COUNT = BY + drifts.RATES  # from here on what the cell knew when the stay
 KNOWN_OFF, CHANGE_SIZE, CHANGE_OF = KNOWN_COUNT + 1, KNOWN_COUNT + 2, KNOWN_COUNT + 3
 BEFORE = KNOWN_COUNT + 4  # gain and edge of each side before a change; CHANGE_OF: how much it was
 KNOWN_Z = BEFORE + 2 * drifts.LEVELS  # effects of T on what the cell knew
-STAY = KNOWN_Z + drifts.RATES - drifts.LEVELS
+LOOSE = KNOWN_Z + drifts.RATES - drifts.LEVELS  # sum of variances of signals between two values
+NOISY = LOOSE + 1  # sum of variances of the noise
+STAY = NOISY + 1
 
 
 class Memory(NamedTuple):
@@ -90,5 +92,6 @@ FLOW, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, WARM, OF = 0, 1, 2, 3, 4, 5, 6, 7
 FLOWS = OF + drifts.RATES  # derivatives at another temperature
 AS_LEARNT = FLOWS + drifts.RATES  # flow due to T at which cells learnt
 MOVED = AS_LEARNT + 1  # variance by what moves in time, without that by T
-AT = MOVED + 1
+AGAINST = MOVED + 1  # flow against Δp, which the map has there and the valve cannot have
+AT = AGAINST + 1
 # From OF on derivatives by the states of `flow_drift`; WARM: flow due to T.

@@ -11,16 +11,26 @@ White noise has slow = 0, an AR(1) process slow = 1.
 """
 
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_reading as readings
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner
 from valvemap.model.samples import Floats
 
 
 @inner
-def note(error: float, weight: float, count: float, age: int, scalars: Floats) -> None:
+def of_sample(flow: float, scalars: Floats) -> float:
+    """Variance of the noise of a sample of this flow."""
+    return float(scalars[fits.VARIANCE] * readings.ratio(scalars[fits.READING :], flow))
+
+
+@inner
+def note(
+    error: float, weight: float, count: float, age: int, flow: float, scalars: Floats
+) -> None:  # fmt: skip
     """Add an error against the sample's own cell, of ``count`` samples, to variance and colour."""
     rest = 1.0 - 1.0 / min(max(0.5 * age, 50.0), rules.NOISE_MEMORY)  # early maps were worse
     part = count / (count + 1.0)
+    readings.note(scalars[fits.READING :], rest, weight, part * error * error, flow)
     scalars[fits.WITHIN] = rest * scalars[fits.WITHIN] + weight * part * error * error
     scalars[fits.WITHIN_WEIGHT] = rest * scalars[fits.WITHIN_WEIGHT] + weight
     last, before = scalars[fits.LAST_ERROR], scalars[fits.ERROR_BEFORE]
@@ -58,9 +68,10 @@ def spreads(scalars: Floats, kept: float) -> float:
 
 
 @inner
-def of_stay(many: float, scalars: Floats) -> float:
-    """Variance of the mean of successive samples; the stay before has noise in common with it.
+def of_stay(many: float, variance: float, scalars: Floats) -> float:
+    """Variance of the mean of successive samples of some variance.
 
+    The stay before has noise in common with it.
     Until its colour is known, the noise is as slow as any: what then is a change is certain.
     """
     phi, slow = scalars[fits.COLOUR], scalars[fits.SLOW]
@@ -68,4 +79,4 @@ def of_stay(many: float, scalars: Floats) -> float:
         phi, slow = rules.MOST_COLOUR, 1.0
     alike = phi**many
     own = min((1.0 + phi) / (1.0 - phi) / max(many, 1.0), 1.0) * (1.0 + alike) / (1.0 - alike)
-    return float(scalars[fits.VARIANCE] * ((1.0 - slow) / max(many, 1.0) + slow * own))
+    return float(variance * ((1.0 - slow) / max(many, 1.0) + slow * own))

@@ -45,6 +45,8 @@ HASTE: Final = 1.5  # power of a Fellner-Schall step: plain steps fall short of 
 MOST_STEP: Final = 30.0  # factor; by which a precision changes in one round at most
 
 # Noise and outliers.
+APART: Final = 0.12  # s; samples of one visit to a cell that follow sooner are forgotten together:
+# a cell in which a machine rests remembers a minute, longer than a drift goes unnoticed
 NOISE_MEMORY: Final = 4000.0  # samples; over which variance and correlation are averaged
 WAY_U: Final = 15.0  # %; way of U over which a map says the same again
 WAY_S: Final = 0.2  # of the largest √|Δp|; the same along s
@@ -136,6 +138,8 @@ LONGEST_LAG: Final = 1.5  # s of a stretch that are left out, so that all lags a
 EVERY: Final = 2  # rows; of which one is compared
 ROBUST_ROUNDS: Final = 6  # fits of a coarse map, without the outliers of the fit before
 ROBUST_STEPS: Final = 5  # steps of the robust variance
+NOISE_STEPS: Final = (1.0, 0.5, 2.0, 0.25, 4.0)  # factors of σ² that are tried where the places of
+# some rows are not known
 NEAR_TOP: Final = 0.99  # of the meter's end; beyond it flow is not known
 WELL_BELOW_TOP: Final = 0.95  # of the meter's end; a lower reading is a flow, whatever is predicted
 NEAR_LEAST: Final = 0.3  # of the least flow; nearer to it either reading is possible

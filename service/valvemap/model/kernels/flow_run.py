@@ -234,7 +234,7 @@ def _learn_row(
         return _OK if known else _WARMING_UP
     Q -= beyond
     gain = 1.0 + memory.now[side, 0, drifts.GAIN]
-    weight = 1.0
+    weight, stays = 1.0, counters[FITTED] and counters[STAY_CELL] == number
     if counters[FITTED]:
         residual = batch.residual[i]
         slope = at[SLOPE]
@@ -253,18 +253,19 @@ def _learn_row(
             if sensing < rules.WORTH_SAYING and is_none:  # as flows were before it moved
                 usual = math.sqrt(scalars[fits.SCALE])
                 scalars[fits.ZERO_SCALE] = max(scalars[fits.ZERO_SCALE], usual)
-        known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
+        noise = noises.of_sample(at[FLOW], scalars)
+        known_well = at[SURE] < noise + 2.0 * scalars[fits.MISFIT]
         has_play = path[paths.STICK] + path[paths.RELAYS] + path[paths.NEWS] == 0.0
         if weight > 0.5 and known_well and has_play and not is_young:
             visit = 0.0  # samples in this cell so far: all have the map's misfit in common
             if counters[STAY_CELL] == number:
                 visit = (counters[STAYS] - 1) * rules.LONGEST_STAY + memory.stay[SAMPLES]
-            doubt = (scalars[fits.VARIANCE] + at[SURE]) * max(visit / rules.SHORTEST_STAY, 1.0)
+            doubt = (noise + at[SURE]) * max(visit / rules.SHORTEST_STAY, 1.0)
             doubt *= noises.spreads(scalars, 1.0)
             plays.weigh(memory.play, path[paths.LAGGED], residual, slope, doubt)
         distance = apart(axis_U, axis_s, memory.cells[number], number, at)
-        if bent + loose <= rules.STEADY_FILTER * scalars[fits.VARIANCE]:
-            note_stay(number, side, batch.t[i], residual, weight, distance, memory, at)
+        if bent + loose <= rules.STEADY_FILTER * noise:
+            note_stay(number, side, batch.t[i], residual, weight, distance, loose, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
             end_stay(axis_U, axis_s, memory, room)
     share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
@@ -278,12 +279,15 @@ def _learn_row(
         scalars[fits.LEARNT_T] += (batch.T[i] - scalars[fits.LEARNT_T]) / learnt
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
         shared = rules.SHARED * (at[MOVED] + bent + loose)
-        weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300)) * own
+        noise = noises.of_sample(at[FLOW], scalars)
+        weight *= min(1.0, noise / max(shared, 1e-300)) * own
     weight *= min(gain * gain, 1.0)  # of what was Q / gain at first, the noise is σ / gain
     if gain <= rules.LEAST_GAIN:
         weight, gain = 0.0, 1.0
     x, Q = oil.viscosity(memory, batch.T[i]), Q / gain
     cell, y, longest = memory.cells[number], oil.bend(x), batch.longest
+    if stays:
+        longest *= max(rules.APART / max(step, 1e-9), 1.0)
     deposit(cell, at[PLACE_U], r, x, y, Q, weight, worth, longest)
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
@@ -323,7 +327,7 @@ def _shows_nothing(Q: float, at: Floats, cell: Cells, memory: Memory) -> bool:
 @inner
 def _is_surprising(residual: float, at: Floats, scalars: Floats) -> bool:
     """Whether neither noise nor doubt about the map explains a residual."""
-    doubt = at[TOTAL] + scalars[fits.VARIANCE]
+    doubt = at[TOTAL] + noises.of_sample(at[FLOW], scalars)
     return bool(residual * residual > rules.CLEAR * doubt)
 
 
@@ -333,7 +337,8 @@ def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
     scalars, counters = memory.scalars, memory.counters
     if counters[USED] - counters[BEGAN] < rules.LOOKS[0]:
         return
-    square = residual * residual / (at[TOTAL] + scalars[fits.VARIANCE])
+    noise = noises.of_sample(at[FLOW], scalars)
+    square = residual * residual / (at[TOTAL] + noise)
     against = min(0.5 * (square - 1.0), rules.MOST_OF_GUESS)
     scalars[fits.REFUTED] = max(scalars[fits.REFUTED] + against, 0.0)
     if scalars[fits.REFUTED] >= rules.CLEAR:
@@ -430,7 +435,8 @@ def _trust(
         noises.skip(scalars)
         return 1.0
     width = rules.OUTLIER_WIDTH * math.sqrt(scalars[fits.SCALE])
-    noise, variance = scalars[fits.VARIANCE], room.at[TOTAL]
+    at, variance = room.at, room.at[TOTAL]
+    noise = noises.of_sample(at[FLOW], scalars)
     own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
     off = gain * (oil.at_first(axis_s, memory, cell, room) - own)
     error = residual - off
@@ -448,7 +454,7 @@ def _trust(
     if cell[COUNT] > 0.0 and not paths.filters(memory.path):
         of_way *= apart(axis_U, axis_s, cell, number, room.at)
     if cell[COUNT] > 0.0 and of_way < noise:
-        noises.note(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], scalars)
+        noises.note(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], at[FLOW], scalars)
     else:
         noises.skip(scalars)
     return weight

@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+from valvemap.model.kernels import flow_reading as readings
 from valvemap.model.kernels.banded import factorise, invert_band, substitute
 from valvemap.model.kernels.compiled import inner, maker
 from valvemap.model.kernels.flow_basis import Axis
@@ -28,7 +29,7 @@ class Design(NamedTuple):
     squares : (K,)
         Mean of s·|s|.
     y, worth : (K,)
-        Mean flow; what the samples are worth in white noise.
+        Mean flow; what the samples are worth in white noise of variance σ².
     regular, precision : (K,)
         Probability that no outlier is in it; weight in the fit.
     """
@@ -71,13 +72,17 @@ class Solution(NamedTuple):
 
 
 @inner
-def gather(axis_U: Axis, axis_s: Axis, cells: Cells, work: Floats, of: Design) -> None:
-    """Fill the rows of all cells that hold samples."""
+def gather(
+    axis_U: Axis, axis_s: Axis, cells: Cells, reading: Floats, work: Floats,
+    of: Design,
+) -> None:  # fmt: skip
+    """Fill the rows of all cells that hold samples; ``reading`` as in `flow_reading`."""
     n_s, k = len(axis_s.sites), 0
     for c in range(len(cells)):
         if cells[c, COUNT] > 0.0:
             first = design(axis_U, axis_s, cells[c], c, work, of.rows[k])
-            of.firsts[k], of.y[k], of.worth[k] = first, cells[c, MEAN_Q], cells[c, WORTH]
+            of.firsts[k], of.y[k] = first, cells[c, MEAN_Q]
+            of.worth[k] = cells[c, WORTH] / readings.ratio(reading, of.y[k])
             of.regular[k], square = 1.0, 0.0
             for a in range(3):
                 for b in range(3):

@@ -22,6 +22,7 @@ from valvemap.model.kernels.flow_cells import (
 )
 from valvemap.model.kernels.flow_drift import Drift
 from valvemap.model.kernels.flow_memory import (
+    AGAINST,
     ALARMED,
     APART,
     BEFORE,
@@ -37,12 +38,15 @@ from valvemap.model.kernels.flow_memory import (
     CHANGES,
     CLOCK,
     FITTED,
+    FLOW,
     KNOWN_COUNT,
     KNOWN_OFF,
     KNOWN_Z,
     LEARNT,
+    LOOSE,
     NEXT_FIT,
     NEXT_START,
+    NOISY,
     OF,
     OF_MAP,
     PAIR_CELL,
@@ -86,7 +90,7 @@ def forget_motion(memory: Memory) -> None:
     """Forget what moved in time."""
     memory.counters[ALARMED] = memory.counters[SKIPPED] = memory.counters[STAYS] = 0
     memory.counters[CALM] = memory.counters[USED] + rules.MATURE
-    memory.stay[:KNOWN_COUNT] = 0.0
+    memory.stay[:KNOWN_COUNT] = memory.stay[LOOSE:] = 0.0
     wears.forget(memory.wear)
     for side in range(2):
         drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
@@ -111,7 +115,7 @@ def begin_replay(memory: Memory, rows: int, T: float) -> None:
     memory.scalars[fits.SURPRISE] = memory.scalars[fits.STAYS_SEEN] = 0.0
     memory.scalars[fits.PAIR_PRODUCT : fits.PAIRS + 1] = 0.0
     memory.path[paths.SEEN] = 0.0
-    memory.stay[:KNOWN_COUNT] = 0.0
+    memory.stay[:KNOWN_COUNT] = memory.stay[LOOSE:] = 0.0
     play[plays.SEEN] = play[plays.SLOPES] = play[plays.ERRORS] = 0.0
     play[plays.GAINS :] = 0.0
 
@@ -142,8 +146,8 @@ def apart(axis_U: Axis, axis_s: Axis, cell: Singles, number: int, at: Floats) ->
 
 @inner
 def note_stay(
-    number: int, side: int, t: int, residual: float, weight: float, distance: float, memory: Memory,
-    at: Floats,
+    number: int, side: int, t: int, residual: float, weight: float, distance: float, loose: float,
+    memory: Memory, at: Floats,
 ) -> None:  # fmt: skip
     """Add a sample to the stay in its cell; a single one that is refused is left out."""
     counters, stay = memory.counters, memory.stay
@@ -155,11 +159,13 @@ def note_stay(
         return
     counters[SKIPPED] = 0 if weight >= 0.5 else 1
     stay[SAMPLES] += 1.0
-    stay[RESIDUAL] += residual
+    stay[RESIDUAL] += residual - at[AGAINST]  # as the cell is compared: with the map as fitted
     for k in range(drifts.RATES):
         stay[BY + k] += at[OF + k]
     stay[OF_MAP] += at[SURE]
     stay[APART] += distance
+    stay[LOOSE] += loose
+    stay[NOISY] += noises.of_sample(at[FLOW], memory.scalars)
 
 
 @inner
@@ -167,24 +173,25 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
     """Let the drift learn from the stay that ends."""
     counters, scalars, stay = memory.counters, memory.scalars, memory.stay
     many = stay[SAMPLES]
-    noise = noises.of_stay(many, scalars)
+    variance = stay[NOISY] / max(many, 1.0)
+    noise = noises.of_stay(many, variance, scalars) + stay[LOOSE] / max(many, 1.0) ** 2
     if paths.filters(memory.path):  # the filter's errors are common to a stay
-        noise = max(noise, rules.STAY_BEHIND_FILTER * scalars[fits.VARIANCE])
+        noise = max(noise, rules.STAY_BEHIND_FILTER * variance)
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
         cell = memory.cells[counters[STAY_CELL]]
         is_refused = counters[SKIPPED] and many > 0.0
         if not is_refused or counters[STAYS] == 1:  # a visit counts once: it may be a change
             cell[REFUSALS] = cell[REFUSALS] + 1.0 if is_refused else 0.0
     if many > 0.0 and stay[KNOWN_COUNT] >= rules.VISITED and not paths.filters(memory.path):
-        _note_pair(noise + scalars[fits.VARIANCE] / stay[KNOWN_COUNT], memory)
-    is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE] or stay[KNOWN_COUNT] >= rules.SURE_CELL
+        _note_pair(noise + variance / stay[KNOWN_COUNT], variance, memory)
+    is_sure = stay[OF_MAP] < many * variance or stay[KNOWN_COUNT] >= rules.SURE_CELL
     age = 1e-9 * float(counters[STAY_TIME] - counters[BEGAN_TIME])
     learnt = counters[USED] - counters[BEGAN]
     is_settled = age >= rules.SETTLED_FOR or learnt >= rules.MATURE
     is_sure = is_sure and learnt >= rules.SETTLED_MAP
     if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
         side = counters[STAY_SIDE]
-        of_cell, off = scalars[fits.VARIANCE] / stay[KNOWN_COUNT], stay[KNOWN_OFF]
+        of_cell, off = variance / stay[KNOWN_COUNT], stay[KNOWN_OFF]
         of_cell += stay[APART] / many * stay[OF_MAP] / many
         of_map = max(stay[OF_MAP] / many, off * off - of_cell)  # a map that the cell refutes
         share = of_map / (of_map + of_cell)
@@ -200,12 +207,12 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         law = rules.OTHER_LAW * oil.warm(memory, side, by[drifts.LEVELS :])
         alike = _alike(memory)
         noise += alike * law * law
-        variance = counters[STAYS] * (noise + share * of_cell)
+        doubt = counters[STAYS] * (noise + share * of_cell)
         if is_settled:
-            _tell(axis_U, axis_s, drift, residual, by, variance, memory, room)
+            _tell(axis_U, axis_s, drift, residual, by, doubt, memory, room)
         elif alike == 1.0:  # stays of one oil have the error of a young map in common
-            drifts.learn_of_T(drift, residual, by, variance)
-    stay[:KNOWN_COUNT] = 0.0
+            drifts.learn_of_T(drift, residual, by, doubt)
+    stay[:KNOWN_COUNT] = stay[LOOSE:] = 0.0
 
 
 @inner
@@ -265,8 +272,10 @@ def _note_wear(
 
 
 @inner
-def _note_pair(variance: float, memory: Memory) -> None:
+def _note_pair(doubt: float, variance: float, memory: Memory) -> None:
     """Compare the errors of two stays in different cells, longer apart than any lag lasts.
+
+    Each counts in standard deviations of the noise where it is, times the mean one.
 
     Noise that is as coloured as it seems would have a part of them in common.
     """
@@ -275,8 +284,9 @@ def _note_pair(variance: float, memory: Memory) -> None:
     apart_s = 1e-9 * float(now - before)
     if before != 0 and 0.0 <= apart_s < 2.0 * rules.METER_LASTS:
         return
-    error, most = stay[RESIDUAL] / stay[SAMPLES] - stay[KNOWN_OFF], math.sqrt(variance)
+    error, most = stay[RESIDUAL] / stay[SAMPLES] - stay[KNOWN_OFF], math.sqrt(doubt)
     error = min(max(error, -rules.MOST_STAY * most), rules.MOST_STAY * most)
+    error *= math.sqrt(scalars[fits.VARIANCE] / variance)
     if before != 0 and counters[PAIR_CELL] != counters[STAY_CELL]:
         keep, other = 1.0 - 1.0 / rules.STAY_MEMORY, scalars[fits.PAIR_ERROR]
         square = 0.5 * (error * error + other * other)

@@ -7,13 +7,12 @@ predicts worse for long, it restarts from the RLS estimate.
 import numpy as np
 
 from valvemap.model.kernels import filtered_scores, reaction
-from valvemap.model.kernels.compiled import inner, kernel, lean_kernel, spliced
+from valvemap.model.kernels.compiled import kernel, lean_kernel, spliced
 from valvemap.model.kernels.factors import project, rank_one, write_covariance
+from valvemap.model.kernels.likelihood_covariance import draw_noise_in, forget, let_noise_in
 from valvemap.model.kernels.likelihood_memory import (
-    BOUNDLESS,
     COUNT,
     DETERMINED,
-    DIRECTIONAL,
     FADING,
     HALVINGS,
     LARGEST,
@@ -24,7 +23,6 @@ from valvemap.model.kernels.likelihood_memory import (
     RAMP,
     RAMP_RATE,
     RLS_POWER,
-    ROUNDING,
     SINCE,
     UNDETERMINED,
     VARIANCE,
@@ -38,13 +36,13 @@ from valvemap.model.kernels.likelihood_memory import (
     scratch_of,
 )
 from valvemap.model.kernels.likelihood_recovery import recover
+from valvemap.model.kernels.likelihood_rows import fill_regressors, look_back, push, residual_of
 from valvemap.model.kernels.likelihood_spread import (
     largest_share,
     may_grow,
     spread_along,
     update_spread,
 )
-from valvemap.model.kernels.residual_spread import EARLIER
 from valvemap.model.kernels.stability import lies_inside
 from valvemap.model.samples import Codes, Floats, Segments
 from valvemap.vocabulary.statuses import Status
@@ -175,76 +173,25 @@ def _span(
             status[t] = _HELD
         else:
             for c in range(1, last):
-                _push(memory, d, c, X[t, c - 1])
-            _regressors(memory, orders, scratch)
+                push(memory, d, c, X[t, c - 1])
+            fill_regressors(memory, orders, scratch)
             predicted[t] = dot(scratch.h, memory.theta, n)
             if use[t]:
-                early[t] = _look_back(memory, scratch.h, y[t], y[t] - predicted[t])
+                early[t] = look_back(memory, scratch.h, y[t], y[t] - predicted[t])
                 of_map = dot(scratch.h, memory.theta, n - orders[last])
                 reaction.weigh_in(memory.colour, filtered_scores.REACTING, U[t], y[t] - of_map)
                 status[t] = _step(memory, rule, scratch, y[t], d, share, t)
-                posterior[t] = _rest(scratch.h, memory.theta, n, y[t])
-                _push(memory, d, 0, y[t])
-                _push(memory, d, last, posterior[t])
+                posterior[t] = residual_of(scratch.h, memory.theta, n, y[t])
+                push(memory, d, 0, y[t])
+                push(memory, d, last, posterior[t])
                 recover(memory, posterior[t], status, t)
             else:
                 status[t] = _REJECTED
-                _push(memory, d, 0, y[t] if y_in_range else predicted[t])
-                _push(memory, d, last, 0.0)
+                push(memory, d, 0, y[t] if y_in_range else predicted[t])
+                push(memory, d, last, 0.0)
         if t < len(history):
             for j in range(n):
                 history[t, j] = memory.theta[j]
-
-
-@inner
-def _rest(h: Floats, theta: Floats, n: int, y: float) -> float:
-    """Y - hᵀtheta; 0 below rounding error, to keep it out of the noise model."""
-    total = y
-    magnitude = abs(y)
-    for j in range(n):
-        part = h[j] * theta[j]
-        total -= part
-        magnitude += abs(part)
-    return total if abs(total) > ROUNDING * magnitude else 0.0
-
-
-@inner
-def _look_back(memory: Memory, h: Floats, y: float, residual: float) -> float:
-    """Y minus the prediction of the map of some samples before; at first the residual."""
-    early, monitor = memory.early, memory.monitor
-    ns = len(early)
-    if monitor[DETERMINED] > 0.0 and monitor[COUNT] % EARLIER == 0.0:
-        for j in range(ns):
-            early[j] = memory.theta[j]
-    predicted = dot(h, early, ns)
-    return residual if np.isnan(predicted) else y - predicted
-
-
-@inner
-def _push(memory: Memory, d: Floats, c: int, value: float) -> None:
-    """Shift a value into channel c, and value/D(q) into its filtered twin."""
-    raw, filtered = memory.raw, memory.filtered
-    through = value
-    for i in range(len(d)):
-        through -= d[i] * filtered[c, i]
-    for i in range(raw.shape[1] - 1, 0, -1):
-        raw[c, i] = raw[c, i - 1]
-        filtered[c, i] = filtered[c, i - 1]
-    raw[c, 0] = value
-    filtered[c, 0] = through
-
-
-@inner
-def _regressors(memory: Memory, orders: Orders, scratch: Scratch) -> None:
-    """Fill h and h_f from the channels: lags of -y, of the inputs, of the residual."""
-    q = 0
-    sign = -1.0
-    for c in range(len(orders)):
-        for i in range(orders[c]):
-            scratch.h[q] = sign * memory.raw[c, i]
-            scratch.hf[q] = sign * memory.filtered[c, i]
-            q += 1
-        sign = 1.0
 
 
 @spliced
@@ -267,19 +214,19 @@ def _step(
         for j in range(ns, n):
             hf[j] = 0.0
     elif nd > 0 and memory.prior[ns] == 0.0 and monitor[VARIANCE] > 0.0:
-        _let_noise_in(memory, ns)
+        let_noise_in(memory, ns)
 
     before = 0.0
     for j in range(n):
         before += memory.prior[j] * hf[j] * hf[j]
     r = project(memory.factor, hf, f, Ph)
     share[t] = r / before if before > 0.0 else 0.0
-    e = _rest(h, theta, n, y)  # the a-priori innovation
+    e = residual_of(h, theta, n, y)  # the a-priori innovation
     if nd > 0 and memory.prior[ns] > 0.0:
         variance = monitor[VARIANCE]
         variance += (e * e / (1.0 + r) - variance) / (monitor[WEIGHT] + 1.0)
         if memory.prior[ns] * variance > LOUDER * 10.0 * NOISE_PRIOR:
-            _draw_noise_in(memory, scratch, ns, NOISE_PRIOR / variance)
+            draw_noise_in(memory, scratch, ns, NOISE_PRIOR / variance)
             r = project(memory.factor, hf, f, Ph)
 
     ramp, lam = monitor[RAMP], rule.lam
@@ -308,12 +255,12 @@ def _step(
         update_spread(memory.spread, Ph, scratch.Sh, gain, q)
     monitor[WEIGHT] = ramp * lam * monitor[WEIGHT] + 1.0
     monitor[VARIANCE] += (e * e / (1.0 + q) - monitor[VARIANCE]) / monitor[WEIGHT]
-    _forget(memory.factor, rule.kind, lam, ramp, scratch, r, before)
+    forget(memory.factor, rule.kind, lam, ramp, scratch, r, before)
 
     if monitor[DETERMINED] > 0.0:
         filtered_scores.gather(memory.omega, memory.moments, memory.blocks, memory.colour, hf, e, y)
 
-    rls_e = _rest(h, memory.rls_theta, ns, y)
+    rls_e = residual_of(h, memory.rls_theta, ns, y)
     before = 0.0
     for j in range(ns):
         before += memory.prior[j] * h[j] * h[j]
@@ -326,7 +273,7 @@ def _step(
     lam = rule.lam if may_grow(memory.rls_factor, memory.prior, rule.lam) else 1.0
     for j in range(ns):
         memory.rls_theta[j] += rls_e / (lam + r) * Ph[j]
-    _forget(memory.rls_factor, rule.kind, lam, 1.0, scratch, r, before)
+    forget(memory.rls_factor, rule.kind, lam, 1.0, scratch, r, before)
 
     monitor[RAMP] = RAMP_RATE * monitor[RAMP] + (1.0 - RAMP_RATE)
     monitor[COUNT] += 1.0
@@ -340,41 +287,3 @@ def _step(
     if monitor[DETERMINED] == 0.0:
         return _WARMING_UP
     return _OK if known and not (holds and rule.lam < 1.0) else _UNEXCITED
-
-
-@inner
-def _forget(
-    factor: Floats, kind: int, lam: float, ramp: float, scratch: Scratch, r: float, before: float
-) -> None:
-    """P after the sample: (P - L·hfᵀP)/λ, or λ along hf alone (Kulhavý 1987); the ramp always."""
-    f = scratch.f[: len(factor)]
-    if kind == DIRECTIONAL:
-        weight = 1.0
-        if r > 0.0 and before > 0.0:
-            weight -= (1.0 - lam) * max(0.0, ramp / r - 1.0 / before)
-        rank_one(factor, f, scratch.work, ramp, weight, 1.0 / ramp)
-    else:
-        rank_one(factor, f, scratch.work, ramp * lam, 1.0, 1.0 / (ramp * lam))
-
-
-@inner
-def _let_noise_in(memory: Memory, ns: int) -> None:
-    """Give d its prior variance, in units of the current noise variance."""
-    variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], BOUNDLESS)
-    for j in range(ns, len(memory.theta)):
-        memory.prior[j] = 10.0 * variance  # room for forgetting
-        memory.factor[j, j] = variance
-        memory.spread[j, j] = variance
-
-
-@inner
-def _draw_noise_in(memory: Memory, scratch: Scratch, ns: int, variance: float) -> None:
-    """Reduce d's prior variance after the noise variance has grown."""
-    information = 1.0 / variance - 10.0 / memory.prior[ns]
-    for j in range(ns, len(memory.theta)):
-        memory.prior[j] = 10.0 * variance
-        scratch.work[:] = 0.0
-        scratch.work[j] = 1.0
-        project(memory.factor, scratch.work, scratch.f, scratch.Ph)
-        rank_one(memory.factor, scratch.f, scratch.work, 1.0, information, 1.0)
-    write_covariance(memory.factor, memory.spread)

@@ -23,20 +23,17 @@ from valvemap.model.kernels.covariance_form import (
     variable_lam,
     weight_along,
 )
-from valvemap.model.kernels.factors import is_estimable
 from valvemap.model.kernels.information_form import warm_up
+from valvemap.model.kernels.place_layout import NODES_A, PROVEN, Remembered
+from valvemap.model.kernels.place_refit import refit
+from valvemap.model.kernels.place_visits import LONGEST
 from valvemap.model.kernels.places import (
-    LONGEST,
     LOOK_EVERY,
     LOOK_EVERY_DRIFTING,
     LOOK_EVERY_YOUNG,
-    NODES_A,
-    PROVEN,
     REFIT,
     YOUNG,
-    Remembered,
     look,
-    refit,
 )
 from valvemap.model.kernels.prefetch import fetch
 from valvemap.model.kernels.reaction import weigh_in as weigh_reaction
@@ -288,35 +285,3 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             row[m, p] = s[p]
         for p in range(PLACES_OF_COUNTERS):
             counters[m, p] = own[p]
-
-
-@kernel
-def evaluate(
-    theta: Floats,
-    factor: Floats,
-    spread: Floats,
-    scale: Floats,
-    counters: Counts,
-    X: Floats,
-    values: Floats,
-    variances: Floats,
-) -> None:
-    """Write Xᵀ·theta (N,) and, with theta's covariance, its variance (N,); NaN where unknown."""
-    n = len(theta)
-    factored = counters[FACTORED] == 1
-    for i in range(len(X)):
-        values[i] = np.nan
-        variances[i] = np.nan
-        if factored or is_estimable(factor, X, i, scale):
-            total = 0.0
-            for j in range(n):
-                total += X[i, j] * theta[j]
-            if np.isfinite(total):
-                values[i] = total
-        if np.isfinite(spread[0, 0]):
-            total = 0.0
-            for j in range(n):
-                for k in range(n):
-                    total += X[i, j] * spread[j, k] * X[i, k]
-            if np.isfinite(total):
-                variances[i] = max(total, 0.0)

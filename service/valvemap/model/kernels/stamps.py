@@ -80,12 +80,19 @@ class Trees:
 
 def stamp_of_module(module: str, file: Path, trees: Trees) -> str:
     """Return the stamp of an imported module; imports of its package and of ours are followed."""
+    return stamp_of_modules({module: file}, trees)
+
+
+def stamp_of_modules(files: Mapping[str, Path], trees: Trees) -> str:
+    """Return one stamp of several modules, by name in full, and of all that they import."""
     packages = {
         top: Path(path)
-        for top in dict.fromkeys((module.partition(".")[0], __name__.partition(".")[0]))
+        for top in dict.fromkeys(
+            (*(m.partition(".")[0] for m in files), __name__.partition(".")[0])
+        )
         for path in getattr(sys.modules.get(top), "__path__", ())
     }
-    return stamp_of(file, module, packages, trees)
+    return _stamp(list(files.items()), packages, trees)
 
 
 def stamp_of(file: Path, module: str, packages: Mapping[str, Path], trees: Trees) -> str:
@@ -101,8 +108,11 @@ def stamp_of(file: Path, module: str, packages: Mapping[str, Path], trees: Trees
     trees
         Cache of parsed modules.
     """
+    return _stamp([(module, file)], packages, trees)
+
+
+def _stamp(ahead: list[tuple[str, Path]], packages: Mapping[str, Path], trees: Trees) -> str:
     contents: dict[str, str] = {}
-    ahead = [(module, file)]
     while ahead:
         name, path = ahead.pop()
         if name in contents:

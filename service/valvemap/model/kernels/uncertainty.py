@@ -3,7 +3,7 @@
 import numpy as np
 
 from valvemap.model.kernels.compiled import inner, kernel, maker
-from valvemap.model.kernels.places import PROVEN
+from valvemap.model.kernels.place_layout import PROVEN
 from valvemap.model.kernels.row_layout import (
     BLOCKS,
     HASTE,

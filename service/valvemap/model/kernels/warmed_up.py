@@ -11,6 +11,7 @@ from numba.core import config
 
 from valvemap.model.kernels import ahead
 from valvemap.model.kernels.compiled import TREES, kernel
+from valvemap.model.kernels.stamps import stamp_of_modules
 
 _PACKAGE: Final = Path(__file__).parents[2]
 _ROOMS: Final = "*/kernels/*.py"
@@ -50,10 +51,9 @@ def _note() -> Path:
 
 
 def _stamp_of_all() -> str:
-    """Return a stamp of all kernels, numba and Python."""
-    files = sorted(_PACKAGE.glob(_ROOMS))
-    contents = [TREES.of(file, _module_of(file)).content for file in files]
-    whole = version("numba"), sys.implementation.cache_tag, contents
+    """Return a stamp of all kernels and what they import, numba and Python."""
+    files = {_module_of(file): file for file in _PACKAGE.glob(_ROOMS)}
+    whole = version("numba"), sys.implementation.cache_tag, stamp_of_modules(files, TREES)
     return hashlib.sha256(repr(whole).encode()).hexdigest()
 
 
