@@ -3,17 +3,21 @@
 import numpy as np
 import pytest
 
+from valvemap.app.connect import judged
+from valvemap.app.connect_answers import Wanted
 from valvemap.pipeline.units import unit_of
 from valvemap.plant.candidates import Candidate
+from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import group
-from valvemap.plant.reading import Given, Record
-from valvemap.plant.verdict import judge
+from valvemap.plant.possible import possible_valves
+from valvemap.plant.reading import Record
+from valvemap.plant.unused import unused
 
 STEP = 0.05
 
 
 class Plant:
-    """Variables with their values; ``judge`` runs the engine on them."""
+    """Variables with their values; ``verdicts`` and ``left`` run the engine on them."""
 
     def __init__(self):
         self.candidates, self.values = [], {}
@@ -27,12 +31,17 @@ class Plant:
         return node
 
     def verdicts(self, given=None, rating=None, *, assume=False):
-        given = given or {}
-        found = group(self.candidates)
-        record = Record(self.values, STEP)
-        return [
-            judge(one, record, given.get(one.name, Given(assume=assume)), rating) for one in found
-        ]
+        wanted = Wanted(given or {}, rating or Rating(), assume=assume)
+        self.groups = group(self.candidates)
+        self.groups += possible_valves(self.candidates, self.groups)
+        every, self.records = judged(self.groups, lambda _: Record(self.values, STEP), wanted)
+        self.all = every
+        return [one for one in every if one.reading is not None or one.question is not None]
+
+    def left(self):
+        """The variables that the last verdicts do not use, by their last name, with reasons."""
+        found = unused(self.candidates, self.groups, self.all, self.records)
+        return {one.variable.path[-1]: one.reason for one in found}
 
 
 @pytest.fixture

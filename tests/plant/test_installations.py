@@ -452,6 +452,40 @@ def test_a_unit_of_another_quantity_is_named(plant, moving):
     assert verdict.question.about == "Q in 'kg/min', which is no unit of a flow"
 
 
+@pytest.mark.parametrize(
+    ("signal", "symbol", "words"),
+    [
+        ("Pressure before", "Torr", "p1 in 'Torr', which is no unit of a pressure"),
+        ("Valve opening", "promille", "U in 'promille', which is no unit of an opening"),
+    ],
+)
+def test_a_stated_unit_that_is_none_of_ours_is_asked_for(plant, moving, signal, symbol, words):
+    true = moving()
+    named = {"Valve opening": ("U", "%"), "Pressure before": ("p1", "bar")}
+    named |= {"Pressure after": ("p2", "bar"), "Flow": ("Q", "l/min")}
+    for name, (role, unit) in named.items():
+        if name == signal:
+            plant.add(name, true[role], symbol=symbol)
+        else:
+            plant.add(name, true[role], unit)
+    (verdict,) = plant.verdicts()
+    assert verdict.question.about == words
+    assert obey(plant, verdict, verdict.question.options[0]).question is None
+
+
+@pytest.mark.parametrize("symbol", ["-", "кгс/см²"])
+def test_a_dash_is_no_unit_and_technical_atmospheres_are_known(plant, moving, symbol):
+    true = moving()
+    factor = 1.0 if symbol == "-" else 0.980665
+    plant.add("Valve opening", true["U"], "%")
+    plant.add("Pressure before", true["p1"] / factor, symbol=symbol)
+    plant.add("Pressure after", true["p2"] / factor, symbol=symbol)
+    plant.add("Flow", true["Q"], "l/min")
+    (verdict,) = plant.verdicts()
+    assert verdict.question is None
+    assert seen(verdict, "p1") == pytest.approx(true["p1"].max())
+
+
 @pytest.mark.parametrize("name", ["比例阀前压力（MPa）_3号", "p_in_MPa_1", "p in [MPa] #2"])
 def test_a_unit_before_the_number_of_a_unit_is_read(plant, moving, name):
     true = moving()

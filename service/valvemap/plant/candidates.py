@@ -5,12 +5,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from valvemap.pipeline.units import Quantity, Unit
+from valvemap.pipeline.units import Quantity, Unit, absolute
 from valvemap.plant.concepts import CARRIERS, QUANTITIES, Concept
 from valvemap.plant.names import concepts, tokens
 from valvemap.plant.roles import LEARNT, QUANTITY, Role, evidence_of_name
 from valvemap.plant.span_texts import raw_and_scaled
-from valvemap.plant.unit_texts import is_of_others, known_unit, split_unit
+from valvemap.plant.unit_texts import (
+    is_of_gauge,
+    is_of_others,
+    is_of_vacuum,
+    known_unit,
+    split_unit,
+)
 
 _OF_DESCRIPTION: Final = 0.5  # weight of a description's words against the name's
 _WHOLE_NAME: Final = 1.5  # a name of one word that is known exactly
@@ -38,7 +44,7 @@ class Candidate:
 
     ``symbol`` is the unit's text where it is none of ours; ``largest`` the largest value of an
     integer data type, None of a floating one; ``companion`` the node beside it that holds its
-    factor.
+    factor. ``text`` is what it sends if that is a text with a number, such as ``12,3 bar``.
     """
 
     node: str
@@ -50,6 +56,7 @@ class Candidate:
     symbol: str = ""
     largest: float | None = None
     companion: "Candidate | None" = None
+    text: str = ""
 
     @cached_property
     def label(self) -> "Label":
@@ -62,7 +69,8 @@ class Label:
     """What name, description and unit of a variable say.
 
     ``units`` are the stated units, one if name and property agree; ``evidence`` is the log
-    likelihood ratio of each role. ``statements`` counts the places that state the unit.
+    likelihood ratio of each role. ``statements`` counts the places that state the unit;
+    ``gauge`` if one says that a pressure is one against the atmosphere.
     """
 
     name: str
@@ -70,6 +78,7 @@ class Label:
     units: tuple[Unit, ...]
     evidence: Mapping[Role, float]
     statements: int = 1
+    gauge: bool = False
 
     @cached_property
     def role(self) -> Role:
@@ -104,11 +113,14 @@ def _label(candidate: Candidate) -> Label:
     if not units and in_text is not None:
         units = (in_text,)
     statements = sum(unit in units for unit in (stated, in_name, in_text) if unit is not None)
+    if is_of_vacuum(candidate.symbol, name, candidate.description):
+        units = tuple(absolute(unit) for unit in units)
     found = concepts(name)
     said = concepts(candidate.description) if candidate.description else {}
     symbols = [s for s in (candidate.symbol, symbol_in_name) if is_of_others(s)]
     whole = _WHOLE_NAME if len(tokens(name)) == 1 and 1.0 in found.values() else 1.0
     described = units
+    gauge = is_of_gauge(candidate.symbol, candidate.path[-1], candidate.description)
     spans = raw_and_scaled(candidate.description, None) if candidate.description else None
     if spans is not None and spans[1].unit is not None and _is_raw(units, spans[0].unit):
         described = (*(u for u in units if u.quantity is Quantity.ELECTRICAL), spans[1].unit)
@@ -122,7 +134,7 @@ def _label(candidate: Candidate) -> Label:
         if role in LEARNT or score > 0.0 or symbols:
             score += _of_units(role, tuple(dict.fromkeys(described)), symbols)
         evidence[role] = score + _WRITABLE * candidate.writable
-    return Label(name, found, units, evidence, max(statements, 1))
+    return Label(name, found, units, evidence, max(statements, 1), gauge)
 
 
 def _is_raw(stated: Iterable[Unit], raw: Unit | None) -> bool:

@@ -60,6 +60,11 @@ QUANTITIES: Final = frozenset(
 )
 """Concepts that name a quantity; the others qualify one."""
 
+SIDES: Final = frozenset(
+    {Concept.BEFORE, Concept.BEHIND, Concept.SUPPLY, Concept.TANK, Concept.CONSUMER}
+)
+"""Qualifiers that say on which side of a valve a pressure is."""
+
 PORT_LETTERS: Final[Mapping[str, tuple[Concept, ...]]] = {
     "p": (Concept.SUPPLY,),
     "s": (Concept.SUPPLY,),

@@ -5,28 +5,31 @@ shared by the valves nearest to them in the hierarchy.
 """
 
 import re
-import unicodedata
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.companions import with_companions
+from valvemap.plant.concepts import Concept
 from valvemap.plant.names import concept_of, tokens
+from valvemap.plant.place_names import short_names
 from valvemap.plant.roles import Role
 from valvemap.plant.unit_texts import split_unit
 
 _OWN: Final = frozenset({Role.Q, Role.QB, Role.DP, Role.P1, Role.P2, Role.PA, Role.PB})
 _PRESSURES: Final = (Role.P1, Role.P2, Role.PA, Role.PB)
+_OF_COMMANDS: Final = frozenset(
+    {Concept.COMMAND, Concept.OPENING, Concept.SETPOINT, Concept.VALVE, Concept.SPOOL}
+)
 _KKS_VALVE = re.compile(r"(\d{0,2}[A-Z]{3}\d{2})(?:AA|C[PTFG])\d{3}")
 _SEPARATORS = re.compile(r'"?\.(?=["A-Za-z_\u4e00-\u9fff])"?|/|\\|:')
 _INDEX = re.compile(r"\[([\d,\s]+)\]")
-_LONGEST_NAME: Final = 56
 _MOST_COMPARED: Final = 4  # valves of which each is compared with the others
 
 Place = tuple[str, ...]
 Key = Callable[[Candidate], Place]
+Parted = Mapping[Place, tuple[list[Candidate], list[Candidate]]]
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,8 @@ class Group:
 
     ``one_meter`` are the names of all valves whose flows one meter measures together;
     ``unmetered`` are the nearest valves without a flow, which its meter may measure, too;
-    ``neighbours`` the nearest other valves' variables by role.
+    ``neighbours`` the nearest other valves' variables by role. ``is_possible`` if names do not say
+    that it is a valve (:mod:`possible`); ``used`` are the signals of the others then.
     """
 
     name: str
@@ -57,19 +61,26 @@ class Group:
     one_meter: tuple[str, ...] = ()
     unmetered: tuple[Unmetered, ...] = ()
     neighbours: tuple[tuple[str, Mapping[Role, Candidate]], ...] = ()
+    is_possible: bool = False
+    used: tuple[Candidate, ...] = ()
 
     @property
     def all(self) -> tuple[Candidate, ...]:
-        """Own and shared variables."""
-        return (*self.own, *self.shared)
+        """Own and shared variables, but for texts."""
+        return tuple(one for one in (*self.own, *self.shared) if not one.text)
+
+    @property
+    def texts(self) -> tuple[Candidate, ...]:
+        """Its variables that send their numbers as texts, which cannot be monitored as numbers."""
+        return tuple(one for one in (*self.own, *self.shared) if one.text)
 
     @property
     def watched(self) -> tuple[Candidate, ...]:
         """All variables, and those of other valves with which they are compared."""
         others = (*(one.nodes for one in self.unmetered), *(nodes for _, nodes in self.neighbours))
-        known = (*self.all, *(one for nodes in others for one in nodes.values()))
+        known = (*self.all, *(one for nodes in others for one in nodes.values()), *self.used)
         factors = (one.companion for one in known if one.companion is not None)
-        return tuple(dict.fromkeys((*known, *factors)))
+        return tuple(dict.fromkeys(one for one in (*known, *factors) if not one.text))
 
 
 def group(candidates: Iterable[Candidate]) -> list[Group]:
@@ -78,15 +89,37 @@ def group(candidates: Iterable[Candidate]) -> list[Group]:
     relevant = [one for one in every if one.label.is_relevant]
     if not relevant:
         return []
-    finer = [(_by_folder, key) for key in (_by_code, _by_number, _by_rest)]
-    for keys in ((_by_folder,), *finer, (_by_code,), (_by_number,), (_by_index,)):
+    finer = [(folder_of, key) for key in (_by_code, _by_number, _by_rest)]
+    alone = [(key,) for key in (folder_of, _by_code, _by_number, _by_index)]
+    for keys in (alone[0], *finer, *alone[1:]):
         found = _parted(relevant, keys)
         if len(found) > 1:
-            return _named(found, every, _without_flow(relevant, keys))
-    for keys in ((_by_folder,), (_by_code,), (_by_number,)):
-        if whole := _parted(relevant, keys):
-            return _named(whole, every, _without_flow(relevant, keys))
-    return [Group("Valve", (*relevant, *_beside(relevant, every)))]
+            break
+    else:
+        usable = (keys for keys in alone[:3] if _parted(relevant, keys))
+        keys = next(usable, ())
+        found = _parted(relevant, keys) if keys else {}
+    if not found:
+        return [Group("Valve", (*relevant, *_beside(relevant, every)))]
+    for other in (*alone, *finer):
+        found |= _further(relevant, found, other)
+    return _named(found, every, _without_flow(relevant, keys))
+
+
+def _further(
+    relevant: Sequence[Candidate], found: Parted, keys: Sequence[Key]
+) -> dict[Place, tuple[list[Candidate], list[Candidate]]]:
+    """Return the valves with a flow of their own among the variables that no valve has yet.
+
+    A plant may write one valve in folders, and the next one in tags.
+    """
+    taken = {one.node for own, _ in found.values() for one in own}
+    rest = [one for one in relevant if one.node not in taken]
+    return {
+        place: (own, shared)
+        for place, (own, shared) in _parted(rest, keys).items()
+        if any(place) and place not in found and _has_flow(own)
+    }
 
 
 def _parted(
@@ -137,7 +170,7 @@ def _places(
     pool = [one for own in groups.values() if not _has_command(own) for one in own]
     for place, own in groups.items():
         if _has_command(own) and any(one.label.role in _OWN for one in own):
-            yield place, own, _nearest(own, pool)
+            yield place, own, _nearest(own, pool) if _names_command(own) else []
 
 
 def _nearest(own: Sequence[Candidate], pool: Sequence[Candidate]) -> list[Candidate]:
@@ -158,11 +191,11 @@ def _nearest(own: Sequence[Candidate], pool: Sequence[Candidate]) -> list[Candid
 
     best: dict[Role, int] = {}
     for one in wanted:
-        best[one.label.role] = max(_nearness(own[0], one), best.get(one.label.role, -1))
-    return [one for one in wanted if _nearness(own[0], one) == best[one.label.role]]
+        best[one.label.role] = max(nearness(own[0], one), best.get(one.label.role, -1))
+    return [one for one in wanted if nearness(own[0], one) == best[one.label.role]]
 
 
-def _nearness(one: Candidate, other: Candidate) -> int:
+def nearness(one: Candidate, other: Candidate) -> int:
     """Return the number of folders that two variables have in common."""
     mine, its = one.path[:-1], other.path[:-1]
     return next(
@@ -175,14 +208,26 @@ def _has_command(own: Sequence[Candidate]) -> bool:
     return any(one.label.role is Role.U for one in own)
 
 
+def _names_command(own: Sequence[Candidate]) -> bool:
+    """Whether a name, and not the unit % alone, says that a variable is a command.
+
+    The load of a pump is in %, too: what is beside it elsewhere is not its own.
+    """
+    commands = (one.label.concepts for one in own if one.label.role is Role.U)
+    return any(_OF_COMMANDS.intersection(found) for found in commands)
+
+
+def _has_flow(own: Sequence[Candidate]) -> bool:
+    return any(one.label.role in {Role.Q, Role.QB} for one in own)
+
+
 def _is_whole(own: Sequence[Candidate]) -> bool:
     roles = [one.label.role for one in own]
     pressures = sum(role in _PRESSURES for role in roles)
-    has_flow = bool({Role.Q, Role.QB} & set(roles))
-    return Role.U in roles and has_flow and (pressures >= 2 or Role.DP in roles)
+    return Role.U in roles and _has_flow(own) and (pressures >= 2 or Role.DP in roles)
 
 
-def _by_folder(one: Candidate) -> Place:
+def folder_of(one: Candidate) -> Place:
     """Group by path: the folder, or the part of a tag before its last name."""
     name, _, _ = split_unit(one.path[-1].strip('"'))
     return (*one.path[:-1], *_SEPARATORS.split(name)[:-1])
@@ -218,7 +263,7 @@ def _named(
     every: Sequence[Candidate],
     without_flow: Mapping[Place, Mapping[Role, Candidate]],
 ) -> list[Group]:
-    names = _short_names([*found, *without_flow])
+    names = short_names([*found, *without_flow])
     metered: dict[str, list[str]] = {}
     for place, (_, shared) in found.items():
         for one in shared:
@@ -230,7 +275,7 @@ def _named(
         together = tuple(others[0]) if others else ()
         groups.append(Group(names[place], (*own, *_beside(own, every)), tuple(shared), together))
     for place, nodes in without_flow.items():
-        near = [_nearness(nodes[Role.U], one.own[0]) for one in groups]
+        near = [nearness(nodes[Role.U], one.own[0]) for one in groups]
         other = Unmetered(names[place], nodes)
         groups = [
             replace(one, unmetered=(*one.unmetered, other)) if n == max(near) else one
@@ -247,41 +292,12 @@ def _named(
 
 def _beside(own: Sequence[Candidate], every: Sequence[Candidate]) -> list[Candidate]:
     """Return the recognised signals of no map, such as a spool's position, in the same folder."""
-    folders = {_by_folder(one) for one in own}
+    folders = {folder_of(one) for one in own}
     nots = {Role.SPOOL, Role.PILOT, Role.POSITION, Role.SPEED}
     return [
         one
         for one in every
         if one.label.role in nots
         and one.label.evidence[one.label.role] > 0.0
-        and _by_folder(one) in folders
+        and folder_of(one) in folders
     ]
-
-
-def _short_names(places: Sequence[Place]) -> dict[Place, str]:
-    """Return a unique name for each path: its last part, with as many before it as necessary."""
-    depths = range(1, max(1, *map(len, places)) + 1)
-    at_depth = [[_name("_".join(place[-depth:])) for place in places] for depth in depths]
-    for names in at_depth:
-        if len(set(names)) == len(names):
-            return dict(zip(places, names, strict=True))
-    counts = [Counter(names) for names in at_depth]
-    found: dict[Place, str] = {}
-    taken: set[str] = set()
-    for number, place in enumerate(places):
-        own = (
-            names[number]
-            for names, n in zip(at_depth, counts, strict=True)
-            if n[names[number]] == 1
-        )
-        name = next((name for name in own if name not in taken), f"Valve{number + 1}")
-        found[place] = name
-        taken.add(name)
-    return found
-
-
-def _name(text: str) -> str:
-    plain = unicodedata.normalize("NFKD", text)
-    plain = "".join(letter for letter in plain if not unicodedata.combining(letter))
-    name = re.sub(r"[^A-Za-z0-9_-]+", "_", plain).strip("_")[:_LONGEST_NAME]
-    return name if name[:1].isalpha() else f"V{name}" if name else "Valve"

@@ -19,14 +19,18 @@ _EQUAL: Final = 0.02  # of a flow, by which two right meters may differ
 def other_meter(best: Reading, group: Group, record: Record) -> Candidate | None:
     """Return another meter, labelled as well, that shows the same flow but for a factor.
 
-    Which of the two is right, no value says.
+    Which of the two is right, no value says. A meter of line B is one of the valve's flow, too,
+    where no pressure is that of a line.
     """
     if best.mistake or not best.fit.moves:
         return None
     own, Q = best.nodes[Role.Q], best.values[Role.Q]
+    has_lines = any(one.label.role in {Role.PA, Role.PB} for one in group.all)
+    roles = (Role.Q,) if has_lines else (Role.Q, Role.QB)
+    named = max(own.label.evidence[role] for role in roles)
     taken = {node.node for node in best.nodes.values()}
     for one in group.all:
-        is_as_likely = abs(one.label.evidence[Role.Q] - own.label.evidence[Role.Q]) < _AS_LIKELY
+        is_as_likely = max(one.label.evidence[role] for role in roles) > named - _AS_LIKELY
         if one.node in taken or not is_as_likely or len(record.of(one)) != len(Q):
             continue
         scale = scales(one, Role.Q, record.of(one))[0]

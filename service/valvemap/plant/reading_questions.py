@@ -1,5 +1,6 @@
 """Questions about the readings of a valve: what remains, with consequences and answers."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
@@ -8,7 +9,8 @@ import numpy as np
 
 from valvemap.foreign_text import printable
 from valvemap.plant import evidence
-from valvemap.plant.concepts import Concept
+from valvemap.plant.candidates import Candidate
+from valvemap.plant.concepts import SIDES
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.questions import Option, Question
@@ -19,9 +21,10 @@ from valvemap.plant.roles import QUANTITY, Role
 _NAMED: Final = 0.02  # probability of a reading that a question names
 _LEAST_NAMED, _MOST_NAMED = 2, 12
 _CLEAR: Final = -2.0  # nats; a contradiction that is named
-_SIDES: Final = frozenset(
-    {Concept.BEFORE, Concept.BEHIND, Concept.SUPPLY, Concept.TANK, Concept.CONSUMER}
+_NEED_A_UNIT: Final = frozenset(
+    {Role.U, Role.P1, Role.P2, Role.DP, Role.PA, Role.PB, Role.Q, Role.QB}
 )
+_LETTER: Final = re.compile(r"[^\W\d_]")  # "-" and "1/1" state no unit
 _NAMED_INSTEAD: Final = frozenset({Role.SPOOL, Role.POSITION, Role.PILOT})
 
 
@@ -39,6 +42,31 @@ def question_of_readings(valve: str, found: Sequence[Reading]) -> Question:
     return _question(valve, [by_key[key] for key in shown], found, found[0])
 
 
+def in_foreign_units(best: Reading, given: Given) -> tuple[Role, ...]:
+    """Roles whose unit is taken for the usual one, though their nodes state another."""
+    return tuple(
+        role
+        for role in best.assumed
+        if role in _NEED_A_UNIT and role not in given.scales and _foreign_unit(best, role)
+    )
+
+
+def question_of_units(valve: str, best: Reading, roles: Sequence[Role]) -> Question:
+    """Ask for units of which no conversion is known."""
+    about = "; ".join(_foreign_unit(best, role) for role in roles)
+    return Question(about, (_option(valve, best, roles),))
+
+
+def _foreign_unit(reading: Reading, role: Role) -> str:
+    """Say that a node states a unit that is none of its quantity; empty where it does not."""
+    noun, node = QUANTITY[role].noun, reading.nodes.get(role)
+    is_stated = node is not None and _LETTER.search(node.symbol) is not None
+    if not noun or node is None or not is_stated or node.label.units:
+        return ""
+    article = "an" if noun[0] in "aeiou" else "a"
+    return f"{role} in {printable(node.symbol)!r}, which is no unit of {article} {noun}"
+
+
 def question_of_missing(group: Group, best: Reading, record: Record, rating: Rating) -> Question:
     """Name the missing signals, and those present; of a single one with its readings."""
     parts = []
@@ -49,7 +77,12 @@ def question_of_missing(group: Group, best: Reading, record: Record, rating: Rat
             if one.node not in {n.node for n in best.nodes.values()}
             and (one.label.evidence[role] > 0.0 or one.label.role in _NAMED_INSTEAD)
         ]
-        there = f" ({'; '.join(instead[:3])})" if instead else ""
+        instead += [
+            f"{printable(one.node)} {as_text(one)}"
+            for one in group.texts
+            if one.label.evidence[role] > 0.0
+        ]
+        there = f" ({'; '.join(instead[-3:])})" if instead else ""
         parts.append(f"{role}: no node was found{there}")
     options: list[Option] = []
     if len(best.missing) == 1:
@@ -58,11 +91,33 @@ def question_of_missing(group: Group, best: Reading, record: Record, rating: Rat
     return Question("; ".join(parts), tuple(options))
 
 
+def question_of_references(valve: str, role: Role, found: Sequence[Reading]) -> Question:
+    """Ask whether a pressure is absolute, as the other one is, or is not."""
+    about = (
+        f"{role}: against the atmosphere, or absolute? p1 and p2 seem to differ in that by 1 bar"
+    )
+    return Question(about, tuple(_option(valve, one, [role]) for one in found))
+
+
+def as_text(one: Candidate) -> str:
+    """Return what to do about a variable that sends its number as a text."""
+    return f"sends a text, {printable(one.text)!r}: publish its number, as REAL or INT"
+
+
 def question_of_meters(valve: str, best: Reading, other: Reading) -> Question:
     """Ask which of two meters that move alike is the valve's."""
     names = [printable(one.nodes[Role.Q].path[-1]) for one in (best, other)]
     about = f"Q: {' and '.join(names)} move alike and are not equal; the values do not say which"
     return Question(about, tuple(_option(valve, one, [Role.Q]) for one in (best, other)))
+
+
+def question_of_possible(valve: str, found: Sequence[Sequence[Reading]]) -> Question:
+    """Ask whether variables are a valve's whose names do not say so; readings by assignment."""
+    about = "by units and values these may be a valve's signals, which no name says"
+    likely = [one for own in found for one in own if one is own[0] or one.probability > _NAMED]
+    options = (_option(valve, one, list(one.nodes)) for one in likely[:_MOST_NAMED])
+    named = tuple(replace(o, text=o.text.partition(": ")[2]) for o in options)
+    return Question(about, named, _other_spans(valve, likely[0]))
 
 
 def question_of_one_meter(group: Group, best: Reading) -> Question:
@@ -102,14 +157,7 @@ def _question(
     what = ", ".join(differing) or "its signals"
     left = 1.0 - sum(r.probability for r in found)
     against = _against(best)
-    foreign = [
-        f"{role} in {printable(best.nodes[role].symbol)!r}, which is no unit of a {noun}"
-        for role in differing
-        if (noun := QUANTITY[role].noun)
-        and role in best.nodes
-        and best.nodes[role].symbol
-        and not best.nodes[role].label.units
-    ]
+    foreign = [said for role in differing if (said := _foreign_unit(best, role))]
     by_labels = _differing([r for r in options if not r.mistake])
     unstated = [
         role
@@ -134,11 +182,15 @@ def _question(
     else:
         about = f"{what}: ambiguous"
     named = tuple(_option(valve, r, differing or list(r.nodes)) for r in options)
-    otherwise = (
+    return Question(about, named, _other_spans(valve, best))
+
+
+def _other_spans(valve: str, best: Reading) -> tuple[str, ...]:
+    """Return the answers for sensors of other spans than the usual ones, to be completed."""
+    return tuple(
         f"--scale={valve}.{role}={low:g}..{high:g}:LEAST..MOST{QUANTITY[role].value}"
         for role, (low, high) in _guessed_spans(best).items()
     )
-    return Question(about, named, tuple(otherwise))
 
 
 def _guessed_spans(reading: Reading) -> dict[Role, tuple[float, float]]:
@@ -217,7 +269,7 @@ def _as_difference(group: Group, best: Reading, record: Record, rating: Rating) 
     if not set(best.missing) <= pressures or len(alone) != 1:
         return
     (side,) = alone
-    if _SIDES.intersection(best.nodes[side].label.concepts):
+    if SIDES.intersection(best.nodes[side].label.concepts):
         return  # its name says on which side of the valve it is
     kept = {role: node.node for role, node in best.nodes.items() if role is not side}
     found = readings(group, record, Given({**kept, Role.DP: best.nodes[side].node}), rating)

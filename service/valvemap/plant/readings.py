@@ -26,6 +26,8 @@ from valvemap.plant.scales import Scale, mistaken, reversed_command
 from valvemap.plant.scores import BACKWARDS, Scores
 from valvemap.plant.unit_systems import of_mistaken_flow
 
+LIKELY: Final = 0.95  # probability of a reading that is taken without a question
+_AS_LIKELY: Final = 0.1  # probability of a reading with another temperature
 SWAPPED: Final = log(MISTAKE / 6)  # prior of two given signals swapped
 REVERSED: Final = log(MISTAKE)  # prior of a valve that is shut at the upper end of U
 EXCHANGED: Final = log(MISTAKE / 12)  # prior of a signal exchanged with that of another valve
@@ -72,6 +74,34 @@ def readings(group: Group, record: Record, given: Given, rating: Rating) -> list
         same = merged.get(r.key, replace(r, probability=0.0))
         merged[r.key] = replace(same, probability=same.probability + p)
     return sorted(merged.values(), key=lambda r: -r.probability)
+
+
+def without_ambiguous_oil(found: list[Reading], given: Given) -> list[Reading]:
+    """Return the readings, those that differ in the temperature alone as one without it.
+
+    A valve needs no temperature: of several that are as likely, none is taken.
+    """
+    oils = {r.nodes[Role.T].node for r in found if Role.T in r.nodes and r.probability > _AS_LIKELY}
+    if Role.T in given.nodes or len(oils) < 2:
+        return found
+    merged: dict[tuple[object, ...], Reading] = {}
+    for one in found:
+        bare = _without_oil(one)
+        same = merged.get(bare.key, replace(bare, probability=0.0))
+        merged[bare.key] = replace(same, probability=same.probability + one.probability)
+    together = max(merged.values(), key=lambda one: one.probability)
+    is_ambiguous = found[0].probability < LIKELY < together.probability
+    return sorted(merged.values(), key=lambda r: -r.probability) if is_ambiguous else found
+
+
+def _without_oil(reading: Reading) -> Reading:
+    kept = [role for role in reading.nodes if role is not Role.T]
+    return replace(
+        reading,
+        nodes={role: reading.nodes[role] for role in kept},
+        scales={role: reading.scales[role] for role in kept},
+        values={role: reading.values[role] for role in kept},
+    )
 
 
 def _without_weakest(reading: Reading) -> float:

@@ -11,12 +11,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.pipeline.units import Measure, Quantity, Unit, inside, scaling_of, unit_of
+from valvemap.pipeline.units import (
+    Measure,
+    Quantity,
+    Unit,
+    absolute,
+    inside,
+    relative,
+    scaling_of,
+    unit_of,
+)
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.roles import QUANTITY, Role
 from valvemap.plant.span_texts import raw_and_scaled
 from valvemap.plant.unit_systems import USUAL
-from valvemap.plant.unit_texts import known_unit
+from valvemap.plant.unit_texts import is_of_vacuum, known_unit
 
 COUNTS: Final = ((0.0, 27_648.0), (0.0, 32_767.0), (0.0, 16_383.0), (0.0, 4_095.0), (0.0, 65_535.0))
 """Raw spans of analogue inputs: S7, 16 bit, 14 bit, 12 bit, unsigned 16 bit."""
@@ -90,6 +99,8 @@ def scales(
     if described:
         return described
     units = [unit for unit in candidate.label.units if unit.quantity is quantity]
+    if role is Role.DP:
+        units = [relative(unit) for unit in units]  # a difference has no reference
     electrical = [u for u in candidate.label.units if u.quantity is Quantity.ELECTRICAL]
     if _are_counts(candidate, values, units):
         return list(_of_counts(candidate, role, values, units))
@@ -115,8 +126,11 @@ def _as_described(candidate: Candidate, role: Role, values: Floats) -> Iterator[
     if found is None:
         return
     raw, scaled = found
-    of_raw = Measure(None, scaled.unit, raw.ends, scaled.ends)
-    of_scaled = Measure(unit=scaled.unit)
+    unit = scaled.unit
+    if unit is not None and is_of_vacuum(candidate.description):
+        unit = absolute(unit)
+    of_raw = Measure(None, unit, raw.ends, scaled.ends)
+    of_scaled = Measure(unit=unit)
     stated = candidate.unit or known_unit(candidate.symbol)
     if stated is not None:
         is_share = stated.quantity is Quantity.OPENING and raw.is_share

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from math import log
 from typing import Final
 
-from valvemap.pipeline.units import Quantity, Unit
+from valvemap.pipeline.units import Quantity, Unit, relative
 from valvemap.plant.priors import ODD
 from valvemap.plant.roles import QUANTITY, Role
 
@@ -98,8 +98,8 @@ def _factors(
     units: Mapping[Role, Unit], shares: Mapping[Quantity, Mapping[str, float]]
 ) -> Iterator[float]:
     gauges: list[Unit] = []
-    for role, unit in units.items():
-        quantity = QUANTITY[role]
+    for role, own in units.items():
+        quantity, unit = QUANTITY[role], relative(own)
         share = shares.get(quantity, {}).get(unit.symbol, _RARE)
         if quantity is not _P or not gauges:
             yield share if quantity in shares else 1.0

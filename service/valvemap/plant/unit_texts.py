@@ -37,6 +37,8 @@ _ALSO: Final = {
     "бар": "bar",
     "мпа": "MPa",
     "кпа": "kPa",
+    "кгс/см2": "kgf/cm²",
+    "кг/см2": "kgf/cm²",
     "l/dak": "l/min",
     "percent": "%",
     "pc": "%",
@@ -73,6 +75,14 @@ _WHOLE_UNITS: Final[Mapping[str, str]] = {
 }
 """Units that are written out, by the words for their parts, or whole."""
 _WORD_BEGINS: Final = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_VACUUM: Final = re.compile(
+    r"(?i)(?<![a-z])(?:abs|absolute?|absolut[ao]|absolu|assolut[ao]|absolutdruck)(?![a-z])"
+    r"|绝对压|绝压|絶対圧|절대압"
+)
+_GAUGE: Final = re.compile(
+    r"(?i)(?<![a-z])(?:bar|mbar|kpa|mpa|psi)\s*(?:g|\(g\)|ü|\(ü\)|\(?gauge\)?|\(?rel\)?)(?![a-z])"
+    r"|überdruck|ueberdruck|relativdruck|gauge pressure|表压|ゲージ圧"
+)
 _SINGLE: Final = frozenset("cfCFKV%")  # letters that are units behind a low line
 _OTHERS = """
 mm cm m µm um inch in mm/s m/s m/min cm/s in/s rpm 1/min u/min min-1 r/min tr/min n kn mn nm knm
@@ -118,6 +128,8 @@ def _split(plain: str) -> tuple[str, Unit | None, str]:
         name, shown = plain[: boundary.start()], plain[boundary.end() :]
         if not name or not shown or (len(shown) == 1 and shown not in _SINGLE):
             continue
+        if shown.casefold().endswith((" a", " b", " g")):
+            continue  # the letter of a port, or of a gauge
         unit = known_unit(shown)
         is_other = unit is None and is_of_others(shown) and shown.casefold() not in _ALSO_WORDS
         if (unit is not None or is_other) and not shown.isdigit():
@@ -151,6 +163,24 @@ def _written_out(plain: str) -> str:
     parts = [part.strip().replace(" ", "_") for part in _PER.split(plain)]
     symbols = "/".join(_UNIT_WORDS.get(part, part.replace("_", " ")) for part in parts)
     return _WHOLE_UNITS.get(plain) or _WHOLE_UNITS.get(symbols, symbols)
+
+
+def is_of_vacuum(*texts: str) -> bool:
+    """Whether words say that a pressure is absolute.
+
+    >>> is_of_vacuum("bar abs"), is_of_vacuum("", "p_abs"), is_of_vacuum("bar", "Absperrventil")
+    (True, True, False)
+    """
+    return any(_VACUUM.search(unicodedata.normalize("NFKC", text)) for text in texts)
+
+
+def is_of_gauge(*texts: str) -> bool:
+    """Whether words or a unit say that a pressure is one against the atmosphere.
+
+    >>> is_of_gauge("barg"), is_of_gauge("bar", "p1 Überdruck"), is_of_gauge("bar", "Gauge 1")
+    (True, True, False)
+    """
+    return any(_GAUGE.search(unicodedata.normalize("NFKC", text)) for text in texts)
 
 
 def is_of_others(text: str) -> bool:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 from valvemap.plant import port_questions, ports, reading_questions
 from valvemap.plant.copies import without_copies
@@ -10,13 +9,13 @@ from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
 from valvemap.plant.law import Fit
 from valvemap.plant.other_meters import other_meter
+from valvemap.plant.possible import explained_assignments
 from valvemap.plant.questions import Question
 from valvemap.plant.reading import Given, Reading, Record
-from valvemap.plant.readings import readings
+from valvemap.plant.readings import LIKELY, readings, without_ambiguous_oil
+from valvemap.plant.references import question_of_reference
 from valvemap.plant.roles import Role
 from valvemap.vocabulary.edges import Edge
-
-ACCEPTED: Final = 0.95  # probability of a reading that is taken without a question
 
 
 @dataclass(frozen=True)
@@ -55,10 +54,26 @@ def judge(
 ) -> Verdict:
     """Judge one valve's variables by labels and values."""
     given, rating = given or Given(), rating or Rating()
+    if group.is_possible and not given.nodes:
+        return replace(_of_possible(group, record, given, rating), rating=rating)
     group, copies = without_copies(group, record, given)
     found = _judged(group, record, given, rating)
     others = {**found.others, **{one.node: one.label.role for one in copies}}
+    taken = () if found.reading is None else found.reading.nodes.values()
+    for one in taken:  # by an answer, whatever its name is
+        others.pop(one.node, None)
     return replace(found, rating=rating, others=others)
+
+
+def _of_possible(group: Group, record: Record, given: Given, rating: Rating) -> Verdict:
+    """Return the question whether variables are a valve's; one without it if they are none."""
+    found = [
+        readings(group, record, replace(given, nodes={r: n.node for r, n in roles.items()}), rating)
+        for roles, _ in explained_assignments(group.all, record, group.used)
+    ]
+    whole = [[one for one in own if not (one.missing or one.mistake)] for own in found]
+    question = reading_questions.question_of_possible(group.name, whole) if any(whole) else None
+    return Verdict(group.name, None, question, {})
 
 
 def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdict:
@@ -71,6 +86,7 @@ def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdi
     found = readings(group, ports.one_direction(group, record, given), given, rating)
     if not found:
         return Verdict(group.name, None, Question("no reading of its signals fits"), others)
+    found = without_ambiguous_oil(found, given)
     best = found[0]
     least_U = 0.0 if ports.is_directional(group) else None
     if group.one_meter and Role.Q not in given.nodes and Role.Q in best.nodes:
@@ -90,9 +106,15 @@ def _judged(group: Group, record: Record, given: Given, rating: Rating) -> Verdi
             others,
         )
     twin = None if Role.Q in given.nodes else other_meter(best, group, record)
-    is_clear = best.probability >= ACCEPTED and not best.mistake and not best.beside
+    is_clear = best.probability >= LIKELY and not best.mistake and not best.beside
     if is_clear and twin is None:
-        return Verdict(group.name, best, None, others, least_U)
+        foreign = reading_questions.in_foreign_units(best, given)
+        asked: Question | None
+        if foreign:
+            asked = reading_questions.question_of_units(group.name, best, foreign)
+        else:
+            asked = question_of_reference(group, best, record, given, rating)
+        return Verdict(group.name, best, asked, others, least_U)
     if twin is None:
         question = reading_questions.question_of_readings(group.name, found)
     else:
