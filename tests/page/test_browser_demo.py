@@ -7,7 +7,8 @@ import pytest_asyncio
 
 from support.browser import tab
 from support.processes import free_port, rig_url, running, service_url, wait_for
-from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE
 
 pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]

@@ -16,7 +16,8 @@ from support.interoperation import identification
 from support.plant import as_changes, plant
 from support.results import results_settings
 from support.served_page import served
-from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.runtime.past import PastKeeper
 from valvemap.storage.history import HistoryFile

@@ -7,8 +7,8 @@ import pytest
 from support.browser import tab
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
-from valvemap.pipeline.alarms import RULES
-from valvemap.pipeline.alarms import Alarm as Alarms
+from valvemap.pipeline.alarm_rules import RULES
+from valvemap.pipeline.alarm_rules import Alarm as Alarms
 
 pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 

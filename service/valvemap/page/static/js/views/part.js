@@ -5,10 +5,11 @@ import { lineChart } from "../charts.js";
 import { h, lineVariable, mark, onTheme, say } from "../dom.js";
 import { CODES, fixed, inUnit, NAN, short, spaced, spreadInUnit } from "../format.js";
 import { inverseCard } from "../inverse_card.js";
+import { liveCard } from "../live_card.js";
 import { slider } from "../slider.js";
 import { trackingCard } from "../tracking_card.js";
 import { standingOf } from "../trust.js";
-import { inUnits, shown, spreadShown } from "../units.js";
+import { inUnits, shown, spreadShown, toShown } from "../units.js";
 
 const REFRESH_MS = 1000;
 const HALF = 1.96; // of a 95 % interval, in standard deviations
@@ -24,11 +25,12 @@ export function partView(root, { live, ask, part, user, query, keep }) {
     h("table.described", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Value"), h("th.number", {}, "± 95 %"))), table));
   const tracking = isAxis ? trackingCard(live, ask) : null;
   const past = isAxis ? axisTrendCard({ live, ask, name: part.name, query, keep }) : null;
-  closers.push(inverse.close, edges.close, () => tracking?.close(), () => past?.close());
+  const flow = isAxis ? null : courseOf(live, "Flow of the line", "Q", "l/min"), drive = isAxis ? null : courseOf(live, "Control voltage", "U", "%");
+  closers.push(inverse.close, edges.close, () => { for (const one of [tracking, past, flow, drive]) one?.close(); });
 
   root.append(
     h("div.head", {}, h("h1", {}, part.name), badge, sentence),
-    h("div.grid.part-grid", {}, isAxis ? h("div.grid", {}, tracking.element, edges.element, past.element) : h("div.grid", {}, edges.element, known), h("div.grid", {}, inverse.element, isAxis ? known : null)),
+    h("div.grid.part-grid", {}, isAxis ? h("div.grid", {}, tracking.element, edges.element, past.element) : h("div.filled", {}, edges.element, known, flow.element), isAxis ? h("div.grid", {}, inverse.element, known) : h("div.filled", {}, inverse.element, drive.element)),
   );
 
   /** The variables of the part itself and its signals; those of the inverse and of edges have places of their own. */
@@ -132,6 +134,15 @@ function edgesOfAxis(live) {
 
   const unTheme = onTheme(() => { key = ""; update(); });
   return { element, update, close: () => { unTheme(); chart?.close(); } };
+}
+
+/** The newest minute of one of a line's signals. */
+function courseOf(live, title, name, unit) {
+  const id = `Signals.${name}`;
+  return liveCard(live, {
+    title, legend: [], unit: `${name} in ${shown(unit)}`, series: [{ label: name, colour: "--line-1" }],
+    row: () => [(live.get(id)?.t ?? 0) / 1000, [toShown(live.number(id), unit)]],
+  });
 }
 
 /** The edges of a line's valve: how each of them stands. */

@@ -3,10 +3,13 @@
 import { writer } from "../controls.js";
 import { h, say } from "../dom.js";
 import { clock, KINDS } from "../format.js";
-import { inUnits } from "../units.js";
+import { liveCard } from "../live_card.js";
+import { inUnits, shown, toShown } from "../units.js";
 
 const MOST_REPORTS = 12;
 const USUAL_S = 10;
+const OF_FLOW = ["PredictedFlow", "Residual", "NoiseStd"];
+const MINUTE_MS = 60000, STEP_MS = 100; // of history, with which the chart begins
 
 const SCENARIOS = [
   ["demo", "what the demo begins with"], ["scattered", "U and Δp jump over the whole range"], ["structured", "U in steps, Δp swept at each"],
@@ -24,14 +27,35 @@ export function rigView(root, { live, ask, valve, user }) {
   const kind = h("select", { name: "kind" }, FAULTS.map(([name, text]) => h("option", { value: name }, text)));
   const size = h("input", { name: "size", type: "number", step: "any", required: true }), unit = h("span.muted");
   const duration = h("input", { name: "duration", type: "number", min: 0, step: "any", required: true });
-  const reports = h("ol.events"), done = h("p.words", { role: "status" }), hint = h("p.muted");
+  const reports = h("ol.events"), done = h("p.words.rig-words", { role: "status" }), hint = h("p.muted");
   const start = writer("Start", { command: () => ({ scenario: scenario.value }), does: (command) => act(command, `Scenario ${scenario.value} runs.`) });
   const stop = writer("Stop", { look: ".quiet", command: () => ({ scenario: "" }), does: (command) => act(command, "The scenario is stopped.") });
   const inject = writer("Inject", { type: "submit", command: () => ({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }), does: (command) => act(command, `Injected: ${kind.selectedOptions[0].text.split(":")[0]}, ${size.value} ${unitOf()} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`) });
 
+  const best = () => live.get("Recommended")?.value || valve.primary;
+  const banded = (predicted, missed, noise) => [predicted + 1.96 * noise, predicted - 1.96 * noise, predicted, predicted + missed].map((value) => toShown(value, "l/min"));
+
+  function newest() {
+    const entry = live.get(`${best()}.PredictedFlow`);
+    return [(entry?.t ?? 0) / 1000, banded(...OF_FLOW.map((name) => live.number(`${best()}.${name}`)))];
+  }
+
+  async function lastMinute() {
+    const now = Date.now(), found = await ask("minute", live.trend(valve.name, OF_FLOW.map((name) => `${best()}.${name}`), now - MINUTE_MS, now, STEP_MS));
+    if (!found || found.error) return found && [];
+    const [predicted, missed, noise] = found.courses.map(([mean]) => [...mean]);
+    return predicted.map((value, k) => [(found.start + (k + 0.5) * found.step) / 1000, banded(value, missed[k], noise[k])]).filter(([, values]) => Number.isFinite(values[2]));
+  }
+
+  const course = liveCard(live, {
+    title: `Flow of ${valve.name}, measured and predicted`, unit: `Q in ${shown("l/min")}`, bands: [[1, 2, "--line-1"]], row: newest, past: lastMinute,
+    legend: [["measured", "--measured"], ["predicted, 95 % of measurements", "--line-1"]],
+    series: [{ label: "upper", colour: "--line-1", width: 0 }, { label: "lower", colour: "--line-1", width: 0 }, { label: "predicted", colour: "--line-1" }, { label: "measured", colour: "--measured", dots: true }],
+  });
+
   root.append(
     h("div.head", {}, h("h1", {}, "Virtual rig"), hint),
-    h("div.grid.two", {},
+    h("div.filled", {}, h("div.grid.two", {},
       h("section.card", {}, h("header", {}, h("h2", {}, "Scenario")), h("div.form", {}, h("label", {}, "What the rig plays", scenario), h("div.buttons", {}, stop.button, start.button))),
       h("section.card", {}, h("header", {}, h("h2", {}, `Break something of ${valve.name}`)),
         h("form.form", { onsubmit: (event) => {
@@ -39,7 +63,7 @@ export function rigView(root, { live, ask, valve, user }) {
           inject.act();
         } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject.button)), done),
     ),
-    h("section.card.reports", {}, h("header", {}, h("h2", {}, `What the service reports of ${valve.name}`), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), reports),
+    h("section.card.reports", {}, h("header", {}, h("h2", {}, `What the service reports of ${valve.name}`), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), reports), course.element),
   );
 
   function showReports() {
@@ -74,5 +98,5 @@ export function rigView(root, { live, ask, valve, user }) {
   showReports();
   live.addEventListener("standing", showUser);
   live.addEventListener("events", showReports);
-  return () => { live.removeEventListener("events", showReports); for (const what of ["change", "rights"]) user.removeEventListener(what, showUser); live.removeEventListener("standing", showUser); };
+  return () => { course.close(); live.removeEventListener("events", showReports); for (const what of ["change", "rights"]) user.removeEventListener(what, showUser); live.removeEventListener("standing", showUser); };
 }
