@@ -5,16 +5,9 @@ import pytest
 
 from valvemap_rig.circuit import true_flow
 from valvemap_rig.condition import AS_NEW, Condition, condition
+from valvemap_rig.fault_effects import ActiveFault
 from valvemap_rig.fault_words import fault_effect
-from valvemap_rig.faults import (
-    UNITS,
-    VALVE_FAULTS,
-    ActiveFault,
-    Fault,
-    FaultError,
-    FaultKind,
-    commanded_fault,
-)
+from valvemap_rig.faults import UNITS, VALVE_FAULTS, Fault, FaultError, FaultKind, commanded_fault
 from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench, verification_points
 from valvemap_rig.sensors import Sensors
 from valvemap_rig.simulation import Commands, advance, initial

@@ -1,22 +1,18 @@
 import numpy as np
 import pytest
 
-from valvemap_rig.faults import (
+from valvemap_rig.fault_effects import (
     BAD_SENSOR_FAILURE,
-    SIGNALS,
     UNCERTAIN_SENSOR_NOT_ACCURATE,
-    VALVE_FAULTS,
     ActiveFault,
-    Fault,
-    FaultError,
     clock_error_ns,
-    commanded_fault,
     edge_factor,
     sensor_faults,
     still_felt,
     temperature_rise,
     worn_gap,
 )
+from valvemap_rig.faults import SIGNALS, VALVE_FAULTS, Fault, FaultError, commanded_fault
 
 RATE, N = 100.0, 1000
 INDEX = np.arange(N)

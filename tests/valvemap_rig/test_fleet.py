@@ -2,9 +2,10 @@ import asyncio
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import ServerSettings
+from support.served import patient
 from valvemap_rig.fleet import record, valve_names
 from valvemap_rig.fleet_server import FleetServer
 from valvemap_rig.scenario import BUILTIN, Fleet, Scenario
@@ -67,7 +68,7 @@ class Recorded:
 async def test_a_client_gets_every_sample_of_a_fleet_with_one_time_for_all_signals_of_a_valve():
     scenario = SCENARIO.model_copy(update={"duration_s": 1.5})
     async with await FleetServer.create(settings(), scenario) as fleet:
-        async with Client(fleet.url) as client:
+        async with patient(fleet.url) as client:
             recorded = Recorded()
             subscription = await client.create_subscription(100, recorded)
             names = [f"Valvistor07.{last}" for last in ("Sequence", "U", "p1", "Q", "Temperature")]

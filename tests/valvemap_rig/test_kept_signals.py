@@ -5,9 +5,10 @@ import datetime as dt
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import ServerSettings, Span, Variable
+from support.served import patient
 from support.stream import until
 from valvemap_rig.history import Ring
 from valvemap_rig.scenario import BUILTIN
@@ -73,7 +74,7 @@ async def test_a_rig_tells_again_what_it_said(tmp_path):
     )
     scenario = BUILTIN["scattered"].model_copy(update={"duration_s": 0.5, "history_s": 0.3})
     rig = await RigServer.create(settings, scenario, on_block=blocks.append)
-    async with rig, Client(rig.url) as client:
+    async with rig, patient(rig.url) as client:
         playing = asyncio.create_task(rig.run())
         await until(lambda: rig.samples == 50)
         playing.cancel()

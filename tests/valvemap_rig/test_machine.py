@@ -3,11 +3,13 @@ import time
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, ServerSettings, UserStore
+from support.served import patient
 from valvemap_rig.directional import EDGES, OPENS, DirectionalValve, true_edge_flow
-from valvemap_rig.faults import ActiveFault, Fault, FaultError, commanded_fault
+from valvemap_rig.fault_effects import ActiveFault
+from valvemap_rig.faults import Fault, FaultError, commanded_fault
 from valvemap_rig.machine import Controller, Cylinder, Machine
 from valvemap_rig.machine_simulation import conditions
 from valvemap_rig.scenario import BUILTIN, Scenario, ScenarioError, faultable, load_scenario
@@ -181,7 +183,7 @@ async def test_the_server_publishes_a_machine_and_takes_its_commands():
     scenario = BUILTIN["directional"].model_copy(update={"machines": (machine,)})
     async with await RigServer.create(settings, scenario) as server:
         playing = asyncio.create_task(server.run())
-        client = Client(server.url)
+        client = patient(server.url)
         client.set_user("operator")
         client.set_password("correct horse")
         async with client:

@@ -4,9 +4,10 @@ import itertools
 import numpy as np
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import ManualClock, Role, ServerSettings, UserStore
+from support.served import patient
 from valvemap_rig.scenario import BUILTIN
 from valvemap_rig.server import RigServer
 
@@ -55,13 +56,13 @@ async def rig(blocks):
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def observer(rig):
-    async with Client(rig.url) as client:
+    async with patient(rig.url) as client:
         yield client
 
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def operator(rig):
-    client = Client(rig.url)
+    client = patient(rig.url)
     client.set_user("operator")
     client.set_password(PASSWORD)
     async with client:

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from valvemap_rig.faults import ActiveFault, Fault, sensor_faults
+from valvemap_rig.fault_effects import ActiveFault, sensor_faults
+from valvemap_rig.faults import Fault
 from valvemap_rig.sensors import Sensor, SensorMemory, measure
 
 

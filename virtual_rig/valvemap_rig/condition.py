@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from valvemap_rig.faults import Faults, edge_factor, temperature_rise, worn_gap
+from valvemap_rig.fault_effects import Faults, edge_factor, temperature_rise, worn_gap
 
 
 class Condition(NamedTuple):

@@ -5,7 +5,8 @@ from typing import Final, assert_never
 
 from valvemap_rig.circuit import largest_drop, true_flow
 from valvemap_rig.condition import AS_NEW, Condition
-from valvemap_rig.faults import SPIKE_SHARE, Fault, FaultKind
+from valvemap_rig.fault_effects import SPIKE_SHARE
+from valvemap_rig.faults import Fault, FaultKind
 from valvemap_rig.machine import SENSOR_OF, Machine, MachineSensors
 from valvemap_rig.scenario import ValveBench, faultable
 from valvemap_rig.sensors import Sensors

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from valvemap_rig import machine_kernels as kernels
 from valvemap_rig.directional import numbers as valve_numbers
 from valvemap_rig.directional import true_edge_flow
-from valvemap_rig.faults import (
-    EDGES,
-    FaultKind,
+from valvemap_rig.fault_effects import (
     Faults,
     clock_error_ns,
     edge_factor,
@@ -21,6 +19,7 @@ from valvemap_rig.faults import (
     temperature_rise,
     total_size,
 )
+from valvemap_rig.faults import EDGES, FaultKind
 from valvemap_rig.kernels import NU_LEAKAGE, Floats
 from valvemap_rig.machine import SENSOR_OF, Machine
 from valvemap_rig.machine import numbers as machine_numbers

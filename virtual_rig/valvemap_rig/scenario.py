@@ -237,7 +237,7 @@ scattered, verification, cycle, external, feedforward, directional, axis, tracki
         return BUILTIN[str(name_or_path)]
     path = Path(name_or_path)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         allowed = ", ".join(BUILTIN)
         raise ScenarioError(f"{path}: no such file, nor built in: {allowed}") from error

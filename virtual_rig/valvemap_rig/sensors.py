@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from valvemap_rig.dynamics import changing_lag, lag
-from valvemap_rig.faults import SensorFaults
+from valvemap_rig.fault_effects import SensorFaults
 from valvemap_rig.kernels import Floats
 from valvemap_rig.parameters import Parameters
 from valvemap_rig.randomness import normal
@@ -54,7 +54,7 @@ def measure(
     """Return the sensor's outputs for N true values; the first is sample number ``start``.
 
     >>> import numpy as np
-    >>> from valvemap_rig.faults import sensor_faults
+    >>> from valvemap_rig.fault_effects import sensor_faults
     >>> fine = sensor_faults((), "Q", np.arange(2), 100.0, 1, "V")
     >>> measure(Sensor(quantum=0.5), np.array([0.4, 0.6]), fine, SensorMemory(), 0.01, 1, "V.Q", 0)
     (SensorMemory(lagging=0.6, shown=0.5), array([0.5, 0.5]))

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 from valvemap_rig.circuit import operating_point, tank_temperature
 from valvemap_rig.dynamics import lag, play, second_order
 from valvemap_rig.excitation import External, drive
-from valvemap_rig.faults import (
-    SIGNALS,
+from valvemap_rig.fault_effects import (
     ActiveFault,
-    Fault,
     Faults,
-    Signal,
     clock_error_ns,
     edge_factor,
     sensor_faults,
@@ -27,6 +24,7 @@ from valvemap_rig.faults import (
     temperature_rise,
     worn_gap,
 )
+from valvemap_rig.faults import SIGNALS, Fault, Signal
 from valvemap_rig.kernels import Floats
 from valvemap_rig.machine_simulation import MachineBlock, MachineState, advance_machine
 from valvemap_rig.scenario import Scenario, ScenarioError, ValveBench
