@@ -10,18 +10,13 @@ from support.plant import START, as_changes, plant
 from valvemap.errors import CommandRejected
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Samples, Segments, Trace
+from valvemap.pipeline.alarm_results import Remark
+from valvemap.pipeline.alarm_rules import ALARM_NAMES, RULES, Alarm
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarm_words import Cause
-from valvemap.pipeline.alarms import (
-    ALARM_NAMES,
-    FLEET_RULES,
-    RULES,
-    Alarm,
-    Alarms,
-    ServiceAlarms,
-)
+from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.operator_ports import Command
-from valvemap.pipeline.results import Remark
+from valvemap.pipeline.service_alarms import FLEET_RULES, ServiceAlarms
 from valvemap.vocabulary.service_alarms import OF_SERVE, ServiceAlarm
 from valvemap.vocabulary.statuses import Quality, Status
 

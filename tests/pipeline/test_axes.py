@@ -5,13 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
+from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
 from valvemap.model.axis_search import AxisResult, fitted
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Samples
-from valvemap.pipeline import axes, axis_searches
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline import axis_learner, axis_searches, kept_axes
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_searches import SEARCHES_S, Searches
+from valvemap.pipeline.edges import MOST_WAITING
 from valvemap.vocabulary.statuses import AxisStatus, InverseStatus, Quality
 from valvemap_rig.directional import DirectionalValve
 from valvemap_rig.machine import Machine
@@ -43,7 +45,7 @@ def found(samples):
 
 @pytest.fixture
 def axis(samples, found, monkeypatch):
-    monkeypatch.setattr(axes, "identify", lambda *_, **__: found)
+    monkeypatch.setattr(axis_learner, "identify", lambda *_, **__: found)
     one = Axis(PLAN)
     for start in range(0, 7_100, 100):
         one.take(samples[start : start + 100])
@@ -73,7 +75,7 @@ def test_a_search_is_due_after_seventy_seconds_and_then_the_map_is_solved(sample
     early.take(samples[:6_900])
     assert early.job() is None
     assert early.results().status is AxisStatus.TOO_SHORT
-    assert done(axis) == ["AxisResult", "_Known"]
+    assert done(axis) == ["AxisResult", "Known"]
     results = axis.results()
     assert results.status is AxisStatus.OK
     assert results.map.bulk_modulus[0] == pytest.approx(0.9, rel=0.1)
@@ -87,7 +89,7 @@ def test_one_job_at_a_time_and_its_samples_are_not_lost(samples, axis, found):
     axis.accept(job())
     done(axis)
     whole, _ = KNOWN.update(found.state, samples[7_100:9_000])
-    assert whole.M.tobytes() == axis._state.M.tobytes()
+    assert whole.M.tobytes() == axis._learner.state.M.tobytes()
 
 
 def due():
@@ -98,17 +100,17 @@ def due():
 def test_a_refused_search_keeps_the_map_that_there_is(samples, axis, found, monkeypatch):
     done(axis)
     refused = dataclasses.replace(found, status=AxisStatus.TOO_SHORT, sentence="too short")
-    monkeypatch.setattr(axes, "identify", lambda *_, **__: refused)
+    monkeypatch.setattr(axis_learner, "identify", lambda *_, **__: refused)
     before = axis.results().map
     for start in range(7_100, 12_000, 100):
         axis.take(samples[start : start + 100])
-        axis._searches = due()
+        axis._learner.searches = due()
         done(axis)
     assert axis.results().status is AxisStatus.OK
     assert axis.results().map.U.tolist() == before.U.tolist()
     afresh = Axis(PLAN)
     afresh.take(samples[:100])
-    afresh._searches = due()
+    afresh._learner.searches = due()
     done(afresh)
     assert (afresh.results().status, afresh.results().sentence) == (
         AxisStatus.TOO_SHORT,
@@ -126,7 +128,7 @@ def test_lines_meet_however_they_are_cut_and_bad_samples_are_left_out(samples):
         one.take_line(0, line_A[start:end])
     for start, end in ((0, 250), (250, 260), (270, 600)):  # ten never come
         one.take_line(1, line_B[start:end])
-    whole = one._window.whole()
+    whole = one._learner.window.whole()
     assert len(whole) == 590
     assert np.isnan(whole.pA[200:210]).all()
     good = np.delete(np.arange(600), np.r_[200:210, 260:270])
@@ -140,7 +142,7 @@ def test_the_fifth_signal_of_an_axis_of_speed_is_its_speed(samples):
     v = np.gradient(samples.x, 0.01)
     for line, part in enumerate(lines_of(dataclasses.replace(samples, x=v)[:600])):
         one.take_line(line, part)
-    whole = one._window.whole()
+    whole = one._learner.window.whole()
     assert whole.v.tolist() == v[:600].tolist()
     assert (whole.x[0], whole.x.min() >= 0.0, whole.x.max() <= 800.0) == (400.0, True, True)
 
@@ -150,7 +152,7 @@ def test_samples_of_one_line_alone_do_not_pile_up(samples):
     line_A, _ = lines_of(samples)
     for start in range(0, 12_000, 1_000):
         one.take_line(0, line_A[start : start + 1_000])
-    assert len(one._unmet[0].t) == axes.MOST_WAITING
+    assert len(one._unmet[0].t) == MOST_WAITING
     assert one.job() is None
 
 
@@ -159,11 +161,11 @@ def test_after_a_sudden_change_play_and_spool_are_searched_in_what_comes_then(
 ):
     done(axis)
     changed = iter([False, True, True, True])
-    monkeypatch.setattr(axes.AxisState, "has_changed", property(lambda _: next(changed)))
+    monkeypatch.setattr(AxisState, "has_changed", property(lambda _: next(changed)))
     axis.take(samples[7_100:7_200])
     axis.take(samples[7_200:7_300])
-    assert len(axis._window) == 100
-    assert axis._searches.left_s == pytest.approx(SEARCHES_S[0], abs=1.1)
+    assert len(axis._learner.window) == 100
+    assert axis._learner.searches.left_s == pytest.approx(SEARCHES_S[0], abs=1.1)
     assert axis.results().map is not None
 
 
@@ -178,57 +180,57 @@ def at_rest(samples, seconds):
 
 def test_a_resting_axis_neither_searches_nor_forgets(samples, axis):
     done(axis)
-    before, kept_s = axis.results(), axis._searches.left_s
+    before, kept_s = axis.results(), axis._learner.searches.left_s
     rest = at_rest(samples[:7_100], 3_600)
     for start in range(0, len(rest), 1_000):
         axis.take(rest[start : start + 1_000])
-        assert done(axis) in ([], ["_Known"])
+        assert done(axis) in ([], ["Known"])
     after = axis.results()
     assert after.t == rest.t[-1]
     assert after.used_s - before.used_s < 60.0
-    assert kept_s - axis._searches.left_s < 60.0
+    assert kept_s - axis._learner.searches.left_s < 60.0
     assert after.map.known.tolist() == pytest.approx(before.map.known.tolist(), abs=5.0)
 
 
 def test_refused_searches_become_rare(samples, found, monkeypatch):
     refused = dataclasses.replace(found, status=AxisStatus.BULK_MODULUS, sentence="too soft")
-    monkeypatch.setattr(axes, "identify", lambda *_, **__: refused)
+    monkeypatch.setattr(axis_learner, "identify", lambda *_, **__: refused)
     one, waits = Axis(PLAN), []
     for _ in range(7):
         one.take(samples[:100])
-        one._searches = dataclasses.replace(one._searches, left_s=0.0)
+        one._learner.searches = dataclasses.replace(one._learner.searches, left_s=0.0)
         done(one)
-        waits.append(one._searches.left_s)
+        waits.append(one._learner.searches.left_s)
     assert waits == [30.0, 60.0, 120.0, 240.0, 480.0, 600.0, 600.0]
 
 
 def test_a_state_goes_on_with_the_same_bits(samples, axis):
     done(axis)
-    packed, again = axis.to_bytes()[axes.LEARNT], Axis(PLAN)
-    again.resume(axes.LEARNT, packed)
-    assert done(again) == ["_Known"]
+    packed, again = axis.to_bytes()[kept_axes.LEARNT], Axis(PLAN)
+    again.resume(kept_axes.LEARNT, packed)
+    assert done(again) == ["Known"]
     assert again.results().status is AxisStatus.OK
     for one in (axis, again):
         one.take(samples[7_100:9_000])
-    for name, array in vars(axis._state).items():
-        assert array.tobytes() == getattr(again._state, name).tobytes(), name
+    for name, array in vars(axis._learner.state).items():
+        assert array.tobytes() == getattr(again._learner.state, name).tobytes(), name
     other = dataclasses.replace(PLAN.geometry, rod_mm=40.0)
     with pytest.raises(StateMismatchError, match="other hyper-parameters"):
-        Axis(dataclasses.replace(PLAN, geometry=other)).resume(axes.LEARNT, packed)
+        Axis(dataclasses.replace(PLAN, geometry=other)).resume(kept_axes.LEARNT, packed)
     with pytest.raises(StateMismatchError):
-        Axis(PLAN).resume(axes.LEARNT, packed[:-100])
+        Axis(PLAN).resume(kept_axes.LEARNT, packed[:-100])
 
 
 def test_after_a_restart_the_searches_go_on_where_they_were(samples, axis):
     done(axis)
-    axis._searches = Searches(found=3, left_s=400.0)
+    axis._learner.searches = Searches(found=3, left_s=400.0)
     again = Axis(PLAN)
     for name, packed in axis.to_bytes().items():
         again.resume(name, packed)
-    assert done(again) == ["_Known"]
-    assert again._searches == Searches(found=2, left_s=400.0)
+    assert done(again) == ["Known"]
+    assert again._learner.searches == Searches(found=2, left_s=400.0)
     again.take(samples[7_100:9_000])
-    assert done(again) == ["_Known"]
+    assert done(again) == ["Known"]
 
 
 def test_a_search_after_a_restart_has_as_many_samples_as_without_it():
@@ -280,16 +282,16 @@ def test_a_weighing_under_way_loses_no_window_and_outlives_no_reference(samples,
     one = reference
     for start in range(7_100, 8_300, 100):
         one.take(samples[start : start + 100])
-        if one._watch.closed:
+        if one._learner.watch.closed:
             break
-    one._to_refit_s = 1e9
+    one._learner._to_refit_s = 1e9
     job = one.job()
     for later in range(start + 100, start + 1_300, 100):
         one.take(samples[later : later + 100])
-    running = one._watch.running
+    running = one._learner.watch.running
     one.accept(job())
-    assert len(one._watch.closed) == 1
-    assert one._watch.running.flow.M.tobytes() == running.flow.M.tobytes()
+    assert len(one._learner.watch.closed) == 1
+    assert one._learner.watch.running.flow.M.tobytes() == running.flow.M.tobytes()
     job = one.job()
     one.set_reference()
     one.accept(job())
@@ -300,15 +302,15 @@ def test_a_damaged_reference_is_refused_and_the_map_is_not(reference):
     packed = reference.to_bytes()
     again = Axis(PLAN)
     with pytest.raises(StateMismatchError):
-        again.resume(axes.WATCH, packed[axes.WATCH][:-100])
-    again.resume(axes.LEARNT, packed[axes.LEARNT])
-    assert done(again) == ["_Known"]
+        again.resume(kept_axes.WATCH, packed[kept_axes.WATCH][:-100])
+    again.resume(kept_axes.LEARNT, packed[kept_axes.LEARNT])
+    assert done(again) == ["Known"]
 
 
 def test_u_is_approached_from_the_side_of_the_demand(axis):
     done(axis)
-    table = dataclasses.replace(axis._known.table, play_percent=4.0)
-    axis._known = dataclasses.replace(axis._known, table=table)
+    table = dataclasses.replace(axis._learner.known.table, play_percent=4.0)
+    axis._learner.known = dataclasses.replace(axis._learner.known, table=table)
     axis.demand(50.0)
     axis.required()
     middle = axis.invert(100.0).U

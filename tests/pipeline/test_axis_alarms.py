@@ -8,11 +8,11 @@ import pytest
 from valvemap.errors import CommandRejected
 from valvemap.model.axis_condition import CAUSES
 from valvemap.model.estimator import State, StateMismatchError
+from valvemap.pipeline.alarm_results import Remark
 from valvemap.pipeline.axis_alarms import ALARM_OF, AXIS_RULES, AxisAlarms
 from valvemap.pipeline.axis_ports import AxisResults, RequiredU
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quantity_alarms import KeptAlarms
-from valvemap.pipeline.results import Remark
 from valvemap.vocabulary.axis_alarms import AxisAlarm
 from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.statuses import AxisStatus

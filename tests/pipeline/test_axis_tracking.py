@@ -7,7 +7,8 @@ import pytest
 
 from valvemap.model.axis import AxisGeometry
 from valvemap.model.samples import Samples
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_tracking import SPAN_S, STEP_S, Tracking
 
 

@@ -1,4 +1,4 @@
-"""What raises at one of 20 valves stops that lane alone: the others learn the same, to the bit."""
+"""What raises at one of several valves stops it alone: the others learn the same, to the bit."""
 
 from functools import cache
 
@@ -20,12 +20,13 @@ from support.bulkheads import (
 from support.plant import START
 from valvemap.clock import ManualClock
 from valvemap.errors import CommandRejected
+from valvemap.pipeline.alarm_results import Remark
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.operator_ports import Command
-from valvemap.pipeline.results import Remark
-from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.past import PastKeeper
 from valvemap.vocabulary.statuses import Quality, Status
 
@@ -84,7 +85,7 @@ class Past:
 
 
 class Running:
-    """A live service of 20 valves with its sink and history."""
+    """A live service of all valves with its sink and history."""
 
     def __init__(self, source, store, clock):
         self.sink, self.past, self.clock = Sink(), Past(), clock

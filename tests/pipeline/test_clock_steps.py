@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from support.soaked import soaked
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
@@ -64,7 +65,7 @@ class Stream:
         return {name: counted[name] for name in LOSSES if counted[name]}
 
 
-@pytest.mark.parametrize("message", [5, 50, 100])
+@pytest.mark.parametrize("message", [5, 50, *soaked(100)])
 @pytest.mark.parametrize("numbered", [True, False])
 @pytest.mark.parametrize("step_s", STEPS)
 def test_no_sample_is_lost_and_no_loss_invented(step_s, numbered, message):

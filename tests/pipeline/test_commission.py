@@ -168,6 +168,32 @@ def test_a_second_writer_is_seen_before_and_after_the_first_command():
     assert course.steps(1.0, U=0.0).reason is Reason.NOT_FOLLOWED
 
 
+def test_a_measured_u_that_stands_moves_u_to_safety_at_once_then_ends_the_run():
+    course = Course()
+    course.steps(5.0)
+    at, before, stands = course.now, len(course.writes), course.state.at.U
+    state = course.steps(0.3, U=stands)
+    assert (state.phase, state.reason) == (Phase.PAUSED, Reason.U_LATE)
+    after = course.writes[before:]
+    turned = next(t for t, U in after if abs(U - 20.0) < abs(after[0][1] - 20.0) - 1.0)
+    assert turned - at <= 0.2
+    state = course.steps(1.0, U=stands)
+    assert (state.phase, state.reason) == (Phase.ABORTED, Reason.NOT_FOLLOWED)
+
+
+def test_a_measured_u_that_is_late_once_pauses_the_run_once():
+    course, pauses = Course(), 0
+    course.steps(5.0)
+    for _ in range(3):
+        was, stands = course.state.phase, course.state.at.U
+        for _ in range(5):
+            course.steps(STEP_S, U=stands)
+        pauses += course.state.phase is Phase.PAUSED
+        assert was is not Phase.PAUSED
+        course.steps(1.0)
+    assert (pauses, course.state.phase) == (1, Phase.SWEEPING)
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.4, 0.8])
 def test_u_is_compared_with_the_commands_of_its_own_time(late_s):
     """Samples that come later and later show U as it was; another writer is still seen."""
@@ -262,6 +288,17 @@ def test_a_response_later_than_the_sources_watchdog_pauses_the_run():
     assert (course.state.phase, course.state.reason) == (Phase.PAUSED, Reason.STALLED)
     assert not course.state.is_led
     assert course.steps(1.0).phase is Phase.SWEEPING
+
+
+def test_two_heartbeats_pause_the_run_if_the_first_may_have_come_too_long_before_the_second():
+    """Each response is in time; the first was late, and the second heartbeat was."""
+    course = Course()
+    course.steps(3.0)
+    for sent_s, answered_s in ((0.1, 0.3), (0.39, 0.6)):
+        course.state, command = step(SETTINGS, course.state, course.seen, 3.0 + sent_s)
+        beat = Command(command.U, heartbeat=course.state.heartbeat + 1)
+        course.state = written(course.state, beat, 3.0 + answered_s)
+    assert (course.state.phase, course.state.reason) == (Phase.PAUSED, Reason.STALLED)
 
 
 def test_the_triangles_of_u_and_load_have_periods_without_a_common_multiple():

@@ -16,6 +16,7 @@ from benchmarks.commission_plant import (
     Plant,
     settings_for,
 )
+from support.soaked import soaked
 from valvemap.model.samples import Samples
 from valvemap.pipeline.commission_answer import STANDS, Answers, Expected, Proof, standing
 from valvemap.pipeline.commission_guard import noted
@@ -213,8 +214,18 @@ class Lagging(Plant):
         return (U, *others)
 
 
-@pytest.mark.parametrize("name", ["ordinary, play 4 %", "two slopes, play 2 %"])
-@pytest.mark.parametrize(("plant", "seed"), [(Plant, 1), (Lagging, 1), (Lagging, 2)])
+@pytest.mark.parametrize(
+    ("name", "plant", "seed"),
+    [
+        ("ordinary, play 4 %", Plant, 1),
+        ("two slopes, play 2 %", Lagging, 1),
+        *soaked(
+            ("two slopes, play 2 %", Plant, 1),
+            *(("ordinary, play 4 %", Lagging, seed) for seed in (1, 2)),
+            ("two slopes, play 2 %", Lagging, 2),
+        ),
+    ],
+)
 def test_a_valve_that_follows_is_not_ended_by_late_deliveries(name, plant, seed):
     valve = VALVES[name]
     settings = settings_for(valve, sweep_s=14.0, most_s=26.0)
@@ -244,3 +255,22 @@ def test_a_spool_that_sticks_in_mid_travel_is_seen_within_half_a_second(name):
     assert (loop.state.phase, loop.state.reason) == (Phase.ABORTED, Reason.STUCK)
     at = next(t for t, phase, _ in loop.log.phases if phase is Phase.RETURNING)
     assert 0.0 < at - 9.4 < 0.5
+
+
+def test_a_standing_spool_behind_a_compensator_is_seen_although_its_opening_changes():
+    """The flow stands, the pressure drop changes: Q/√Δp is no constant."""
+
+    def at_step(k, flow, expected):
+        noise, s = np.random.default_rng([1, k]), 10.0 + 2.0 * math.sin(0.4 * k)
+        opening = (flow + noise.normal(0.0, 0.5)) / s
+        return 40_000_000 * k, 40.0 - 2.0 * k, opening, s, 100.0, expected
+
+    expected = replace(linear(std=0.1), opening=1.4 * U / S[:, None])
+    answers = Answers(proof=Proof(errors=(1.0, 1.0)))
+    for k in range(16):
+        answers = answers.after(*at_step(k, 1.4 * 40.0, expected))
+    assert standing(answers) > STANDS
+    answers = Answers(proof=Proof(errors=(1.0, 1.0)))
+    for k in range(16):
+        answers = answers.after(*at_step(k, 1.4 * (40.0 - 2.0 * k), expected))
+    assert standing(answers) < 0.5 * STANDS

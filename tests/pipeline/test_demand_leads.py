@@ -12,7 +12,8 @@ from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_inverse import axis_table, invert
 from valvemap.model.dynamics import Quantity
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.dynamics_results import NOTHING_YET, DynamicsResults
 from valvemap.pipeline.feedforward import FeedForward, FeedForwardState, decide, written
 from valvemap.pipeline.identification import Identification
@@ -44,7 +45,7 @@ def axis(*, leads=True, spool_hz=10.0):
     size = len(regression.initial_state().b)
     found = TrueFit(regression, np.zeros(size), np.eye(size), 0.1, 1.0, 0.0, 0.0)
     known = SimpleNamespace(spool_hz=spool_hz)
-    one._known = SimpleNamespace(table=axis_table(found), map=known)
+    one._learner.known = SimpleNamespace(table=axis_table(found), map=known)
     return one
 
 
@@ -61,7 +62,7 @@ def follow(one, demands, seen=lambda _: None):
 
 
 def alone(one, v):
-    return float(invert(one._known.table, v, *PRESSURES.values(), 400.0).U[0])
+    return float(invert(one._learner.known.table, v, *PRESSURES.values(), 400.0).U[0])
 
 
 def test_an_axis_asks_for_the_speed_after_the_delay_of_its_spool():

@@ -9,7 +9,7 @@ import pytest
 from support.plant import as_changes, plant
 from valvemap.model.dynamics import Dynamics, NotFitted, Quantity
 from valvemap.model.estimator import StateMismatchError
-from valvemap.model.spool_fit import Hold
+from valvemap.model.spool_model import Hold
 from valvemap.pipeline.dynamics_reference import KEY, DynamicsReferences
 from valvemap.pipeline.operator_ports import Command
 from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus

@@ -210,6 +210,21 @@ def test_a_U_that_an_estimator_cannot_describe_is_counted_and_teaches_nothing(id
     assert identification.results.counters(0)["beyond_range"] == 50
 
 
+def test_a_pressure_drop_beyond_a_map_is_counted_and_teaches_it_nothing(identification):
+    identification.take_samples(0, plant(300))
+    before = {name: r.theta for name, r in identification.results.one(0).estimators.items()}
+    steep = plant(50, seed=5, first=300)
+    steep.p1[:] += 300.0  # the maps end at 200 bar
+    identification.take_samples(0, steep)
+    assert identification.results.counters(0)["beyond_range"] == 50
+    for name, result in identification.results.one(0).estimators.items():
+        is_formula = name in {"RLS", "RML"}
+        assert (result.status is not Status.EXTRAPOLATING) == is_formula
+        if not is_formula:
+            np.testing.assert_array_equal(result.theta, before[name])
+            assert result.sample_count == 300
+
+
 def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alone(plan):
     doubted = replace(plan, accuracy=SensorAccuracy(p1=1.0, p2=1.0, Q=0.5))
     one, other = (

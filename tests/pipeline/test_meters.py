@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.shared_meter import VALVES, config_of, errors, flow, work
+from support.soaked import soaked
 from valvemap.app.build import build_identification, build_plans
 from valvemap.config.loading import load_config
 from valvemap.errors import ConfigurationError
@@ -59,7 +60,9 @@ def states(identification):
     return {(c.valve, c.estimator): c.state for c in identification.states.kept()}
 
 
-def test_each_valve_is_learnt_nearly_as_with_a_meter_of_its_own(rows):
+@pytest.mark.parametrize("n", [7_000, *soaked(12_000)])
+def test_each_valve_is_learnt_nearly_as_with_a_meter_of_its_own(rows, n):
+    rows = {name: {k: v[:n] for k, v in own.items()} for name, own in rows.items()}
     together = errors(learnt(parts_of(rows)), rows)
     apart = errors(learnt(parts_of(rows, shared=False), shared=False), rows)
     for name in VALVES:

@@ -14,7 +14,7 @@ from valvemap.model.forgetting import SlidingWindow
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import kept_lanes
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
@@ -164,8 +164,8 @@ def of_lane(fresh, kept, change):
     """What becomes of a's RLS if its state is another one."""
     (own,) = (c for c in kept if (c.valve, c.estimator) == ("a", "RLS"))
     configured = RecursiveLeastSquares()
-    lane = valve_state.lane_from_bytes(own.state, configured, None, frozen=False, t=own.t)
-    packed = valve_state.lane_to_bytes(change(lane), own.key)
+    lane = kept_lanes.lane_from_bytes(own.state, configured, None, frozen=False, t=own.t)
+    packed = kept_lanes.lane_to_bytes(change(lane), own.key)
     return fresh().restore([replace(own, state=packed)])
 
 

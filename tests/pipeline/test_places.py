@@ -15,11 +15,13 @@ from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.kernels import places as kernel
-from valvemap.pipeline.places import FEWEST_PLACES, FIRST_LOOK, Places
+from valvemap.pipeline.kernels import place_layout as layout
+from valvemap.pipeline.lane_predictions import predicted
+from valvemap.pipeline.place_errors import FEWEST_PLACES
+from valvemap.pipeline.places import FIRST_LOOK, Places
 from valvemap.pipeline.provenance import PLACES
 from valvemap.pipeline.quality_gate import QualityGate
-from valvemap.pipeline.valve_state import ValvePlan, predicted
+from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.statuses import Adaptation, Status
 
 SIGMA = 0.4  # l/min
@@ -157,7 +159,7 @@ def test_one_spike_does_not_widen_the_places():
     places = Places(2, 1)
     spiked = replace(samples, U=U)
     places.learn(spiked, residual, residual, status, Segments.one(2_000))
-    assert places.columns()["axes"][0, 0, kernel.WIDTH] <= 16.0
+    assert places.columns()["axes"][0, 0, layout.WIDTH] <= 16.0
     assert len(places.points(0)[0]) > 40
 
 
@@ -168,9 +170,9 @@ def test_neighbouring_places_are_merged_when_the_range_grows():
     places, residual = Places(1, 1), rng.normal(0.0, 1.0, (1, 2_000))
     places.learn(samples, residual, residual, np.zeros((1, 2_000), np.uint8), Segments.one(2_000))
     where = places.points(0)[0]
-    width = places.columns()["axes"][0, 0, kernel.WIDTH]
-    assert len(set(np.floor(where / width))) == len(where) <= kernel.PLACES_U
-    judged = places.columns()["places"][0, 0, :, kernel.JUDGED].sum()
+    width = places.columns()["axes"][0, 0, layout.WIDTH]
+    assert len(set(np.floor(where / width))) == len(where) <= layout.PLACES_U
+    judged = places.columns()["places"][0, 0, :, layout.JUDGED].sum()
     assert judged > 100  # what was judged before the merges is kept
 
 
@@ -179,9 +181,9 @@ def test_an_estimator_that_only_follows_is_not_recommended(swept):
     _, traces = Fleet(PLAN, 1).take(sweeps(), Segments.one(9_000))
     one_step = {n: np.sqrt(np.nanmean(t.residual[2_000:] ** 2)) for n, t in traces.items()}
     assert one_step["follower"] < 0.5 * one_step["lasting"]
-    assert valves.inverse(0) == "lasting"
-    assert valves.places.ranking(0).sure > 0.9
-    assert valves.places.ranking(0).places >= FEWEST_PLACES
+    assert valves.maps.inverse(0) == "lasting"
+    assert valves.maps.places.ranking(0).sure > 0.9
+    assert valves.maps.places.ranking(0).places >= FEWEST_PLACES
 
 
 def test_the_recommendation_and_the_statuses_do_not_depend_on_batches(swept):
@@ -189,7 +191,7 @@ def test_the_recommendation_and_the_statuses_do_not_depend_on_batches(swept):
     parted, others = fleet(sweeps(), cut=613)
     for name, said in statuses.items():
         assert said.tobytes() == others[name].tobytes()
-    assert parted.places_to_bytes(0) == valves.places_to_bytes(0)
+    assert parted.maps.to_bytes(0) == valves.maps.to_bytes(0)
 
 
 def test_intervals_hold_the_true_flow_at_places_that_the_valve_has_left(swept):
@@ -303,7 +305,7 @@ def test_a_damaged_checkpoint_is_rejected():
     packed = places.to_bytes(0, KEYS)
     with pytest.raises(StateMismatchError):
         Places(2, 1).from_bytes(0, packed[:-9], KEYS)
-    places.columns()["lanes"][0, 0, kernel.LOSS] = np.nan
+    places.columns()["lanes"][0, 0, layout.LOSS] = np.nan
     with pytest.raises(StateMismatchError, match="lanes"):
         Places(2, 1).from_bytes(0, places.to_bytes(0, KEYS), KEYS)
 

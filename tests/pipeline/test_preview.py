@@ -11,11 +11,11 @@ from valvemap.errors import CommandRejected
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.pipeline import call_journal
+from valvemap.pipeline.alarm_results import Remark
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quality_gate import QualityGate
-from valvemap.pipeline.results import Remark
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.statuses import Status
 

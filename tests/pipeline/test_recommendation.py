@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from valvemap.pipeline.places import Ranking
+from valvemap.pipeline.place_ranking import Ranking
 from valvemap.pipeline.recommendation import recommendation
 from valvemap.pipeline.valve_state import merged_findings
 from valvemap.vocabulary.findings import Finding, FindingCode

@@ -172,6 +172,23 @@ def test_cut_as_you_like_the_same_comes_out(make, seed):
         assert np.array_equal(one, other)
 
 
+def published(changes, every, late=0):
+    """Changes as most servers send them: a message every ``every`` ns, in it signal by signal."""
+    message = (changes.source_time - START + late) // every
+    order = np.lexsort((changes.source_time, changes.item, message))
+    return DataChanges(*(column[order] for column in columns(changes)))
+
+
+@pytest.mark.parametrize("make", [skewed, of_one_instant, on_change])
+@pytest.mark.parametrize("every", [100 * MS, 400 * MS, 900 * MS])
+def test_a_message_sorted_by_signal_is_understood_as_one_in_order_of_time(make, every):
+    changes, _ = make()
+    expected = fed(changes)[1].valves[0].found.comes
+    for late in np.arange(0, every, every // 7):
+        _, stage = fed(published(changes, every, int(late)))
+        assert np.array_equal(stage.valves[0].found.comes, expected), late
+
+
 @pytest.mark.parametrize("make", [skewed, on_change])
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.7])
 def test_a_restart_changes_nothing(make, share):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from valvemap.model.samples import Samples, Segments
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.valve_dynamics import AT_ONCE, DynamicsInTurn
 
 WINDOW_S = 60.0

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.estimator import StateMismatchError
+from valvemap.pipeline.alarm_results import AlarmReport, Remark
 from valvemap.pipeline.alarm_words import Measured, text_of
-from valvemap.pipeline.kernels.alarms import Conditions
-from valvemap.pipeline.results import AlarmReport, Remark
+from valvemap.pipeline.kernels.alarm_layout import Conditions
 
 MOST_OF_A_REMARK = 200  # characters stored of a comment, and of its author's name
 
@@ -61,6 +61,7 @@ class AlarmStates:
         self.confirmed = np.zeros((M, len(self._names)), np.int64)
         self.ended = np.zeros((M, len(self._names)), np.int64)
         self._remarks: dict[tuple[int, int], Remark] = {}
+        self._quiet: dict[int, AlarmReport] = {}  # of alarms that were never active
 
     def acknowledge(self, m: int, a: int, remark: Remark) -> bool:
         """Acknowledge an alarm; False if there was nothing to acknowledge."""
@@ -87,7 +88,15 @@ class AlarmStates:
 
     def reports(self, m: int, reasons: Sequence[str]) -> tuple[AlarmReport, ...]:
         """Return the state of every alarm of one valve; ``reasons`` are for their texts."""
-        return tuple(self._report(m, a, reason) for a, reason in enumerate(reasons))
+        came = self.conditions.came[m].tolist()
+        return tuple(
+            [
+                self._report(m, a, reason)
+                if came[a] or (m, a) in self._remarks
+                else self._silent(a)
+                for a, reason in enumerate(reasons)
+            ]
+        )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all state except comments, each (M, …), not copied."""
@@ -142,6 +151,13 @@ class AlarmStates:
         conditions = self.conditions
         waits = conditions.acked[m, a] and self.confirmed[m, a] < conditions.came[m, a]
         return not waits
+
+    def _silent(self, a: int) -> AlarmReport:
+        """Return the report of an alarm that was never active, on any valve."""
+        if a not in self._quiet:
+            nothing = AlarmStates(1, self._names, self._rules)
+            self._quiet[a] = nothing._report(0, a, "")
+        return self._quiet[a]
 
     def _report(self, m: int, a: int, reason: str) -> AlarmReport:
         conditions, rule, since = self.conditions, self._rules[a], int(self.conditions.since[m, a])

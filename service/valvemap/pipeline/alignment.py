@@ -1,15 +1,16 @@
 """Alignment: data changes of single signals become samples with one source time."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.estimator import StateMismatchError
-from valvemap.model.samples import Samples, Segments, Times
+from valvemap.model.samples import Times
+from valvemap.pipeline.aligned_columns import by_valve, grown, joined, room_for
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels import alignment as kernel
 from valvemap.pipeline.kernels import waiting as slots
@@ -61,57 +62,6 @@ class AlignmentSettings:
     reorder_by_time_ns: int = 0
     max_pending: int = 4096
     hold_ns: Mapping[Signal, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class ByValve(Mapping[int, Samples]):
-    """Samples of several valves, one valve after another: arrays for kernels, mapping by valve.
-
-    ``segments.members`` are the valves' numbers, ascending.
-    """
-
-    samples: Samples
-    segments: Segments
-
-    def __getitem__(self, valve: int) -> Samples:
-        k = int(np.searchsorted(self.segments.members, valve))
-        if k == len(self) or self.segments.members[k] != valve:
-            raise KeyError(valve)
-        return self.samples[slice(self.segments.starts[k], self.segments.stops[k])]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self.segments.members.tolist())
-
-    def __len__(self) -> int:
-        return len(self.segments.members)
-
-
-def together(parts: Sequence[ByValve]) -> ByValve:
-    """Concatenate the samples of different valves, by ascending numbers of the valves."""
-    lengths = np.cumsum([0, *(len(part.samples) for part in parts)])
-    segments = [
-        Segments(part.segments.members, part.segments.starts + at, part.segments.stops + at)
-        for part, at in zip(parts, lengths[:-1], strict=True)
-    ]
-    empty = np.empty(0, np.int64)
-    columns = zip(Segments(empty, empty, empty), *segments, strict=True)
-    return ByValve(
-        Samples.concatenate([part.samples for part in parts]),
-        Segments(*map(np.concatenate, columns)),
-    )
-
-
-def in_turn(parts: Sequence[ByValve]) -> ByValve:
-    """Concatenate samples that may be of the same valves, those of each in the order of parts."""
-    samples = Samples.concatenate([part.samples for part in parts])
-    lengths = [part.segments.stops - part.segments.starts for part in parts]
-    valve = np.concatenate(
-        [np.repeat(part.segments.members, n) for part, n in zip(parts, lengths, strict=True)]
-    )
-    order = np.argsort(valve, kind="stable")
-    members, counts = np.unique(valve, return_counts=True)
-    stops = np.cumsum(counts)
-    return ByValve(samples[order], Segments(members, stops - counts, stops))
 
 
 @dataclass(frozen=True)
@@ -206,7 +156,7 @@ class Alignment:
         if size > self.settings.max_pending:
             raise StateMismatchError(f"{size} samples wait, {self.settings.max_pending} may")
         while waiting.slots.shape[1] < size:
-            waiting = _grown(waiting, min(2 * waiting.slots.shape[1], self.settings.max_pending))
+            waiting = grown(waiting, min(2 * waiting.slots.shape[1], self.settings.max_pending))
         for name in Waiting._fields:
             array, kept = getattr(waiting, name), getattr(one, name)
             own = array[valve, :size] if name in _BY_SLOT else array[valve]
@@ -256,15 +206,15 @@ class Alignment:
         while not parts or done < len(changes):
             pending = waiting.slots.shape[1]
             may_grow = pending < self.settings.max_pending
-            out = _room(len(changes) - done + int(waiting.order[:, slots.SIZE].sum()))
+            out = room_for(len(changes) - done + int(waiting.order[:, slots.SIZE].sum()))
             done, n = kernel.align_changes(
                 columns, done, valves, command, self._rules, may_grow, waiting, out
             )
             parts.append(Aligned._make(array[:n] for array in out))
             valves = _NO_VALVES
             if done < len(changes):
-                waiting = _grown(waiting, min(2 * pending, self.settings.max_pending))
-        return waiting, _by_valve(_joined(parts), len(self.optional))
+                waiting = grown(waiting, min(2 * pending, self.settings.max_pending))
+        return waiting, by_valve(joined(parts), len(self.optional))
 
     @cached_property
     def _numbered(self) -> NDArray[np.bool_]:
@@ -318,41 +268,3 @@ _TIMES = (
     slots.FIRST_TIME,
     slots.BEFORE_FIRST,
 )
-
-
-def _room(n: int) -> Aligned:
-    return Aligned(
-        valve=np.empty(n, np.int64),
-        time=np.empty(n, np.int64),
-        values=np.empty((n, slots.SIGNALS)),
-        quality=np.empty(n, np.uint8),
-    )
-
-
-def _joined(parts: list[Aligned]) -> Aligned:
-    if len(parts) == 1:
-        return parts[0]
-    return Aligned._make(map(np.concatenate, zip(_room(0), *parts, strict=True)))
-
-
-def _grown(waiting: Waiting, pending: int) -> Waiting:
-    def wider(array: NDArray[Any]) -> NDArray[Any]:
-        wide = np.zeros((array.shape[0], pending, *array.shape[2:]), array.dtype)
-        wide[:, : array.shape[1]] = array
-        return wide
-
-    return waiting._replace(
-        slots=wider(waiting.slots), values=wider(waiting.values), status=wider(waiting.status)
-    )
-
-
-def _by_valve(out: Aligned, valves: int) -> ByValve:
-    n = len(out.time)
-    columns = np.empty((slots.SIGNALS, n))
-    t, quality, edges = np.empty(n, np.int64), np.empty(n, np.uint8), np.zeros(valves + 1, np.int64)
-    kernel.sort_by_valve(out, t, columns, quality, edges)
-    present = np.flatnonzero(np.diff(edges))
-    return ByValve(
-        Samples(t=t, quality=quality, **dict(zip(MEASURED, columns, strict=True))),
-        Segments(present, edges[present], edges[present + 1]),
-    )

@@ -5,16 +5,13 @@ from collections.abc import Mapping
 
 from valvemap.errors import CommandRejected
 from valvemap.model.samples import Times
+from valvemap.pipeline.alarm_results import AlarmReport, Remark
+from valvemap.pipeline.alarm_rules import ALARM_NAMES, Alarm
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import (
-    ALARM_NAMES,
-    Alarm,
-    Alarms,
-    ServiceAlarms,
-)
+from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.lane_failures import Rows
-from valvemap.pipeline.results import AlarmReport, Remark
+from valvemap.pipeline.service_alarms import ServiceAlarms
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 OF_SERVICE = "Service"  # owner of the service's alarms; no valve has this name

@@ -87,7 +87,7 @@ class AllValves:
             return
         fleets = self._fleet_of[valves]
         for number in np.unique(fleets):
-            yield self.fleets[number], np.flatnonzero(fleets == number)
+            yield self.fleets[number], (fleets == number).nonzero()[0]
 
     def estimator_keys(self, valve: int) -> dict[str, str]:
         """Hash of the hyper-parameters of each of a valve's estimators, by name."""
@@ -125,7 +125,7 @@ class AllValves:
     def inverse(self, valve: int) -> str:
         """Name of the estimator whose map is inverted at a valve."""
         fleet, m = self.at(valve)
-        return fleet.inverse(m)
+        return fleet.maps.inverse(m)
 
     def accuracy(self, valve: int) -> SensorAccuracy:
         """Return the sensors' accuracy, including the deadbands of on-change signals."""
@@ -137,17 +137,17 @@ class AllValves:
     def runs(self, valve: int, estimator: str) -> bool:
         """Whether a lane is running, i.e. has not stopped at an error."""
         fleet, m = self.at(valve)
-        return not fleet.has_failed(m, estimator)
+        return not fleet.lanes.has_failed(m, estimator)
 
     def waits(self, valve: int, estimator: str) -> bool:
         """Whether a lane does not run because its kernels are not compiled."""
         fleet, _ = self.at(valve)
-        return estimator in fleet.waits
+        return estimator in fleet.lanes.waits
 
     def stop(self, valve: int, step: Step, estimator: str | None, error: Exception) -> None:
         """Stop a lane, or (None) all lanes of a valve, because of an error, see `Fleet.stop`."""
         fleet, m = self.at(valve)
-        fleet.stop(estimator, step, m, error)
+        fleet.lanes.stop(estimator, step, m, error)
 
     @contextmanager
     def bulkhead(self, valve: int, step: Step, estimator: str | None = None) -> Iterator[None]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from valvemap.errors import CommandRejected
 from valvemap.model.estimator import StateMismatchError
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import lane_predictions, valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.baseline import Baseline, Difference, difference
 from valvemap.pipeline.dynamics_reference import DynamicsReferences
@@ -85,7 +85,7 @@ class ApprovedMaps:
             known = then if now.lam is None else valve_state.with_forgetting(then, now.lam)
             self._valves.put(valve, name, replace(known, frozen=now.frozen, status=None))
         fleet, m = self._valves.named(valve)
-        fleet.start_again(m)
+        fleet.lanes.start_again(m)
 
     def replace_valve(self, valve: str) -> None:
         """Note that the valve was replaced: reset its estimators and delete its baseline."""
@@ -118,7 +118,7 @@ class ApprovedMaps:
             as :meth:`compare` does.
         """
         then, T = self._then(valve, estimator), self._valves.T_or_last(valve, T)
-        Q, std, status = valve_state.predicted(then, *np.array([[U], [dp], [T]]))
+        Q, std, status = lane_predictions.predicted(then, *np.array([[U], [dp], [T]]))
         return float(Q[0]), float(std[0]), Status(int(status[0]))
 
     def take_up(self, valve: int, kept: Baseline, *, is_approved: bool) -> None:

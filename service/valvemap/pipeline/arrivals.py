@@ -1,71 +1,30 @@
 """Conversion of many valves' data changes into samples: timing, then alignment. Pure."""
 
-import json
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Times
-from valvemap.pipeline.alignment import (
-    COUNTER_NAMES,
-    Alignment,
-    AlignmentSettings,
-    ByValve,
-    in_turn,
-    optional_in_keys,
-    presence,
-    together,
-)
+from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, presence
+from valvemap.pipeline.by_valve import ByValve, in_turn, together
 from valvemap.pipeline.clock_steps import ClockSteps, Known, Step
 from valvemap.pipeline.command_rests import CommandRests
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, SET_BACK, SET_FORWARD, Waiting
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, isolate, saved
-from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
-from valvemap.pipeline.timing_state import ALIKE, IN_SCANS, LISTENING
+from valvemap.pipeline.packed_arrivals import key_of_arrivals, pack, unpack
+from valvemap.pipeline.timing import Timing, TimingSettings
+from valvemap.pipeline.timing_state import IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
 from valvemap.vocabulary.signals import COUNT, PER_VALVE
 
-_BY_SLOT: Final = ("slots", "values", "status")
-_DIGEST_BYTES: Final = 4
 _MISSING: Final = COUNTER_NAMES.index("missing")
 _DUPLICATES: Final = COUNTER_NAMES.index("duplicates")
 _NO_ROWS: Final = np.zeros(0, np.bool_)
-
-
-@dataclass(frozen=True)
-class _Kept(State):
-    """The alignment's state of all valves."""
-
-    slots: Any
-    values: Any
-    status: Any
-    held_value: Any
-    held_status: Any
-    held_time: Any
-    lost: Any
-    left: Any
-    order: Any
-    counters: Any
-
-
-@dataclass(frozen=True)
-class _Key:
-    """The configuration that the state is bound to."""
-
-    names: tuple[str, ...]
-    alignment: AlignmentSettings
-    has_T: tuple[bool | tuple[str, ...], ...]
-    has_sequence: tuple[bool, ...]
-    timing: TimingSettings | None
 
 
 class ArrivalsOfValve(NamedTuple):
@@ -106,6 +65,7 @@ class Arrivals:
 
     Examples
     --------
+    >>> from valvemap.pipeline.alignment import AlignmentSettings
     >>> arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), optional=((),)))
     >>> len(arrivals.take(DataChanges.empty()))
     0
@@ -195,7 +155,7 @@ class Arrivals:
     def _count_dropped(self, changes: DataChanges) -> None:
         """Count the samples of failed valves as missing: as many as their most frequent signal."""
         valve, signal = np.divmod(changes.item, PER_VALVE)
-        for failed in np.flatnonzero(self.failed).tolist():
+        for failed in self.failed.nonzero()[0].tolist():
             own = signal[(valve == failed) & (signal < COUNT)]
             if len(own):
                 self._waiting.counters[failed, _MISSING] += np.bincount(own).max()
@@ -216,7 +176,7 @@ class Arrivals:
 
     def left_out(self) -> dict[str, int]:
         """Return the number of missing samples of each valve whose changes are dropped, by name."""
-        rows = np.flatnonzero(self.failed)
+        rows = self.failed.nonzero()[0]
         missing = self.counts(rows)[:, _MISSING].tolist()
         return dict(zip((self.names[row] for row in rows), missing, strict=True))
 
@@ -254,7 +214,7 @@ class Arrivals:
 
     def finish(self) -> list[ByValve]:
         """Flush all buffers; return their samples, those without a running number last."""
-        every = np.flatnonzero(~self.failed)
+        every = (~self.failed).nonzero()[0]
         unfinished = self._align(self.timing.flush(every, self._fail))
         return [unfinished, self._flush(every), self._flush(every)]
 
@@ -303,20 +263,7 @@ class Arrivals:
 
     def to_bytes(self) -> bytes:
         """Pack the state of all valves."""
-        size = int(self._waiting.order[:, slots.SIZE].max(initial=0))
-        arrays = {
-            name: array[:, :size] if name in _BY_SLOT else array
-            for name, array in self._waiting._asdict().items()
-        }
-        waiting = _Kept(**arrays).to_bytes(self._key)
-        special = [
-            (number, valve.state.to_bytes(self._key))
-            for number, valve in enumerate(self.timing.valves)
-            if valve.stands != ALIKE
-        ]
-        head = json.dumps([len(waiting), [(n, len(packed)) for n, packed in special]]).encode()
-        body = b"".join((head, b"\n", waiting, *(packed for _, packed in special)))
-        return zlib.crc32(body).to_bytes(_DIGEST_BYTES, "big") + body
+        return pack(self._waiting, self.timing, self._key)
 
     def resume(self, packed: bytes) -> None:
         """Restore the state of all valves.
@@ -326,58 +273,23 @@ class Arrivals:
         StateMismatchError
             if it is damaged, or the configuration differs; the present state is then unchanged.
         """
-        digest, body = packed[:_DIGEST_BYTES], packed[_DIGEST_BYTES:]
-        if zlib.crc32(body).to_bytes(_DIGEST_BYTES, "big") != digest:
-            raise StateMismatchError("damaged")
-        head, _, rest = body.partition(b"\n")
-        try:
-            size, special = json.loads(head)
-            at = size = int(size)
-            lengths = [(int(number), int(length)) for number, length in special]
-        except (ValueError, TypeError, OverflowError, RecursionError) as error:
-            raise StateMismatchError(f"not the head of an alignment's state: {error}") from error
-        kept = _Kept.from_bytes(rest[:size], self._key)
-        waiting = Waiting(*(np.asarray(getattr(kept, name)) for name in Waiting._fields))
-        self._check(waiting)
-        states = {}
-        for number, length in lengths:
-            states[number] = TimingState.from_bytes(rest[at : at + length], self._key)
-            at += length
+        waiting, states = unpack(packed, self._key, len(self.names), self.alignment)
         for number in range(len(self.names)):
             self._waiting = self.alignment.put(
                 self._waiting, number, self.alignment.of(waiting, number)
             )
             self.timing.put(number, states.get(number, _ALIKE))
 
-    def _check(self, waiting: Waiting) -> None:
-        """Raise if the shapes or contents are invalid for these valves."""
-        V, pending = len(self.names), waiting.slots.shape[1] if waiting.slots.ndim > 1 else 0
-        like = self.alignment.nothing(V, pending)
-        sizes = waiting.order[:, slots.SIZE] if waiting.order.shape == like.order.shape else ()
-        if len(sizes) and min(sizes) >= 0 and max(sizes) <= pending:
-            like.order[:, slots.SIZE] = sizes
-        for name, contents in contents_of_waiting(like).items():
-            wrong = contents.wrong_in(getattr(waiting, name))
-            if wrong is not None:
-                raise StateMismatchError(f"{name} {wrong}")
-
     @cached_property
     def _key(self) -> str:
-        return key_of(
-            _Key(
-                self.names,
-                self.alignment.settings,
-                tuple(map(optional_in_keys, self.alignment.optional)),
-                self.alignment.has_sequence,
-                self.timing.settings if self.finds_timing else None,
-            )
-        )
+        timing = self.timing if self.finds_timing else None
+        return key_of_arrivals(self.names, self.alignment, timing)
 
     def _align(self, changes: DataChanges) -> ByValve:
         valve = changes.item // PER_VALVE
         present = np.zeros(len(self.names), np.bool_)
         present[valve] = True
-        members = np.flatnonzero(present)
+        members = present.nonzero()[0]
 
         def align(own: Times) -> tuple[Waiting, ByValve]:
             some = changes if len(own) == len(members) else changes[valve == own[0]]

@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 
 from valvemap.model.samples import Floats
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.axis_tracking import AxisTracking
 from valvemap.pipeline.operator_ports import Command
-from valvemap.pipeline.results import AlarmReport
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
 

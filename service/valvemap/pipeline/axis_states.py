@@ -5,8 +5,10 @@ from typing import Final
 
 from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import ALARMS, LEARNT, SEARCHES, WATCH, Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_memory import MEMORIES, AxisMemories
+from valvemap.pipeline.axis_plan import AxisPlan
+from valvemap.pipeline.kept_axes import ALARMS, LEARNT, SEARCHES, WATCH
 from valvemap.pipeline.meaning import IDENTITY
 from valvemap.pipeline.review import Change, Reviewed, review
 from valvemap.pipeline.store_ports import Checkpoint

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from valvemap.model.estimator import State, StateMismatchError
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import kept_lanes, lane_predictions, valve_state
 from valvemap.pipeline.valve_state import Lane, ValvePlan
 from valvemap.vocabulary.statuses import Status
 
@@ -59,7 +59,7 @@ class Baseline:
         cls, number: int, t: int, lanes: Mapping[str, Lane], keys: Mapping[str, str]
     ) -> "Baseline":
         """Build it from the present lanes of a valve."""
-        states = {name: valve_state.lane_to_bytes(lane, keys[name]) for name, lane in lanes.items()}
+        states = {name: kept_lanes.lane_to_bytes(lane, keys[name]) for name, lane in lanes.items()}
         statuses = {
             name: int(Status.WARMING_UP if lane.status is None else lane.status)
             for name, lane in lanes.items()
@@ -78,7 +78,7 @@ class Baseline:
         """
         if name not in self.states:
             raise StateMismatchError(f"{name} was not there")
-        lane = valve_state.lane_from_bytes(
+        lane = kept_lanes.lane_from_bytes(
             self.states[name], configured, None, frozen=False, t=self.t
         )
         return replace(lane, status=Status(self.statuses.get(name, Status.OK)))
@@ -151,7 +151,7 @@ def difference(plan: ValvePlan, now: Lane, then: Lane, T: float) -> Difference:
     )
     points = U.ravel(), dp.ravel(), np.full(U.size, T)
     (Q, _, status), (Q_then, _, status_then) = (
-        valve_state.predicted(lane, *points) for lane in (now, then)
+        lane_predictions.predicted(lane, *points) for lane in (now, then)
     )
     off = Q - Q_then
     good = np.isfinite(off)

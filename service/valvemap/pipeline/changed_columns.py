@@ -4,7 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.pipeline.kernels.scans import Changed
+from valvemap.pipeline.kernels.scans import NEVER, Changed, Scans
+from valvemap.vocabulary.signals import PER_VALVE
 
 NOTHING: Final = Changed(
     np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint32), np.empty(0, np.int64)
@@ -38,4 +39,23 @@ def joined(first: Changed, second: Changed) -> Changed:
         np.concatenate((first.value, second.value)),
         np.concatenate((first.status, second.status)),
         np.concatenate((first.time, second.time)),
+    )
+
+
+def no_scans(room: int) -> Scans:
+    """Return the state before the first scan, with a buffer for ``room`` changes."""
+    n = PER_VALVE
+    return Scans(
+        time=np.zeros(room, np.int64),
+        signal=np.zeros(room, np.int64),
+        value=np.zeros(room),
+        status=np.zeros(room, np.uint32),
+        now_value=np.zeros(n),
+        now_status=np.zeros(n, np.uint32),
+        now_time=np.full(n, NEVER),
+        now_rate=np.full(n, np.inf),
+        seen=np.full(n, NEVER),
+        lacking=np.zeros(n, np.int64),
+        moved=np.zeros(n, np.int64),
+        course=np.array([0, NEVER, NEVER, 0, 0], np.int64),
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels.waiting import (
     NEVER,
@@ -104,7 +104,7 @@ class ClockSteps:
         """
         valve = changes.item // PER_VALVE
         repeated = np.zeros(len(changes), np.bool_)
-        rows = np.flatnonzero(self._watched[valve])
+        rows = self._watched[valve].nonzero()[0]
         for v in np.unique(valve[rows][self._was_set_back(valve[rows])]).tolist():
             known = self._by_time(v)
             self._mark_repeated(v, changes, rows[valve[rows] == v], known, repeated)
@@ -162,7 +162,7 @@ class ClockSteps:
     def remember(self, samples: ByValve) -> None:
         """Remember emitted samples, to recognise repetitions."""
         valves, starts, stops = samples.segments
-        mine = np.flatnonzero(self._watched[valves])
+        mine = self._watched[valves].nonzero()[0]
         if not len(mine):
             return
         columns = np.stack([getattr(samples.samples, name) for name in MEASURED], axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels.waiting import FILLED, NEVER, SEEN, SIZE, TIME, Waiting
 from valvemap.pipeline.scan_search import FEWEST_SCANS, SENT_AGAIN

@@ -93,12 +93,13 @@ def written(
 ) -> CommissionState:
     """Return the state after the source took ``command`` at ``now`` (s).
 
-    ``command`` is the part that was taken; ``refused`` says that there was another. The run pauses
-    after a response so late that the source may have taken the valve back.
+    ``command`` is the part that was taken; ``refused`` says that there was another. A heartbeat may
+    have come as early as it was sent, and the next one as late as its response: the run pauses
+    where the source may have taken the valve back between them.
     """
     paused = now - state.beaten > STALLED_S and math.isfinite(state.beaten)
     if command.heartbeat:
-        state = replace(state, heartbeat=command.heartbeat, beaten=now)
+        state = replace(state, heartbeat=command.heartbeat, beaten=state.stepped)
     if command.heartbeat and paused:
         return lost(state, now, Reason.STALLED)
     if refused:
@@ -150,7 +151,7 @@ def _checked(
     if reason is not Reason.NONE:
         return _enter(state, Phase.REFUSED, reason, now), Command()
     if now - state.good_since < settings.check_s:
-        return replace(state, reason=waits_for(settings, seen)), Command()
+        return replace(state, reason=waits_for(settings, state, seen)), Command()
     return _begun(settings, state, seen, now)
 
 
@@ -165,7 +166,8 @@ def _begun(
     has_load = limits.load_range is not None
     load = min(max(seen.p2, limits.load_range[0]), limits.load_range[1]) if has_load else math.nan  # type: ignore[index]
     phase = Phase.REFINING if state.elapsed >= settings.plan.sweep_s else Phase.SWEEPING
-    state = replace(_enter(state, phase, Reason.NONE, now), watch=state.watch.begun_anew())
+    state = _enter(state, phase, Reason.NONE, now)
+    state = replace(state, watch=state.watch.begun_anew(), owed=0.0)
     return state, _beat(settings, state, Command(seen.U, load if has_load else None), now)
 
 
@@ -193,7 +195,7 @@ def _driven(
     settings: Settings, state: CommissionState, seen: Seen, now: float, passed: float
 ) -> tuple[CommissionState, Command]:
     """Sweep, refine, retreat from a limit, or pause."""
-    found = waits_for(settings, seen)
+    found = waits_for(settings, state, seen)
     if found is Reason.SOURCE_LOST:  # the source's own watchdog acts
         return replace(lost(state, now), refused_since=math.inf), Command()
     if found is not Reason.NONE or state.phase is Phase.PAUSED:
@@ -209,7 +211,7 @@ def _paused(
 ) -> tuple[CommissionState, Command]:
     """Go to the safe point while the valve is led; continue after `AGAIN_S` of good samples."""
     if state.phase is not Phase.PAUSED:
-        state = _enter(state, Phase.PAUSED, waits_for(settings, seen), now)
+        state = _enter(state, Phase.PAUSED, waits_for(settings, state, seen), now)
     elif now - state.good_since >= AGAIN_S:
         return _begun(settings, state, seen, now)
     return state, _towards(settings, state, _safe(settings.limits, state.at), now)
@@ -220,7 +222,7 @@ def _swept(
 ) -> tuple[CommissionState, Command]:
     """Follow the schedule at its pace; retreat from limits; end when accurate, or in time.
 
-    The pace counts from the last step. Slew counts from the last command that was accepted, as it
+    The pace counts from the last move. Slew counts from the last command that was accepted, as it
     may have come into force as late as that; where it is the narrower, the triangles wait for U.
     """
     accurate = state.phase is Phase.REFINING and seen.error <= settings.accuracy
@@ -230,8 +232,10 @@ def _swept(
     if state.phase is Phase.SWEEPING and state.elapsed >= settings.plan.sweep_s:
         state = _enter(state, Phase.REFINING, Reason.NONE, now)
     limits, plan = settings.limits, settings.plan
-    may_move = min(passed, plan.ahead(limits) * (now - state.accepted))
-    state = replace(state, swept=state.swept + may_move)
+    owed = min(state.owed + passed, MOST_STEP_S)
+    ahead, since = plan.ahead(limits), now - state.accepted
+    moves = min(owed, max(ahead, 1.0) * since)
+    state = replace(state, swept=state.swept + min(moves, ahead * since), owed=owed - moves)
     state, target = _target(settings, past_half_turn(settings, state), seen)
     retreats = now - state.beyond < HELD_OFF_S
     state = replace(state, reason=Reason.LIMIT if retreats else Reason.NONE)
@@ -239,7 +243,7 @@ def _swept(
         target = _safe(limits, state.at)
     pace = plan.pace(limits)
     slow = replace(limits, slew_percent_per_s=pace.U, load_slew_bar_per_s=pace.load)
-    target = bounded(slow, state.at, target, passed)
+    target = bounded(slow, state.at, target, moves)
     return state, _towards(settings, state, target, now)
 
 
@@ -264,6 +268,9 @@ def _towards(settings: Settings, state: CommissionState, target: Point, now: flo
     if not state.is_led:
         return Command()
     to = bounded(settings.limits, state.at, target, now - state.accepted)
+    in_force = state.at.near(to, 0.0, 0.0) and math.isinf(state.refused_since)
+    if in_force and settings.has_heartbeat:  # a write would only delay the next one
+        return _beat(settings, state, Command(), now)
     load = None if math.isnan(to.load) else to.load
     return _beat(settings, state, Command(to.U, load), now)
 

@@ -6,7 +6,8 @@ and in whatever bunches the samples are delivered:
 
 - the spool *follows* U, behind some play and lag: the opening is the map's there, but for a
   constant;
-- the spool *stands*: the opening is a constant, within the meter's noise.
+- the spool *stands*: the opening is a constant, or the map's at a standing spool but for a
+  constant, within the meter's noise. Where a compensator holds the flow, the second is meant.
 
 Each opening is compared with the map as it was before it learnt that sample. A map's error is a
 smooth function of U: over little travel it is in common, and the steps from sample to sample are
@@ -85,7 +86,7 @@ class Expected:
 class Row:
     """A remembered sample: its opening, and what was expected of it, per spool of `SPOOLS`.
 
-    ``number`` is that of the fit, ``noise`` the meter's.
+    ``number`` is that of the fit ``expected``, ``noise`` the meter's; ``s`` is as in `Expected`.
     ``against`` is the log likelihood by which earlier predictions of a spool were worse than the
     best; ``wider`` the factor of ``std`` by their errors.
     """
@@ -98,6 +99,8 @@ class Row:
     wider: float
     number: int = 0
     noise: float = math.inf
+    s: float = math.nan
+    expected: Expected | None = None
 
     @property
     def is_known(self) -> bool:
@@ -198,6 +201,7 @@ def standing(answers: Answers) -> float:
     off = np.tril(np.ones((len(rows), len(rows)))) * _squares(rows, answers.span)[:, None] / widened
     follows = np.minimum(0.5 * off, CLIPPED).sum(axis=2)
     stands = np.cumsum(np.minimum(0.5 * _squares_at_rest(rows), CLIPPED))
+    stands = np.minimum(stands, _stands_by_map(rows))
     ratio = (follows + _of(rows, "against")).min(axis=0) - stands
     return max(float(ratio.max()), 0.0)
 
@@ -211,9 +215,8 @@ def _row(
         return Row(opening, spools, *nothing, proof.against, proof.wider)
     predicted, std = expected.at(np.array(spools)[:, None], np.array([s]))
     known = tuple(predicted[:, 0].tolist()), tuple(std[:, 0].tolist())
-    return Row(
-        opening, spools, *known, proof.against, proof.wider, expected.number, expected.noise / s
-    )
+    proven, noise = (proof.against, proof.wider), expected.noise / s
+    return Row(opening, spools, *known, *proven, expected.number, noise, s, expected)
 
 
 def _of(rows: tuple[Row, ...], name: str) -> Floats:
@@ -238,6 +241,25 @@ def _squares_at_rest(rows: tuple[Row, ...]) -> Floats:
     opening = np.array([[row.opening for row in rows]])
     every = np.ones((len(rows), len(rows)), dtype=bool)
     return np.asarray(_innovations(rows, opening, np.zeros((1, *every.shape)), every)[0])
+
+
+def _stands_by_map(rows: tuple[Row, ...]) -> Floats:
+    """Minus the log likelihood of the newest 1 … N rows at a spool that stands as the map has it.
+
+    The spool stands where the oldest of them has it, and the map is the one of that row, (N,).
+    """
+    s, noise = np.array([row.s for row in rows]), np.array([row.noise for row in rows])
+    opening, found = np.array([row.opening for row in rows]), np.full(len(rows), np.inf)
+    for k, oldest in enumerate(rows):
+        if oldest.expected is None:
+            continue
+        newer = slice(0, k + 1)
+        predicted, std = oldest.expected.at(np.full(k + 1, oldest.U[0]), s[newer])
+        if np.isfinite(std).all():
+            off, w = opening[newer] - predicted, noise[newer] ** -2
+            z2 = (off - (w * off).sum() / w.sum()) ** 2 * w
+            found[k] = np.minimum(0.5 * z2, CLIPPED).sum()
+    return found
 
 
 def _innovations(

@@ -23,12 +23,14 @@ DROP_TO_JUDGE: Final = 10.0  # bar; the opening is judged above it
 def noted(settings: Settings, state: CommissionState, seen: Seen, now: float) -> CommissionState:
     """Update what the checks remember."""
     usable = fault(settings, seen) is Reason.NONE
-    may_move = waits_for(settings, seen) is Reason.NONE
-    good_since = min(state.good_since, now) if may_move else math.inf
     watch = state.watch
     if len(seen.came):
-        commands = watch.commands.heard(int(seen.came.t[-1]), now)
-        watch = replace(watch, commands=commands.since(settings.follow_s))
+        commands = watch.commands.heard(int(seen.came.t[-1]), now).since(settings.follow_s)
+        if usable and state.is_led:
+            commands = commands.showed(seen.U, settings.follow_percent)
+        watch = replace(watch, commands=commands)
+    may_move = waits_for(settings, replace(state, watch=watch), seen) is Reason.NONE
+    good_since = min(state.good_since, now) if may_move else math.inf
     drop = seen.p1 - seen.p2
     if usable:
         answers = _answers(watch.answers, seen, settings.limits.U_span)
@@ -57,11 +59,17 @@ def fault(settings: Settings, seen: Seen) -> Reason:
     return Reason.NONE if seen.good and finite else Reason.BAD_SAMPLE
 
 
-def waits_for(settings: Settings, seen: Seen) -> Reason:
-    """Return why U does not move now: of the samples, or of the operator; or NONE."""
+def waits_for(settings: Settings, state: CommissionState, seen: Seen) -> Reason:
+    """Return why U does not move now: of samples, operator, or the measured U; or NONE."""
     found = fault(settings, seen)
-    late = seen.operator_late_s > settings.operator_late_s
-    return Reason.OPERATOR_LATE if found is Reason.NONE and late else found
+    if found is not Reason.NONE:
+        return found
+    if seen.operator_late_s > settings.operator_late_s:
+        return Reason.OPERATOR_LATE
+    commands = state.watch.commands
+    usual_s = commands.usual_s(settings.follow_s, settings.limits.U_span)
+    is_late = not commands.are_followed(seen.U, usual_s, settings.follow_percent)
+    return Reason.U_LATE if state.is_led and is_late else Reason.NONE
 
 
 def refusal(settings: Settings, state: CommissionState, seen: Seen, now: float) -> Reason:
@@ -78,7 +86,10 @@ def refusal(settings: Settings, state: CommissionState, seen: Seen, now: float) 
         (Reason.U_OUTSIDE, usable and not low <= seen.U <= high),
         (Reason.P_ORDER, usable and seen.p1 < seen.p2 - 1.0 and seen.Q > 0.0),
         (Reason.LIMIT_BEFORE, state.beyond == now),
-        (waits_for(settings, seen), now - state.since > settings.check_s + settings.outage_s),
+        (
+            waits_for(settings, state, seen),
+            now - state.since > settings.check_s + settings.outage_s,
+        ),
     ):
         if holds:
             return reason

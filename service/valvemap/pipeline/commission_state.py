@@ -1,7 +1,7 @@
 """What a commissioning run knows and remembers: settings, samples, state, commands. Pure."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
@@ -32,6 +32,7 @@ class Reason(Enum):
     PRESSURE = "a pressure is above the limit for an abort"
     LIMIT = "pressure or flow is beyond its limit: U retreats"
     NOT_FOLLOWED = "the measured U does not follow the command"
+    U_LATE = "the measured U is later behind its command than before"
     STUCK = "the flow does not follow U"
     OUTAGE = "the pause lasted too long"
     FEED_FORWARD = "feed-forward is armed: disarm it first"
@@ -122,7 +123,7 @@ class Watch:
 
     def begun_anew(self) -> "Watch":
         """Return it without what was seen before a pause; what it knows of map and clock stays."""
-        commands = replace(self.commands, writes=())
+        commands = self.commands.begun_anew()
         return Watch(commands, most=self.most, answers=self.answers.begun_anew())
 
     def without_extremes(self) -> "Watch":
@@ -136,8 +137,8 @@ class CommissionState:
 
     ``at`` is the last command that the source accepted, unknown while the valve is not led;
     ``elapsed`` the time of sweep and refinement (s), which pauses do not count into; ``swept`` that
-    of the triangles (s), which wait for U; ``since`` the start of the phase, ``stepped`` the time
-    of the last step.
+    of the triangles (s), which wait for U by ``owed`` (s); ``since`` the start of the phase,
+    ``stepped`` the time of the last step.
     """
 
     phase: Phase = Phase.IDLE
@@ -148,6 +149,7 @@ class CommissionState:
     since: float = -math.inf
     elapsed: float = 0.0
     swept: float = 0.0
+    owed: float = 0.0
     ends_in: Phase = Phase.DONE
     heartbeat: int = 0
     beaten: float = -math.inf

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Floats, Samples, Segments, Times
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.kernels import edges as kernel
 from valvemap.pipeline.lane_failures import Stop
 from valvemap.vocabulary.edges import Edge
@@ -129,7 +129,8 @@ class Splitter:
 
     def divide(self, arrived: ByValve) -> tuple[ByValve, ByValve]:
         """Return the samples of the lines, and all others."""
-        is_line = np.isin(arrived.segments.members, list(self._of_line))
+        members = arrived.segments.members.tolist()
+        is_line = np.array([member in self._of_line for member in members], np.bool_)
         return (
             replace(arrived, segments=arrived.segments.of(is_line)),
             replace(arrived, segments=arrived.segments.of(~is_line)),

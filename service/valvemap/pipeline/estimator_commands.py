@@ -7,11 +7,11 @@ import numpy as np
 from valvemap.errors import CommandRejected
 from valvemap.model.capabilities import Forgetful
 from valvemap.model.inversion import Inversion
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import lane_predictions, required_signal, valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.demand_leads import DemandLeads
 from valvemap.pipeline.lane_failures import Step
-from valvemap.pipeline.valve_state import Required
+from valvemap.pipeline.required_signal import Required
 from valvemap.vocabulary.statuses import Status
 
 
@@ -36,10 +36,10 @@ class EstimatorCommands:
         fresh = valve_state.fresh_lane(lane.estimator, lane.support.forgotten())
         self._valves.put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
         fleet, m = self._valves.named(valve)
-        fleet.start_again(m)
-        if estimator == fleet.inverse(m):
+        fleet.lanes.start_again(m)
+        if estimator == fleet.maps.inverse(m):
             fleet.alarms.forget_map(m)
-        fleet.reset_errors(m, estimator)
+        fleet.maps.reset(m, estimator)
 
     def freeze(self, valve: str, estimator: str) -> None:
         """Stop adaptation."""
@@ -74,7 +74,7 @@ class EstimatorCommands:
         """Q (l/min), its standard deviation and status at one point."""
         lane = self._valves.lane(valve, estimator)
         point = (np.array([x], np.float64) for x in (U, dp, self._valves.T_or_last(valve, T)))
-        (Q,), (std,), (status,) = valve_state.predicted(lane, *point)
+        (Q,), (std,), (status,) = lane_predictions.predicted(lane, *point)
         return float(Q), float(std), Status(int(status))
 
     def predict_measurement(
@@ -83,13 +83,13 @@ class EstimatorCommands:
         """Q, the 95 % interval of a new measurement (l/min), and status."""
         lane = self._valves.lane(valve, estimator)
         point = (np.array([x], np.float64) for x in (U, dp, self._valves.T_or_last(valve, T)))
-        (Q,), (half,), (status,) = valve_state.predicted_measurement(lane, *point)
+        (Q,), (half,), (status,) = lane_predictions.predicted_measurement(lane, *point)
         return float(Q), float(Q - half), float(Q + half), Status(int(status))
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
         plan, state = self._valves.inverted(self._valves.numbers[valve])
-        return valve_state.demanded(plan, state, Q, dp, T)
+        return required_signal.demanded(plan, state, Q, dp, T)
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN withdraws it."""
@@ -114,6 +114,6 @@ class EstimatorCommands:
             with self._valves.bulkhead(valve, Step.INVERSE, inverse):
                 plan, state = self._valves.inverted(valve)
                 status = state.lanes[plan.inverse].status
-                answer = valve_state.required(plan, state, self._leads.advance(valve, state.t))
+                answer = required_signal.required(plan, state, self._leads.advance(valve, state.t))
                 return answer, Status.WARMING_UP if status is None else status
-        return valve_state.NOTHING_REQUIRED, Status.FAILED
+        return required_signal.NOTHING_REQUIRED, Status.FAILED

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from valvemap.model.capabilities import Censors, ChoosesStructure, FindsChanges, FindsLags, Restarts
 from valvemap.model.change import Change
 from valvemap.model.estimator import State
-from valvemap.model.fleet import ManyModels, copied, member, members, repeated, stack
+from valvemap.model.fleet import ManyModels, copied, copied_member, member, members, repeated, stack
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, saved
 from valvemap.pipeline.valve_state import AnyEstimator
@@ -45,7 +45,7 @@ class Stacked:
 
     def get(self, m: int) -> State:
         """Return a copy of the state of valve ``m``."""
-        one: State = copied(member(self._all, m))
+        one: State = copied_member(self._all, m)
         return one
 
     def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
@@ -151,8 +151,7 @@ class Listed:
         for m, start, stop in zip(*segments, strict=True):
             rows = slice(start, stop)
             self._all[m], said = self._estimator.update(self._all[m], samples[rows])
-            for f in fields(Trace):
-                getattr(trace, f.name)[rows] = getattr(said, f.name)
+            trace.put(rows, said)
         return trace
 
     def get(self, m: int) -> State:

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from valvemap.errors import CommandRejected
 from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Samples, Times, Trace
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import SERVICE_RULES
-from valvemap.pipeline.alignment import Alignment, ByValve
+from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.all_alarms import AllAlarms
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.call_journal import Call, CallJournal, changes_state, noted_call
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.demand_leads import DemandLeads
@@ -48,12 +49,14 @@ from valvemap.pipeline.readable_parts import (
     ReadableTiming,
     ReadableValves,
 )
-from valvemap.pipeline.result_tables import ResultTables, descriptions
-from valvemap.pipeline.results import AlarmReport, ValveDescription
+from valvemap.pipeline.result_tables import ResultTables
+from valvemap.pipeline.results import ValveDescription
 from valvemap.pipeline.sample_intake import SampleIntake
+from valvemap.pipeline.service_alarms import SERVICE_RULES
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
+from valvemap.pipeline.valve_descriptions import descriptions
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.commands import NAMED, Subject
 from valvemap.vocabulary.service_alarms import ServiceAlarm
@@ -216,7 +219,7 @@ class Identification:
     @changes_state
     def note_source(self, valve: int, words: tuple[str, ...]) -> None:
         """Note what the source says of a valve's nodes; shown as `waited_for` and by its alarms."""
-        self._results.note_source(valve, words)
+        self._results.reasons.note_source(valve, words)
         fleet, m = self._valves.at(valve)
         fleet.alarms.note_source(m, "; ".join(words))
 

@@ -19,7 +19,7 @@ _TIMES = "source_started", "known_times", "known_digests"
 
 
 def arrays_of_arrivals(one: ArrivalsOfValve) -> dict[str, Any]:
-    """Return the arrays by name: those of `Waiting`, and what is known of source and clock."""
+    """Return the arrays by name: those of `Waiting`, and the state of source and clock."""
     return {
         **one.waiting._asdict(),
         "source_started": np.array(one.source_started),

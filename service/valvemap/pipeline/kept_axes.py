@@ -13,6 +13,9 @@ from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.samples import Floats
 
+LEARNT, SEARCHES, WATCH, ALARMS = "Axis", "AxisSearches", "AxisWatch", "AxisAlarms"
+"""Names of the stored parts."""
+
 
 @dataclass(frozen=True)
 class Learnt:

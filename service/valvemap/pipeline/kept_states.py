@@ -1,11 +1,10 @@
 """Checkpoints of all valves: packed for the store, and restored if the configuration fits."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
-from valvemap.model.estimator import StateMismatchError, key_of
-from valvemap.pipeline import dynamics_reference, valve_state
-from valvemap.pipeline.alignment import AlignmentSettings, optional_in_keys
+from valvemap.model.estimator import StateMismatchError
+from valvemap.pipeline import dynamics_reference, kept_lanes
 from valvemap.pipeline.all_alarms import OF_SERVICE, AllAlarms
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
@@ -26,10 +25,10 @@ from valvemap.pipeline.provenance import (
     TIMING,
     ValveTerms,
 )
-from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.review import Reviewed, review
+from valvemap.pipeline.state_keys import StateKeys
 from valvemap.pipeline.store_ports import Checkpoint
-from valvemap.pipeline.timing import TimingSettings, TimingState
+from valvemap.pipeline.timing import TimingState
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
@@ -70,10 +69,7 @@ class KeptStates:
         self._maps = maps
         self._splitter, self._meters = splitter, meters
         self._references = references
-        self._memory_keys: dict[
-            tuple[int, bool | tuple[str, ...], bool], str
-        ] = {}  # by fleet, `_has`
-        self._timing_keys: dict[int, str] = {}  # both cached on first use: 0.5 ms each
+        self._keys = StateKeys(valves, arrivals)
         self._meanings = [
             "" if plan.meaning is None else plan.meaning.to_text() for plan in valves.plans
         ]
@@ -135,10 +131,10 @@ class KeptStates:
                     known.add(self._valves.numbers[kept.valve])
         for number in known:
             fleet, m = self._valves.at(number)
-            fleet.show_stopped(m)
+            fleet.lanes.show_stopped(m)
             self._maps.tabulate(number)
         if known:
-            self._maps.refresh()
+            self._maps.refresh_surveys()
         return restored, refused
 
     def _chosen(self, valves: Iterable[int] | None) -> Iterable[int]:
@@ -156,7 +152,7 @@ class KeptStates:
                 estimator=name,
                 key=keys[name],
                 t=lane.t,
-                state=valve_state.lane_to_bytes(lane, keys[name]),
+                state=kept_lanes.lane_to_bytes(lane, keys[name]),
                 lam=lane.lam,
                 frozen=lane.frozen,
                 meaning=self._meanings[valve],
@@ -166,29 +162,29 @@ class KeptStates:
 
     def _memories_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
         fleet, m = self._valves.at(valve)
-        memory = ValveMemory.of(state, self._arrivals.of(valve), dict(fleet.beyond(m)))
-        key, name = self._memory_key(valve), self._valves.plans[valve].name
-        found = [_beside(name, MEMORY, memory.to_bytes(key), state.t, key)]
-        found.append(_beside(name, ALARMS, fleet.alarms.to_bytes(m), state.t))
-        found.append(_beside(name, PLACES, fleet.places_to_bytes(m), state.t))
+        memory = ValveMemory.of(state, self._arrivals.of(valve), dict(fleet.lanes.beyond(m)))
+        key, name = self._keys.of_memory(valve), self._valves.plans[valve].name
+        means = self._meanings[valve]
+        found = [_beside(name, MEMORY, memory.to_bytes(key), state.t, key, means)]
+        found.append(_beside(name, ALARMS, fleet.alarms.to_bytes(m), state.t, "", means))
+        found.append(_beside(name, PLACES, fleet.maps.to_bytes(m), state.t, "", means))
         if self._arrivals.finds_timing:
-            key = self._timing_key(valve)
+            own = self._keys.of_timing(valve)
             timing = self._arrivals.timing.valves[valve].state
-            found.append(_beside(name, TIMING, timing.to_bytes(key), state.t, key))
+            found.append(_beside(name, TIMING, timing.to_bytes(own), state.t, own, means))
         if self._approved.counts[valve]:
-            found.append(self._baseline_of(valve))
-        key = self._memory_key(valve)
+            found.append(replace(self._baseline_of(valve), meaning=means))
         edge = self._splitter.to_bytes(valve, key)
         if edge is not None:
-            found.append(_beside(name, EDGE, edge, state.t, key))
+            found.append(_beside(name, EDGE, edge, state.t, key, means))
         meter = self._meters.to_bytes(valve, key)
         if meter is not None:
-            found.append(_beside(name, METER, meter, state.t, key))
+            found.append(_beside(name, METER, meter, state.t, key, means))
         reference = self._references.of.get(valve)
         if reference is not None:
             packed = reference.to_bytes(dynamics_reference.KEY)
-            found.append(_beside(name, DYNAMICS, packed, int(reference.t)))
-        return [replace(one, meaning=self._meanings[valve]) for one in found]
+            found.append(_beside(name, DYNAMICS, packed, int(reference.t), "", means))
+        return found
 
     def _of_service(self) -> list[Checkpoint]:
         alarms = self._alarms.of_service
@@ -206,19 +202,19 @@ class KeptStates:
         configured = self._valves.plans[number].estimators.get(kept.estimator)
         if configured is None:
             raise StateMismatchError("no such estimator is configured")
-        lane = valve_state.lane_from_bytes(
+        lane = kept_lanes.lane_from_bytes(
             kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
         )
         self._valves.put(kept.valve, kept.estimator, lane)
         if lane.count:
             fleet, m = self._valves.at(number)
-            fleet.accept(m, kept.estimator)
+            fleet.maps.accept(m, kept.estimator)
 
     def _take_memory(self, kept: Checkpoint) -> None:
         number = self._number(kept)
         fleet, m = self._valves.at(number)
         memory = ValveMemory.from_bytes(
-            kept.state, self._memory_key(number), fleet.plan.gate, self._arrivals.alignment
+            kept.state, self._keys.of_memory(number), fleet.plan.gate, self._arrivals.alignment
         )
         self._arrivals.put(number, memory.arrivals)
         fleet.remember(m, memory.gate, memory.t, memory.T)
@@ -230,13 +226,13 @@ class KeptStates:
             status = None if notes.status < 0 else Status(notes.status)
             said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
             fleet.put(m, name, said)
-            fleet.count_beyond(m, name, notes.beyond)
+            fleet.lanes.count_beyond(m, name, notes.beyond)
 
     def _take_timing(self, kept: Checkpoint) -> None:
         number = self._number(kept)
         if not self._arrivals.finds_timing:
             raise StateMismatchError("how signals come is configured")
-        state = TimingState.from_bytes(kept.state, self._timing_key(number))
+        state = TimingState.from_bytes(kept.state, self._keys.of_timing(number))
         self._arrivals.timing.put(number, state)
 
     def _take_baseline(self, kept: Checkpoint) -> None:
@@ -252,21 +248,21 @@ class KeptStates:
 
     def _take_edge(self, kept: Checkpoint) -> None:
         number = self._number(kept)
-        self._splitter.from_bytes(number, kept.state, self._memory_key(number))
+        self._splitter.from_bytes(number, kept.state, self._keys.of_memory(number))
 
     def _take_meter(self, kept: Checkpoint) -> None:
         number = self._number(kept)
-        self._meters.from_bytes(number, kept.state, self._memory_key(number))
+        self._meters.from_bytes(number, kept.state, self._keys.of_memory(number))
 
     def _take_dynamics(self, kept: Checkpoint) -> None:
         self._references.from_bytes(self._number(kept), kept.state)
 
     def _take_places(self, kept: Checkpoint) -> None:
         fleet, m = self._valves.at(self._number(kept))
-        fleet.places_from_bytes(m, kept.state)
+        fleet.maps.from_bytes(m, kept.state)
         for name in fleet.plan.estimators:
             if not fleet.lane(m, name).t:  # the estimator was reset
-                fleet.reset_errors(m, name)
+                fleet.maps.reset(m, name)
 
     def _number(self, kept: Checkpoint) -> int:
         number = self._valves.numbers.get(kept.valve)
@@ -274,48 +270,9 @@ class KeptStates:
             raise StateMismatchError("no such valve is configured")
         return number
 
-    def _memory_key(self, valve: int) -> str:
-        optional, numbered = self._has(valve)
-        kind = self._valves.kind(valve), optional, numbered
-        if kind not in self._memory_keys:
-            gate, settings = self._valves.plans[valve].gate, self._arrivals.alignment.settings
-            self._memory_keys[kind] = key_of(_Through(gate, settings, optional, numbered))
-        return self._memory_keys[kind]
 
-    def _timing_key(self, valve: int) -> str:
-        if valve not in self._timing_keys:
-            settings, nodes = self._arrivals.timing.settings, self._valves.plans[valve].nodes
-            self._timing_keys[valve] = key_of(_Comes(settings, nodes, *self._has(valve)))
-        return self._timing_keys[valve]
-
-    def _has(self, valve: int) -> tuple[bool | tuple[str, ...], bool]:
-        """Return a valve's optional signals, as in keys, and whether it has a running number."""
-        alignment = self._arrivals.alignment
-        numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
-        return optional_in_keys(alignment.optional[valve]), numbered
-
-
-def _beside(valve: str, name: str, state: bytes, t: int, key: str = "") -> Checkpoint:
+def _beside(
+    valve: str, name: str, state: bytes, t: int, key: str = "", meaning: str = ""
+) -> Checkpoint:
     """Return a checkpoint of state beside the estimators."""
-    return Checkpoint(valve, name, key, t, state, lam=None, frozen=False)
-
-
-# A key also hashes its class's name: renaming a class would reject all stored checkpoints.
-@dataclass(frozen=True)
-class _Through:
-    """The steps between a valve's data changes and its estimators."""
-
-    gate: QualityGate
-    alignment: AlignmentSettings
-    has_T: bool | tuple[str, ...]
-    has_sequence: bool
-
-
-@dataclass(frozen=True)
-class _Comes:
-    """The configuration that timing detection depends on."""
-
-    settings: TimingSettings
-    nodes: Mapping[str, str]
-    has_T: bool | tuple[str, ...]
-    has_sequence: bool
+    return Checkpoint(valve, name, key, t, state, lam=None, frozen=False, meaning=meaning)

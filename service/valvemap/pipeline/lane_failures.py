@@ -182,17 +182,21 @@ class CopyBuffer:
         """Reuse the memory of all earlier copies."""
         self._used = 0
 
-    def copy(self, array: NDArray[Any], rows: slice | Times) -> NDArray[Any]:
-        """Copy rows of an array."""
-        if isinstance(rows, slice):
-            part = array[rows]
-            if part.nbytes < SMALL:
-                return part.copy()
-            copied = self._like(array, len(part))
-            copied[:] = part
-        else:
-            copied = self._like(array, len(rows))
-            np.take(array, rows, axis=0, out=copied, mode="clip")
+    def copies(self, arrays: Iterable[NDArray[Any]], rows: slice | Times) -> list[NDArray[Any]]:
+        """Copy rows of each array."""
+        if not isinstance(rows, slice):
+            return [self._taken(array, rows) for array in arrays]
+        parts = [array[rows] for array in arrays]
+        return [part.copy() if part.nbytes < SMALL else self._large(part) for part in parts]
+
+    def _taken(self, array: NDArray[Any], rows: Times) -> NDArray[Any]:
+        copied = self._like(array, len(rows))
+        np.take(array, rows, axis=0, out=copied, mode="clip")
+        return copied
+
+    def _large(self, part: NDArray[Any]) -> NDArray[Any]:
+        copied = self._like(part, len(part))
+        copied[:] = part
         return copied
 
     def _like(self, array: NDArray[Any], K: int) -> NDArray[Any]:
@@ -213,11 +217,11 @@ def raised(_: int, error: Exception) -> None:
 
 def saved(arrays: Iterable[NDArray[Any]], members: Times, buffer: CopyBuffer) -> Restore:
     """Copy the rows of the given valves; the result writes the copies back."""
-    rows = rows_of(members)
-    copies = [(array, buffer.copy(array, rows)) for array in arrays]
+    rows, arrays = rows_of(members), tuple(arrays)
+    copies = buffer.copies(arrays, rows)
 
     def restore() -> None:
-        for array, copy in copies:
+        for array, copy in zip(arrays, copies, strict=True):
             array[rows] = copy
 
     return restore

@@ -5,7 +5,7 @@ one call.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,24 +13,23 @@ from numpy.typing import NDArray
 
 from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import key_of
-from valvemap.model.extrapolation import U_range_of
+from valvemap.model.extrapolation import ABOUT_DP, ABOUT_U, within_ranges
 from valvemap.model.residual_spread import ResidualSpread, noise_std
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.model.sensor_accuracy import SensorAccuracy
-from valvemap.model.support import Support
 from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, all_of, isolate_last, saved
+from valvemap.pipeline.lane_traces import nothing_of, prediction_only
+from valvemap.pipeline.map_errors import MapErrors
 from valvemap.pipeline.results import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
-from valvemap.pipeline.shared_support import SharedSupport
+from valvemap.pipeline.shared_support import SharedRests
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
 from valvemap.vocabulary.statuses import Quality, Status
-
-ABOUT_CLOSED = 5.0  # %; tolerance of U beyond the estimator's range, for sensor offset
 
 
 class Lanes:
@@ -49,7 +48,7 @@ class Lanes:
     """
 
     def __init__(
-        self, estimator: AnyEstimator, M: int, rests: "SharedRests", accuracy: SensorAccuracy
+        self, estimator: AnyEstimator, M: int, rests: SharedRests, accuracy: SensorAccuracy
     ) -> None:
         self._estimator = estimator
         self.states = states_of(estimator, M)
@@ -79,24 +78,24 @@ class Lanes:
         `saved`, and ``stop`` is called with it.
         """
         running = ~self.failed[segments.members]
-        trace, starts = nothing_of(len(samples)), segments.starts.copy()
+        learnt, starts = None, segments.starts.copy()
 
         def learn(_: Rows) -> None:
-            nonlocal trace
-            trace, rests = self._take(samples, segments.of(running))
+            nonlocal learnt
+            learnt, rests = self._take(samples, segments.of(running))
             starts[running] = rests.starts
 
         isolate_last(segments.members[running], learn, restore, stop)
+        trace: Trace = nothing_of(len(samples)) if learnt is None else learnt
         for _, start, end in zip(*segments.of(~running), strict=True):
-            nothing = nothing_of(end - start)
-            for f in fields(Trace):
-                getattr(trace, f.name)[start:end] = getattr(nothing, f.name)
+            trace.put(slice(start, end), nothing_of(end - start))
         return trace, Segments(segments.members, starts, segments.stops)
 
     @property
     def failed(self) -> NDArray[np.bool_]:
         """Mask (M,) of the lanes that stopped at an error."""
-        return np.asarray(self._notes.status == _FAILED)
+        failed: NDArray[np.bool_] = self._notes.status == _FAILED
+        return failed
 
     def fail(self, m: int) -> None:
         """Stop the lane of valve ``m``; its state remains."""
@@ -163,7 +162,7 @@ class Lanes:
         """Restore all lanes from the written arrays of `columns`."""
         self.states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
         self._rests.take_up(arrays)
-        for m in np.flatnonzero(np.isfinite(self._lam)).tolist():
+        for m in (np.isfinite(self._lam)).nonzero()[0].tolist():
             if not _allows(self._estimator, float(self._lam[m])):
                 self._lam[m] = np.nan  # no longer permitted: use the configured value
 
@@ -176,9 +175,8 @@ class Lanes:
         return self.states.censored(len(self.beyond))
 
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
-        """Mask the samples (N,) whose U is beyond the estimator's range, and count them."""
-        low, high = U_range_of(self._estimator)
-        beyond = (low - ABOUT_CLOSED > samples.U) | (high + ABOUT_CLOSED < samples.U)
+        """Mask the samples (N,) whose U or Δp is beyond the estimator's ranges; count them."""
+        beyond = ~within_ranges(self._estimator, samples.U, samples.dp, ABOUT_U, ABOUT_DP)
         beyond &= samples.quality != Quality.BAD
         if not beyond.any():
             return None
@@ -191,13 +189,13 @@ class Lanes:
 
         If a map has restarted since, its support is reset.
         """
-        anew = np.flatnonzero((self.states.began() != before)[segments.members])
+        anew = ((self.states.began() != before)[segments.members]).nonzero()[0]
         if not len(anew):
             return segments
         starts, since = segments.starts.copy(), self.states.samples_since()
         for k in anew:
             m, stop = segments.members[k], segments.stops[k]
-            learnt = starts[k] + np.flatnonzero(status[starts[k] : stop] <= Status.UNEXCITED)
+            learnt = starts[k] + (status[starts[k] : stop] <= Status.UNEXCITED).nonzero()[0]
             starts[k] = [*learnt, stop][len(learnt) - since[m]]
             self._rests.put(int(m), self._rests.one(int(m)).forgotten())
         return Segments(segments.members, starts, segments.stops)
@@ -207,13 +205,11 @@ class Lanes:
         trace = self.states.update(samples, segments.of(~own_way))
         for m, start, stop in zip(*segments.of(own_way), strict=True):
             rows = slice(start, stop)
-            said = self._take_own_way(int(m), samples[rows])
-            for f in fields(Trace):
-                getattr(trace, f.name)[rows] = getattr(said, f.name)
+            trace.put(rows, self._take_own_way(int(m), samples[rows]))
         return trace
 
-    def get(self, m: int) -> Lane:
-        """Return a copy of the lane of valve ``m``."""
+    def get(self, m: int, errors: MapErrors | None = None) -> Lane:
+        """Return a copy of the lane of valve ``m``, with these errors of its map."""
         count, t, predicted, residual, status = (array[m] for array in self._notes)
         lane = Lane(
             estimator=self._estimator,
@@ -228,6 +224,7 @@ class Lanes:
             predicted=float(predicted),
             residual=float(residual),
             status=None if status == NO_STATUS else Status(int(status)),
+            errors=errors,
         )
         lam = float(self._lam[m])
         return lane if np.isnan(lam) else with_forgetting(lane, lam)
@@ -295,34 +292,10 @@ class Lanes:
     def _take_own_way(self, m: int, samples: Samples) -> Trace:
         lane = self.get(m)
         if lane.frozen:
-            return _prediction_only(lane, samples)
+            return prediction_only(lane, samples)
         state, trace = lane.estimator.update(lane.state, samples)
         self.states.put(m, state)
         return trace
-
-
-@dataclass(frozen=True)
-class SharedRests:
-    """The support of one estimator's maps, a view of the support shared by all estimators."""
-
-    shared: SharedSupport
-    number: int
-
-    def one(self, m: int) -> Support:
-        """Return a copy of the support of valve ``m``."""
-        return self.shared.one(self.number, m)
-
-    def put(self, m: int, support: Support) -> None:
-        """Replace the support of valve ``m``."""
-        self.shared.put(self.number, m, support)
-
-    def columns(self) -> Mapping[str, NDArray[Any]]:
-        """Return the support of all valves as named arrays."""
-        return self.shared.columns(self.number)
-
-    def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Restore the support from the written arrays of `columns`."""
-        self.shared.take_up(self.number, arrays)
 
 
 @dataclass(frozen=True)
@@ -350,12 +323,6 @@ for _status, _quality in {
 _FAILED = int(Status.FAILED)  # as a number: it is compared several times a batch
 
 
-def nothing_of(N: int, status: Status = Status.FAILED) -> Trace:
-    """Return the trace of N samples in lanes that do not run."""
-    predicted, residual, early = np.full((3, N), np.nan)
-    return Trace(predicted, residual, early, np.full(N, status, np.uint8))
-
-
 def _allows(estimator: AnyEstimator, lam: float) -> bool:
     """Whether the estimator accepts ``lam``."""
     if not isinstance(estimator, Forgetful):
@@ -365,17 +332,3 @@ def _allows(estimator: AnyEstimator, lam: float) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _prediction_only(lane: Lane, samples: Samples) -> Trace:
-    Q_hat: Floats
-    Q_hat, _ = lane.estimator.predict(lane.state, samples.U, samples.dp, samples.T)
-    usable = samples.quality != Quality.BAD
-    Q_hat = np.where(usable, Q_hat, np.nan)
-    residual = samples.Q - Q_hat
-    return Trace(
-        predicted=Q_hat,
-        residual=residual,
-        early=residual,
-        status=np.where(usable, Status.FROZEN, Status.REJECTED).astype(np.uint8),
-    )

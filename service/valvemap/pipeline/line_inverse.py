@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valvemap.model.inversion import Inversion
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import required_signal
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.edges import LEAK
 from valvemap.pipeline.lane_failures import Step
@@ -110,7 +110,7 @@ class LineInverse:
         if self._valves.runs(number, name):
             with self._valves.bulkhead(number, Step.INVERSE, name):
                 plan, state = self._valves.inverted(number)
-                found = valve_state.demanded(plan, state, Q, dp, T)
+                found = required_signal.demanded(plan, state, Q, dp, T)
                 ends = sorted(edge.opens * float(x[0]) for x in (found.lower, found.upper))
                 status = InverseStatus(int(found.status[0]))
                 return LineAnswer(edge.opens * float(found.U[0]), ends[0], ends[1], status, code)

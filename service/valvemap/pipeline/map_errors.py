@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.samples import Floats, Singles, Times
-from valvemap.pipeline.kernels import places as kernel
+from valvemap.pipeline.kernels.place_numbers import places_of
+from valvemap.pipeline.kernels.places import TOLERATED
 
 NEIGHBOURS: Final = 2.0  # weight of the mean over all places in the error of each
 
@@ -40,12 +41,12 @@ class MapErrors:
         """Return the standard deviation (N,) of the map; ``own`` is the estimator's."""
         found, near = np.empty(len(U), np.int64), np.empty(len(U))
         U, dp, T = (np.require(x, np.float64, ["C", "A", "W"]) for x in (U, dp, T))
-        kernel.places_of(U, dp, T, self.axes, self.seen, found, near)
+        places_of(U, dp, T, self.axes, self.seen, found, near)
         overall = self.noise + self.excess
         past = np.where(found >= 0, self.past[found].astype(np.float64) ** 2, overall)
         past = overall + near * (past - overall)
         shown = shown_std(past, self.noise, self.excess, self.tail)
-        factor = self.multiple if self.multiple > kernel.TOLERATED else 1.0
+        factor = self.multiple if self.multiple > TOLERATED else 1.0
         return factor * np.fmax(own, shown) + 0.0 * own
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from valvemap.model.samples import Floats
 from valvemap.model.survey import Survey
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import required_signal, valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.sample_intake import SampleIntake
@@ -48,6 +48,10 @@ class MapsAndSurveys:
         for _ in range(math.ceil(share * min(MAPS_AT_ONCE, V))):
             self.tabulate(self._next_map % V)
             self._next_map += 1
+        self.refresh_surveys(share)
+
+    def refresh_surveys(self, share: float = 1.0) -> None:
+        """Compute the next surveys, or a ``share`` of them."""
         lanes = self._all_lanes()
         for _ in range(math.ceil(share * min(SURVEYS_AT_ONCE, len(lanes)))):
             self._refresh_survey(*lanes[self._next_survey % len(lanes)])
@@ -65,7 +69,7 @@ class MapsAndSurveys:
         inverse = self._valves.inverse(valve)
         if self._valves.runs(valve, inverse) and not self._valves.waits(valve, inverse):
             with self._valves.bulkhead(valve, Step.MAP, inverse):
-                self.tables[valve] = valve_state.inverse_map(*self._valves.inverted(valve))
+                self.tables[valve] = required_signal.inverse_map(*self._valves.inverted(valve))
                 self._intake.judge(valve)
 
     def _tabulate_first(self) -> None:

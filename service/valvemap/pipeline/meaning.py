@@ -69,11 +69,6 @@ class Meaning:
         signals = {name: vars(one) for name, one in self.signals.items()}
         return json.dumps({**vars(self), "signals": signals}, sort_keys=True)
 
-    @classmethod
-    def from_text(cls, text: str) -> "Meaning | None":
-        """Return the meaning of a checkpoint; None if it is empty or none of this version."""
-        return _parsed(text)
-
 
 def digest_of(text: str) -> str:
     """Return the digest of a meaning's text; empty of an unknown one."""
@@ -83,7 +78,8 @@ def digest_of(text: str) -> str:
 
 
 @lru_cache(maxsize=4096)
-def _parsed(text: str) -> Meaning | None:
+def meaning_of(text: str) -> Meaning | None:
+    """Return the meaning of a checkpoint; None if it is empty or none of this version."""
     try:
         said: dict[str, Any] = json.loads(text)
         signals = {str(name): SignalMeaning(**one) for name, one in said["signals"].items()}

@@ -18,7 +18,7 @@ from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Samples
 from valvemap.model.shared_meter import SharedMeter, SharedMeterState
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.edges import NEVER_MET, UNKNOWN, gathered, matched
 from valvemap.vocabulary.signals import MEASURED
 from valvemap.vocabulary.statuses import Quality

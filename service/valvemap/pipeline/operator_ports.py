@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from valvemap.model.inversion import Inversion
-from valvemap.pipeline.results import AlarmReport, Compared, Remark, Version
+from valvemap.pipeline.alarm_results import AlarmReport, Remark
+from valvemap.pipeline.results import Compared, Version
 from valvemap.vocabulary.commands import NAMED, Subject
 from valvemap.vocabulary.statuses import Status
 

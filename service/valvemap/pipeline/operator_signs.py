@@ -7,7 +7,7 @@ from typing import Final
 MOST: Final = 8  # intervals that are kept
 LEAST: Final = 2  # intervals that tell how often signs come
 AWAKE_S: Final = 0.06  # s; longest interval between two looks in which no sign can be missed
-RANK: Final = 0.75  # of the intervals: one long or many short ones do not count as the rhythm
+RANK: Final = 0.75  # of the intervals: one long or many short ones are ignored
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,9 @@ class Plausibility:
         many samples have been right. So a sensor that failed for seconds does not reject all later
         samples, while pressures in psi that are too high in each cycle are rejected throughout.
         """
-        columns = np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1)
+        columns = np.empty((len(samples), 5))
+        for k, column in enumerate((samples.U, samples.p1, samples.p2, samples.Q, samples.T)):
+            columns[:, k] = column
         refused = np.empty(len(samples), np.bool_)
         counted = self._counts, self._times, self._sums
         kernel.count(samples.t, columns, samples.quality, *counted, segments, refused)

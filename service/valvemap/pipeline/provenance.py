@@ -8,7 +8,7 @@ import numpy as np
 
 from valvemap.model.capabilities import Forgetful, UsesTemperature
 from valvemap.model.estimator import StateMismatchError, key_of
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import kept_lanes
 from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.conversion import lane_in_flow_unit, memory_in_units
 from valvemap.pipeline.meaning import FLOW, other_scaling, rescaling
@@ -52,7 +52,7 @@ class ValveTerms:
         return found
 
     def kept(self, plan: ValvePlan) -> Collection[str]:
-        """Return the names of its estimators, and of what is kept beside them."""
+        """Return the names of its estimators, and of the states kept beside them."""
         return {*plan.estimators, *BESIDE}
 
     def is_beside(self, name: str) -> bool:
@@ -99,11 +99,9 @@ def _lane_as_now(
         own = _in_flow_unit(own, estimator, change)
         said.append(f"{other_scaling(*change.both, 'Q')}: converted")
     if change.T_differs:
-        lane = valve_state.lane_from_bytes(
-            own.state, estimator, own.lam, frozen=own.frozen, t=own.t
-        )
+        lane = kept_lanes.lane_from_bytes(own.state, estimator, own.lam, frozen=own.frozen, t=own.t)
         blank = replace(lane.support, cells=np.zeros_like(lane.support.cells))
-        own = replace(own, state=valve_state.lane_to_bytes(replace(lane, support=blank), own.key))
+        own = replace(own, state=kept_lanes.lane_to_bytes(replace(lane, support=blank), own.key))
         said.append("T is another or in another unit: the region of its samples begins empty")
     return own, [*said, *change.said()]
 
@@ -122,22 +120,22 @@ def _with_present_lam(
         return own, []
     if key_of(then) != own.key:
         return own, []
-    lane = valve_state.lane_from_bytes(own.state, then, own.lam, frozen=own.frozen, t=own.t)
+    lane = kept_lanes.lane_from_bytes(own.state, then, own.lam, frozen=own.frozen, t=own.t)
     said = f"lam was {lam:g}, now {estimator.lam:g}: kept"
-    return replace(own, key=key, state=valve_state.lane_to_bytes(lane, key)), [said]
+    return replace(own, key=key, state=kept_lanes.lane_to_bytes(lane, key)), [said]
 
 
 def _in_flow_unit(own: Checkpoint, estimator: AnyEstimator, change: _Change) -> Checkpoint:
     of_Q = rescaling(*change.both, "Q")
     why = other_scaling(*change.both, "Q")
-    lane = valve_state.lane_from_bytes(own.state, estimator, own.lam, frozen=own.frozen, t=own.t)
+    lane = kept_lanes.lane_from_bytes(own.state, estimator, own.lam, frozen=own.frozen, t=own.t)
     if of_Q.offset != 0.0:
         raise StateMismatchError(f"{why}: with an offset there is no exact conversion")
     try:
         converted = lane_in_flow_unit(lane, of_Q.gain)
     except StateMismatchError as error:
         raise StateMismatchError(f"{why}: {error}") from None
-    return replace(own, state=valve_state.lane_to_bytes(converted, own.key))
+    return replace(own, state=kept_lanes.lane_to_bytes(converted, own.key))
 
 
 def _memory_as_now(own: Checkpoint, change: _Change, alignment: Alignment) -> Checkpoint:

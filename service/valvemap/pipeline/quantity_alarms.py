@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Floats
+from valvemap.pipeline.alarm_results import AlarmReport, Remark
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
-from valvemap.pipeline.kernels import alarms as kernel
-from valvemap.pipeline.results import AlarmReport, Remark
+from valvemap.pipeline.kernels.alarm_steps import move_on
 from valvemap.vocabulary.statuses import Described
 
 Kind = TypeVar("Kind", bound=Described)
@@ -76,10 +76,10 @@ class QuantityAlarms(Generic[Kind]):
 
     def note(self, now: int, values: Mapping[Kind, float]) -> None:
         """Update with the quantity of each alarm; NaN is unknown and changes nothing."""
+        t, one, value, came = np.array([now]), np.zeros(1, np.int64), np.empty(1), np.empty(1, bool)
         for alarm, x in values.items():
-            t, one, value = np.array([now]), np.zeros(1, np.int64), np.array([x], np.float64)
-            limits, conditions, came = self._limits, self._conditions, np.empty(1, np.bool_)
-            kernel.move_on(one, t, t, value, self._numbers[alarm], limits, conditions, came)
+            value[0] = x
+            move_on(one, t, t, value, self._numbers[alarm], self._limits, self._conditions, came)
 
     def give_reason(self, alarm: Kind, reason: str) -> None:
         """Set the reason that the text of an alarm names."""

@@ -13,11 +13,12 @@ from valvemap.model.samples import Times
 from valvemap.pipeline.lane_failures import LaneFailure
 from valvemap.pipeline.plausibility import Finding
 from valvemap.pipeline.recommendation import Recommendation
+from valvemap.pipeline.required_signal import Required
 from valvemap.pipeline.results import Results, ValveResult
 from valvemap.pipeline.review import Reviewed
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import Lane, Required, ValveState
+from valvemap.pipeline.valve_state import Lane, ValveState
 from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 

@@ -5,7 +5,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valvemap.pipeline.places import FEWEST_PLACES, Ranking
+from valvemap.pipeline.place_errors import FEWEST_PLACES
+from valvemap.pipeline.place_ranking import Ranking
 
 CLEAR: Final = 0.95  # probability from which the recommended estimator is called better
 

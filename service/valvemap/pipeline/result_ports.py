@@ -7,7 +7,8 @@ from typing import Protocol
 import numpy as np
 
 from valvemap.model.samples import Floats, Times
-from valvemap.pipeline.results import AlarmReport, Results
+from valvemap.pipeline.alarm_results import AlarmReport
+from valvemap.pipeline.results import Results
 from valvemap.pipeline.source_ports import SourceCounters
 
 

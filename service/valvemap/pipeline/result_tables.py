@@ -1,4 +1,4 @@
-"""Results to publish, as arrays over valves with the same plan, and the valves' descriptions."""
+"""Results to publish, as arrays over valves with the same plan."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -6,17 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.capabilities import (
-    ChoosesStructure,
-    FindsLags,
-    Forgetful,
-    LinearInParameters,
-    finds_changes,
-)
-from valvemap.model.samples import Codes, Floats, Times
-from valvemap.pipeline import valve_state
+from valvemap.model.samples import Codes, Flags, Floats, Times
+from valvemap.pipeline import lane_predictions
+from valvemap.pipeline.alarm_results import AlarmResults
 from valvemap.pipeline.alignment import COUNTER_NAMES as OF_ALIGNMENT
-from valvemap.pipeline.all_valves import AllValves, once_each
+from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
@@ -29,25 +23,23 @@ from valvemap.pipeline.line_inverse import NO_ANSWER, LineAnswer, LineInverse
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
 from valvemap.pipeline.results import (
-    AlarmResults,
-    EstimatorDescription,
     EstimatorResults,
     InverseResults,
     LineResults,
     Results,
     SignalResults,
-    ValveDescription,
     ValveResult,
 )
 from valvemap.pipeline.sample_intake import SampleIntake
-from valvemap.pipeline.valve_state import AnyEstimator, ValvePlan
+from valvemap.pipeline.waiting_reasons import WaitingReasons
 from valvemap.vocabulary.signals import PUBLISHED
 from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 
 _MISSING = OF_ALIGNMENT.index("missing")
-_GUESSED = InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE
+_GUESSED = np.zeros(max(InverseStatus) + 1, np.bool_)
+_GUESSED[[InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE]] = True
 
 
 class ResultTables:
@@ -67,6 +59,11 @@ class ResultTables:
         State of their feed-forward.
     commands, lines
         Compute the answers to their standing demands.
+
+    Attributes
+    ----------
+    reasons : WaitingReasons
+        Why samples of valves are not used.
     """
 
     def __init__(
@@ -87,7 +84,7 @@ class ResultTables:
         self._approved = approved
         self._armed = armed
         self._commands = commands
-        self._of_source: dict[int, tuple[str, ...]] = {}
+        self.reasons = WaitingReasons(valves, arrivals, intake)
         self._dynamics: dict[int, DynamicsResults] = {}
         self._lines = lines
         self._alarms_base = 0  # added to the versions of alarms
@@ -132,7 +129,11 @@ class ResultTables:
         """Return which estimator of one valve is recommended, and why."""
         fleet, m = self._valves.at(valve)
         names = list(fleet.plan.estimators)
-        return recommendation(fleet.places.ranking(m), names, fleet.inverse(m))
+        return recommendation(fleet.maps.places.ranking(m), names, fleet.maps.inverse(m))
+
+    def waited_for(self, valve: int) -> tuple[str, ...]:
+        """Return what the source says of a valve's nodes, else its missing signals."""
+        return self.reasons.waited_for(valve)
 
     def note_dynamics(self, valve: int, found: DynamicsResults) -> None:
         """Note the dynamics of one valve; its results show them from now on."""
@@ -143,9 +144,9 @@ class ResultTables:
 
     def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
         """Results of the given valves; stopped valves are separate, and all if one raises."""
-        stopped = fleet.stopped()[self._valves.places[valves]]
-        running, found = np.flatnonzero(~stopped), []
-        alone = np.flatnonzero(stopped)
+        stopped = fleet.lanes.stopped()[self._valves.places[valves]]
+        running, found = (~stopped).nonzero()[0], []
+        alone = stopped.nonzero()[0]
         try:
             if len(running):
                 found.append(self._of_fleet(fleet, valves[running], at_best[running]))
@@ -252,34 +253,8 @@ class ResultTables:
                 self._arrivals.how_signals_come(valve, self._valves.plans[valve].nodes)
                 for valve in valves.tolist()
             ],
-            waiting=self._waiting(valves, at_best),
+            waiting=self.reasons.of(valves, at_best),
         )
-
-    def _waiting(self, valves: Times, at_best: Codes) -> list[tuple[str, ...]]:
-        """Reasons why given valves' (M,) samples are not used; else their signals at rest."""
-        plans, idle = self._valves.plans, at_best == Quality.BAD
-        idle |= self._intake.implausible[valves]
-        return [
-            self._reasons(valve)
-            if is_idle
-            else self._of_source.get(valve, ())
-            + self._arrivals.stand_still(valve, plans[valve].nodes)
-            for valve, is_idle in zip(valves.tolist(), idle.tolist(), strict=True)
-        ]
-
-    def _reasons(self, valve: int) -> tuple[str, ...]:
-        if self._intake.implausible[valve]:
-            return tuple(finding.sentence for finding in self._intake.findings(valve))
-        return self.waited_for(valve)
-
-    def waited_for(self, valve: int) -> tuple[str, ...]:
-        """Return what the source says of a valve's nodes, else its missing signals."""
-        said = self._of_source.get(valve)
-        return said or self._arrivals.waited_for(valve, self._valves.plans[valve].nodes)
-
-    def note_source(self, valve: int, words: tuple[str, ...]) -> None:
-        """Note what the source says of a valve's nodes."""
-        self._of_source[valve] = words
 
     def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
         """Flow's standard deviation due to sensor errors at each valve's newest sample, l/min."""
@@ -294,26 +269,26 @@ class ResultTables:
             newest = dict(zip(PUBLISHED, self._intake.newest.values[valve], strict=True))
             point = (np.array([newest[signal]]) for signal in ("U", "dp", "T"))
             lane = replace(fleet.lane(int(self._valves.places[valve]), name), accuracy=accuracy)
-            (found[k],) = valve_state.systematic(lane, *point)
+            (found[k],) = lane_predictions.systematic(lane, *point)
         return found
 
     def _inverse_results(
         self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
     ) -> InverseResults:
         M, places = len(valves), self._valves.places[valves]
-        inverses = fleet.inverses(places)
+        inverses = fleet.maps.inverses(places)
         t, quality = np.zeros(M, np.int64), np.zeros(M, np.uint8)
         for name, found in estimators.items():
             own = np.array([inverse == name for inverse in inverses])
             t[own], quality[own] = found.t[own], found.quality[own]
         U, lower, upper = np.full((3, M), np.nan)
         status = np.full(M, np.uint8(InverseStatus.NOT_FINITE))
-        demanded = np.isfinite(fleet.demands(places)).all(axis=1)
-        for k in np.flatnonzero(demanded):
+        demanded: Flags = np.asarray(np.isfinite(fleet.demands(places)).all(axis=1))
+        for k in demanded.nonzero()[0]:
             (U[k], lower[k], upper[k], status[k]), _ = self._commands.required(int(valves[k]))
             if not self._valves.runs(int(valves[k]), inverses[k]):
                 quality[k] = Quality.BAD
-        guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
+        guessed = (_GUESSED[status] & demanded).astype(np.float64)
         fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))
         return InverseResults(
             t=t,
@@ -333,44 +308,3 @@ class ResultTables:
         aligned[:, _MISSING] += self._intake.splitter.dropped[valves]
         aligned[:, _MISSING] += self._intake.meters.dropped[valves]
         return np.column_stack((aligned, rejected))
-
-
-def descriptions(plans: Sequence[ValvePlan]) -> tuple[ValveDescription, ...]:
-    """Return the descriptions of valves for a results server."""
-    described = once_each(_description)
-    return tuple(
-        ValveDescription(
-            name=plan.name,
-            estimators=tuple(
-                replace(described(estimator), name=name)
-                for name, estimator in plan.estimators.items()
-            ),
-            Q_range=(min(plan.map_Q), max(plan.map_Q)),
-            dp_range=(min(0.0, *plan.map_dp), max(plan.map_dp)),
-            map_Q=plan.map_Q,
-            map_dp=plan.map_dp,
-            counters=COUNTERS,
-            nameplate=plan.nameplate,
-            U_range=plan.U_range,
-            is_line=plan.part is not None and plan.part.edge is None,
-            is_driven=plan.is_driven,
-        )
-        for plan in plans
-    )
-
-
-def _description(estimator: AnyEstimator) -> EstimatorDescription:
-    return EstimatorDescription(
-        name="",
-        description=_first_line(estimator),
-        parameter_names=estimator.parameter_names,
-        has_forgetting_factor=isinstance(estimator, Forgetful),
-        finds_changes=finds_changes(estimator),
-        chooses_structure=isinstance(estimator, ChoosesStructure),
-        finds_lags=isinstance(estimator, FindsLags),
-        has_named_parameters=isinstance(estimator, LinearInParameters),
-    )
-
-
-def _first_line(thing: object) -> str:
-    return (type(thing).__doc__ or type(thing).__name__).strip().splitlines()[0]

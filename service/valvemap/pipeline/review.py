@@ -15,6 +15,7 @@ from valvemap.pipeline.meaning import (
     UNREADABLE,
     Meaning,
     digest_of,
+    meaning_of,
     other_accuracies,
     other_nodes,
     other_scaling,
@@ -218,7 +219,7 @@ def _successors(
 
 
 def _newest_meaning(rows: Iterable[Checkpoint]) -> Meaning | None:
-    known = [(row.t, Meaning.from_text(row.meaning)) for row in rows]
+    known = [(row.t, meaning_of(row.meaning)) for row in rows]
     said = [(t, meaning) for t, meaning in known if meaning is not None]
     return max(said, key=lambda one: one[0])[1] if said else None
 
@@ -266,7 +267,7 @@ def _meaning_of(row: Checkpoint, plan: Owner) -> Meaning | None:
         if it cannot be read and is not the present one.
     """
     if not row.meaning.startswith(UNREADABLE) or plan.meaning is None:
-        return Meaning.from_text(row.meaning)
+        return meaning_of(row.meaning)
     if row.meaning != f"{UNREADABLE}{digest_of(plan.meaning.to_text())}":
         raise StateMismatchError("the nodes and units that it was learnt from cannot be read")
     return plan.meaning

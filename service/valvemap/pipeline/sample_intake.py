@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Codes, Samples, Segments, Times, Trace
-from valvemap.pipeline.alignment import COUNTER_NAMES, ByValve
+from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.edges import LEAK, Splitter, gathered
 from valvemap.pipeline.fleet import Fleet
@@ -91,6 +92,8 @@ class SampleIntake:
         Of valves with ports, the lines come first: their leakage is not the edges' flow.
         """
         if not (self.splitter or self.meters):
+            if not len(arrived.samples):
+                return arrived
             self._note_newest(arrived)
             arrived = self._without_implausible(arrived)
             self._estimate(arrived)
@@ -100,7 +103,7 @@ class SampleIntake:
         self._estimate(lines)
         before = self.meters.dropped.copy()
         others, of_meters = self.meters.share(others, self._stop_alignment)
-        unmet = np.flatnonzero(self.meters.dropped > before)
+        unmet = (self.meters.dropped > before).nonzero()[0]
         for fleet, own in self._valves.by_fleet(unmet):
             self._note_losses(fleet, unmet[own])
         others, used = self.splitter.split(others, self._stop_alignment)
@@ -108,7 +111,7 @@ class SampleIntake:
             if valve in of_meters:
                 used[first:last] = of_meters[valve]
         self._note_newest(others)
-        rows, learnt = np.flatnonzero(used), others.segments.among(used)
+        rows, learnt = used.nonzero()[0], others.segments.among(used)
         some = ByValve(others.samples[rows], learnt.of(learnt.stops > learnt.starts))
         some = self._without_implausible(some)
         before_row = np.concatenate([np.zeros(1, np.int64), np.cumsum(used)])
@@ -192,9 +195,9 @@ class SampleIntake:
 
     def _start_again(self) -> None:
         """Align valves again whose alignment had raised, once an operator has reset them."""
-        for valve in np.flatnonzero(self._arrivals.failed).tolist():
+        for valve in self._arrivals.failed.nonzero()[0].tolist():
             fleet, m = self._valves.at(valve)
-            if not fleet.stopped()[m]:
+            if not fleet.lanes.stopped()[m]:
                 self._arrivals.start_again(valve)
 
     def _learn_arrived(self, arrived: ByValve) -> ByValve:
@@ -207,16 +210,15 @@ class SampleIntake:
         valves, _, stops = arrived.segments
         last, newest = arrived.samples[stops - 1], self.newest
         newest.t[valves], newest.quality[valves] = last.t, last.quality
-        columns = (getattr(last, name) for name in PUBLISHED)
-        newest.values[valves] = np.stack(list(columns), axis=1)
+        newest.values[valves] = np.array([getattr(last, name) for name in PUBLISHED]).T
 
     def _without_implausible(self, arrived: ByValve) -> ByValve:
         """Return the samples, with implausible ones marked BAD."""
         refused = self.plausibility.count(arrived.samples, arrived.segments)
         valves, starts, stops = arrived.segments
-        for k in np.flatnonzero(self._insists[valves]):
+        for k in self._insists[valves].nonzero()[0]:
             refused[starts[k] : stops[k]] = False
-        for k in np.flatnonzero(self.refuted[valves]):
+        for k in self.refuted[valves].nonzero()[0]:
             refused[starts[k] : stops[k]] = True
         return replace(arrived, samples=refuse(arrived.samples, refused))
 

@@ -65,6 +65,16 @@ class Found:
     deadband: Floats = field(default_factory=lambda: np.zeros(PER_VALVE))
 
 
+NOT_FOUND: Final = Found(
+    comes=np.zeros(PER_VALVE, np.int64),
+    offset=np.zeros(PER_VALVE, np.int64),
+    limit=np.zeros(PER_VALVE),
+    jitter=np.zeros(PER_VALVE),
+    period=0,
+    window=0,
+)
+
+
 def is_stamped_alike(changes: Changed, there: NDArray[np.bool_]) -> bool:
     """Whether the signals of a sample have one timestamp, as far as these changes show."""
     scans = _scans(changes, there)

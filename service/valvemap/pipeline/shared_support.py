@@ -7,6 +7,7 @@ stored bits, so sharing changes no result.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -84,9 +85,12 @@ class SharedSupport:
 
     def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the support of the given valves' maps; the result writes the copies back."""
-        rows, at = np.unique(self._of[:, members], return_inverse=True)
-        at, where = at.reshape(-1, len(members)), rows_of(rows)
-        copies = [buffer.copy(array, where) for array in self._arrays]
+        if len(self._of) == 1:
+            rows, copy_of = self._of[0, members], np.arange(len(members))
+        else:
+            rows, copy_of = np.unique(self._of[:, members], return_inverse=True)
+        at, where = copy_of.reshape(-1, len(members)), rows_of(rows)
+        copies = buffer.copies(self._arrays, where)
 
         def restore() -> None:  # `learn` may have moved an estimator to another row
             for array, copy in zip(self._arrays, copies, strict=True):
@@ -178,3 +182,27 @@ def _is_same(one: Support, other: Support) -> bool:
 
 def _longer(array: NDArray[Any], more: int) -> NDArray[Any]:
     return np.concatenate([array, np.zeros((more, *array.shape[1:]), array.dtype)])
+
+
+@dataclass(frozen=True)
+class SharedRests:
+    """The support of one estimator's maps, a view of the support shared by all estimators."""
+
+    shared: SharedSupport
+    number: int
+
+    def one(self, m: int) -> Support:
+        """Return a copy of the support of valve ``m``."""
+        return self.shared.one(self.number, m)
+
+    def put(self, m: int, support: Support) -> None:
+        """Replace the support of valve ``m``."""
+        self.shared.put(self.number, m, support)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Return the support of all valves as named arrays."""
+        return self.shared.columns(self.number)
+
+    def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Restore the support from the written arrays of `columns`."""
+        self.shared.take_up(self.number, arrays)

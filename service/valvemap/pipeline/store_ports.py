@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.samples import Floats, Times
-from valvemap.pipeline.results import AlarmChange
+from valvemap.pipeline.alarm_results import AlarmChange
 
 
 class KeptElsewhere(Protocol):

@@ -107,7 +107,7 @@ class Timing:
     def not_made(self, valves: Times) -> Times:
         """Number of scans of the given valves that gave no sample, (M,)."""
         found = np.zeros(len(valves), np.int64)
-        for k in np.flatnonzero(self._special[valves]):
+        for k in self._special[valves].nonzero()[0]:
             found[k] = self.valves[valves[k]].not_made
         return found
 
@@ -122,7 +122,7 @@ class Timing:
         held = np.zeros(len(self.valves), np.bool_)
         if not self._special.any():
             return held
-        for number in np.flatnonzero(self._special).tolist():
+        for number in self._special.nonzero()[0].tolist():
             found = self.valves[number].found
             held[number] = found is not None and bool((found.comes == Comes.HELD).any())
         return held

@@ -65,24 +65,44 @@ class Unit:
         return int.from_bytes(self.code.encode(), "big")
 
 
+def _gauge(symbol: str) -> tuple[str, ...]:
+    """Return the names of a unit of pressure against the atmosphere, or of a difference."""
+    ends = ("g", "(g)", "(gauge)", "rel", "(rel)", "ü", "(ü)", "d", "(d)")
+    return tuple(f"{symbol}{end}" for end in ends)
+
+
+def _absolute(symbol: str, factor: Fraction, *others: str) -> "Unit":
+    """Return the unit of a pressure against vacuum; inside, it is against the atmosphere."""
+    ends = ("a", "abs", "abs.", "(abs)", "absolute", "absolut")
+    names = tuple(f"{one}{end}" for one in (symbol, *others) for end in ends)
+    return Unit(f"{symbol}(a)", "", _P, factor, -_ATMOSPHERE, names)
+
+
 _PSI = Fraction("0.45359237") * Fraction("9.80665") / Fraction("0.0254") ** 2 / 100_000  # bar
 _GALLON = Fraction("3.785411784")  # US, l
 _IMPERIAL_GALLON = Fraction("4.54609")  # l
 _CUBIC_INCH = Fraction("2.54") ** 3 / 1000  # l
 _KELVIN = Fraction("273.15")
+_ATMOSPHERE = Fraction("1.01325")  # bar, the standard one
 
 _P, _F, _T = Quantity.PRESSURE, Quantity.FLOW, Quantity.TEMPERATURE
 UNITS: Final = (
     Unit("%", "P1", Quantity.OPENING, names=("percent", "pct", "prozent", "% open", "%fs")),
     Unit("1", "C62", Quantity.OPENING, Fraction(100), names=("0-1", "0..1", "ratio", "fraction")),
-    Unit("bar", "BAR", _P, names=("bars", "barg", "bar(g)", "bar g", "bara", "bar(a)", "bar a")),
-    Unit("mbar", "MBR", _P, Fraction(1, 1000), names=("millibar",)),
+    Unit("bar", "BAR", _P, names=("bars", *_gauge("bar"))),
+    Unit("mbar", "MBR", _P, Fraction(1, 1000), names=("millibar", *_gauge("mbar"))),
     Unit("Pa", "PAL", _P, Fraction(1, 100_000), names=("pascal",)),
     Unit("hPa", "A97", _P, Fraction(1, 1000), names=("hectopascal",)),
-    Unit("kPa", "KPA", _P, Fraction(1, 100), names=("kilopascal", "kpag", "kpaa")),
-    Unit("MPa", "MPA", _P, Fraction(10), names=("megapascal", "mpag", "mpaa", "n/mm2")),
-    Unit("psi", "PS", _P, _PSI, names=("psig", "psia", "psi(g)", "psi(a)", "lbf/in2", "lb/in2")),
+    Unit("kPa", "KPA", _P, Fraction(1, 100), names=("kilopascal", *_gauge("kPa"))),
+    Unit("MPa", "MPA", _P, Fraction(10), names=("megapascal", "n/mm2", *_gauge("MPa"))),
+    Unit("psi", "PS", _P, _PSI, names=("lbf/in2", "lb/in2", *_gauge("psi"))),
     Unit("kgf/cm²", "E42", _P, Fraction("0.980665"), names=("kg/cm2", "kp/cm2")),
+    _absolute("bar", Fraction(1)),
+    _absolute("mbar", Fraction(1, 1000)),
+    _absolute("kPa", Fraction(1, 100)),
+    _absolute("MPa", Fraction(10)),
+    _absolute("psi", _PSI),
+    _absolute("kgf/cm²", Fraction("0.980665"), "kg/cm2"),
     Unit("atm", "ATM", _P, Fraction("1.01325"), names=("atmosphere",)),
     Unit("l/min", "L2", _F, names=("lpm", "l/m", "ltr/min", "liter/min", "litre/min", "dm3/min")),
     Unit("l/s", "G51", _F, Fraction(60), names=("lps", "l/sec", "dm3/s")),
@@ -144,7 +164,9 @@ def _plain(text: str) -> str:
 
 
 _BY_NAME = {_plain(name): unit for unit in UNITS for name in (unit.symbol, *unit.names)}
-_BY_NUMBER = {unit.number: unit for unit in UNITS}
+_BY_NUMBER = {unit.number: unit for unit in UNITS if unit.code}
+_ABSOLUTE = {u.symbol.removesuffix("(a)"): u for u in UNITS if u.symbol.endswith("(a)")}
+_RELATIVE = {u.symbol: _BY_NAME[_plain(base)] for base, u in _ABSOLUTE.items()}
 
 
 def unit_of(text: str) -> Unit | None:
@@ -154,6 +176,29 @@ def unit_of(text: str) -> Unit | None:
     ('gpm', '°F', 'kgf/cm²')
     """
     return _BY_NAME.get(_plain(text))
+
+
+def absolute(unit: Unit) -> Unit:
+    """Return the unit of the same size against vacuum; the unit itself if there is none.
+
+    >>> [absolute(unit_of(text)).symbol for text in ("bar", "psia", "l/min")]
+    ['bar(a)', 'psi(a)', 'l/min']
+    """
+    return _ABSOLUTE.get(unit.symbol, unit)
+
+
+def relative(unit: Unit) -> Unit:
+    """Return the unit of the same size against the atmosphere, as of a difference.
+
+    >>> relative(unit_of("bar(a)")).symbol
+    'bar'
+    """
+    return _RELATIVE.get(unit.symbol, unit)
+
+
+def is_absolute(unit: Unit) -> bool:
+    """Whether a unit is that of a pressure against vacuum."""
+    return unit.symbol in _RELATIVE
 
 
 def unit_by_number(number: int) -> Unit | None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from valvemap.model.dynamics import LEAST_HZ, fit_dynamics
 from valvemap.model.samples import Samples
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.dynamics_reference import Outcome
 
 MOST_SAMPLES: Final = 60_000  # of a window, if samples come very quickly
@@ -114,7 +114,7 @@ class DynamicsInTurn:
 
 @dataclass
 class _Window:
-    """The newest samples of one valve, in batches of their own memory."""
+    """The newest samples of one valve, in batches with separate memory."""
 
     window_s: float
     _batches: deque[Samples] = field(default_factory=deque)

@@ -15,17 +15,23 @@ import numpy as np
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import presence
-from valvemap.pipeline.changed_columns import NOTHING, joined, part, room, without_first
+from valvemap.pipeline.changed_columns import NOTHING, joined, no_scans, part, room, without_first
 from valvemap.pipeline.kernels import scans as kernel
-from valvemap.pipeline.kernels.scans import NEVER, Changed, ScanRules, Scans
+from valvemap.pipeline.kernels.scans import NEVER, Changed, ScanRules
 from valvemap.pipeline.scan_search import (
     FEWEST_SCANS,
+    NOT_FOUND,
     SHORTEST_WINDOW_NS,
     Comes,
     Found,
     find_scans,
     is_stamped_alike,
     only_changes,
+)
+from valvemap.pipeline.timing_listening import (
+    MOST_HELD_BACK,
+    has_one_instant,
+    heard_long_enough,
 )
 from valvemap.pipeline.timing_state import (
     ALIKE,
@@ -38,12 +44,7 @@ from valvemap.pipeline.timing_state import (
 from valvemap.pipeline.timing_words import Words
 from valvemap.vocabulary.signals import PER_VALVE, Signal
 
-LISTEN_NS: Final = 5_000_000_000  # detection of the timing needs this long …
-LISTEN_VALUES: Final = 25  # … and this many values of the fastest signal, …
-LISTEN_LONGEST_NS: Final = 60_000_000_000  # … or this time …
-LISTEN_FEWEST: Final = 8  # … and this many values
 ENOUGH_PER_SIGNAL: Final = 20  # values until a source is accepted as using one timestamp
-MOST_HELD_BACK: Final = 8192  # changes held back per valve
 _PENDING: Final = 1024  # changes of a valve buffered for scans
 _AGAIN: Final = 1.25  # growth of the held-back changes between two attempts at detection
 _BACK: Final = ("back_signal", "back_value", "back_status", "back_time")
@@ -66,7 +67,7 @@ class ValveTiming:
         self.found: Found | None = None
         self._back = NOTHING
         self._looked_at = 0
-        self._scans = _no_scans(0)  # most valves need no scans
+        self._scans = no_scans(0)  # most valves need no scans
         self._command_moves = True  # U was not seen again unchanged
 
     def take(self, changes: Changed, *, flush: bool = False) -> Changed:
@@ -83,11 +84,11 @@ class ValveTiming:
 
         The signals had one timestamp so far, every ``period``; all are known up to ``newest``.
         """
-        found = replace(_NOT_FOUND, period=period, window=min(SHORTEST_WINDOW_NS, period // 4))
+        found = replace(NOT_FOUND, period=period, window=min(SHORTEST_WINDOW_NS, period // 4))
         comes = np.where(self._there, np.int64(Comes.WITH_THE_SCAN), np.int64(Comes.ABSENT))
         comes[Signal.U] = Comes.HELD
         self.found = replace(found, comes=comes, limit=np.full(PER_VALVE, np.inf))
-        self.stands, self._back, self._scans = IN_SCANS, NOTHING, _no_scans(_PENDING)
+        self.stands, self._back, self._scans = IN_SCANS, NOTHING, no_scans(_PENDING)
         self._scans.now_value[Signal.U] = command
         self._scans.now_time[Signal.U] = newest
         self._scans.seen[self._there] = newest
@@ -98,16 +99,15 @@ class ValveTiming:
             return self._doubt(newest)
         while len(self._back.time) >= _AGAIN * self._looked_at:
             self._looked_at = len(self._back.time)
-            end = self._end()
-            first = self._back if end < 0 else part(self._back, 0, end)
-            if self._has_one_instant(first):
+            end, heard = heard_long_enough(self._back, self._there, self._settings.horizon_ns)
+            if has_one_instant(heard, self._there):
                 self.stands = DOUBTFUL
                 return self._doubt(self._back)
             if end < 0:
                 break
-            found = find_scans(first, self._there)
+            found = find_scans(heard, self._there)
             if found is not None:
-                self._settle(found, first)
+                self._settle(found, heard)
                 back, self._back = self._back, NOTHING
                 return self._into_scans(back)
             self._back, self._looked_at = without_first(self._back, (end + 1) // 2), 0
@@ -122,16 +122,16 @@ class ValveTiming:
         if is_stamped_alike(part(back, 0, enough), self._there):
             self.stands, self._back = ALIKE, NOTHING
             return passed
-        end = self._end()
+        end, heard = heard_long_enough(self._back, self._there, self._settings.horizon_ns)
         if end < 0:
             if len(back.time) >= MOST_HELD_BACK:
                 self.stands, self._back = ALIKE, NOTHING
             return passed
-        found = find_scans(part(back, 0, end), self._there)
+        found = find_scans(heard, self._there)
         if found is None:
             self.stands, self._back = ALIKE, NOTHING
             return passed
-        self._settle(found, part(back, 0, end))
+        self._settle(found, heard)
         rest = len(back.time) - end
         cut = max(len(passed.time) - rest, 0)
         self._into_scans(part(back, 0, end))
@@ -140,40 +140,9 @@ class ValveTiming:
         self._back = NOTHING
         return joined(part(passed, 0, cut), on)
 
-    def _has_one_instant(self, back: Changed) -> bool:
-        common: Times | None = None
-        for j in np.flatnonzero(self._there):
-            own = np.unique(back.time[back.signal == j])
-            common = own if common is None else np.intersect1d(common, own, assume_unique=True)
-            if not len(common):
-                return False
-        return True
-
-    def _end(self) -> int:
-        """Number of changes needed to detect the timing; -1: not yet reached."""
-        newest = np.maximum.accumulate(self._back.time)
-        second, counted, few = (
-            self._first_with(number) for number in (2, LISTEN_VALUES, LISTEN_FEWEST)
-        )
-        if second == len(newest):
-            return -1
-        since = newest[second:] - newest[second]
-        soon = max(second + int(np.searchsorted(since, LISTEN_NS)), counted)
-        late = max(second + int(np.searchsorted(since, LISTEN_LONGEST_NS)), few)
-        end = min(soon, late, MOST_HELD_BACK - 1)
-        return end + 1 if end < len(newest) else -1
-
-    def _first_with(self, number: int) -> int:
-        """Index of the change at which a signal first has ``number`` values."""
-        signal = self._back.signal
-        places = (np.flatnonzero(signal == j) for j in np.flatnonzero(self._there))
-        return min(
-            (int(own[number - 1]) for own in places if len(own) >= number), default=len(signal)
-        )
-
     def _settle(self, found: Found, heard: Changed) -> None:
         self._command_moves = only_changes(heard, Signal.U)
-        self.found, self.stands, self._scans = found, IN_SCANS, _no_scans(_PENDING)
+        self.found, self.stands, self._scans = found, IN_SCANS, no_scans(_PENDING)
 
     def _into_scans(self, changes: Changed, *, flush: bool = False) -> Changed:
         found = self.found
@@ -252,7 +221,7 @@ class ValveTiming:
     @property
     def state(self) -> TimingState:
         """The whole state; buffers are trimmed to the part in use."""
-        found = self.found or _NOT_FOUND
+        found = self.found or NOT_FOUND
         size = self.pending
         arrays = self._scans._asdict()
         for name in ("time", "signal", "value", "status"):
@@ -283,7 +252,7 @@ class ValveTiming:
         """
         state.check(_like(state))
         stands = int(state.stands)
-        fresh = _no_scans(_PENDING if stands == IN_SCANS else 0)
+        fresh = no_scans(_PENDING if stands == IN_SCANS else 0)
         for name, own in fresh._asdict().items():
             kept = getattr(state, name)
             own[: len(kept)] = kept
@@ -306,43 +275,15 @@ def make_one_scan() -> None:
     valve.take(NOTHING, flush=True)
 
 
-_NOT_FOUND = Found(
-    comes=np.zeros(PER_VALVE, np.int64),
-    offset=np.zeros(PER_VALVE, np.int64),
-    limit=np.zeros(PER_VALVE),
-    jitter=np.zeros(PER_VALVE),
-    period=0,
-    window=0,
-)
-
-
 def _like(state: TimingState) -> TimingState:
     """Return an initial state with as many buffered changes as ``state``."""
     waiting, back = (np.size(array) for array in (state.time, state.back_time))
     if waiting > (_PENDING if np.all(state.stands == IN_SCANS) else 0):
         raise StateMismatchError("more is on its way than can be")
-    scans = _no_scans(waiting)
+    scans = no_scans(waiting)
     scans.course[kernel.SIZE] = waiting
     held_back = dict(zip(_BACK, room(back), strict=True))
     return replace(_NOTHING_SEEN, **scans._asdict(), **held_back)
-
-
-def _no_scans(room: int) -> Scans:
-    n = PER_VALVE
-    return Scans(
-        time=np.zeros(room, np.int64),
-        signal=np.zeros(room, np.int64),
-        value=np.zeros(room),
-        status=np.zeros(room, np.uint32),
-        now_value=np.zeros(n),
-        now_status=np.zeros(n, np.uint32),
-        now_time=np.full(n, NEVER),
-        now_rate=np.full(n, np.inf),
-        seen=np.full(n, NEVER),
-        lacking=np.zeros(n, np.int64),
-        moved=np.zeros(n, np.int64),
-        course=np.array([0, NEVER, NEVER, 0, 0], np.int64),
-    )
 
 
 _NOTHING_SEEN: Final = ValveTiming(TimingSettings(), optional=(), has_sequence=False).state

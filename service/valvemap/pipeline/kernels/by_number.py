@@ -9,6 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.pipeline.kernels.compiled import inlined, inner
+from valvemap.pipeline.kernels.number_course import (
+    EARLIER,
+    UNKNOWN,
+    course_of,
+    is_jump,
+    is_taken,
+    unwrapped,
+)
+from valvemap.pipeline.kernels.slot_signs import (
+    GONE,
+    NOT_YET,
+    is_missing,
+    is_old,
+    late_or_twice,
+    signals_in,
+)
 from valvemap.pipeline.kernels.waiting import (
     BASE,
     BEFORE_FIRST,
@@ -42,7 +58,6 @@ from valvemap.pipeline.kernels.waiting import (
     SEEN,
     SEQUENCE,
     SETTLE,
-    SIGNALS,
     SINCE,
     SIZE,
     TIME,
@@ -59,12 +74,6 @@ from valvemap.pipeline.kernels.waiting import (
 )
 
 _NUMBERED = 1 << SEQUENCE
-_GONE = 1 << 8  # a slot that was emitted or dropped; swept at once
-_NOT_YET = np.int64(2**62)  # later than any time
-_UNKNOWN, _PRESENT, _EARLIER = 0, 1, 2  # courses of the source's clock, between its steps
-_SLOW = 4  # usual steps; a longer step is a jump of the source's clock
-_SLACK_NS = 1e9  # tolerance of a duplicate's time from the line of number over time …
-_SLACK = 0.5  # … and as a share of its distance from the newest
 
 
 @inlined
@@ -94,8 +103,8 @@ def place_by_number(
         w.slots[v, k, NUMBER] = np.int64(value) & 0xFFFFFFFF
     else:
         w.values[v, k, j], w.status[v, k, j] = value, status
-        if _is_old(w.slots[v, k]):
-            w.counters[v, _late_or_twice(w, v, time)] += 1
+        if is_old(w.slots[v, k]):
+            w.counters[v, late_or_twice(w, v, time)] += 1
     w.slots[v, k, FILLED] |= 1 << j
     return k if w.slots[v, k, FILLED] == rules.required[v] | _NUMBERED else -1
 
@@ -104,38 +113,38 @@ def place_by_number(
 def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
     """Judge a complete sample by its number and time; return the command for `settle`."""
     order, slot, time = w.order[v], w.slots[v, k], w.slots[v, k, TIME]
-    number = _unwrapped(order, slot[NUMBER])
+    number = unwrapped(order, slot[NUMBER])
     last, of_before = order[LAST], order[FLOOR] != NEVER and time <= order[FLOOR]
     if of_before and order[BASE] != NO_NUMBER and number == order[BASE] + 1:
         order[FLOOR] = NEVER  # the source's clock was set back in this run
         of_before = False
     came_before = of_before and (last == NO_NUMBER or number != last + 1)
     at_step = False
-    taken = not came_before and _is_taken(w, v, k, number)
+    taken = not came_before and is_taken(w, v, k, number)
     if taken or (last != NO_NUMBER and number <= last and not came_before):
-        course = _course(order, number, time, rules.reorder[v])
-        at_step = course == _EARLIER and number >= order[FIRST]  # lost there, and late
-        if taken or course == _UNKNOWN or (time > order[HIGH] and not at_step):
-            if _is_old(slot):
-                w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
-            slot[OPENED] = _NOT_YET  # keep it, whatever is emitted before it
+        course = course_of(order, number, time, rules.reorder[v])
+        at_step = course == EARLIER and number >= order[FIRST]  # lost there, and late
+        if taken or course == UNKNOWN or (time > order[HIGH] and not at_step):
+            if is_old(slot):
+                w.counters[v, late_or_twice(w, v, time)] -= signals_in(rules.required[v])
+            slot[OPENED] = NOT_YET  # keep it, whatever is emitted before it
             return BEGIN_ANEW
         came_before = True
     if came_before:
-        if at_step and _is_old(slot):
-            w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
-        if at_step or not _is_old(slot):
+        if at_step and is_old(slot):
+            w.counters[v, late_or_twice(w, v, time)] -= signals_in(rules.required[v])
+        if at_step or not is_old(slot):
             late = at_step or (of_before and (last == NO_NUMBER or number > last))
-            w.counters[v, LATE if late else DUPLICATES] += _signals(rules.required[v])
-        slot[FILLED] = _GONE
+            w.counters[v, LATE if late else DUPLICATES] += signals_in(rules.required[v])
+        slot[FILLED] = GONE
         return SETTLE
-    if _is_old(slot):  # the source's clock was set back
-        w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
-        slot[OPENED] = _NOT_YET
+    if is_old(slot):  # the source's clock was set back
+        w.counters[v, late_or_twice(w, v, time)] -= signals_in(rules.required[v])
+        slot[OPENED] = NOT_YET
     slot[NUMBER] = number
     order[BASE] = max(order[BASE], number)
     step = time - order[NEWEST]
-    if order[NEWEST] == NEVER or _is_jump(order, step, rules.max_wait, rules.reorder[v]):
+    if order[NEWEST] == NEVER or is_jump(order, step, rules.max_wait, rules.reorder[v]):
         order[NEWEST] = time
     elif step > 0:
         order[ELAPSED] += step
@@ -163,9 +172,9 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
             command = MAKE_ROOM
         slot, last = w.slots[v, k], order[LAST]
         number, time = slot[NUMBER], slot[TIME]
-        slot[FILLED] = _GONE
+        slot[FILLED] = GONE
         if last != NO_NUMBER and number <= last:  # the same number at two times
-            w.counters[v, DUPLICATES] += _signals(rules.required[v])
+            w.counters[v, DUPLICATES] += signals_in(rules.required[v])
             continue
         if last == NO_NUMBER or number > last + 1:
             _give_up(w, v, last, number, time, rules.max_wait)
@@ -180,7 +189,7 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
             is_back = step <= 0 or (is_early and order[REGULAR] == ENOUGH)
             w.counters[v, CLOCK_STEPS] += is_back
             jump = max(step, excess)
-            if is_back or _is_jump(order, jump, rules.max_wait, rules.reorder[v]):
+            if is_back or is_jump(order, jump, rules.max_wait, rules.reorder[v]):
                 order[FIRST], order[FIRST_TIME] = last + 1, time - usual
                 order[BEFORE_FIRST] = order[LAST_TIME]
         keep_pace(order, w.counters[v], time, 0 if last == NO_NUMBER else number - last)
@@ -189,8 +198,8 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
         order[GIVEN_UP] = 0
     if command == MAKE_ROOM and gone == 0 and size > 0:
         first = w.slots[v, 0]
-        order[GIVEN_UP] += _is_missing(first)
-        first[SINCE] = _NOT_YET
+        order[GIVEN_UP] += is_missing(first)
+        first[SINCE] = NOT_YET
     if command == BEGIN_ANEW:
         order[LAST] = order[BASE] = NO_NUMBER
         order[FLOOR] = order[NEWEST] = NEVER
@@ -216,7 +225,7 @@ def _next(w: Waiting, v: int, command: int, rules: Rules) -> int:
     order, lowest, waited = w.order[v], -1, np.int64(-1)
     for k in range(order[SIZE]):
         slot = w.slots[v, k]
-        if slot[SINCE] == NEVER or slot[FILLED] == _GONE:
+        if slot[SINCE] == NEVER or slot[FILLED] == GONE:
             continue
         waited = max(waited, order[ELAPSED] - slot[SINCE])
         if lowest < 0 or slot[NUMBER] < w.slots[v, lowest, NUMBER]:
@@ -237,77 +246,27 @@ def _next(w: Waiting, v: int, command: int, rules: Rules) -> int:
 
 
 @inner
-def _unwrapped(order: NDArray[np.int64], raw: int) -> int:
-    """Unwrap a running number (UInt32)."""
-    base: int = order[BASE]
-    if base == NO_NUMBER:
-        return raw
-    step = (raw - base) & 0xFFFFFFFF
-    return base + (step if step < 0x80000000 else step - 0x100000000)
-
-
-@inner
-def _course(order: NDArray[np.int64], number: int, time: int, reorder: int) -> int:
-    """Return the course of the clock, present or earlier, on whose line number and time lie.
-
-    The earlier course is continued where the clock was set back by less than ``reorder``: samples
-    lost there may come late. Beyond that, numbers that repeat are those of a restarted source.
-    """
-    step = np.float64(order[PERIOD])
-    if order[LAST] > order[FIRST] and order[LAST_TIME] > order[FIRST_TIME]:
-        step = (order[LAST_TIME] - order[FIRST_TIME]) / (order[LAST] - order[FIRST])
-    last, last_time = order[LAST], order[LAST_TIME]
-    for course in (_PRESENT, _EARLIER):
-        behind = np.float64(last - number) * step
-        slack = _SLACK_NS + _SLACK * max(behind, 0.0)
-        if abs(np.float64(last_time) - behind - np.float64(time)) <= slack:
-            return course
-        is_continued = order[HIGH] < time <= order[LAST_TIME] + reorder
-        if order[BEFORE_FIRST] == NEVER or (number >= order[FIRST] and not is_continued):
-            return _UNKNOWN
-        last, last_time = order[FIRST] - 1, order[BEFORE_FIRST]
-    return _UNKNOWN
-
-
-@inner
-def _is_taken(w: Waiting, v: int, k: int, number: int) -> bool:
-    """Whether another waiting sample has the number: the source restarted before it was emitted."""
-    for m in range(w.order[v, SIZE]):
-        slot = w.slots[v, m]
-        if m != k and slot[SINCE] != NEVER and slot[FILLED] != _GONE and slot[NUMBER] == number:
-            return True
-    return False
-
-
-@inner
-def _is_jump(order: NDArray[np.int64], step: int, max_wait: int, reorder: int) -> bool:
-    """Whether a step of this many ns between samples is a step of the source's clock."""
-    longest = max(max_wait, reorder)
-    return bool(step > max(longest, _SLOW * order[PERIOD]) or step < -longest)
-
-
-@inner
 def _give_up(w: Waiting, v: int, last: int, number: int, time: int, max_wait: int) -> None:
     """Drop samples between two numbers: incomplete ones count as missing, the rest as gaps."""
     order = w.order[v]
     given_up = order[GIVEN_UP]
     for k in range(order[SIZE]):
         slot = w.slots[v, k]
-        if slot[FILLED] == _GONE or slot[SINCE] != NEVER or slot[TIME] >= time:
+        if slot[FILLED] == GONE or slot[SINCE] != NEVER or slot[TIME] >= time:
             continue
         if last == NO_NUMBER:  # nothing is missing before the first sample
             is_before = time - slot[TIME] <= max_wait  # else the clock may have been set back
             if is_before and (order[HIGH] == NEVER or slot[TIME] > order[HIGH]):
-                slot[FILLED] = _GONE
+                slot[FILLED] = GONE
             continue
         known = slot[FILLED] & _NUMBERED != 0
-        if known and not last < _unwrapped(order, slot[NUMBER]) < number:
+        if known and not last < unwrapped(order, slot[NUMBER]) < number:
             continue
         if not known and slot[TIME] <= order[HIGH]:
             continue
         given_up += 1
         w.counters[v, MISSING] += 1
-        slot[FILLED] = _GONE
+        slot[FILLED] = GONE
     if last != NO_NUMBER:
         w.counters[v, GAPS] += max(np.int64(0), number - last - 1 - given_up)
         row = w.lost[v, order[GAPS_KEPT] % w.lost.shape[1]]
@@ -322,45 +281,15 @@ def _sweep(w: Waiting, v: int, rules: Rules) -> None:
     high = order[HIGH]
     for k in range(order[SIZE]):
         slot = w.slots[v, k]
-        if slot[FILLED] == _GONE:
+        if slot[FILLED] == GONE:
             continue
         opened, since = slot[OPENED], slot[SINCE]
         newest = order[LAST_TIME] if opened == NEVER else high  # the clock may have been set back
         passed = since == NEVER and high != NEVER and slot[TIME] <= newest
-        if since == _NOT_YET or (passed and (opened == NEVER or high - opened > rules.max_wait)):
-            w.counters[v, MISSING] += _is_missing(slot)
+        if since == NOT_YET or (passed and (opened == NEVER or high - opened > rules.max_wait)):
+            w.counters[v, MISSING] += is_missing(slot)
             continue
         if kept != k:
             move(w, v, k, kept)
         kept += 1
     order[SIZE] = kept
-
-
-@inner
-def _is_missing(slot: NDArray[np.int64]) -> bool:
-    """Whether an incomplete sample counts as missing: not before the first, nor dropped already."""
-    return bool(slot[OPENED] != NEVER and slot[TIME] > slot[OPENED])
-
-
-@inner
-def _is_old(slot: NDArray[np.int64]) -> bool:
-    """Whether a newer sample was emitted before this one began to arrive."""
-    return bool(slot[TIME] <= slot[OPENED] < _NOT_YET)
-
-
-@inner
-def _late_or_twice(w: Waiting, v: int, time: int) -> int:
-    """Counter of a signal older than the last sample: LATE if dropped before, else DUPLICATES."""
-    for row in range(min(w.order[v, GAPS_KEPT], w.lost.shape[1])):
-        if w.lost[v, row, 0] < time < w.lost[v, row, 1]:
-            return LATE
-    return DUPLICATES
-
-
-@inner
-def _signals(filled: int) -> int:
-    """Number of signals in a slot, without the running number."""
-    count = 0
-    for m in range(SIGNALS):
-        count += (filled >> m) & 1
-    return count
