@@ -1,11 +1,12 @@
-"""valvemap in scripts and notebooks: what is named here stays; the rest of the code may move.
+"""valvemap for scripts and notebooks: the public names, each loaded on first use.
 
-Each name is loaded when it is first used.
+These names are stable. Modules and names below them may change with any release.
 
 Estimators on arrays:
 
 `recursive_least_squares`, `recursive_maximum_likelihood`
-    theta, its history, innovations, covariance of X (N, n) and y (N,), or of y and u.
+    Parameters theta with history, innovations and covariance: from regressors X (N, n) and output
+    y (N,), or from output y and inputs u.
 `FlowMapRegressor`
     The flow map as a scikit-learn estimator (extra ``sklearn``).
 `AutoFlowMap`
@@ -18,7 +19,7 @@ Recordings and maps:
 `fit`
     One valve's map from a recording: a path, a data frame, a dict of arrays.
 `replay`
-    Recordings through the service's own pipeline: what each estimator knows at the end.
+    Recordings through the pipeline of the live service; returns each estimator's map and its fit.
 `load_config`, `Config`
     Configurations (TOML) and their schema.
 `open_model`, `Model`
@@ -28,7 +29,7 @@ Recordings and maps:
 `Samples`
     Aligned samples: U (%), p1, p2 (bar), Q (l/min), T (°C), t (UTC ns).
 `ValvemapError`
-    What all of it raises, a sentence for the user.
+    Base of all exceptions; the text is one sentence for the user.
 
 Examples
 --------
@@ -52,9 +53,9 @@ if TYPE_CHECKING:
     from valvemap.config.loading import load_config
     from valvemap.config.models import Config
     from valvemap.errors import ValvemapError
+    from valvemap.model.armax import recursive_maximum_likelihood
     from valvemap.model.inverse_map import invert
-    from valvemap.model.maximum_likelihood import recursive_maximum_likelihood
-    from valvemap.model.recursive_least_squares import recursive_least_squares
+    from valvemap.model.least_squares_of_arrays import recursive_least_squares
     from valvemap.model.samples import Samples
     from valvemap.sklearn import AutoFlowMap, FlowMapRegressor
     from valvemap.storage.recordings import read_recording
@@ -75,7 +76,7 @@ __all__ = [
     "replay",
 ]
 
-if find_spec("sklearn") is not None:  # help() looks at every name
+if find_spec("sklearn") is not None:  # help() loads every name
     __all__ += ["AutoFlowMap", "FlowMapRegressor"]
 
 _HOMES = {
@@ -90,8 +91,8 @@ _HOMES = {
     "load_config": "valvemap.config.loading",
     "open_model": "valvemap.app.models",
     "read_recording": "valvemap.storage.recordings",
-    "recursive_least_squares": "valvemap.model.recursive_least_squares",
-    "recursive_maximum_likelihood": "valvemap.model.maximum_likelihood",
+    "recursive_least_squares": "valvemap.model.least_squares_of_arrays",
+    "recursive_maximum_likelihood": "valvemap.model.armax",
     "replay": "valvemap.app.replay",
 }
 

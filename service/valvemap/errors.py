@@ -1,25 +1,25 @@
-"""Everything that valvemap raises for a user to read, beside `guarded_opcua.errors`.
+"""Exceptions of valvemap, whose text is for the user; `guarded_opcua.errors` has the server's.
 
 ::
 
     ValvemapError                 one line for the user, exit code 1
     ├── ConfigurationError        a file, field or argument is wrong, exit code 2
     ├── RecordingError            a recording cannot be read or written
-    │   └── NoRecording           it is not there, or of no known kind, exit code 2
+    │   └── NoRecording           no such file, or of unknown format, exit code 2
     ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
-    │   ├── NoSuchFile            what was named is not there, exit code 2
+    │   ├── NoSuchFile            the named file does not exist, exit code 2
     │   └── StateFileLost         removed or replaced while in use; a new file was made
     ├── FleetError                broker, topics or memory of a fleet cannot be used
-    │   ├── BrokerAway            worth another try: no broker can be reached
+    │   ├── BrokerAway            a retry may succeed: no broker can be reached
     │   ├── BlockError            a message is no block that can be read
     │   └── DamagedState          a group's state is damaged; the group can start without it
     ├── CommandRejected           an operator's command cannot be carried out
     ├── SinkError                 the MQTT broker cannot be used
-    │   ├── SinkLost              worth another try: connection refused, cut, silent
-    │   └── SinkRejected          it answered, and refuses us; or its certificate is not trusted
+    │   ├── SinkLost              a retry may succeed: connection refused, cut, silent
+    │   └── SinkRejected          a retry is useless: it refuses us, or is not trusted
     └── SourceError               the source server
-        ├── SourceLost            worth another try: connection refused, cut, silent
-        └── SourceRejected        another try will not help: certificate, user, node, type
+        ├── SourceLost            a retry may succeed: connection refused, cut, silent
+        └── SourceRejected        a retry is useless: certificate, user, node, type
 """
 
 
@@ -84,7 +84,7 @@ class SinkError(ValvemapError):
 
 
 class SinkLost(SinkError):  # noqa: N818 - it says what happened
-    """The connection failed or went silent: worth another try."""
+    """The connection failed or went silent; a retry may succeed."""
 
 
 class SinkRejected(SinkError):  # noqa: N818
@@ -100,4 +100,4 @@ class SourceLost(SourceError):  # noqa: N818
 
 
 class SourceRejected(SourceError):  # noqa: N818
-    """The source answered, and another try will not change its answer."""
+    """The source answered, and a retry would get the same answer."""

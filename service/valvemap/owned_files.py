@@ -40,12 +40,12 @@ def written_aside(file: Path) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(file))  # a link stays a link
     if target.exists() and not target.is_file():
-        with _naming(file):
+        with naming(file):
             yield target
         return
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}{ASIDE}")
     try:
-        with _naming(file):
+        with naming(file):
             yield draft
             if target.exists():
                 shutil.copymode(target, draft)
@@ -54,6 +54,15 @@ def written_aside(file: Path) -> Iterator[Path]:
             _to_disk(target.parent)
     finally:
         draft.unlink(missing_ok=True)
+
+
+@contextmanager
+def naming(file: Path) -> Iterator[None]:
+    """Raise an OSError as a StorageError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
 
 
 def _to_disk(path: Path) -> None:
@@ -65,11 +74,3 @@ def _to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-@contextmanager
-def _naming(file: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None

@@ -1,10 +1,14 @@
 """The flow map as a scikit-learn regressor (extra ``[sklearn]``)."""
 
+import math
+import warnings
+from collections.abc import Sequence
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from valvemap.model.extrapolation import ABOUT_DP, ABOUT_U, within_ranges
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Exponential, Forgetting
 from valvemap.model.least_squares_answers import parameter_covariance, predict
@@ -39,6 +43,20 @@ EXPECTED_FAILURES: Final = dict.fromkeys(
 )
 """Checks of scikit-learn that `AutoFlowMap` fails, and why: ``check_estimator(AutoFlowMap(),
 expected_failed_checks=EXPECTED_FAILURES)`` passes."""
+
+
+_MOST_BEYOND: Final = 0.01  # of the rows
+_HARDLY: Final = 0.05  # of both ranges; no map is of so small a part
+
+
+def _range(name: str, given: Sequence[float]) -> tuple[float, float]:
+    try:
+        low, high = map(float, given)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not (math.isfinite(high - low) and low < high):
+        raise ValueError(f"{name} is {given!r}; a low and a high end are allowed, as (0, 100)")
+    return low, high
 
 
 class _SampleBySample(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -184,25 +202,41 @@ class AutoFlowMap(_SampleBySample):
         self,
         lam: float = 0.998,
         interval: float = 0.01,
-        U_range: tuple[float, float] = (0.0, 100.0),
-        dp_range: tuple[float, float] = (0.0, 200.0),
+        U_range: Sequence[float] = (0.0, 100.0),
+        dp_range: Sequence[float] = (0.0, 200.0),
     ) -> None:
         self.lam = lam
         self.interval = interval
         self.U_range = U_range
         self.dp_range = dp_range
 
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from N samples and from no earlier ones: X (N, n_features), y (N,) in l/min."""
+        super().fit(X, y)
+        U, dp, _ = self._signals(validate_data(self, X, dtype=np.float64, reset=False))
+        self._warn_of_ranges(U, dp)
+        return self
+
     def predict(self, X: ArrayLike, *, return_std: bool = False) -> Floats | tuple[Floats, Floats]:
-        """Flow (N,), l/min, and if wanted its standard deviation (N,), NaN where unknown."""
+        """Flow (N,), l/min, and if wanted its standard deviation (N,), NaN where unknown.
+
+        Beyond the ranges the flow is that of the border, and its standard deviation is unknown.
+        """
         check_is_fitted(self)
         rows = validate_data(self, X, dtype=np.float64, reset=False)
-        Q, std = self._auto().predict(self.state_, *self._signals(rows))
+        auto, (U, dp, T) = self._auto(), self._signals(rows)
+        Q, std = auto.predict(self.state_, U, dp, T)
+        std = np.where(within_ranges(auto, U, dp), std, np.nan)
         return (Q, std) if return_std else Q
 
     def _begin(self) -> None:
         if self.n_features_in_ not in (2, 3):
             raise ValueError(
                 f"X has {self.n_features_in_} feature(s); U, dp or U, dp, T are allowed"
+            )
+        if not self.interval > 0.0:
+            raise ValueError(
+                f"interval is {self.interval!r}; a number of seconds above 0 is allowed"
             )
         self.state_ = self._auto().initial_state()
         self._seen = 0
@@ -217,8 +251,23 @@ class AutoFlowMap(_SampleBySample):
         self.structure_ = self._auto().describe(self.state_)
         return self
 
+    def _warn_of_ranges(self, U: Floats, dp: Floats) -> None:
+        """Warn of samples that this map cannot have: beyond its ranges, or scaled."""
+        auto = self._auto()
+        shown = (
+            f"U is {U.min():.3g} … {U.max():.3g} % and dp {dp.min():.3g} … {dp.max():.3g} bar; "
+            f"U_range = {auto.U_range}, dp_range = {auto.dp_range}"
+        )
+        beyond = 1.0 - float(np.mean(within_ranges(auto, U, dp, ABOUT_U, ABOUT_DP)))
+        spans = np.ptp(auto.U_range), np.ptp(auto.dp_range)
+        if beyond > _MOST_BEYOND:
+            warnings.warn(f"{beyond:.0%} of the rows are not learnt: {shown}", stacklevel=3)
+        elif np.ptp(U) < _HARDLY * spans[0] and np.ptp(dp) < _HARDLY * spans[1]:
+            warnings.warn(f"X is in % and bar, without a scaler: {shown}", stacklevel=3)
+
     def _auto(self) -> FlowMap:
-        return FlowMap(self.U_range, self.dp_range, self.lam)
+        U_range, dp_range = _range("U_range", self.U_range), _range("dp_range", self.dp_range)
+        return FlowMap(U_range, dp_range, self.lam)
 
     def _signals(self, X: Floats) -> tuple[Floats, Floats, Floats]:
         U, dp, *others = (np.ascontiguousarray(column) for column in X.T)

@@ -9,11 +9,13 @@ from functools import partial
 
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, ServerSettings, UserStore
 from support.plant import plant
 from support.results import results_settings
+from support.served import patient
+from support.users import CHEAP
 from valvemap.config.estimators import build_estimator, default_estimators
 from valvemap.errors import CommandRejected
 from valvemap.opcua_results.results_server import ResultsServer
@@ -48,7 +50,7 @@ NO_ANSWER = {ua.StatusCodes.BadInternalError}
 
 
 def operators():
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("operator", Role.OPERATOR, PASSWORD)
     return users
 
@@ -116,7 +118,7 @@ async def publish(server, known):
 
 
 def as_operator(url):
-    client = Client(url)
+    client = patient(url)
     client.set_user("operator")
     client.set_password(PASSWORD)
     return client

@@ -5,22 +5,22 @@ import dataclasses
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 from pydantic import SecretStr
 
 from guarded_opcua import Role
 from guarded_opcua.security.users import UserStore
 from support.press import SCENARIO
 from support.processes import free_port, rig_url
-from support.served import PASSWORD, serving
+from support.served import PASSWORD, patient, serving
 from valvemap.app.axes import axes_file, plan_of
 from valvemap.app.serve import serve
 from valvemap.config.loading import load_config
 from valvemap.model.axis import AxisRegression
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.estimator import StateMismatchError
-from valvemap.pipeline.axes import LEARNT, Axis
-from valvemap.pipeline.kept_axes import Learnt, pack, unpack
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.kept_axes import LEARNT, Learnt, pack, unpack
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
@@ -153,7 +153,7 @@ async def check_feed_forward(seen, url):
     async def call(name):
         await inverse.call_method(ua.NodeId(f"Press.Inverse.{name}", seen.index))
 
-    async with Client(url) as rig:
+    async with patient(url) as rig:
         index = await rig.get_namespace_index("urn:valvemap:rig")
         command = rig.get_node(ua.NodeId("Axis.UCommand", index))
         assert await seen.value("Inverse.FeedForwardStatus") == FeedForwardStatus.DISARMED

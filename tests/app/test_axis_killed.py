@@ -10,7 +10,8 @@ import pytest
 from support.small_plant import FakeSource
 from valvemap.clock import ManualClock
 from valvemap.model.axis import AxisGeometry
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_ports import RequiredU
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
@@ -54,7 +55,7 @@ async def played(killed_s, seconds):
     source, state = Written(clock), initial(scenario, 0)
     plan = AxisPlan("Axis", AxisGeometry(63, 45, 800, 1.2, 1.2), feed_forward=SETTINGS)
     axis = Axis(plan)
-    axis._known = object()
+    axis._learner.known = object()
     led = LedAxes([axis], lambda _: 0.0, lambda _: None, lambda *_: None)
     writer, rows, lead = FeedForwardWriter(led, 2, source, clock), [], 0.0
     led.arm(0, armed=True)

@@ -13,11 +13,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.press import SCENARIO
 from support.processes import free_port, program, rig_url, service_url
-from support.served import PASSWORD, Seen
+from support.served import PASSWORD, Seen, patient
 from valvemap.app.axes import axes_file, plan_of
 from valvemap.config.loading import load_config
 from valvemap.model.axis import AxisRegression, AxisSamples
@@ -119,7 +119,7 @@ def written(tmp_path):
 async def as_operator(url, password):
     async with asyncio.timeout(120):
         while True:
-            client = Client(url, timeout=30.0)  # a busy machine answers late
+            client = patient(url)  # a busy machine answers late
             client.set_user("operator")
             client.set_password(password)
             try:

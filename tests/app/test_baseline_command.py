@@ -7,6 +7,7 @@ import pytest
 from guarded_opcua import Role, UserStore
 from support.plant import as_changes, plant
 from support.results import results_settings
+from support.users import CHEAP
 from valvemap.app.baseline import Action, act
 from valvemap.app.page_access import Watched, settings_of
 from valvemap.cli import run
@@ -30,7 +31,7 @@ VALVE = "V7"
 async def served(tmp_path):
     plan = ValvePlan(VALVE, QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
     identification = Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     settings = results_settings(users=users, none_on_loopback=True)
     described = identification.descriptions()
     async with ResultsServer(settings, described, identification) as server:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from support.feeding import PASSWORD, VALVE, Heard, ListeningRig, settings
-from valvemap.app.commission import CommissionRun, settings_of
+from valvemap.app.commission import CommissionRun
+from valvemap.app.commission_settings import settings_of
 from valvemap.config.commission import CommissionConfig
 from valvemap.config.connections import SourceConfig
 from valvemap.config.models import Config

@@ -6,9 +6,10 @@ import sys
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.processes import free_port, is_open, rig_url, running, service_url, wait_for
+from support.served import patient
 from valvemap.vocabulary.statuses import InverseStatus
 
 pytestmark = pytest.mark.waits
@@ -30,13 +31,13 @@ def demo(tmp_path_factory):
 
 @pytest.fixture
 async def service(demo):
-    async with Client(service_url(demo["service"])) as client:
+    async with patient(service_url(demo["service"])) as client:
         yield client
 
 
 @pytest.fixture
 async def operator(demo):
-    client = Client(service_url(demo["service"]))
+    client = patient(service_url(demo["service"]))
     client.set_user("operator")
     client.set_password(demo["password"])
     async with client:
@@ -53,7 +54,7 @@ async def test_both_servers_are_browsed_from_their_objects(demo, service):
     path = [f"{index}:{name}" for name in ("Identification", "Valvistor", "RLS", "ParameterVector")]
     found = await service.nodes.objects.get_child(path)
     assert found.nodeid == ua.NodeId("Valvistor.RLS.ParameterVector", index)
-    async with Client(rig_url(demo["rig"])) as rig:
+    async with patient(rig_url(demo["rig"])) as rig:
         index = await rig.get_namespace_index("urn:valvemap:rig")
         path = [f"{index}:{name}" for name in ("TestRig", "Valvistor", "p1")]
         found = await rig.nodes.objects.get_child(path)
@@ -124,7 +125,7 @@ HARMLESS = {"Predict", "PredictMeasurement", "Invert", "Compare"}
 @pytest.mark.parametrize("server", ["rig", "service"])
 async def test_no_variable_takes_a_value_from_nobody_and_no_method_a_command(demo, server):
     url = rig_url(demo["rig"]) if server == "rig" else service_url(demo["service"])
-    async with Client(url) as client:
+    async with patient(url) as client:
         index = await client.get_namespace_index(f"urn:valvemap:{server}")
         waiting, variables, methods = [client.nodes.objects], [], []
         while waiting:

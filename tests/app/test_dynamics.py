@@ -3,12 +3,12 @@
 import dataclasses
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role
 from guarded_opcua.security.users import UserStore
 from support.processes import free_port, rig_url
-from support.served import PASSWORD, serving
+from support.served import PASSWORD, patient, serving
 from valvemap.app.serve import serve
 from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
@@ -31,7 +31,7 @@ spool_hz = 8
 
 async def slow_down(url):
     """Halve the natural frequency of the rig's spool."""
-    client = Client(url)
+    client = patient(url)
     client.set_user("operator")
     client.set_password("password")
     async with client:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.feeding import (
     DP,
@@ -27,6 +27,7 @@ from support.feeding import (
     open_settings,
 )
 from support.processes import READY_S, free_port, service_url
+from support.served import patient
 from valvemap.app.serve import serve
 from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus
 
@@ -119,7 +120,7 @@ class Stage:
 
 @asynccontextmanager
 async def operating(url):
-    client = Client(url)
+    client = patient(url)
     client.set_user("operator")
     client.set_password(PASSWORD)
     async with client:

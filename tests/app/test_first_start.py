@@ -1,5 +1,6 @@
 """SIGTERM while a first start imports and compiles: the service ends at once, with 0."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -69,5 +70,41 @@ starting.wait()
 def test_an_end_while_another_process_is_started_leaves_it_its_arguments():
     ended = subprocess.run(
         [sys.executable, "-c", _ENDING], check=False, capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+_INTERRUPTED = """
+import os, signal, time
+from multiprocessing import util
+from valvemap.app.warm_up import _helpers
+from valvemap.config.loading import load_config
+
+spawn = util.spawnv_passfds
+
+def interrupted(path, arguments, fds):
+    number = spawn(path, arguments, fds)
+    if any("spawn_main" in str(one) for one in arguments):
+        for _ in range(5):  # while Python starts, and while it imports
+            time.sleep(0.3)
+            os.kill(number, signal.SIGINT)
+    return number
+
+util.spawnv_passfds = interrupted
+with _helpers(load_config(), 1, 0) as shared:
+    (helper,) = shared.helpers
+    assert helper.is_alive()
+    helper.terminate()
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals are not masked here")
+def test_ctrl_c_while_another_process_imports_shows_no_traceback_of_it(tmp_path):
+    ended = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED],
+        check=False,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
     )
     assert (ended.returncode, ended.stderr) == (0, "")

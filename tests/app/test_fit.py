@@ -1,5 +1,6 @@
 """`fit`, `open_model` and `replay` take what a person types, and a model does what is asked."""
 
+import copy
 import io
 import re
 import time
@@ -13,7 +14,8 @@ from valvemap.app.given import recordings_in
 from valvemap.config.models import Config
 from valvemap.errors import ConfigurationError, RecordingError, StorageError
 from valvemap.model.samples import Samples
-from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.storage.recording_writer import RecordingWriter
+from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.statuses import InverseStatus
 
 README = Path(__file__).parents[2] / "README.md"
@@ -203,10 +205,53 @@ def test_a_valve_that_works_both_ways_needs_its_range():
         "U": 2 * table["U"] - 100,
         "Q": 2 * table["Q"] - 10 * np.sqrt(200 - table["p2"]),
     }
-    with pytest.raises(RecordingError, match=r"U is beyond the range of .*U_range=\(-100, 100\)"):
+    with pytest.raises(RecordingError, match=r"beyond the range of Auto \(.*U_range=\(-100, 100\)"):
         valvemap.fit(both, estimator="Auto")
     model = valvemap.fit(both, U_range=(-100, 100))
     assert model.predict([-50, 50], 100) == pytest.approx([-50, 50], abs=2.0)
+
+
+@pytest.mark.parametrize("estimator", ["Auto", "RBF"])
+def test_a_map_covers_the_pressure_drops_of_its_recording(estimator):
+    high = rows()
+    high["p1"] = high["p2"] + 1.6 * (200 - high["p2"])  # up to 310 bar
+    high["Q"] *= np.sqrt(1.6)
+    model = valvemap.fit(high, estimator=estimator)
+    assert model.estimator.dp_range == (0.0, 315.0)
+    low, up = model.interval(60.0, [250.0, 290.0])
+    truth = 6.0 * np.sqrt([250.0, 290.0])
+    assert (low < truth).all()
+    assert (truth < up).all()
+    if estimator == "Auto":
+        assert model.predict(60.0, [250.0, 290.0]) == pytest.approx(truth, abs=1.5)
+
+
+def test_pressure_drops_beyond_the_range_that_is_stated_are_refused_with_the_remedy():
+    high = rows()
+    high["p1"] = high["p2"] + 1.6 * (200 - high["p2"])
+    high["Q"] *= np.sqrt(1.6)
+    with pytest.raises(RecordingError, match=r"Auto \(.*Δp 0 … 200 bar\) in .*dp_range="):
+        valvemap.fit(high, estimator="Auto", dp_range=(0, 200))
+    assert valvemap.fit(high, estimator="Auto", dp_range=(0, 400)).noise_std < 2.0
+
+
+def test_table_and_picture_show_the_pressure_drops_of_the_samples():
+    low = rows()
+    low["p1"] = low["p2"] + 0.1 * (200 - low["p2"])  # up to 20 bar
+    low["Q"] *= np.sqrt(0.1)
+    model, dp = valvemap.fit(low), low["p1"] - low["p2"]
+    frame = model.to_frame()
+    assert frame["dp"].min() == pytest.approx(dp.min(), abs=0.2)
+    assert frame["dp"].max() == pytest.approx(dp.max(), abs=0.2)
+    (axes,) = model.plot().axes
+    drops = [float(text.get_text().split()[0]) for text in axes.get_legend().get_texts()]
+    assert dp.min() < drops[0] < drops[-1] == pytest.approx(dp.max(), abs=0.5)
+
+
+def test_an_inverse_shows_its_statuses_by_name(model):
+    shown = repr(model.invert(Q=[20, 2000], dp=100))
+    assert shown.startswith("Inversion(U=array([")
+    assert "status=['OK', 'ABOVE_REACH'])" in shown
 
 
 def test_answers_have_the_shape_of_the_question(model):
@@ -239,6 +284,12 @@ def test_a_model_is_saved_and_opened_to_the_same_bits(model, tmp_path):
     assert back.interval(*grid)[0].tobytes() == model.interval(*grid)[0].tobytes()
     with pytest.raises(ConfigurationError, match=r"valve\.txt: the name of a saved model ends"):
         model.save("valve.txt")
+
+
+def test_a_saved_model_may_begin_with_a_byte_order_mark(model, tmp_path):
+    model.save(file := tmp_path / "valve.json")
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert valvemap.open_model(file).predict(50, 100) == model.predict(50, 100)
 
 
 @pytest.mark.parametrize("backend", ["pandas", "polars", "pyarrow"])
@@ -300,6 +351,11 @@ def test_a_mistake_is_named_with_what_is_allowed(name):
         ({"estimator": "auto"}, r"estimator 'auto' is not there; allowed is RLS, RML, RBF, Auto"),
         ({"U_range": (100, 0)}, r"U_range is \(100, 0\); a low and a high end in % are allowed"),
         ({"config": Config(), "U_range": (-100, 100)}, r"U_range is its valves.U_range_percent"),
+        (
+            {"dp_range": (350, 0)},
+            r"dp_range is \(350, 0\); a low and a high end in bar",
+        ),
+        ({"config": Config(), "dp_range": (0, 350)}, r"dp_range is its valves.dp_range_bar"),
         ({"config": Config(), "units": {"p1": "psi"}}, r"with a config, units and columns"),
     ],
 )
@@ -348,3 +404,18 @@ def test_a_fit_takes_no_longer_than_a_replay_and_csv_no_longer_than_parquet(tmp_
     while len(in_turn) < 8 and missed(*np.min(in_turn, axis=0)):
         in_turn.append([seconds(*one) for one in asked])
     assert not missed(*np.min(in_turn, axis=0))
+
+
+def test_what_a_mask_hides_is_no_argument(model):
+    U = np.ma.masked_array([50, 60], [False, True])
+    predicted, inverted = model.predict(U, 100.0), model.invert(U, 100.0)
+    assert predicted[0] == model.predict(50.0, 100.0)[0]
+    assert np.isnan(predicted[1])
+    assert np.isnan(inverted.U[1])
+
+
+def test_models_can_be_compared_by_identity_and_kept_in_sets(model):
+    copied = copy.deepcopy(model)
+    assert model == model  # noqa: PLR0124 - what is tested
+    assert model != copied
+    assert len({model, copied}) == 2

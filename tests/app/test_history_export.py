@@ -5,7 +5,7 @@ import pytest
 
 from valvemap.cli import run
 from valvemap.model.samples import Samples, Segments
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.runtime.past import PastKeeper
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.recordings import read_recording

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from support.processes import free_port, service_url
+from support.soaked import soaked
 from valvemap.cli import run
 
 resource = pytest.importorskip("resource")
@@ -42,7 +43,7 @@ def test_the_soft_limit_is_raised_when_it_is_too_low():
     assert python(RAISE).stdout.splitlines() == ["(50, 400)", "(400, 400)"]
 
 
-@pytest.mark.parametrize("limit", [40, 64])
+@pytest.mark.parametrize("limit", [40, *soaked(64)])
 def test_a_service_with_too_few_descriptors_is_refused_in_one_line(limit, tmp_path, monkeypatch):
     data = tmp_path / "data"
     monkeypatch.setenv("VALVEMAP_OPERATOR_PASSWORD", "a long enough password")

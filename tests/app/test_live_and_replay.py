@@ -12,7 +12,8 @@ from valvemap.app.serve import serve
 from valvemap.config.estimators import RlsConfig
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
-from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.storage.recording_writer import RecordingWriter
+from valvemap.storage.recordings import read_recording
 
 SAMPLES = 1_500
 

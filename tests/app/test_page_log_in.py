@@ -7,6 +7,7 @@ import pytest
 
 from guarded_opcua import HardenedServer, Role, ServerSettings, UserStore
 from support.page_attacks import Visitor
+from support.users import CHEAP
 from valvemap.app.dashboard import run_dashboard
 from valvemap.app.identities import PAGE_URI
 from valvemap.app.page_access import Watched
@@ -43,7 +44,7 @@ async def page_of(users, folder, gateways):
 
 
 async def test_guesses_from_many_addresses_lock_no_operator_out(tmp_path):
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("operator", Role.OPERATOR, "correct horse")
     async with page_of(users, tmp_path, frozenset({PAGE_URI})) as url:
         for number in range(2, 5):
@@ -57,7 +58,7 @@ async def test_guesses_from_many_addresses_lock_no_operator_out(tmp_path):
 
 
 async def test_a_service_that_trusts_no_page_counts_the_page_s_own_address(tmp_path):
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("operator", Role.OPERATOR, "correct horse")
     async with page_of(users, tmp_path, frozenset()) as url:
         for number in (2, 3):

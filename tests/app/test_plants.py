@@ -107,7 +107,9 @@ async def learnt(url, names, gains, tmp_path, *, still=False, watch="5"):
 
 @pytest.mark.node
 async def test_signals_stamped_one_after_the_other_in_psi(skewed, tmp_path):
-    timing, _ = await learnt(skewed, ("Ventil_1", "Ventil_2"), GAINS["skewed"], tmp_path)
+    timing, _ = await learnt(
+        skewed, ("Ventil_1", "Ventil_2"), GAINS["skewed"], tmp_path, watch="10"
+    )
     assert all("after the scan's first" in str(said) for said in timing)
 
 

@@ -1,12 +1,17 @@
 """What a recording holds is what the running service would have learnt from."""
 
+import asyncio
+
 import numpy as np
 import pytest
 import structlog
 
 from support.plant import as_changes, plant
-from valvemap.app.record import _Recorder
+from support.processes import free_port
+from valvemap.app.record import _Recorder, record
 from valvemap.config.loading import load_config
+from valvemap.config.models import Config
+from valvemap.errors import SourceError
 from valvemap.pipeline.alignment import Alignment
 
 
@@ -62,3 +67,13 @@ async def test_a_restarted_source_counts_its_samples_anew(recorder, writer):
     await recorder.take(as_changes(after))
     recorder.finish()
     assert writer.t == [*before.t.tolist(), *after.t.tolist()]
+
+
+async def test_a_source_that_is_never_reached_leaves_no_recording(tmp_path):
+    url = f"opc.tcp://127.0.0.1:{free_port()}"
+    source = {"url": url, "security": "None", "startup_timeout_s": 0.1}
+    nodes = {signal: f"s={signal}" for signal in ("U", "p1", "p2", "Q")}
+    config = Config(source=source, valves=[{"nodes": nodes}])
+    with pytest.raises(SourceError):
+        await record(config, tmp_path / "plant.csv", asyncio.Event(), 5.0)
+    assert list(tmp_path.iterdir()) == []

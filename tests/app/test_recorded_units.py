@@ -18,7 +18,7 @@ from valvemap.pipeline.units import Measure, unit_of
 from valvemap.plant.answers import parse_answers
 from valvemap.plant.questions import Option
 from valvemap.storage.layout import Part
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 
 N = 800
 START = 1_767_225_600 * 10**9
@@ -138,6 +138,22 @@ def test_a_number_that_stands_for_no_reading_is_refused_and_the_remedy_works(sig
     assert f"{signal} is {number:g} in {gone.sum()} samples of {N}" in said
     found = fitted(rows(**{signal: np.where(gone, np.nan, values)}))
     assert found.predict(50, 100) == pytest.approx(fitted(rows()).predict(50, 100), rel=0.01)
+
+
+def test_a_temperature_in_kelvin_is_refused_and_the_remedy_works():
+    T = 313.15 + np.sin(0.01 * np.arange(N))
+    said = refusal(rows(T=T))
+    assert "T is 312.2 … 314.1 °C, which no oil has" in said
+    units = ast.literal_eval(re.search(r"units=(\{.*?\})", said)[1])
+    assert pytest.approx(T[-1] - 273.15) == fitted(rows(T=T), units=units).T
+
+
+def test_a_temperature_in_counts_is_refused_and_the_remedy_works():
+    T = 11_000.0 + np.arange(N) % 7
+    said = refusal(rows(T=T))
+    assert "T is 1.1e+04 … 1.101e+04 °C, which no oil has" in said
+    raw = re.search(r"--scale T=(\S+),", said)[1]
+    assert pytest.approx(T[-1] / 276.48) == fitted(rows(T=T), units={"T": raw}).T
 
 
 @pytest.mark.parametrize(

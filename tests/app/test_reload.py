@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import structlog
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, ServerSettings, UserStore
 from support.processes import free_port, rig_url, running, service_url, wait_for
+from support.served import patient
 from support.stream import until
 from valvemap.app.build import build_identification
 from valvemap.app.reload import Reload
@@ -104,7 +105,7 @@ class Served:
 
     async def call(self, who):
         """StatusCode of the method Reload, called by somebody."""
-        client = Client(self.config.server.url)
+        client = patient(self.config.server.url)
         client.set_user(who)
         client.set_password("correct horse")
         async with client:
@@ -216,7 +217,7 @@ async def test_sessions_stay_and_are_told_which_valves_came_and_went(served):
     boom, bucket, _ = served.config.valves
     swing = ValveConfig(name="Swing", estimators=(SLOW,))
     heard = Heard()
-    async with Client(served.config.server.url) as client:
+    async with patient(served.config.server.url) as client:
         subscription = await client.create_subscription(50, heard)
         kind = client.get_node(ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType))
         await subscription.subscribe_events(client.nodes.server, kind)
@@ -246,7 +247,7 @@ async def test_what_fails_to_start_gives_way_and_sessions_stay(served, monkeypat
 
     monkeypatch.setattr(LiveService, "start", fails_once)
     heard = Heard()
-    async with Client(served.config.server.url) as client:
+    async with patient(served.config.server.url) as client:
         subscription = await client.create_subscription(50, heard)
         kind = client.get_node(ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType))
         await subscription.subscribe_events(client.nodes.server, kind)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from valvemap.app.map_checks import MOST_TRIED
-from valvemap.app.replay import as_json, replay
+from valvemap.app.replay import replay
+from valvemap.app.replay_report import as_json
 from valvemap.cli import run
 
 STEP, N = 3_000, 4_000
@@ -61,4 +62,22 @@ def test_samples_of_the_other_edge_are_counted_and_named(tmp_path, capsys):
     assert report["RLS"].parameters["a4"] == pytest.approx(0.1, abs=1e-6)
     assert run(["replay", str(file)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "not learnt from, because U lay beyond what an estimator can describe" in said
+    assert "not learnt from, because U or p1 - p2 lay beyond what an estimator can describe" in said
+
+
+def test_columns_of_no_valve_are_named_and_absolute_pressures_are_converted(tmp_path):
+    rng = np.random.default_rng(3)
+    U, dp = rng.uniform(10.0, 100.0, 400), rng.uniform(10.0, 180.0, 400)
+    Q = 0.1 * U * np.sqrt(dp)
+    time = np.arange(400) * 0.1
+    both, drop = tmp_path / "both.csv", tmp_path / "drop.csv"
+    table = np.column_stack([time, U, dp + 6.01325, np.full(400, 5.0), Q, U, dp])
+    head = "t,U,p1 [bar(a)],p2 [barg],Q,X1,X2"
+    np.savetxt(both, table, "%.9g", ",", header=head, comments="")
+    table = np.column_stack([time, U, dp, Q])
+    np.savetxt(drop, table, "%.9g", ",", header="t,U,dp [bara],Q", comments="")
+    said: list[str] = []
+    for file in (both, drop):
+        (results,) = replay([file], note=said.append).values()
+        assert results["RLS"].parameters["a4"] == pytest.approx(0.1, abs=1e-6)
+    assert said == ["both.csv: columns not used: X1, X2"]

@@ -11,6 +11,7 @@ from asyncua.crypto.security_policies import (
 
 from guarded_opcua import Pki, ensure_certificate
 from support.processes import free_port, run, service_url
+from support.served import patient
 from support.services import PASSWORD, installation
 
 pytestmark = pytest.mark.waits
@@ -33,7 +34,7 @@ def own(tmp_path_factory):
 
 
 async def connected(plant, own, policy=SecurityPolicyBasic256Sha256, user="operator"):
-    client = Client(plant.url)
+    client = patient(plant.url)
     client.application_uri = CLIENT_URI
     if user:
         client.set_user(user)
@@ -84,7 +85,7 @@ async def test_nobody_gets_in_without_security_or_without_a_name(plant, own):
 
 async def test_only_sealed_endpoints_are_offered(plant):
     for url in (plant.rig, plant.url):
-        endpoints = await Client(url).connect_and_get_server_endpoints()
+        endpoints = await patient(url).connect_and_get_server_endpoints()
         modes = {endpoint.SecurityMode for endpoint in endpoints}
         assert modes == {ua.MessageSecurityMode.SignAndEncrypt}
         assert len(endpoints) == 2

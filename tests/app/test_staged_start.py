@@ -5,9 +5,10 @@ import signal
 from pathlib import Path
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.processes import free_port, is_open, rig_url, running, service_url, wait_for
+from support.served import patient
 
 pytestmark = pytest.mark.waits
 
@@ -46,7 +47,7 @@ def runs(pid):
 
 async def test_quick_estimators_publish_while_the_others_wait_and_sigterm_ends_all(demo):
     process, url = demo
-    async with Client(url, timeout=30) as client:
+    async with patient(url) as client:
         index = await client.get_namespace_index("urn:valvemap:service")
 
         async def read(name):

@@ -5,10 +5,11 @@ import socket
 from dataclasses import replace
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import ConfigurationError, ServerError
 from support.processes import free_port, rig_url, run, service_url
+from support.served import patient
 from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
 from valvemap.cli import run as run_here
@@ -129,7 +130,7 @@ async def test_a_source_without_answer_is_lost_not_rejected(config, open_server)
 
 
 async def read(url, name):
-    async with Client(url) as client:
+    async with patient(url) as client:
         index = await client.get_namespace_index("urn:valvemap:service")
         node = client.get_node(ua.NodeId(name, index))
         return await node.read_data_value(raise_on_bad_status=False)

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 
-from valvemap.app import warm_up
+from valvemap.app import warm_up, warm_up_parts
 from valvemap.config.models import Config
 
 # In a process of its own: there no other test has used a kernel before.
@@ -87,13 +87,13 @@ def test_two_valves_of_those_behind_one_meter_are_warmed_up():
     config = warm_up._one_of_each_kind(Config(valves=valves))
     assert [one.name for one in config.valves] == ["V0", "V1", "V2"][: len(config.valves)]
     assert len(config.valves) >= 2
-    assert warm_up._share_a_meter in warm_up._parts(config)
+    assert warm_up_parts._share_a_meter in warm_up_parts.parts_of(config)
 
 
 def test_two_that_compile_take_each_part_once_and_count_it(monkeypatch):
     ran = []
     parts = [partial(ran.append, number) for number in range(20)]
-    monkeypatch.setattr(warm_up, "_parts", lambda _: parts)
+    monkeypatch.setattr(warm_up, "parts_of", lambda _: parts)
     taken, done = (get_context("spawn").Value("i", 0) for _ in range(2))
     with ThreadPoolExecutor(2) as pool:
         take = partial(warm_up._take_parts, Config(), taken, done)
@@ -105,7 +105,7 @@ def test_two_that_compile_take_each_part_once_and_count_it(monkeypatch):
 def test_whoever_presses_ctrl_c_waits_for_no_further_part(monkeypatch):
     ran = []
     parts = [partial(ran.append, number) for number in range(20)]
-    monkeypatch.setattr(warm_up, "_parts", lambda _: parts)
+    monkeypatch.setattr(warm_up, "parts_of", lambda _: parts)
     taken, done = (get_context("spawn").Value("i", 0) for _ in range(2))
     warm_up._take_parts(Config(), taken, done, lambda: len(ran) == 3)
     assert ran == [0, 1, 2]

@@ -8,9 +8,12 @@ import statistics
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+import valvemap
 from valvemap.cli import run
 from valvemap.cli.command_table import COMMANDS, load_command
 
@@ -173,3 +176,24 @@ def median_s(*arguments):
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     return statistics.median(seconds)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
+@pytest.mark.parametrize("command", ["schema", "--help", "--version"])
+def test_an_output_that_is_full_is_one_line(command):
+    with Path("/dev/full").open("w") as full:
+        asked = [sys.executable, "-m", "valvemap", command]
+        done = subprocess.run(asked, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "valvemap: standard output: no space left on device\n"
+
+
+def test_an_output_without_our_signs_gets_others(tmp_path):
+    U, dp = np.meshgrid(np.linspace(0, 100, 20), np.linspace(5, 180, 20))
+    U, dp = U.ravel(), dp.ravel()
+    table = {"t": np.arange(400), "U": U, "p1": dp, "p2": 0 * dp, "Q": 0.1 * U * np.sqrt(dp)}
+    valvemap.fit(table, estimator="RLS").save(model := tmp_path / "m.json")
+    asked = [sys.executable, "-m", "valvemap", "invert", str(model), "--Q", "20", "--dp", "100"]
+    own = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(asked, capture_output=True, check=True, env=own)
+    assert b"T, ?C" in done.stdout

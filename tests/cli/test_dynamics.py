@@ -8,7 +8,7 @@ import pytest
 
 from valvemap.cli import run
 from valvemap.model.samples import Samples
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 from valvemap_rig.excitation import Scattered
 from valvemap_rig.scenario import Scenario, ValveBench
 from valvemap_rig.simulation import advance, initial

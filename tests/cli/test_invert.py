@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from support.soaked import soaked
 from valvemap.cli import run
 
 
@@ -53,7 +54,7 @@ def test_demands_from_a_file_are_answered_line_by_line(folder, source, tmp_path)
     assert (beyond["U"], beyond["status"]) == ("100.0", "ABOVE_REACH")
 
 
-@pytest.mark.parametrize("name", ["Auto", "RBF", "RLS", "RML"])
+@pytest.mark.parametrize("name", ["Auto", "RLS", *soaked("RBF", "RML")])
 def test_a_command_that_does_without_numba_answers_the_same(folder, name, tmp_path):
     model = folder / "all" / f"V1.{name}.json"
     words = ["invert", str(model), "--Q", "1,30,60,400", "--dp", "0.5,90,250", "--to"]
@@ -66,6 +67,18 @@ def test_a_command_that_does_without_numba_answers_the_same(folder, name, tmp_pa
         assert here.pop("status") == there.pop("status")
         for what, number in here.items():
             assert float(there[what]) == pytest.approx(float(number), rel=1e-9, nan_ok=True)
+
+
+def test_what_is_unknown_is_a_dash_in_the_table(folder, tmp_path, capsys):
+    saved = json.loads((folder / "all" / "V1.RLS.json").read_text(encoding="utf-8"))
+    (tmp_path / "cold.json").write_text(json.dumps(saved | {"temperature": None}), encoding="utf-8")
+    asked = ["invert", str(tmp_path / "cold.json"), "--Q", "50", "--dp=-100,100"]
+    assert run(asked) == 0
+    rows = [line.split("│")[1:-1] for line in capsys.readouterr().out.splitlines() if "│ " in line]
+    cells = [[cell.strip() for cell in row] for row in rows]
+    assert cells[0][:6] == ["50.00", "-100.00", "–", "–", "–", "–"]
+    assert cells[1][2] == "–"
+    assert cells[1][3].startswith("5")
 
 
 def test_demands_on_the_command_line_are_shown_in_a_table(folder, capsys):
@@ -90,7 +103,7 @@ def partial(tmp_path_factory):
     return models
 
 
-@pytest.mark.parametrize("estimator", ["RBF", "RLS"])
+@pytest.mark.parametrize("estimator", ["RLS", *soaked("RBF")])
 def test_a_demand_where_nothing_was_measured_is_called_extrapolating(
     estimator, partial, tmp_path, capsys
 ):

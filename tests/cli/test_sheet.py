@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 
 from benchmarks.commission_plant import VALVES
@@ -13,7 +14,8 @@ from valvemap.cli import run
 from valvemap.config.loading import load_config
 from valvemap.pipeline.operator_ports import Command
 from valvemap.storage.checkpoints import CheckpointFile
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.commission_files import RunFiles
+from valvemap.storage.recording_writer import RecordingWriter
 
 DATASHEET = """
 rated_dp_bar = 70
@@ -71,6 +73,44 @@ def test_a_sheet_is_printed_written_and_judged(folder, capsys):
     assert not re.search(r"(src|href)=[\"']?http|url\(http|@import", page)
 
 
+def guided(folder, name, ended):
+    """A recording with four traverses, then moves within the range, and its audit record."""
+    whole = swept(VALVES["dead band 8 %, play 2 %"], 5)
+    within = (np.abs(whole.U - 50.0) < 35.0) | (np.arange(len(whole)) < 0.82 * len(whole))
+    with RunFiles(folder / f"{name}.csv", "V1") as files:
+        files.append(whole[within])
+        files.note({"event": "started", "phase": "CHECKING"})
+        for phase, reason in ended:
+            files.note({"event": "ended", "phase": phase, "reason": reason})
+
+
+@pytest.mark.parametrize(
+    ("ended", "said"),
+    [
+        ([("DONE", "the time is up")], None),
+        ([("ABORTED", "the operator aborted")], "guided run was ended: the operator aborted."),
+        ([], "Not a test: the guided run did not end."),
+    ],
+)
+def test_a_guided_run_is_a_test_if_it_ended(folder, ended, said, capsys, monkeypatch):
+    monkeypatch.setattr("valvemap.model.sheet.IN_TRAVERSES", 1.1)  # of a run, moves are no work
+    name = f"V1.2026010{1 + len(ended) + 2 * (said is None)}T000000Z"
+    guided(folder, name, ended)
+    assert run(["sheet", "V1", "--from", f"{name}.csv"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert said in shown if said else "Not a test" not in shown
+    assert "traverses at 8.33 % per s" in shown
+
+
+def test_a_run_without_samples_is_passed_over(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    guided(tmp_path, "data/commission/V1.20260101T000000Z", [("DONE", "")])
+    with RunFiles(tmp_path / "data/commission/V1.20260102T000000Z.csv", "V1"):
+        pass
+    assert run(["sheet", "V1"]) == 0
+    assert "rated flow" in capsys.readouterr().out
+
+
 def test_the_sheet_stands_beside_a_saved_map(capsys):
     assert run(["replay", "one.csv", "--save", "one.model.json"]) == 0
     assert run(["sheet", "V1", "--from", "one.csv", "--against", "one.model.json"]) == 0
@@ -110,7 +150,11 @@ def test_the_sheet_stands_beside_the_approved_map_of_the_service(folder, capsys)
 
 WRONG = {
     "no service": (["--from", "one.csv", "--approved"], 2, "--approved: --config is needed"),
-    "no run": ([], 2, "V1': data/commission holds no run of it; name a recording with --from"),
+    "no run": (
+        [],
+        2,
+        "V1': data/commission holds no run of it with samples; name a recording with --from",
+    ),
     "both ways": (["--from", "both.csv"], 2, "say --both-ways if the valve works both ways"),
     "no valve": (["--from", "one.csv", "V2"], 2, "one.csv has no such valve; there is V1"),
     "Δp": (["--from", "one.csv", "--rated-dp", "300"], 1, "the rated Δp is 300 bar; the recordi"),
@@ -135,6 +179,9 @@ def test_what_is_wrong_is_named_in_one_line(name, capsys):
         ("[figures.leakage]\nmin = 2\nmax = 1", "figures.leakage: min 2 is above max 1"),
         ("rated_dp_bar = -1", "rated_dp_bar: Input should be greater than 0"),
         ("x = [", "not valid TOML"),
+        ("[figures.leakage]\nvalu = 1", "figures.leakage.valu: there is no such field; is value"),
+        ("[figurs.leakage]\nmin = 1", "figurs: there is no such field; is figures meant?"),
+        ("[figures]\nleakage = 5", "a section is needed, [figures.leakage] with value, min, max"),
     ],
 )
 def test_a_wrong_datasheet_is_named_with_its_field(folder, text, said, capsys):

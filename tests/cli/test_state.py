@@ -228,3 +228,21 @@ def test_an_axis_is_renamed_exported_and_imported_as_a_valve_is(
     code, _, err = valvemap(capsys, "state", "rename", "Press", "X", "-c", other)
     assert (code, len(err)) == (1, 1)
     assert "Press: no such state; there are Ram" in err[0]
+
+
+@pytest.mark.parametrize("new", ["", "a b", "1V", "V" * 65, "V2.RLS", "Presse-ä", "V1"])
+def test_a_name_that_no_valve_can_have_is_no_new_name(learnt, capsys, new):
+    file, _ = learnt
+    code, _, err = valvemap(capsys, "state", "rename", "V1", new, "-c", file)
+    assert (code, len(err)) == (2, 1)
+    assert "allowed is a letter" in err[0] or "has this name already" in err[0]
+    assert valvemap(capsys, "state", "list", "-c", file)[1][0].startswith("V1.RLS")
+
+
+def test_a_folder_in_place_of_a_file_is_said(learnt, capsys, tmp_path):
+    file, _ = learnt
+    code, _, err = valvemap(capsys, "state", "export", tmp_path, "--force", "-c", file)
+    assert (code, err) == (2, [f"valvemap: FILE {tmp_path}: is a folder; name a file"])
+    code, _, err = valvemap(capsys, "state", "import", tmp_path / "nothing", "-c", file)
+    assert (code, len(err)) == (2, 1)
+    assert "no such file; `valvemap state export` makes it" in err[0]

@@ -3,9 +3,10 @@
 import asyncio
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.processes import free_port, rig_url
+from support.served import patient
 from valvemap.cli.rig_conditions import conditions_in
 from valvemap.cli.under_demo import rig_process
 
@@ -34,7 +35,7 @@ class Heard:
 async def test_a_fault_that_an_operator_injects_is_in_the_truth_and_gone_with_the_scenario():
     heard = Heard()
     async with rig_process(rig_url(free_port()), "demo", "correct horse", heard) as where:
-        client = Client(where)
+        client = patient(where)
         client.set_user("operator")
         client.set_password("correct horse")
         async with client:

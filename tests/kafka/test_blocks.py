@@ -34,8 +34,8 @@ from valvemap.kafka.result_blocks import (  # noqa: E402
     write_results,
 )
 from valvemap.model.samples import Samples, Segments  # noqa: E402
-from valvemap.pipeline.alignment import ByValve  # noqa: E402
-from valvemap.pipeline.results import AlarmResults  # noqa: E402
+from valvemap.pipeline.alarm_results import AlarmResults  # noqa: E402
+from valvemap.pipeline.by_valve import ByValve  # noqa: E402
 
 VALVES = ("a", "b", "c", "d")
 

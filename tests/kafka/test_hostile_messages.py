@@ -24,7 +24,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:(overflow|invalid value|divide b
 
 NAME = "north.0"
 KEY = NAME.encode()
-MUTANTS = 1_200
+MUTANTS = 600
 LIKELY_BAD = 0.5  # of the mutants: the others are honest by chance, and are learnt
 
 

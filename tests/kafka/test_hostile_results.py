@@ -20,15 +20,15 @@ from valvemap.kafka.decoding import Decoder, Rejected
 from valvemap.kafka.group import Group
 from valvemap.kafka.reading import Heard
 from valvemap.kafka.result_blocks import ResultsBlock, read_results
-from valvemap.kafka.serve import Show
 from valvemap.kafka.settings import FleetConfig
+from valvemap.kafka.site_results import Show
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline import operator_ports
-from valvemap.pipeline.results import Remark
+from valvemap.pipeline.alarm_results import Remark
 
 NAME = "north.0"
 KEY = NAME.encode()
-MUTANTS = 800
+MUTANTS = 400
 LIKELY_BAD = 0.5  # of the mutants: the others are honest by chance
 
 # Of flows of 1e308 l/min, which are shown as they are.

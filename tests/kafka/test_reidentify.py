@@ -15,7 +15,8 @@ if find_spec("quixstreams") is None:  # its import compiles grammars for seconds
     pytest.skip("needs quixstreams", allow_module_level=True)
 
 from valvemap.app.models import save_models
-from valvemap.app.replay import as_json, replay
+from valvemap.app.replay import replay
+from valvemap.app.replay_report import as_json
 from valvemap.config.loading import load_config
 from valvemap.errors import RecordingError
 from valvemap.kafka.reidentify import (
@@ -28,7 +29,7 @@ from valvemap.kafka.reidentify import (
     learn,
 )
 from valvemap.model.samples import Samples
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 
 CONFIG = "".join(
     f"[[valves]]\nname = 'V{k}'\n[[valves.estimators]]\nkind = 'RLS'\n"

@@ -8,12 +8,13 @@ import pytest
 
 pytest.importorskip("pyarrow")
 
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, UserStore
 from support.fleet import RHYTHM, Dictionary, block, catalogue
 from support.plant import START
 from support.results import results_settings
+from support.served import patient
 from valvemap.clock import ManualClock
 from valvemap.kafka.blocks import write_samples
 from valvemap.kafka.commands import is_reply, read_reply, write_message
@@ -22,8 +23,8 @@ from valvemap.kafka.mirror import Mirror
 from valvemap.kafka.reading import Heard
 from valvemap.kafka.rejections import Rejection
 from valvemap.kafka.result_blocks import read_results
-from valvemap.kafka.serve import Show
 from valvemap.kafka.settings import FleetConfig, ServeConfig
+from valvemap.kafka.site_results import Show
 from valvemap.kafka.worker import MEMORY, Worker
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.vocabulary.statuses import Quality, Status
@@ -102,7 +103,7 @@ async def served(known, wire, clock=None, blocks=()):
     async with server:
         await show.first(server, blocks)
         running = asyncio.create_task(show.run(server, wire, asyncio.Event()))
-        client = Client(server.url)
+        client = patient(server.url)
         client.set_user("operator")
         client.set_password(password)
         try:

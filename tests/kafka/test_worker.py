@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.soaked import soaked
+
 pytest.importorskip("pyarrow")
 
 import structlog
@@ -54,7 +56,7 @@ def undisturbed(known):
     return found
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *soaked(2, 3)])
 def test_whoever_learns_and_whatever_is_rolled_back_the_bits_are_the_same(
     known, stream, undisturbed, seed
 ):
@@ -169,10 +171,10 @@ def test_a_state_of_a_newer_catalogue_stops_the_worker_with_one_line(known):
     assert store.get_bytes(MEMORY) == kept
 
 
-def damaged(packed):
+def damaged(packed, flips):
     """A state with bytes changed at random positions, cut, or of another program."""
     rng = np.random.default_rng(34)
-    for _ in range(150):
+    for _ in range(flips):
         found = bytearray(packed)
         at = rng.integers(len(packed) if rng.random() < 0.5 else 3_000)
         found[at] ^= rng.integers(1, 256)
@@ -183,7 +185,8 @@ def damaged(packed):
     yield b"of another program"
 
 
-def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, undisturbed):
+@pytest.mark.parametrize("flips", [50, *soaked(150)])
+def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, undisturbed, flips):
     """Flips at random positions: nothing is learnt from them, and the worker lives."""
     first, after = (block(known.groups["north.0"], n, (9, 9, 9), first=9 * n) for n in (1, 2))
     fresh = group(known.groups["north.0"])
@@ -193,7 +196,7 @@ def test_a_damaged_state_is_set_aside_and_its_group_starts_without_it(known, und
     worker, other = Worker(known, RHYTHM), Dictionary()
     right = set()  # states that were looked into: they are nearly always the same bytes
     with structlog.testing.capture_logs():
-        for k, packed in enumerate(damaged(kept.to_bytes())):
+        for k, packed in enumerate(damaged(kept.to_bytes(), flips)):
             store = Dictionary()
             store.set_bytes(MEMORY, packed)
             assert worker.samples(b"north.0", write_samples(after), store) == expected

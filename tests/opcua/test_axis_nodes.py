@@ -6,18 +6,20 @@ from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 
 import numpy as np
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, UserStore
 from support.clocks import TurnedClock
 from support.results import results_settings
-from support.served import PASSWORD
+from support.served import PASSWORD, patient
+from support.users import CHEAP
 from valvemap.errors import CommandRejected
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_ports import AxisMap, AxisResults, RequiredU
 from valvemap.pipeline.axis_tracking import AxisTracking
-from valvemap.runtime.past import PastKeeper, pieces_of
+from valvemap.runtime.past import PastKeeper
+from valvemap.runtime.past_pieces import pieces_of
 from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
 from valvemap.vocabulary.findings import Finding, FindingCode
@@ -67,14 +69,14 @@ def results(findings):
 
 
 def operators():
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("operator", Role.OPERATOR, PASSWORD)
     return dataclasses.replace(results_settings(none_on_loopback=True), users=users)
 
 
 @asynccontextmanager
 async def as_operator(server):
-    client = Client(server.url)
+    client = patient(server.url)
     client.set_user("operator")
     client.set_password(PASSWORD)
     async with client:
@@ -207,7 +209,7 @@ async def test_the_past_of_an_axis_is_read_from_the_history(tmp_path):
         assert await keeper.settle()
         async with ResultsServer(operators(), [], operator, TurnedClock(T), past=store) as server:
             await server.follow_axes(["Press"], operator)
-            async with Client(server.url) as client:
+            async with patient(server.url) as client:
                 index = await client.get_namespace_index(NAMESPACE)
 
                 async def past(name):

@@ -10,8 +10,10 @@ import pytest
 
 from guarded_opcua import Limits, Role, UserStore
 from support.stream import NODES, RATE_HZ, Collector, NumberedServer, until, watching
+from support.users import CHEAP
 from valvemap.clock import SystemClock
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings
+from valvemap.opcua_client.source_settings import SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.history import NEVER, Knowledge
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
@@ -28,7 +30,7 @@ AT_ONCE = SupervisorSettings(pauses=lambda: repeat(0.1))
 
 @asynccontextmanager
 async def plant(limits, remembers=100_000):
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     made = await NumberedServer.create(users=users, limits=limits, remembers=remembers)
     async with made.server:
         yield made, password

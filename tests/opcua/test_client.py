@@ -21,14 +21,17 @@ from guarded_opcua import (
     add_variable,
     ensure_certificate,
 )
-from guarded_opcua.security.certificates import trust
+from guarded_opcua.security.pki_folders import trust
 from support.plant_server import plant_settings
 from support.proxy import Proxy
+from support.users import CHEAP
 from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
+from valvemap.opcua_client.source_settings import Security, SourceSettings
 from valvemap.opcua_client.transport import BoundedClient
 from valvemap.opcua_source import subscription as subscriptions
-from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.node_ids import parse_node_id
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.signals import Signal
 
@@ -113,7 +116,7 @@ async def plant_on(settings, password=""):
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     plant = await plant_on(plant_settings(users=users), password)
     async with plant.server:
         yield plant
@@ -499,7 +502,7 @@ async def test_items_are_created_in_as_many_calls_as_the_server_wants():
 async def test_a_secured_connection_needs_trust_on_both_sides(tmp_path, security):
     server_pki, client_pki = Pki(tmp_path / "server"), Pki(tmp_path / "client")
     own = ensure_certificate(client_pki, "urn:test:client", ("localhost",), "client")
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     plant = await plant_on(
         ServerSettings(
             url="opc.tcp://127.0.0.1:0/plant/",

@@ -8,7 +8,8 @@ import pytest_asyncio
 from support.conditions import S, raised
 from support.plant import START
 from valvemap.errors import CommandRejected
-from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE
 from valvemap.storage.history import HistoryFile
 

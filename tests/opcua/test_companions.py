@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from documentation.companions import KEPT, PARTS, NodeSet, cut
 from support import ncc_peer, node_peer
 from support.conditions import raised
+from support.served import patient
 from support.stream import until
 from valvemap.config.names import RESERVED_ESTIMATORS
 from valvemap.opcua_results.companions import DI, MACHINERY, PADIM, PROCESS
@@ -40,7 +41,7 @@ async def plant():
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def client(plant):
-    async with Client(plant.server.url, timeout=30.0) as client:
+    async with patient(plant.server.url) as client:
         yield client
 
 
@@ -216,7 +217,7 @@ async def test_a_signal_is_a_process_value_of_its_type(client, name, original, u
 
 
 def logged_in(plant):
-    client = Client(plant.server.url, timeout=30.0)
+    client = patient(plant.server.url)
     client.set_user("operator")
     client.set_password("correct horse")
     return client

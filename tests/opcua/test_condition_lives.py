@@ -183,7 +183,7 @@ def play(examples):
 
 
 def test_lives_go_as_the_model_says():
-    play(5)
+    play(3)
 
 
 @pytest.mark.soak

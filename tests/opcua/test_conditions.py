@@ -8,7 +8,7 @@ from asyncua import ua
 from support.conditions import CONDITION_TYPE, Listener, event_filter, raised
 from support.plant import START
 from support.stream import until
-from valvemap.pipeline.alarms import Alarm
+from valvemap.pipeline.alarm_rules import Alarm
 from valvemap.pipeline.result_ports import Health
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

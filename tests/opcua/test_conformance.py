@@ -30,6 +30,7 @@ from guarded_opcua import (
 )
 from support.raw_peer import Closed, RawPeer
 from support.results import results_settings
+from support.users import CHEAP
 from valvemap.opcua_results.results_server import ResultsServer
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -72,7 +73,7 @@ def settings(**more):
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def server():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     made = await HardenedServer.create(settings(none_on_loopback=True, users=users))
     made.password = password
     folder = await add_object(made, None, "Plant")

@@ -14,8 +14,9 @@ from support.plant_server import plant_settings
 from support.received import until
 from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.opcua_client.connection import open_connection
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_source.browsing import find_numbers
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.elements import (
     COMPOUND,
     NO_COMPOUNDS,
@@ -24,6 +25,7 @@ from valvemap.opcua_source.elements import (
     Element,
     with_elements,
 )
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.data_changes import DataChanges
 
 pytestmark = pytest.mark.waits

@@ -10,6 +10,7 @@ from support import go_peer, node_peer
 from support.every_attribute import ATTRIBUTES, every_node, read_every
 from support.own_servers import rig, service
 from support.peer import Peer
+from support.served import patient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -55,7 +56,7 @@ async def url(request, tmp_path_factory):
 @pytest_asyncio.fixture(
     scope="module",
     loop_scope="module",
-    params=[5, pytest.param(1, marks=pytest.mark.soak)],
+    params=[25, pytest.param(1, marks=pytest.mark.soak)],
     ids=["some of the standard's", "all"],
 )
 async def nodes(request, url):
@@ -103,7 +104,7 @@ async def test_the_value_of_a_variable_type_without_a_default_is_no_attribute_of
 
 
 async def test_an_item_on_it_is_refused_with_the_same_reason(url):
-    async with Client(url) as client:
+    async with patient(url) as client:
         subscription = await client.create_subscription(100, None)
         with pytest.raises(ua.UaStatusCodeError) as refused:
             await subscription.subscribe_data_change(client.get_node(WITHOUT_DEFAULT))

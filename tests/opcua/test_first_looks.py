@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, UserStore
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
+from support.served import patient
+from support.users import CHEAP
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.result_nodes import ResultNodes
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
@@ -91,12 +93,12 @@ class Operator:
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def client():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     settings = results_settings(users=users, none_on_loopback=True)
     async with ResultsServer(settings, VALVES, Operator(), TurnedClock(T)) as server:
         for number in range(len(VALVES)):
             await server.publish(result(number))
-        client = Client(server.url)
+        client = patient(server.url)
         client.set_user("operator")
         client.set_password(password)
         async with client:
@@ -234,7 +236,7 @@ async def test_a_thousand_valves_are_served_before_their_nodes_are_made(monkeypa
     valves = [ValveDescription(f"V{k}", (RLS,), counters=("late",)) for k in range(1_000)]
     async with (
         ResultsServer(settings, valves, Operator(), TurnedClock(T)) as server,
-        Client(server.url) as client,
+        patient(server.url) as client,
     ):
         await server.publish(result(7))
         root = await node(client, "Identification")

@@ -12,10 +12,17 @@ VALVES, HZ, SECONDS = 5, 20.0, 3.0
 LONGEST_S = BUILD_S + 300.0  # built once, and a rig started
 
 
+@pytest.fixture
+def soon_built(monkeypatch):
+    """Rust's programs are built without optimization, apart from those whose speed is measured."""
+    monkeypatch.setattr(foreign_clients, "BUILT", foreign_clients.BUILT / "plain")
+    monkeypatch.setenv("CARGO_PROFILE_RELEASE_OPT_LEVEL", "0")
+
+
 @pytest.mark.languages
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize("name", CLIENTS)
-def test_a_client_of_another_language_loses_nothing_of_a_fleet(name):
+def test_a_client_of_another_language_loses_nothing_of_a_fleet(name, soon_built):
     try:
         with building(foreign_clients.BUILT):
             built(name)

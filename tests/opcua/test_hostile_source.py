@@ -20,12 +20,15 @@ from guarded_opcua import (
     ensure_certificate,
 )
 from support.lying_server import Lie, LyingServer, chunk, frame
+from support.users import CHEAP
 from valvemap.errors import SourceError, SourceLost
 from valvemap.opcua_client.session import BatchSession
 from valvemap.opcua_client.source_errors import in_one_line
+from valvemap.opcua_client.source_settings import Security, SourceSettings
 from valvemap.opcua_client.transport import BoundedClient
-from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.decoding import decode_data_changes
+from valvemap.opcua_source.source_nodes import ValveNodes
 
 pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
@@ -223,7 +226,7 @@ FRAMES = [
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def honest(tmp_path_factory):
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     settings = ServerSettings(
         url="opc.tcp://127.0.0.1:0/plant/",
         application_uri="urn:test:plant",

@@ -4,8 +4,9 @@ from asyncua import ua
 
 from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
-from valvemap.opcua_results.information_model import axis, check_names, estimator_variables
+from valvemap.opcua_results.information_model import axis, estimator_variables
 from valvemap.opcua_results.map_variables import inverse_variables, map_variable
+from valvemap.opcua_results.node_names import check_names
 from valvemap.opcua_results.valve_variables import counter_variable
 from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, InverseStatus, Status

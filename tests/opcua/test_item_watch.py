@@ -10,10 +10,11 @@ import pytest
 from asyncua import Server, ua
 
 from support.stream import until
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_client.source_settings import SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.node_looks import look
-from valvemap.opcua_source.source_nodes import wanted_nodes
+from valvemap.opcua_source.source_nodes import ValveNodes, wanted_nodes
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.item_states import ItemState
 from valvemap.vocabulary.signals import PER_VALVE, Signal

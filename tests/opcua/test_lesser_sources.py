@@ -12,6 +12,7 @@ from asyncua import ua
 from guarded_opcua import Limits, Role, UserStore
 from support.lives import fresh, lived
 from support.stream import NODES, NumberedServer, until, watching
+from support.users import CHEAP
 from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.storage.checkpoints import CheckpointFile
 
@@ -36,7 +37,7 @@ LESSER = {
 @asynccontextmanager
 async def lesser(without=(), limits=None, remembers=0):
     """A plant whose server does not do some services."""
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     made = await NumberedServer.create(users=users, limits=limits or Limits(), remembers=remembers)
     for service in without:
         del made.server._services._handlers[service]

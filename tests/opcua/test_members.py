@@ -13,20 +13,19 @@ from support.proxy import Proxy
 from support.received import until
 from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
 from valvemap.opcua_client.connection import open_connection
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_source.browsing import find_numbers
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
-from valvemap.opcua_source.members import (
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.members import Member, encodings_of, numbers_in, taken
+from valvemap.opcua_source.source_nodes import ValveNodes
+from valvemap.opcua_source.structures import (
     DEEPEST,
     Field,
     Form,
-    Member,
     Structure,
-    encodings_of,
     kind_of,
-    numbers_in,
     parse_path,
     path_text,
-    taken,
 )
 from valvemap.opcua_source.wire import DecodeError
 

@@ -5,14 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, UserStore
 from support import node_peer
 from support.clocks import TurnedClock
 from support.peer import Peer
 from support.results import ESTIMATOR, INVERSE, results_of, results_settings
+from support.served import patient
 from support.stream import until
+from support.users import CHEAP
 from valvemap.opcua_results.companions import DI
 from valvemap.opcua_results.model_changes import model_change, version_of_root, version_of_valve
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
@@ -58,7 +60,7 @@ async def served(valves, before=None, clock=None):
 
 
 async def version_of(server, id_):
-    async with Client(server.url) as client:
+    async with patient(server.url) as client:
         index = await client.get_namespace_index(NAMESPACE)
         node = client.get_node(ua.NodeId(id_, index))
         return await (await node.get_child("0:NodeVersion")).read_value()
@@ -126,7 +128,7 @@ async def test_versions_stand_where_children_come_and_go():
 async def test_who_comes_back_is_told_once_and_after_ten_minutes_nobody_is():
     clock = TurnedClock(T)
     async with served([BOOM, STICK], before=[BOOM, BUCKET], clock=clock) as server:
-        async with Client(server.url) as client:
+        async with patient(server.url) as client:
             events = await heard(client, client.nodes.server)
             await until(lambda: events)
             (event,) = events
@@ -140,14 +142,14 @@ async def test_who_comes_back_is_told_once_and_after_ten_minutes_nobody_is():
             await until(lambda: below)
             assert len(events) == 1
         clock.advance(600.0)
-        async with Client(server.url) as client:
+        async with patient(server.url) as client:
             late = await heard(client, client.nodes.server)
             await client.nodes.server_state.read_value()
             assert not late
 
 
 async def test_the_first_server_tells_nothing():
-    async with served([BOOM]) as server, Client(server.url) as client:
+    async with served([BOOM]) as server, patient(server.url) as client:
         events = await heard(client, client.nodes.server)
         await client.nodes.server_state.read_value()
         assert not events
@@ -205,7 +207,7 @@ class Seen:
 
 
 async def test_sessions_and_items_of_valves_left_alone_outlive_another_configuration():
-    async with served([BOOM, BUCKET]) as server, Client(server.url) as client:
+    async with served([BOOM, BUCKET]) as server, patient(server.url) as client:
         events = await heard(client, client.nodes.server)
         for number, predicted in enumerate((10.0, 20.0)):
             await server.publish(result(number, predicted))
@@ -240,7 +242,7 @@ async def test_sessions_and_items_of_valves_left_alone_outlive_another_configura
 
 
 async def test_a_valve_that_comes_back_is_another_one():
-    async with served([BOOM, BUCKET]) as server, Client(server.url) as client:
+    async with served([BOOM, BUCKET]) as server, patient(server.url) as client:
         await server.publish(result(1, 20.0))
         (bucket,) = await made_up(client, ["Bucket"])
         assert await bucket.read_value() == 20.0
@@ -255,7 +257,7 @@ async def test_a_valve_that_comes_back_is_another_one():
 
 
 async def test_commands_go_to_who_is_in_charge_and_to_nobody_in_between():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     asked = []
 
     class Named(Operator):
@@ -267,7 +269,7 @@ async def test_commands_go_to_who_is_in_charge_and_to_nobody_in_between():
 
     settings = results_settings(none_on_loopback=True, users=users)
     async with ResultsServer(settings, [BOOM], Named("old"), TurnedClock(T)) as server:
-        client = Client(server.url)
+        client = patient(server.url)
         client.set_user("operator")
         client.set_password(password)
         async with client:
@@ -284,7 +286,7 @@ async def test_commands_go_to_who_is_in_charge_and_to_nobody_in_between():
 
 
 async def test_a_standing_demand_is_asked_of_the_new_operator():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     demands = []
 
     class Asked(Operator):
@@ -293,7 +295,7 @@ async def test_a_standing_demand_is_asked_of_the_new_operator():
 
     settings = results_settings(none_on_loopback=True, users=users)
     async with ResultsServer(settings, [BOOM], Operator(), TurnedClock(T)) as server:
-        client = Client(server.url)
+        client = patient(server.url)
         client.set_user("operator")
         client.set_password(password)
         async with client:
@@ -306,7 +308,7 @@ async def test_a_standing_demand_is_asked_of_the_new_operator():
 
 
 async def test_axes_that_come_and_go_are_said_and_versioned():
-    async with served([BOOM]) as server, Client(server.url) as client:
+    async with served([BOOM]) as server, patient(server.url) as client:
         await server.follow_axes(["Press"], None)
         assert await version_of(server, "Identification") == version_of_root([BOOM], ["Press"])
         events = await heard(client, client.nodes.server)

@@ -8,12 +8,13 @@ from xml.etree import ElementTree as ET
 
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from documentation.node_set import rig_node_set, written
 from documentation.pages import NODE_SET, RIG_NODE_SET
 from support import ncc_peer, node_peer
 from support.conditions import raised
+from support.served import patient
 from valvemap.opcua_results.namespaces import RIG_NAMESPACE
 from valvemap.opcua_results.result_types import ENUMERATIONS
 from valvemap.opcua_results.results_server import NAMESPACE
@@ -32,7 +33,7 @@ async def plant():
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def client(plant):
-    async with Client(plant.server.url, timeout=30.0) as client:
+    async with patient(plant.server.url) as client:
         yield client
 
 

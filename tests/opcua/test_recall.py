@@ -10,8 +10,10 @@ from pydantic import SecretStr
 
 from guarded_opcua import Role, UserStore
 from support.stream import NODES, NumberedServer, until, watching
+from support.users import CHEAP
 from valvemap.app.record import record, record_history
-from valvemap.app.replay import as_json, replay
+from valvemap.app.replay import replay
+from valvemap.app.replay_report import as_json
 from valvemap.config.connections import SourceConfig
 from valvemap.config.estimators import RlsConfig
 from valvemap.config.models import Config
@@ -27,7 +29,7 @@ SIGNALS = ("U", "p1", "p2", "Q", "T", "sequence")
 
 @asynccontextmanager
 async def plant(remembers):
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     made = await NumberedServer.create(users=users, remembers=remembers)
     async with made.server:
         yield made, password

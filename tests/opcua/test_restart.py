@@ -10,6 +10,7 @@ import pytest_asyncio
 from guarded_opcua import Role, UserStore
 from support.lives import fresh, lived
 from support.stream import NumberedServer
+from support.users import CHEAP
 from valvemap.storage.checkpoints import CheckpointFile
 
 pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
@@ -17,7 +18,7 @@ pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     plant = await NumberedServer.create(users=users)
     async with plant.server:
         yield plant, password

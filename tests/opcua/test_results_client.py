@@ -10,9 +10,12 @@ import pytest_asyncio
 
 from guarded_opcua import Limits, Role, UserStore
 from support.results import ESTIMATOR, INVERSE, results_of, results_settings
+from support.users import CHEAP
 from valvemap.errors import CommandRejected, SourceLost, SourceRejected
 from valvemap.model.inversion import Inversion
-from valvemap.opcua_client.results_client import Engineering, ResultsClient, SourceSettings
+from valvemap.opcua_client.result_readings import Engineering
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.statuses import Status
@@ -56,7 +59,7 @@ class Operator:
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     settings = results_settings(users=users, none_on_loopback=True)
     async with ResultsServer(settings, (VALVE,), Operator()) as server:
         yield server, password

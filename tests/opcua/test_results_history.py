@@ -5,13 +5,15 @@ import datetime as dt
 import numpy as np
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.results import results_settings
+from support.served import patient
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Segments
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
@@ -50,7 +52,7 @@ async def client(tmp_path_factory):
                     await server.publish(results)
                     keeper.note(results)
             await keeper.settle()
-            async with Client(server.url) as made:
+            async with patient(server.url) as made:
                 yield made
 
 

@@ -5,10 +5,11 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
+from support.served import patient
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.results import (
     EstimatorDescription,
@@ -51,7 +52,7 @@ async def server(clock):
 
 
 async def test_scalars_wait_for_their_time_and_the_frame_never_does(server, clock):
-    async with Client(server.url) as client:
+    async with patient(server.url) as client:
         index = await client.get_namespace_index(NAMESPACE)
 
         async def shown(name):

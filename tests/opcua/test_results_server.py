@@ -4,25 +4,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import pytest_asyncio
-from asyncua import Client, ua
+from asyncua import ua
 
 from guarded_opcua import Role, ServerError, ServerSettings, UserStore
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
+from support.served import patient
+from support.users import CHEAP
 from valvemap.errors import CommandRejected
+from valvemap.model.change import Change
 from valvemap.model.inversion import Inversion
-from valvemap.model.recursive_least_squares import Change
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.alarm_results import AlarmReport, AlarmResults, Remark
 from valvemap.pipeline.recommendation import Recommendation
 from valvemap.pipeline.result_ports import Health
 from valvemap.pipeline.results import (
-    AlarmReport,
-    AlarmResults,
     EstimatorDescription,
     EstimatorResult,
     InverseResult,
-    Remark,
     SignalResults,
     ValveDescription,
 )
@@ -175,7 +175,7 @@ class Operator:
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served(tmp_path_factory):
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     settings = results_settings(users=users, none_on_loopback=True)
     operator = Operator()
     async with ResultsServer(settings, VALVES, operator, TurnedClock(T)) as server:
@@ -195,7 +195,7 @@ async def operator(served):
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def client(served):
-    client = Client(served[0].url)
+    client = patient(served[0].url)
     client.set_user("operator")
     client.set_password(served[2])
     async with client:
@@ -204,7 +204,7 @@ async def client(served):
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def observer(served):
-    async with Client(served[0].url) as client:
+    async with patient(served[0].url) as client:
         yield client
 
 

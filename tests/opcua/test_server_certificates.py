@@ -17,6 +17,7 @@ from guarded_opcua import (
 )
 from support import certificate_cases as cases
 from support.impostor import Impostor
+from support.users import CHEAP
 from valvemap.errors import SourceLost, SourceRejected
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_client.source_settings import Security, SourceSettings
@@ -104,7 +105,7 @@ async def test_our_client_hangs_up_on_a_server_that_is_trusted_no_more(tmp_path)
     (its.trusted / "client.der").write_bytes(own.certificate.read_bytes())
     trusted = ours.trusted / "server.der"
     trusted.write_bytes(theirs.certificate.read_bytes())
-    users, password = UserStore.one_time("bert", Role.OBSERVER)
+    users, password = UserStore.one_time("bert", Role.OBSERVER, CHEAP)
     server = await HardenedServer.create(
         ServerSettings(
             url="opc.tcp://127.0.0.1:0/trust/",

@@ -6,8 +6,8 @@ from asyncua import ua
 
 from support.conditions import Listener, raised
 from support.plant import START
-from valvemap.pipeline.alarms import FLEET_RULES, ServiceAlarms
 from valvemap.pipeline.result_ports import Health
+from valvemap.pipeline.service_alarms import FLEET_RULES, ServiceAlarms
 from valvemap.vocabulary.service_alarms import OF_FLEET, ServiceAlarm
 
 ABOVE = 1e6  # every limit

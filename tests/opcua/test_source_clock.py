@@ -4,9 +4,11 @@ import pytest
 
 from guarded_opcua import SystemClock
 from support.stream import NumberedServer, until
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_source import source_clock
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.source_clock import Reading, SourceClock
+from valvemap.opcua_source.source_nodes import ValveNodes
 
 NODES = ValveNodes("V1", *(f"nsu=urn:plant;s=V1.{name}" for name in ("U", "p1", "p2", "Q")))
 

@@ -10,7 +10,9 @@ from asyncua import Server, ua
 from valvemap.app.connections import build_source
 from valvemap.config.loading import load_config
 from valvemap.errors import SourceRejected
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_client.source_settings import SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.units import UNECE, Measure, unit_of
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

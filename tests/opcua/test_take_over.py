@@ -8,6 +8,7 @@ import pytest_asyncio
 
 from guarded_opcua import Role, UserStore
 from support.stream import NumberedServer, until, watching
+from support.users import CHEAP
 
 pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
@@ -16,7 +17,7 @@ SOON_S = 9.0  # after the line is back data are there again
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served():
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    users, password = UserStore.one_time("operator", Role.OPERATOR, CHEAP)
     plant = await NumberedServer.create(users=users)
     async with plant.server:
         yield plant, password

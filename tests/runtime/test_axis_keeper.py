@@ -9,9 +9,11 @@ from valvemap.errors import StateFileLost, StorageError
 from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_states import AxisStates
-from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.state_keeper import StateKeeper
 
 

@@ -14,11 +14,11 @@ from valvemap.model.axis import AxisGeometry, AxisRegression
 from valvemap.model.axis_basis import SIZE
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import LEARNT, AxisPlan
 from valvemap.pipeline.axis_memory import MEMORY
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.kept_axes import Learnt
+from valvemap.pipeline.kept_axes import LEARNT, Learnt
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.runtime.axes import LiveAxes
 from valvemap.runtime.kept_position import POSITION

@@ -9,7 +9,7 @@ import pytest
 from valvemap.clock import ManualClock
 from valvemap.model.dynamics import NotFitted
 from valvemap.model.samples import Samples, Segments
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.vocabulary.dynamics import DynamicsStatus
 

@@ -13,7 +13,8 @@ from valvemap.app.build import build_identification
 from valvemap.clock import ManualClock
 from valvemap.config.models import Config
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.storage.checkpoints import CheckpointFile
 
 GPM = 3.785411784  # l/min

@@ -7,7 +7,8 @@ from support.small_plant import FakeSource
 from valvemap.clock import ManualClock
 from valvemap.errors import CommandRejected
 from valvemap.model.axis import AxisGeometry, AxisSamples
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_ports import RequiredU
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
@@ -37,7 +38,7 @@ class Rig:
 
     def answers(self, answer):
         press = self.axes[1]
-        press.required, press._known = lambda: answer, object()
+        press.required, press._learner.known = lambda: answer, object()
 
     def sample(self, U=20.0, x=400.0):
         self.steps += 1

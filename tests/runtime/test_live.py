@@ -15,7 +15,9 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.provenance import ALARMS, MEMORY, PLACES
-from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime import learning_pace
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.publishing_turns import VALVES_AT_ONCE
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
 from valvemap.vocabulary.statuses import FeedForwardStatus, Quality
@@ -48,6 +50,27 @@ async def test_a_cut_connection_turns_results_bad_and_then_good_again(live, sour
     qualities = [r.estimators["RLS"].quality for r in sink.published]
     assert qualities == [Quality.GOOD, Quality.BAD, Quality.GOOD, Quality.BAD]
     assert sink.published[2].estimators["RLS"].sample_count == 600
+
+
+async def test_a_write_that_finds_the_connection_lost_loses_no_received_sample(
+    live, source, sink, clock, monkeypatch
+):
+    """The first of several pieces is fed forward in vain; the source counts all as delivered."""
+    monkeypatch.setattr(learning_pace, "FIRST_AT_ONCE", 60)
+    monkeypatch.setattr(learning_pace, "FEWEST_AT_ONCE", 60)
+    live._pace = learning_pace.LearningPace(is_interpreted=False)
+    samples, cuts, write = plant(600), [SourceLost("cut")], live._feed_forward.write
+
+    async def written(valves):
+        if cuts and len(valves):
+            raise cuts.pop()
+        await write(valves)
+
+    monkeypatch.setattr(live._feed_forward, "write", written)
+    source.script = [as_changes(samples[:300]), as_changes(samples[300:]), SourceLost("cut")]
+    await run_until_the_script_ends(source, live, clock)
+    assert cuts == []
+    assert sink.published[-1].estimators["RLS"].sample_count == 600
 
 
 async def test_a_source_that_never_answers_ends_the_start_with_its_error(live, source, clock):
@@ -592,7 +615,7 @@ async def test_a_preview_saves_nothing_and_its_successor_does(starting, plan, st
 
 
 async def test_a_preview_that_falls_behind_waits_for_its_successor(starting, plan):
-    starting._changes_per_s = 600.0  # a slow machine
+    starting._pace.changes_per_s = 600.0  # a slow machine
     taking = asyncio.create_task(starting.take(as_changes(plant(300))))
     for _ in range(20):
         await asyncio.sleep(0)
@@ -603,7 +626,7 @@ async def test_a_preview_that_falls_behind_waits_for_its_successor(starting, pla
 
 
 async def test_a_preview_that_waits_ends_at_once_when_it_is_asked_to(starting, clock):
-    starting._changes_per_s = 600.0
+    starting._pace.changes_per_s = 600.0
     taking = asyncio.create_task(starting.take(as_changes(plant(300))))
     await asyncio.sleep(0)
     starting.end_soon()

@@ -4,7 +4,8 @@ import pytest
 import structlog
 
 from support.plant import as_changes, plant
-from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.storage.checkpoints import CheckpointFile
 
 

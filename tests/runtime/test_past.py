@@ -7,15 +7,9 @@ import pytest
 
 from valvemap.errors import StorageError
 from valvemap.model.samples import Samples, Segments
-from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.results import (
-    AlarmChange,
-    AlarmReport,
-    EstimatorResults,
-    InverseResults,
-    Results,
-    SignalResults,
-)
+from valvemap.pipeline.alarm_results import AlarmChange, AlarmReport
+from valvemap.pipeline.by_valve import ByValve
+from valvemap.pipeline.results import EstimatorResults, InverseResults, Results, SignalResults
 from valvemap.runtime import past
 from valvemap.runtime.past import PastKeeper
 from valvemap.storage.history import HistoryFile
@@ -225,10 +219,10 @@ async def test_a_full_disk_loses_no_row(tmp_path, seconds):
         keeper = PastKeeper(store, VALVES)
         for second in range(seconds + 20):
             if second == 10:
-                (pages,) = store._writer.execute("PRAGMA page_count").fetchone()
-                store._writer.execute(f"PRAGMA max_page_count = {pages}")
+                (pages,) = store._database.writer.execute("PRAGMA page_count").fetchone()
+                store._database.writer.execute(f"PRAGMA max_page_count = {pages}")
             if second == 10 + seconds:
-                store._writer.execute("PRAGMA max_page_count = 1000000")
+                store._database.writer.execute("PRAGMA max_page_count = 1000000")
             keeper.take(samples_of([0, 1, 2], n=100, start=100 * second))
             keeper.note(results_of([0, 1, 2], t=100 * second + 99))
             await a_second(keeper, float(second))

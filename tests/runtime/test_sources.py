@@ -13,7 +13,8 @@ from valvemap.errors import SourceLost, SourceRejected
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.source_ports import SourceCounters
-from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
 

@@ -7,13 +7,13 @@ from itertools import pairwise, repeat
 
 import httpx
 import pytest
-from asyncua import Client
 from cryptography.hazmat.primitives import serialization
 
 from support import certificates, services
 from support.exposition import value
 from support.mosquitto import GROUP, HOST, NODE, host, mosquitto, until, users
 from support.processes import running, wait_for
+from support.served import patient
 from support.sparkplug_fakes import FakeService, Read
 from valvemap.clock import SystemClock
 from valvemap.errors import SinkError, SinkLost, SinkRejected
@@ -70,7 +70,7 @@ def bd_seq(message):
 
 async def names_at(url):
     """Names of the numbers of an estimator, as OPC UA has them."""
-    async with Client(url) as client:
+    async with patient(url) as client:
         index = await client.get_namespace_index(SERVICE_NAMESPACE)
         node = client.get_node(f"ns={index};s=Valvistor.RLS.Parameters")
         return {

@@ -15,7 +15,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 from support import services
 from support.mosquitto import GROUP, HOST, NODE, mosquitto, tahu_host, until, users
 from support.processes import running, wait_for
-from valvemap.opcua_client.results_client import ResultsClient, Security, SourceSettings
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import Security, SourceSettings
 from valvemap.opcua_results.namespaces import RIG_NAMESPACE, SERVICE_NAMESPACE
 from valvemap.sparkplug.schema import Payload
 

@@ -44,6 +44,15 @@ def test_a_semicolon_and_decimal_commas_are_the_same_recording(tmp_path):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 
+def test_a_heading_may_state_a_unit(tmp_path):
+    plain = written(tmp_path, "t,U,x,pA,pB,pS,pT,T\n" + ROWS)
+    heads = "t,U [%],x [m],pA (kPa),pB [bar],pS [MPa],pT,T [K]\n"
+    rows = "0.00,1,.4,5000,60,18,2,313.15\n0.01,-2,.401,5100,61,17.9,,313.15\n"
+    one, other = read_axes(plain)["Axis"], read_axes(written(tmp_path, heads + rows, "u.csv"))
+    for name in ("U", "x", "pA", "pB", "pS", "pT", "T"):
+        np.testing.assert_allclose(getattr(other["Axis"], name), getattr(one, name), rtol=1e-12)
+
+
 def test_several_axes_are_told_apart(tmp_path):
     path = written(tmp_path, "t,valve,U,x\n0,Boom,1,2\n0,Arm,3,4\n1,Boom,5,6\n")
     axes = read_axes(path)
@@ -55,6 +64,8 @@ def test_several_axes_are_told_apart(tmp_path):
     ("text", "sentence"),
     [
         ("U,x\n1,2\n", "no column t; an axis needs t,U,x,pA,pB,pS,pT and has U,x"),
+        ("t,U,x [yd]\n1,2,3\n", r"line 1: 'x \[yd\]': mm, cm, m, µm, in is allowed"),
+        ("t,U,pA [mm]\n1,2,3\n", r"'pA \[mm\]': a unit of that quantity is allowed"),
         ("t,U,u\n1,2,3\n", "two columns are U: u is the second"),
         ("t,U\n1,2,3\n", "line 2: 3 cells, the header has 2"),
         ("t,U\n1,two\n", "line 2: .*U.*two"),

@@ -14,6 +14,7 @@ from valvemap.errors import StorageError
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage import checkpoints
 from valvemap.storage.checkpoints import CheckpointFile
+from valvemap.storage.state_files import read_states
 
 
 def checkpoint(valve="V1", estimator="RLS", **changes):
@@ -309,7 +310,7 @@ def test_a_flipped_bit_in_the_log_is_not_silent(path, monkeypatch):
     with CheckpointFile(path) as store:
         store.save([checkpoint(t=1)])
         with monkeypatch.context() as patched:
-            patched.setattr(checkpoints, "_fold_log", lambda _: 0)  # killed just before
+            patched.setattr(checkpoints, "fold_log", lambda _: 0)  # killed just before
             store.save([checkpoint(t=2)])
         log = path.with_name(f"{path.name}-wal")
         whole, kept = bytearray(log.read_bytes()), path.read_bytes()
@@ -336,3 +337,41 @@ def test_a_file_of_another_format_is_set_aside(path):
     with CheckpointFile(path) as store:
         assert store.set_aside is not None
         assert store.load() == []
+
+
+@pytest.mark.parametrize("spoilt", [b"CREATE TABLE checkpoint", b"CREATE TABLE aside", b"INTEGER"])
+def test_a_schema_that_is_no_text_is_damage(path, spoilt):
+    with CheckpointFile(path) as store:
+        store.save([checkpoint()])
+    hurt = bytearray(path.read_bytes())
+    hurt[hurt.index(spoilt) + 1] = 0xC5  # no UTF-8: Python cannot decode SQLite's message
+    path.write_bytes(hurt)
+    with CheckpointFile(path) as store:
+        store.load()
+        store.save([checkpoint()])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_with_any_letter_of_the_schema_spoilt_it_starts(path, seed):
+    with CheckpointFile(path) as store:
+        store.save([checkpoint()])
+    whole, rng = path.read_bytes(), np.random.default_rng(seed)
+    first, last = whole.index(b"CREATE TABLE"), whole.rindex(b"CREATE TABLE") + 400
+    for place in rng.integers(first, last, 60).tolist():
+        hurt = bytearray(whole)
+        hurt[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(hurt)
+        with CheckpointFile(path) as store:
+            assert store.load() in ([checkpoint()], []), place
+            store.save([checkpoint(t=2)])
+            assert store.load() == [checkpoint(t=2)], place
+        for other in path.parent.glob("checkpoints.sqlite*"):
+            other.unlink()
+
+
+def test_a_path_may_have_any_character(tmp_path):
+    path = tmp_path / "Anlage #1 50% ?" / "state.sqlite"
+    with CheckpointFile(path) as store:
+        store.save([checkpoint()])
+    (states, _) = read_states(path)
+    assert states == [checkpoint()]

@@ -7,15 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from support.soaked import soaked
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_table import flow_table
 from valvemap.model.inverse_map import invert
 from valvemap.model.lookup_table import lookup_table
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Trace
 from valvemap.model.support import Support
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.storage.flow_tables import as_csv
 
 PAGE = Path(__file__).parents[2] / "docs" / "methods" / "models.md"
@@ -29,17 +30,24 @@ ESTIMATORS = {
     "auto": FlowMap(),
 }
 N = 5000
+COARSE, FINE = (21, 16), (41, 31)  # points of a table; FINE by default, and bounded more slowly
 
 
-@pytest.fixture(scope="module", params=ESTIMATORS)
+@pytest.fixture(
+    scope="module",
+    params=[(name, COARSE) for name in ESTIMATORS if name != "spline"]
+    + soaked(*(((name, FINE),) for name in ESTIMATORS)),
+    ids=str,
+)
 def exported(request):
-    estimator, rng = ESTIMATORS[request.param], np.random.default_rng(4)
+    name, points = request.param
+    estimator, rng = ESTIMATORS[name], np.random.default_rng(4)
     U, dp = rng.uniform(0, 100, N), rng.uniform(1, 200, N)
     Q = 2.0 * np.clip(U - 6.0, 0, 90) * np.sqrt(dp / 200) + 0.3 * rng.normal(size=N)
     samples = Samples.of(np.arange(N), U, dp, 0 * dp, Q, np.full(N, 40.0))
     state, trace = estimator.update(estimator.initial_state(), samples)
     support = Support.none().add(samples, trace)
-    inverse = lookup_table(estimator, state, support=support)
+    inverse = lookup_table(estimator, state, support=support, points=points)
     return estimator, state, flow_table(estimator, state, inverse)
 
 
@@ -107,7 +115,8 @@ def test_where_nothing_was_measured_the_csv_says_extrapolated():
     samples = Samples.of(np.arange(N), U, dp, 0 * dp, Q, np.full(N, 40.0))
     state, _ = estimator.update(estimator.initial_state(), samples)
     support = Support.none().add(samples, Trace(Q, 0 * Q, 0 * Q, np.zeros(N, np.uint8)))
-    table = flow_table(estimator, state, lookup_table(estimator, state, support=support))
+    inverse = lookup_table(estimator, state, support=support, points=COARSE)
+    table = flow_table(estimator, state, inverse)
     (axis_Q, axis_dp, _), (_, _, marks) = sheet(as_csv(table, "V"))
     at = np.array(marks)[
         np.searchsorted(axis_Q, [5.0, 0.9 * axis_Q[-1]]), np.searchsorted(axis_dp, [30, 150])

@@ -12,11 +12,11 @@ from valvemap.errors import StorageError
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
 from valvemap.model.lookup_table import lookup_table
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Trace
 from valvemap.model.support import Support
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.model.valve_tables import valve_tables
 from valvemap.storage import fmi_units
 from valvemap.storage.fmi_units import write_unit

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valvemap.errors import StorageError
-from valvemap.pipeline.results import AlarmChange, AlarmReport
+from valvemap.pipeline.alarm_results import AlarmChange, AlarmReport
 from valvemap.pipeline.store_ports import Piece
 from valvemap.storage import alarm_changes
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.history_blocks import unpack
 from valvemap.storage.history_cells import width_of
-from valvemap.storage.history_series import BLOCK
+from valvemap.storage.history_write_states import BLOCK
 from valvemap.storage.packing import MOST_ROWS
 
 EVER = -(2**63), 2**63 - 1
@@ -356,5 +356,5 @@ def test_a_file_that_cannot_be_made_is_named(tmp_path):
 def test_readers_do_not_wait_for_who_writes(path):
     with HistoryFile(path) as store:
         store.save([piece(0, 10)])
-        with store._writing:
+        with store._database.writing:
             assert len(whole(store).t) == 10

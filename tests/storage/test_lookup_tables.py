@@ -10,18 +10,21 @@ import blark.parse
 import numpy as np
 import pytest
 
+from support.soaked import soaked
 from support.structured_text import FunctionBlock
 from valvemap.errors import ConfigurationError, StorageError
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap, LinearMapState
 from valvemap.model.lookup_table import LookupTable, lookup_table
-from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.model.model_structures import FiveTerms
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Trace
 from valvemap.model.support import Support
-from valvemap.storage.lookup_tables import as_c, as_structured_text, write_table
+from valvemap.model.tensor_spline import TensorSpline
+from valvemap.storage.lookup_tables import as_c, write_table
+from valvemap.storage.structured_text import as_structured_text
 from valvemap.vocabulary.statuses import InverseStatus
 
 ESTIMATORS = {
@@ -36,7 +39,7 @@ def dead_band(U, dp):
     return 2.0 * np.clip(U - 6.0, 0, 90) * np.sqrt(dp / 200)
 
 
-@pytest.fixture(scope="module", params=ESTIMATORS)
+@pytest.fixture(scope="module", params=["eq. (7)", "network", "auto", *soaked("spline")])
 def exported(request):
     estimator = ESTIMATORS[request.param]
     rng = np.random.default_rng(4)
@@ -151,7 +154,7 @@ def test_where_the_map_is_not_known_the_compiled_table_gives_no_U(tmp_path):
     assert table.interpolate(np.array([5.0]), np.array([2.5]))[1] == [InverseStatus.UNIDENTIFIED]
 
 
-@pytest.mark.parametrize("name", ["eq. (7)", "auto"])
+@pytest.mark.parametrize("name", ["auto", *soaked("eq. (7)")])
 def test_where_nothing_was_measured_every_form_of_the_table_says_extrapolating(name, tmp_path):
     estimator, rng = ESTIMATORS[name], np.random.default_rng(4)
     U, dp = rng.uniform(5, 40, 5000), rng.uniform(5, 60, 5000)

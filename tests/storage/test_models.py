@@ -9,7 +9,7 @@ from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import Polynomial, TensorSpline
+from valvemap.model.model_structures import Polynomial
 from valvemap.model.monotone import Monotone
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork
@@ -17,6 +17,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples
 from valvemap.model.support import Support
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.storage.models import MOST_BYTES, load_model, save_model
 from valvemap.vocabulary.statuses import Quality, Status
 

@@ -18,7 +18,8 @@ from valvemap.errors import RecordingError, StorageError
 from valvemap.model.samples import Samples
 from valvemap.storage.csv_recordings import CsvReader
 from valvemap.storage.layout import Layout
-from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.storage.recording_writer import RecordingWriter
+from valvemap.storage.recordings import read_recording
 
 FORMS = ["csv", "csv.gz", "csv.xz", "parquet"]
 FIELDS = ("t", "U", "p1", "p2", "Q", "T", "quality")
@@ -313,7 +314,10 @@ def test_parquet_columns_may_be_of_any_type_that_fits(tmp_path):
     [
         ({"p2": None}, "column p2 is missing; the header must hold t,U,p1,p2,Q"),
         ({"U": ["1", "2"]}, "column U is of type string, not a number"),
-        ({"t": [True, False]}, "column t is of type bool, not a timestamp, a number or text"),
+        (
+            {"t": [True, False]},
+            "column t is of type bool, not a timestamp, a duration, a number or text",
+        ),
         ({"valve": [1, 2]}, "column valve is of type int64, not text"),
         ({"t": [0, None]}, "row 2: t is '', allowed is an ISO 8601 time"),
         ({"t": [0, 10**12]}, "row 2: t is '1000000000000', allowed is an ISO 8601 time"),
@@ -386,8 +390,9 @@ def test_a_damaged_cell_of_parquet_is_said(tmp_path):
 
 def test_without_pyarrow_parquet_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.delitem(sys.modules, "valvemap.storage.parquet_recordings", raising=False)
-    monkeypatch.delattr(valvemap.storage, "parquet_recordings", raising=False)
+    for name in ("arrow_columns", "arrow_reader", "arrow_streams", "parquet_recordings"):
+        monkeypatch.delitem(sys.modules, f"valvemap.storage.{name}", raising=False)
+        monkeypatch.delattr(valvemap.storage, name, raising=False)
     for use in (read_recording, RecordingWriter):
         with pytest.raises(RecordingError, match=r"pip install 'valvemap\[parquet\]'"):
             use(tmp_path / "r.parquet")
@@ -445,7 +450,7 @@ WRITER = textwrap.dedent("""
     import sys
     import numpy as np
     from valvemap.model.samples import Samples
-    from valvemap.storage.recordings import RecordingWriter
+    from valvemap.storage.recording_writer import RecordingWriter
 
     recording = RecordingWriter(sys.argv[1])
     for n in range(10_000_000):

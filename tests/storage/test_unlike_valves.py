@@ -17,7 +17,7 @@ from valvemap.model.support import Support
 from valvemap.model.valve_tables import valve_tables
 from valvemap.storage import fmi_units
 from valvemap.storage.fmi_units import write_unit
-from valvemap.storage.lookup_tables import as_structured_text
+from valvemap.storage.structured_text import as_structured_text
 from valvemap.vocabulary.statuses import InverseStatus
 
 pytestmark = [pytest.mark.compiler, pytest.mark.timeout(1200)]  # a million points

@@ -15,7 +15,7 @@ from valvemap.storage.state_files import read_states
 
 @dataclass(frozen=True)
 class ApprovedMap:
-    """The approved map of one valve; ``name`` says which version, and of which estimator."""
+    """The approved map of one valve; ``name`` is its version and estimator."""
 
     name: str
     _valve: str

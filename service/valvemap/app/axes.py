@@ -16,8 +16,9 @@ from valvemap.config.axes import MEASURED, AxisConfig
 from valvemap.config.models import Config
 from valvemap.model.axis import AxisGeometry
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_arrivals import LINES
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.axis_states import AxisStates
 from valvemap.pipeline.meaning import Meaning, SignalMeaning

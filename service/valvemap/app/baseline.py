@@ -4,7 +4,8 @@ from enum import StrEnum
 
 from valvemap.app.page_access import Watched, settings_of
 from valvemap.errors import CommandRejected
-from valvemap.opcua_client.results_client import UNKNOWN_NODE, ResultsClient
+from valvemap.opcua_client.nodes_client import UNKNOWN_NODE
+from valvemap.opcua_client.results_client import ResultsClient
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 
 

@@ -11,7 +11,8 @@ from valvemap.config.meters import meters_of
 from valvemap.config.models import Config
 from valvemap.config.samples import GateConfig
 from valvemap.config.signals import SignalConfig, SignalsConfig
-from valvemap.config.valves import RECOMMENDED, EdgeConfig, LineConfig, NodesConfig, ValveConfig
+from valvemap.config.valve_parts import EdgeConfig, LineConfig
+from valvemap.config.valves import RECOMMENDED, NodesConfig, ValveConfig
 from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import Estimator
 from valvemap.model.leakage import Leakage

@@ -3,7 +3,6 @@
 import asyncio
 import getpass
 import math
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ import structlog
 
 from guarded_opcua import CertificateError
 from valvemap.app.build import build_alignment, build_timing
+from valvemap.app.commission_settings import for_audit, quick
 from valvemap.app.connections import build_source, build_supervisor_settings
 from valvemap.app.page_access import Watched
 from valvemap.app.page_access import settings_of as settings_for_client
@@ -23,22 +23,20 @@ from valvemap.config.estimators import AutoConfig, build_estimator
 from valvemap.config.models import Config
 from valvemap.config.valves import ValveConfig
 from valvemap.errors import (
-    ConfigurationError,
     SourceError,
     SourceLost,
     ValvemapError,
 )
 from valvemap.model.estimator import Estimator
 from valvemap.model.samples import Samples, Times
-from valvemap.opcua_client.results_client import ResultsClient, Security
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import Security
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.source_nodes import HEARTBEAT, LOAD, REQUIRED_U
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.commission import in_words, lost, start, step, written
 from valvemap.pipeline.commission_learner import Learnt, learn
-from valvemap.pipeline.commission_limits import Limits
-from valvemap.pipeline.commission_plan import Plan
 from valvemap.pipeline.commission_ports import CommissionResults
 from valvemap.pipeline.commission_state import Command, CommissionState, Seen, Settings
 from valvemap.pipeline.data_changes import DataChanges
@@ -48,104 +46,13 @@ from valvemap.storage.commission_files import RunFiles
 from valvemap.vocabulary.statuses import Quality
 
 TICK_S: Final = 0.02  # s; interval of steps without new samples
-PUBLISHED_MS: Final = 40.0  # longest publishing interval: samples must be younger than max_age_s
 LEARN_S: Final = 1.0  # s between two fits of the map
 NOTE_S: Final = 1.0  # s between two lines of the audit record
 ASK_S: Final = 2.0  # s; timeout of the question to the service
 WRITE_S: Final = 0.3  # s of the run's clock; a write that takes longer is taken as lost
 _ROLES: Final = {"U": REQUIRED_U, "load": LOAD, "heartbeat": HEARTBEAT}  # by field of Command
-_FIELDS: Final = ("most_s", "sweep_s", "period_s")
 
 log = structlog.get_logger(__name__)
-
-
-def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
-    """Return the run's settings from a valve's configuration; ``accuracy`` in l/min, 0: none.
-
-    Raises
-    ------
-    ConfigurationError
-        if the valve has no node to write to, or no heartbeat.
-    """
-    for node in ("required_U", "heartbeat"):
-        if valve.nodes.of(node) is None:
-            raise ConfigurationError(
-                f"valve {valve.name}: nodes.{node} is needed: commission writes U there, and the "
-                "source takes the valve back when the heartbeat stops"
-            )
-    given, anything = valve.commission, (-math.inf, math.inf)
-    U_range = given.range_percent or valve.U_range_percent
-    limits = Limits(
-        U_range=U_range,
-        slew_percent_per_s=given.slew_percent_per_s,
-        safe_U=given.safe_percent if given.safe_percent is not None else _nearest(0.0, U_range),
-        load_range=given.load_range_bar,
-        load_slew_bar_per_s=given.load_slew_bar_per_s,
-        safe_load=given.safe_load_bar or 0.0,
-        p1_range=given.p1_range_bar or anything,
-        p2_range=given.p2_range_bar or anything,
-        Q_range=given.Q_range_l_min or anything,
-        p_most=given.p_most_bar or math.inf,
-    )
-    nominal = max(map(abs, valve.Q_range_l_min)) / math.sqrt(max(map(abs, valve.dp_range_bar)))
-    return Settings(
-        limits=limits,
-        plan=Plan(**{name: getattr(given, name) for name in _FIELDS}),
-        accuracy=accuracy,
-        opening=0.25 * nominal,
-        max_age_s=given.max_age_s,
-        operator_s=given.operator_s,
-        operator_late_s=given.operator_late_s,
-        outage_s=given.outage_s,
-        follow_s=given.follow_s,
-        follow_percent=given.follow_percent,
-    )
-
-
-def plan_in_words(valve: ValveConfig, settings: Settings) -> list[str]:
-    """Return what a run would do, line by line."""
-    limits, plan = settings.limits, settings.plan
-    pace = plan.pace(limits)
-    within = settings.max_age_s + limits.safe_within_s
-    low, high = limits.U_range
-    ends = f" or ± {1.96 * settings.accuracy:.2g} l/min" if settings.accuracy else ""
-    return [
-        f"valve      {valve.name}: U is written to {valve.nodes.required_U}",
-        f"heartbeat  {valve.nodes.heartbeat}: the source takes the valve back when it stops",
-        f"checks     {settings.check_s:g} s of good samples; U still; feed-forward disarmed",
-        f"sweep      {plan.sweep_s:g} s: U {low:g} … {high:g} % and back every {plan.period_s:g} s",
-        _load_in_words(valve, settings),
-        f"refinement until {plan.most_s:g} s{ends}: moves of {pace.U:.3g} %/s to uncertain points",
-        f"limits     U {low:g} … {high:g} %, {limits.slew_percent_per_s:g} %/s",
-        f"retreat    p1 {_range(limits.p1_range)}, p2 {_range(limits.p2_range)} bar",
-        f"retreat    Q {_range(limits.Q_range)} l/min",
-        f"end        above {limits.p_most:g} bar, on Ctrl-C or Enter, without the terminal",
-        f"safe U     {limits.safe_U:g} % within {within:.2g} s, then handed back to the source",
-    ]
-
-
-def _load_in_words(valve: ValveConfig, settings: Settings) -> str:
-    limits = settings.limits
-    if limits.load_range is None:
-        return "load       is not written: the map covers the Δp that the plant shows in the run"
-    low, high = limits.load_range
-    return (
-        f"load       {valve.nodes.load}: {low:g} … {high:g} bar and back every "
-        f"{settings.plan.period_of_load():.3g} s, {limits.load_slew_bar_per_s:g} bar/s; safe "
-        f"{limits.safe_load:g} bar"
-    )
-
-
-def _nearest(x: float, bounds: tuple[float, float]) -> float:
-    return min(max(x, bounds[0]), bounds[1])
-
-
-def _range(bounds: tuple[float, float]) -> str:
-    return (
-        "any"
-        if math.isinf(bounds[0]) and math.isinf(bounds[1])
-        else f"{bounds[0]:g} … {bounds[1]:g}"
-    )
 
 
 async def is_armed(config: Config, data: Path) -> bool:
@@ -207,7 +114,7 @@ class CommissionRun:
         source: OpcUaSource | None = None,
     ) -> None:
         (valve,) = config.valves
-        self._config = _quick(config)
+        self._config = quick(config)
         self._settings = settings
         self._files = files
         self._operator = operator
@@ -260,7 +167,7 @@ class CommissionRun:
         for samples in self._files.before():
             self.learnt = await asyncio.to_thread(self._learnt, samples)
         self.state = start(CommissionState(elapsed=elapsed), self._clock.monotonic())
-        self._note(event="started", user=self._user, settings=_plain(self._settings))
+        self._note(event="started", user=self._user, settings=for_audit(self._settings))
         settings = replace(build_supervisor_settings(self._config), tick_s=TICK_S)
         try:
             await supervise(self._source, self, self._clock, self._stop, settings)
@@ -372,31 +279,6 @@ class CommissionRun:
                 "elapsed_s": round(state.elapsed, 2),
             }
         )
-
-
-def _quick(config: Config) -> Config:
-    """Return the configuration with publishing intervals that suit the age of samples."""
-    interval = min(config.source.publishing_interval_ms, PUBLISHED_MS)
-    source = config.source.model_copy(
-        update={"publishing_interval_ms": interval, "history_s": 0.0, "warm_start_s": 0.0}
-    )
-    return config.model_copy(update={"source": source})
-
-
-def _plain(settings: Settings) -> dict[str, Any]:
-    limits, plan = settings.limits, settings.plan
-    return {
-        "U_range_percent": list(limits.U_range),
-        "slew_percent_per_s": limits.slew_percent_per_s,
-        "safe_percent": limits.safe_U,
-        "load_range_bar": limits.load_range and list(limits.load_range),
-        "load_slew_bar_per_s": limits.load_slew_bar_per_s,
-        "safe_load_bar": limits.safe_load,
-        "sweep_s": plan.sweep_s,
-        "most_s": plan.most_s,
-        "accuracy_l_min": settings.accuracy,
-        "process": os.getpid(),
-    }
 
 
 def _known(x: float) -> float | None:

@@ -8,7 +8,8 @@ from typing import Final
 
 import structlog
 
-from valvemap.app.commission import CommissionRun, settings_of
+from valvemap.app.commission import CommissionRun
+from valvemap.app.commission_settings import settings_of
 from valvemap.clock import Clock
 from valvemap.config.loading import config_of
 from valvemap.config.models import Config

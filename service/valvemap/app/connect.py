@@ -1,77 +1,49 @@
 """Finds the valves of a foreign server: browse, watch, judge names, units, ranges and physics."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from valvemap.app.connect_answers import Wanted, check_answers, with_answers
 from valvemap.app.watching import Watched, changes_of, seen_beside
 from valvemap.errors import ConfigurationError, SourceRejected
 from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import open_connection
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_source.browsing import find_numbers
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
-from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group, group
-from valvemap.plant.reading import WITH_DIFFERENCE, WITH_PRESSURES, Given, Record
-from valvemap.plant.roles import Role
+from valvemap.plant.mirrors import mirrors
+from valvemap.plant.possible import possible_valves
+from valvemap.plant.reading import Record
+from valvemap.plant.unused import Unused, unused
 from valvemap.plant.verdict import Verdict, judge
 from valvemap.vocabulary.signals import PER_VALVE
 
 _PER_LOT: Final = 5  # nodes watched under one name
 _MOST_OF_A_VALVE: Final = 30  # variables of one valve that are watched
-_CLEAR: Final = 3.0  # nats by which a variable is a command rather than anything else
 _MOST_TIMES: Final = 1_500  # of a record
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Answers by valve, the name plate, and valves to leave out; ``assume`` accepts our units.
-
-    All edges of the valves ``ports`` are learnt.
-    """
-
-    given: Mapping[str, Given] = field(default_factory=dict)
-    rating: Rating = field(default_factory=Rating)
-    skip: frozenset[str] = frozenset()
-    ports: frozenset[str] = frozenset()
-    assume: bool = False
-
-    @property
-    def nodes(self) -> frozenset[str]:
-        """All nodes that answers name."""
-        return frozenset(node for one in self.given.values() for node in one.nodes.values())
-
-    def new_valves(self, found: Collection[str]) -> list[str]:
-        """Return the names of valves of which answers name all signals, and which were not found.
-
-        >>> from valvemap.plant.answers import parse_answers
-        >>> all_of_V2 = [f"V2.{signal}=s={signal}" for signal in ("U", "dp", "Q")]
-        >>> Wanted(parse_answers([*all_of_V2, "V3.U=s=U"], ())).new_valves(["V1"])
-        ['V2']
-        """
-        whole = [set(WITH_PRESSURES), set(WITH_DIFFERENCE)]
-        return [
-            name
-            for name, given in self.given.items()
-            if name and name not in found and any(own <= set(given.nodes) for own in whole)
-        ]
 
 
 @dataclass(frozen=True)
 class Found:
     """The verdicts on a server's valves, the statistics of their nodes, and the unusable nodes.
 
-    ``watched`` is by valve and node; ``skipped`` has a line for each unusable node or valve.
+    ``watched`` is by valve and node; ``skipped`` has a line for each unusable node or valve;
+    ``unused`` are the numbers that no valve uses; ``notes`` lines about valves with equal values.
     """
 
     verdicts: tuple[Verdict, ...]
     watched: Mapping[str, Mapping[str, Watched]]
     skipped: tuple[str, ...] = ()
+    unused: tuple[Unused, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def accepted(self) -> list[Verdict]:
@@ -99,86 +71,45 @@ async def look_around(settings: SourceSettings, watch_s: float, wanted: Wanted) 
     finally:
         await connection.close()
     groups = group(numbers)
+    groups += possible_valves(numbers, groups)
     check_answers(wanted, [one.name for one in groups])
     groups += [Group(name, ()) for name in wanted.new_valves([one.name for one in groups])]
     groups = [with_answers(one, numbers, wanted) for one in groups]
-    skipped += _left_over(numbers, groups)
-    groups = [one for one in groups if one.name not in wanted.skip]
+    skipped += _unusable(numbers, groups)
+    every, groups = groups, [one for one in groups if one.name not in wanted.skip]
     values, refused = await _watch(settings, groups, watch_s)
-    verdicts, watched = [], {}
-    for one in groups:
-        if one.name in refused:
-            continue
+    groups = [one for one in groups if one.name not in refused]
+    verdicts, records = judged(groups, lambda one: record_of(values, one), wanted)
+    watched = {one.valve: _statistics(one, values, watch_s) for one in verdicts}
+    left = unused(numbers, every, verdicts, records) if groups else []
+    notes = tuple(mirrors(verdicts, records))
+    open_or_taken = (one for one in verdicts if one.reading is not None or one.question is not None)
+    return Found(tuple(open_or_taken), watched, (*skipped, *refused.values()), tuple(left), notes)
+
+
+def judged(
+    groups: Sequence[Group], record: Callable[[Group], Record], wanted: Wanted
+) -> tuple[list[Verdict], dict[str, Record]]:
+    """Judge the valves, and then what may be others; return verdicts, and records by valve."""
+    verdicts, records = [], {}
+    used: dict[str, Candidate] = {}
+    for one in sorted(groups, key=lambda one: one.is_possible):
+        own = replace(one, used=tuple(used.values())) if one.is_possible else one
         given = of_valve(wanted.given, one.name, assume=wanted.assume)
         given = replace(given, ports=given.ports or one.name in wanted.ports)
-        verdict = judge(one, record_of(values, one), given, wanted.rating)
+        records[one.name] = record(own)
+        verdict = judge(own, records[one.name], given, wanted.rating)
         verdicts.append(verdict)
-        watched[one.name] = _statistics(verdict, values, watch_s)
-    return Found(tuple(verdicts), watched, (*skipped, *refused.values()))
+        if verdict.reading is not None:
+            used |= {node.node: node for node in verdict.reading.nodes.values()}
+    return verdicts, records
 
 
-def with_answers(one: Group, numbers: Sequence[Candidate], wanted: Wanted) -> Group:
-    """Add the variables that answers name to a valve's own.
-
-    Raises
-    ------
-    ConfigurationError
-        if there is no such variable.
-    """
-    there = {candidate.node for candidate in one.all}
-    more = []
-    for role, node in of_valve(wanted.given, one.name).nodes.items():
-        if node in there:
-            continue
-        named = [candidate for candidate in numbers if candidate.node == node]
-        if not named:
-            raise ConfigurationError(
-                f"--signal {one.name}.{role}={printable(node)}: no readable number has this node"
-            )
-        more += named
-    return replace(one, own=(*one.own, *more))
-
-
-def check_answers(wanted: Wanted, names: Sequence[str]) -> None:
-    """Refuse answers for valves that are not there.
-
-    Raises
-    ------
-    ConfigurationError
-        naming the valves that are.
-
-    Examples
-    --------
-    >>> from valvemap.plant.answers import parse_answers
-    >>> check_answers(  # doctest: +ELLIPSIS
-    ...     Wanted(parse_answers(["V2.U=s=U"], ())), ["V1"]
-    ... )
-    Traceback (most recent call last):
-        ...
-    valvemap.errors.ConfigurationError: V2: no such valve was found; there are: V1; ...
-    """
-    known = {*names, *wanted.new_valves(names)}
-    unknown = ({*wanted.given} - {""} | wanted.skip | wanted.ports) - known
-    if unknown:
-        there = ", ".join(printable(name) for name in names[:20]) or "none"
-        raise ConfigurationError(
-            f"{min(unknown)}: no such valve was found; there are: {there}; of a valve that is none "
-            "of them, --signal names U, p1, p2 and Q, or U, dp and Q"
-        )
-
-
-def _left_over(numbers: Sequence[Candidate], groups: Sequence[Group]) -> Iterator[str]:
-    """Yield a line for each command of no valve that was found; without valves, for each number."""
-    taken = {one.node for own in groups for one in own.watched}
-    for one in numbers:
-        if not groups:
-            yield f"{printable('/'.join(one.path))}: of no valve by its name; {printable(one.node)}"
-        elif one.label.role is Role.U and one.node not in taken and one.label.gain(Role.U) > _CLEAR:
-            yield (
-                f"{printable('/'.join(one.path))}: a command, but its pressures or its flow were "
-                f"not found; if it is a valve's, name all: --signal=NAME.U={printable(one.node)} "
-                "--signal=NAME.p1=… --signal=NAME.p2=… --signal=NAME.Q=…"
-            )
+def _unusable(numbers: Sequence[Candidate], groups: Sequence[Group]) -> list[str]:
+    """Return a line for each number if no valve was found."""
+    if groups:
+        return []
+    return [f"{printable('/'.join(n.path))}: of no valve; {printable(n.node)}" for n in numbers]
 
 
 def record_of(values: Mapping[str, DataChanges], one: Group) -> Record:
@@ -232,13 +163,22 @@ def _statistics(
 async def _watch(
     settings: SourceSettings, groups: Sequence[Group], watch_s: float
 ) -> tuple[dict[str, DataChanges], dict[str, str]]:
-    """Monitor all variables; return their changes by node, and refused valves with the reason."""
+    """Monitor all variables; return their changes by node, and refused valves with the reason.
+
+    A server that takes no more items watches the valves, and not what may be others.
+    """
     lots, refused = _lots_of(groups)
     if not lots:
         return {}, refused
     try:
         changes = await changes_of(OpcUaSource(settings, _all(lots)), watch_s)
-    except SourceRejected:
+    except SourceRejected as error:
+        sure = [one for one in groups if not one.is_possible]
+        if len(sure) < len(groups):
+            found, refused = await _watch(settings, sure, watch_s)
+            what = f"not watched beside the others, may be a valve: {printable(str(error))}"
+            rest = (one.name for one in groups if one.is_possible)
+            return found, refused | {name: f"{printable(name)}: {what}" for name in rest}
         refused |= await _refused_of(settings, lots)
         lots = {name: own for name, own in lots.items() if name not in refused}
         if not lots:

@@ -6,10 +6,11 @@ from typing import Final
 import numpy as np
 
 from valvemap.app.connect import Found
+from valvemap.app.dp_ranges import USUAL, dp_range_that_covers
 from valvemap.config.estimators import default_estimators
 from valvemap.config.ports import SIGNAL_OF
 from valvemap.foreign_text import printable, toml_string
-from valvemap.opcua_source.client import SourceSettings
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_source.source_units import SaidOfNode, contradiction
 from valvemap.pipeline.units import Measure, inside
 from valvemap.plant.ports import NAMES, physics_of
@@ -19,6 +20,7 @@ from valvemap.plant.verdict import Verdict
 from valvemap.vocabulary.signals import MEASURED
 
 _OFFSET: Final = 2.0  # % of U; a sensor of a closed valve may show as much below 0
+_PRESSURES: Final = (Role.P1, Role.PA, Role.PB)  # above p2, where flow does not reverse
 _BOTH_WAYS: Final = tuple(
     f'{{ name = "{one.name}", kind = "{one.kind}" }}'
     for one in default_estimators()
@@ -76,6 +78,9 @@ def of_valve(verdict: Verdict) -> str:
     if not verdict.has_ports and verdict.least_U is None and _works_both_ways(reading):
         lines.append("U_range_percent = [-100.0, 100.0] # U below 0 was seen")
         lines.append(f"estimators = [{', '.join(_BOTH_WAYS)}]")
+    dp_range = _dp_range(reading)
+    if dp_range != (0.0, USUAL):
+        lines.append(f"dp_range_bar = {list(dp_range)} # covers the pressures that were seen")
     section, names = "nodes", {role: str(role) for role in map(Role, (*MEASURED, "dp"))}
     if verdict.has_ports:
         section, names = "ports", dict(NAMES)
@@ -100,6 +105,18 @@ def _works_both_ways(reading: Reading) -> bool:
     U = reading.values.get(Role.U, np.zeros(0))
     good = U[np.isfinite(U)]
     return bool(len(good)) and float(good.min()) < -_OFFSET
+
+
+def _dp_range(reading: Reading) -> tuple[float, float]:
+    """Range of Δp, bar: up to the highest pressure seen, below 0 where the drop reversed."""
+    found = {role: values[np.isfinite(values)] for role, values in reading.values.items()}
+    if (drop := found.get(Role.DP)) is not None and len(drop):
+        return dp_range_that_covers(float(drop.min()), float(drop.max()))
+    tops = [float(found[role].max()) for role in _PRESSURES if len(found.get(role, ()))]
+    p1, p2 = (reading.values.get(role, np.zeros(0)) for role in (Role.P1, Role.P2))
+    drop = p1 - p2 if len(p1) == len(p2) else np.zeros(0)
+    drop = drop[np.isfinite(drop)]
+    return dp_range_that_covers(float(drop.min(initial=0.0)), max(tops, default=0.0))
 
 
 def _of_unit(role: Role, name: str, reading: Reading) -> Iterator[str]:

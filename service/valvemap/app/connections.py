@@ -18,12 +18,15 @@ from valvemap.config.axes import AxisConfig
 from valvemap.config.connections import SourceConfig
 from valvemap.config.models import Config
 from valvemap.config.secret_files import read_secret
-from valvemap.config.valves import EdgeConfig, LineConfig, ValveConfig
+from valvemap.config.valve_parts import EdgeConfig, LineConfig
+from valvemap.config.valves import ValveConfig
 from valvemap.errors import ConfigurationError
-from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.opcua_client.source_settings import Security, SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.axis_arrivals import LINES, line_words
 from valvemap.pipeline.units import QUANTITY_OF
-from valvemap.runtime.live import LiveSettings
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.sources import Part, Sources
 from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.storage.history import HistoryFile

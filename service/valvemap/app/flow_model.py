@@ -1,4 +1,4 @@
-"""A valve's map for scripts and notebooks: predicts, inverts, compares, draws, is saved."""
+"""A valve's map for scripts and notebooks: predict, invert, compare, plot, save."""
 
 import os
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from valvemap.model.inversion import Inversion
 from valvemap.model.residual_spread import TWO_SIDED_95
 from valvemap.model.samples import Floats, Samples
 from valvemap.storage.models import StoredModel, is_model, load_model, write_model
-from valvemap.storage.recordings import read_recording
+from valvemap.storage.tables import without_mask
 from valvemap.vocabulary.statuses import Quality
 
 if TYPE_CHECKING:
@@ -160,9 +160,9 @@ class Model(StoredModel):
         from valvemap.report.plots import save_picture  # noqa: PLC0415
 
         U = np.linspace(*U_range_of(self.estimator), 101)
-        _, _, low, high, _ = self.support.ranges
         curves = []
-        for dp in np.linspace(np.sqrt(max(low, 0.0)), np.sqrt(high), CURVES + 1)[1:] ** 2:
+        least, largest = np.sqrt(self._drops())
+        for dp in np.linspace(least, largest, CURVES + 1)[1:] ** 2:
             Q, std, guessed = self._predicted(self._points(None, U=U, dp=dp)[0])
             half = TWO_SIDED_95 * np.hypot(std, self.noise_std)
             curves.append(Curve(float(dp), U, Q, Q - half, Q + half, guessed))
@@ -188,9 +188,8 @@ class Model(StoredModel):
         """
         from valvemap.storage.tables import data_frame  # noqa: PLC0415 - an extra
 
-        _, _, low, high, _ = self.support.ranges
         U = np.linspace(*U_range_of(self.estimator), LEVELS_U) if U is None else U
-        dp = np.linspace(max(low, 0.0), high, LEVELS_DP) if dp is None else dp
+        dp = np.linspace(*self._drops(), LEVELS_DP) if dp is None else dp
         grid_U, grid_dp = np.meshgrid(_numbers("U", U), _numbers("dp", dp), indexing="ij")
         given, _ = self._points(None, U=grid_U, dp=grid_dp)
         Q, std, guessed = self._predicted(given)
@@ -212,6 +211,14 @@ class Model(StoredModel):
         if not is_model(Path(file)):
             raise ConfigurationError(f"{file}: the name of a saved model ends in .json")
         write_model(Path(file), self)
+
+    def _drops(self) -> tuple[float, float]:
+        """Return the least and the largest pressure drop of the samples, bar, from 0 on."""
+        boxes = self.support.boxes
+        if not len(boxes):
+            return max(float(self.support.ranges[2]), 0.0), float(self.support.ranges[3])
+        lows, highs = boxes[:, 3], boxes[:, 4]
+        return max(float(lows.min()), 0.0), float(highs.max())
 
     def _title(self) -> str:
         oil = "oil temperature unknown" if np.isnan(self.T) else f"oil at {self.T:.3g} °C"
@@ -247,6 +254,8 @@ class Model(StoredModel):
 
     def _measured(self, given: object, layout: Any) -> tuple[Points, Floats]:  # noqa: ANN401
         parts, found = [], dict[str, None]()
+        from valvemap.storage.recordings import read_recording  # noqa: PLC0415 - only to compare
+
         for recording in recordings_in(given):
             with read_recording(recording, layout=layout) as batches:
                 for valve, samples in batches:
@@ -266,7 +275,7 @@ def _numbers(name: str, given: ArrayLike) -> Floats:
     try:
         if given is None or np.asarray(given).dtype.kind in "mM":
             raise TypeError  # noqa: TRY301 - numpy would return NaN, or a count of days
-        return np.atleast_1d(np.asarray(given, np.float64))
+        return np.atleast_1d(np.asarray(without_mask(given), np.float64))
     except (TypeError, ValueError):
         raise ConfigurationError(
             f"{name} is {shown(given)}; a number, or an array of numbers, is allowed"

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.pipeline.units import QUANTITY_OF, UNITS, Measure, Unit, unit_of
-from valvemap.plant.answers import parse_answers
 from valvemap.plant.evidence import Rating
 from valvemap.plant.roles import Role
 from valvemap.storage.layout import Layout
 from valvemap.storage.tables import ALLOWED, is_table, of_rows
-from valvemap.storage.time_units import TIME_UNITS
+from valvemap.storage.time_units import SYMBOLS, TIME_UNITS
 from valvemap.vocabulary.signals import MEASURED
 
 if TYPE_CHECKING:
@@ -100,7 +99,7 @@ def name_in(what: str, given: object) -> list[str] | None:
 
 
 def shown(given: object) -> str:
-    """Return what was typed for a message: itself if it is short, else its type."""
+    """Return a typed value for a message: itself if it is short, else its type."""
     text = repr(given)
     return text if len(text) <= MOST_SHOWN and "\n" not in text else f"a {type(given).__name__}"
 
@@ -131,7 +130,7 @@ def layout_of(units: Mapping[str, str] | None, columns: Mapping[str, str] | None
 
 
 def _checked(given: object, what: str, allowed: tuple[str, ...], example: str) -> dict[str, str]:
-    """Return a copy of texts by signal; what is None is not given."""
+    """Return a copy of texts by signal, without those that are None."""
     if given is None:
         return {}
     if not isinstance(given, Mapping):
@@ -162,14 +161,15 @@ def _file(given: str | os.PathLike[str]) -> Path:
 
 
 def _seconds(text: str) -> float:
-    if text not in TIME_UNITS or not text:
-        known = ", ".join(filter(None, TIME_UNITS))
-        raise ConfigurationError(f"units['t'] is {text!r}; {known} are allowed")
+    if text not in TIME_UNITS:
+        raise ConfigurationError(f"units['t'] is {text!r}; {', '.join(SYMBOLS)} are allowed")
     return TIME_UNITS[text]
 
 
 def _span(signal: str, text: str) -> Measure:
     """Return raw numbers and their values, ``0..10:0..100%``, as ``--scale`` has them."""
+    from valvemap.plant.answers import parse_answers  # noqa: PLC0415 - a saved map needs none of it
+
     given = parse_answers((), (f"{signal}={text}",))
     return given[""].scales[Role(signal)].measure
 

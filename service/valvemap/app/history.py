@@ -8,9 +8,9 @@ import numpy as np
 from valvemap.config.models import Config
 from valvemap.errors import ConfigurationError, NoSuchFile, RecordingError
 from valvemap.model.samples import Floats, Samples
-from valvemap.runtime.past import signals_of
+from valvemap.runtime.past_pieces import signals_of
 from valvemap.storage.history import HistoryFile
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 from valvemap.vocabulary.signals import MEASURED
 from valvemap.vocabulary.statuses import Quality
 

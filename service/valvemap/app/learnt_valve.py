@@ -86,11 +86,11 @@ class LearntValve:
 
     def rank(self) -> tuple[Mapping[str, float], Recommendation]:
         """Return each estimator's error at places visited again, and the recommended one."""
-        ranking, names = self._fleet.rank_now(0), list(self.plan.estimators)
+        ranking, names = self._fleet.maps.rank_now(0), list(self.plan.estimators)
         errors = np.where(np.isfinite(ranking.errors), ranking.errors, np.nan)
-        found = recommendation(ranking, names, self._fleet.inverse(0))
+        found = recommendation(ranking, names, self._fleet.maps.inverse(0))
         return dict(zip(names, errors.tolist(), strict=True)), found
 
     def beyond_range(self) -> Mapping[str, int]:
-        """Return the number of samples with U outside each estimator's range."""
-        return self._fleet.beyond(0)
+        """Return the number of samples with U or Δp outside each estimator's range."""
+        return self._fleet.lanes.beyond(0)

@@ -11,7 +11,7 @@ from valvemap.app.learnt_valve import LearntValve
 from valvemap.app.recording_batches import FlowSplitting
 from valvemap.model.inverse_map import invert
 from valvemap.model.samples import Floats, Samples, Trace
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import lane_predictions
 from valvemap.pipeline.edges import LEAK
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane
@@ -55,7 +55,7 @@ def verified_maps(
     def check(name: str, samples: Samples) -> Floats:
         checks[name].append(check_maps(valves[name], samples, scored=True))
         lane = valves[name].state().lanes.get(LEAK)
-        return np.empty(0) if lane is None else valve_state.predicted_along(lane, samples)
+        return np.empty(0) if lane is None else lane_predictions.predicted_along(lane, samples)
 
     for name, samples in batches:
         if name in valves:
@@ -80,7 +80,7 @@ def summed(checks: Sequence[Mapping[str, MapCheck]]) -> Mapping[str, MapCheck]:
 
 def _check_lane(lane: Lane, samples: Samples) -> MapCheck:
     estimator, state = lane.estimator, lane.state
-    Q_hat = valve_state.predicted_along(lane, samples)
+    Q_hat = lane_predictions.predicted_along(lane, samples)
     residual = samples.Q - Q_hat
     trace = Trace(Q_hat, residual, residual, np.zeros(len(samples), np.uint8))
     tried = _some(samples)
@@ -88,7 +88,7 @@ def _check_lane(lane: Lane, samples: Samples) -> MapCheck:
     feasible = np.isin(inverse.status, DELIVERS)
     U, dp, T = (x[feasible] for x in (inverse.U, tried.dp, tried.T))
     Q_back, _ = estimator.predict(state, U, dp, T)
-    _, half, _ = valve_state.predicted_measurement(lane, tried.U, tried.dp, tried.T)
+    _, half, _ = lane_predictions.predicted_measurement(lane, tried.U, tried.dp, tried.T)
     return MapCheck(
         tried=len(tried),
         covered=int((np.abs(_some(residual)) <= half).sum()),

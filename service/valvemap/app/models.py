@@ -9,17 +9,19 @@ import numpy as np
 
 from valvemap.app.flow_model import Model
 from valvemap.app.given import name_in, rating_of, recordings_in
-from valvemap.errors import ConfigurationError, RecordingError, StorageError
+from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.model.extrapolation import ranges_of
+from valvemap.owned_files import naming
 from valvemap.plant.evidence import RATED_DROP_BAR
 from valvemap.storage.models import is_model, load_model, save_model
 
 if TYPE_CHECKING:
     from valvemap.app.recording_batches import Progress
-    from valvemap.app.replay import Report
+    from valvemap.app.replay_report import Report
     from valvemap.config.models import Config
 
 PREFERRED: Final = "Auto"
-BEYOND: Final = 0.01  # share of the samples that a fit may leave out: U beyond its range
+BEYOND: Final = 0.01  # share of the samples that a fit may leave out: beyond its ranges
 
 
 def fit(
@@ -28,6 +30,7 @@ def fit(
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
     U_range: tuple[float, float] | None = None,
+    dp_range: tuple[float, float] | None = None,
     rated_flow: float = 0.0,
     rated_drop: float = RATED_DROP_BAR,
     valve: str | None = None,
@@ -53,6 +56,8 @@ def fit(
         Columns with other names, by signal: ``{"t": "Time", "U": "Control signal"}``.
     U_range
         Range of U in %, if it is not (0, 100): (-100, 100) of a valve that works both ways.
+    dp_range
+        Range of p1 - p2 in bar; by default (0, 200), or wider where the first samples need it.
     rated_flow, rated_drop
         Of the name plate: flow at U = 100 %, l/min (0: unknown), and its pressure drop, bar. A unit
         of Q that they contradict is refused.
@@ -82,9 +87,9 @@ def fit(
     >>> fit(rows, estimator="RLS").predict(50.0, [25.0, 100.0]).round(6)
     array([25., 50.])
     """
-    from valvemap.app.replay import (  # noqa: PLC0415 - a saved map needs none of it
+    from valvemap.app.replay import replay  # noqa: PLC0415 - a saved map needs none of it
+    from valvemap.app.replay_report import (  # noqa: PLC0415
         refuse_if_nothing_was_learnt,
-        replay,
     )
 
     given, only = recordings_in(recordings), name_in("valve", valve)
@@ -101,6 +106,7 @@ def fit(
         units=units,
         columns=columns,
         U_range=U_range,
+        dp_range=dp_range,
         rating=rating_of(rated_flow, rated_drop),
     )
     where = given[0] if isinstance(given[0], Path) else type(given[0]).__name__
@@ -111,8 +117,10 @@ def fit(
     found = report[valve][name]
     if found.beyond_range > BEYOND * found.samples and not insist:
         raise RecordingError(
-            f"{valve}: U is beyond the range of {name} in {found.beyond_range:,} of "
-            f"{found.samples:,} samples: U_range=(-100, 100), or the valve's own, covers them; "
+            f"{valve}: U or p1 - p2 is beyond the range of {name} "
+            f"({ranges_of(found.lane.estimator)}) in {found.beyond_range:,} of "
+            f"{found.samples:,} samples: U_range=(-100, 100) or dp_range=(0, 400), or the valve's "
+            "own, covers them; "
             "--insist (insist=True in Python) leaves them out"
         )
     model = Model(
@@ -248,7 +256,5 @@ def _chosen(file: Path | str, what: str, wanted: str | None, there: Sequence[str
 
 
 def _make(folder: Path) -> None:
-    try:
+    with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{folder}: {(error.strerror or str(error)).lower()}") from None

@@ -2,6 +2,7 @@
 
 import asyncio
 from functools import partial
+from typing import Any
 
 from valvemap.app.metrics_address import MetricsAddress
 from valvemap.app.mqtt_metrics import mqtt_points
@@ -25,6 +26,7 @@ from valvemap.sparkplug.shown import Shown
 from valvemap.sparkplug.structures import Flat, Structure
 from valvemap.sparkplug.templates import Templates
 
+_CANCEL_AGAIN_S = 10.0  # s; longer than the farewells to broker and service take
 _TIMEOUT_S = 5.0  # s; of every request to the service
 
 
@@ -67,8 +69,15 @@ async def _run_until_stopped(reader: Reader, sender: Sender, stop: asyncio.Event
             task.result()
     finally:
         for task in reversed(tasks):  # the sender publishes NDEATH while the reader still runs
-            task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
+            await _ended(task)
+
+
+async def _ended(task: "asyncio.Task[Any]") -> None:
+    """Cancel until the task ends: `asyncio.wait_for` of Python 3.11 may lose a cancellation."""
+    while not task.done():
+        task.cancel()
+        await asyncio.wait({task}, timeout=_CANCEL_AGAIN_S)
+    await asyncio.gather(task, return_exceptions=True)
 
 
 def build_broker(config: MqttConfig) -> BrokerSettings:

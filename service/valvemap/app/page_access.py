@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from guarded_opcua.security.certificates import Pki, ensure_certificate
+from guarded_opcua.security.own_certificate import ensure_certificate
+from guarded_opcua.security.pki_folders import Pki
 from valvemap.app.identities import PAGE_NAME, PAGE_URI
-from valvemap.opcua_client.results_client import Security, SourceSettings
+from valvemap.opcua_client.source_settings import Security, SourceSettings
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ from valvemap.config.models import Config
 from valvemap.errors import SourceError
 from valvemap.model.samples import Times
 from valvemap.owned_files import write_whole
-from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.supervisor import supervise
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 
 log = structlog.get_logger(__name__)
 
@@ -58,12 +58,12 @@ async def record(
             await supervise(
                 build_source(config), recorder, clock, stop, build_supervisor_settings(config)
             )
+            recorder.finish()
         finally:
             if ends is not None:
                 ends.cancel()
-        recorder.finish()
-        if not recorder.samples:
-            writer.discard()
+            if not recorder.samples:
+                writer.discard()
     recorder.write_timing(file)
     return recorder.samples
 
@@ -84,11 +84,13 @@ async def record_history(
     check_has_valves(config, "recording")
     with RecordingWriter(file) as writer:
         recorder = _Recorder(config, writer, progress)
-        async for changes in build_source(config).recall(start, stop):
-            await recorder.take(changes)
-        recorder.finish()
-        if not recorder.samples:
-            writer.discard()
+        try:
+            async for changes in build_source(config).recall(start, stop):
+                await recorder.take(changes)
+            recorder.finish()
+        finally:
+            if not recorder.samples:
+                writer.discard()
     recorder.write_timing(file)
     return recorder.samples
 

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from valvemap.app.recorded_oil import check_oil
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.units import QUANTITY_OF, Measure, inside, unit_with
@@ -28,8 +29,14 @@ from valvemap.vocabulary.signals import REQUIRED
 from valvemap.vocabulary.statuses import Quality
 
 ROWS: Final = 600  # samples that are judged
-STEP_S: Final = 0.05  # s; they are at least so far apart
+STEP_S: Final = 0.05  # s; least distance between two of them
 _NS_OF_1973: Final = 10**17
+_NS_OF_A_YEAR: Final = 31_556_952 * 10**9
+_TICKS: Final = {
+    "1601 (FILETIME)": (125_911_584 * 10**9, 157_469_184 * 10**9),
+    "the year 1 (ticks of .NET)": (630_822_816 * 10**9, 662_380_416 * 10**9),
+}
+"""Steps of 100 ns in 2000 to 2099, by origin; as ns since 1970 they are in 1974 and in 1990."""
 _SHORTEST_STEP: Final = 100_000  # ns; a shorter one is no sampling period of a valve's signals
 _FEW: Final = 10  # samples; of fewer, the times tell nothing
 _LABELLED: Final = "as labelled"
@@ -70,6 +77,7 @@ def check_units(
     """
     _check_times(file, valve, samples)
     _check_readings(file, valve, samples)
+    check_oil(file, valve, samples, configured=configured, insist=_INSIST)
     if part.recognised:
         return
     if not configured and "U" not in part.stated:
@@ -190,7 +198,7 @@ def _check_span(file: Path, valve: str, samples: Samples) -> None:
 
 
 def _check_times(file: Path, valve: str, samples: Samples) -> None:
-    """Refuse times that are all equal, and microseconds since 1970 taken for nanoseconds."""
+    """Refuse times that are all equal, or of another unit or origin."""
     if len(samples) < _FEW:
         return
     step = float(np.median(np.diff(samples.t)))
@@ -204,6 +212,18 @@ def _check_times(file: Path, valve: str, samples: Samples) -> None:
             f"{file}: valve {valve}: as ns since 1970 the times are {step * 1e-3:.3g} µs apart; "
             "for microseconds since 1970, name the column t [us] (units={'t': 'us'} in Python)"
         )
+    if 0.0 < step < _SHORTEST_STEP:
+        raise RecordingError(
+            f"{file}: valve {valve}: the times are {step * 1e-3:.3g} µs apart; state their unit, "
+            f"such as t [d] for days (units={{'t': 'd'}} in Python); {_INSIST}"
+        )
+    for origin, (first, last) in _TICKS.items():
+        if first <= samples.t[0] < last and step > 0.0:
+            raise RecordingError(
+                f"{file}: valve {valve}: as ns since 1970 the times begin in the year "
+                f"{1970 + samples.t[0] // _NS_OF_A_YEAR}; are they steps of 100 ns since {origin}? "
+                f"Let t be seconds, (t - first t) / 1e7, then; {_INSIST}"
+            )
 
 
 def _mistake(option: Option) -> str:

@@ -1,12 +1,13 @@
 """Recordings as batches of samples, in memory of constant size, divided among edges and meters."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final, TypeVar
 
 import numpy as np
 
+from valvemap.foreign_text import printable
 from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.edges import Splitter, gathered
 from valvemap.pipeline.meters import Meters
@@ -15,6 +16,7 @@ from valvemap.storage.layout import Layout, Part
 from valvemap.storage.recordings import read_recording
 
 MOST_SPLIT: Final = 1 << 20  # samples of an edge that wait for the same rows of its line
+_MOST_NAMED: Final = 12  # columns of a line
 T = TypeVar("T")
 Progress = Callable[[Path, float], None]
 UnitCheck = Callable[[Path, str, Samples, Part], None]
@@ -26,10 +28,12 @@ def read_batches(
     progress: Progress,
     turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
     check: UnitCheck = lambda _file, _valve, _samples, _part: None,
+    note: Callable[[str], None] = lambda _line: None,
 ) -> Iterator[tuple[str, Samples]]:
     """Yield name and samples of each batch; ``turn`` may read ahead.
 
-    ``check`` is called with a valve's first samples of the recording, and its columns.
+    ``check`` is called with a valve's first samples of the recording, and its columns; ``note``
+    at the end, with a line that names the columns of no valve.
     """
     file, checked = name_of(recording), set[str]()
     with read_recording(recording, layout=layout) as batches:
@@ -42,6 +46,14 @@ def read_batches(
                     check(file, name, samples, part)
             yield name, samples
             progress(file, batches.fraction)
+        if batches.ignored:
+            note(f"{file.name}: columns not used: {_listed(batches.ignored)}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _MOST_NAMED
+    shown = ", ".join(printable(name) for name in names[:_MOST_NAMED])
+    return f"{shown} and {more:,} more" if more > 0 else shown
 
 
 def one_ahead(items: Iterator[T]) -> Iterator[T]:

@@ -25,12 +25,12 @@ class Reload:
 
     def __init__(self, load: Callable[[], Config]) -> None:
         self.load = load
-        self._asked: asyncio.Queue[Outcome] = asyncio.Queue()
+        self.requests: asyncio.Queue[Outcome] = asyncio.Queue()
 
     def ask(self) -> Outcome:
         """Request a reload without waiting; the future completes or has the error."""
         outcome: Outcome = asyncio.get_running_loop().create_future()
-        self._asked.put_nowait(outcome)
+        self.requests.put_nowait(outcome)
         return outcome
 
     def ask_by_signal(self) -> None:
@@ -50,10 +50,6 @@ class Reload:
             await self.ask()
         except (ValvemapError, HardenedError) as error:
             raise CommandRejected(in_one_line(error)) from error
-
-    async def asked(self) -> Outcome:
-        """Wait for the next request."""
-        return await self._asked.get()
 
 
 def check_what_stays(before: Config, config: Config) -> None:

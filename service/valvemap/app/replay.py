@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from valvemap.app.build import build_layout, build_plans
+from valvemap.app.dp_ranges import dp_range_of_samples
 from valvemap.app.given import config_in, layout_of, recordings_in
-from valvemap.app.learnt_valve import BEST_FIT, LearntValve
-from valvemap.app.map_checks import MapCheck, check_maps, summed, verified_maps
+from valvemap.app.learnt_valve import LearntValve
+from valvemap.app.map_checks import check_maps, summed, verified_maps
 from valvemap.app.recorded_units import check_units
 from valvemap.app.recording_batches import (
     FlowSplitting,
@@ -22,74 +23,20 @@ from valvemap.app.recording_batches import (
     one_ahead,
     read_batches,
 )
+from valvemap.app.replay_report import Report, report_of
 from valvemap.config.loading import check_has_valves
 from valvemap.config.models import Config
 from valvemap.config.valves import ValveConfig
-from valvemap.errors import ConfigurationError, RecordingError
-from valvemap.model.recursive_least_squares import Change
+from valvemap.errors import ConfigurationError
 from valvemap.model.samples import Floats, Samples, Trace
-from valvemap.model.survey import Survey
-from valvemap.pipeline import valve_state
 from valvemap.pipeline.edges import LEAK
-from valvemap.pipeline.recommendation import NOT_YET, Recommendation
-from valvemap.pipeline.score import Score
-from valvemap.pipeline.valve_state import Lane, ValvePlan
+from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.plant.evidence import Rating
 from valvemap.plant.reading import Given
 from valvemap.storage.layout import Layout, Part
 from valvemap.vocabulary.edges import edges_of
-from valvemap.vocabulary.findings import Finding
 
 Tap = Callable[[str, Samples, Mapping[str, Trace]], None]
-
-
-@dataclass(frozen=True)
-class EstimatorReport:
-    """The result of a replay for one estimator: its final lane and figures of merit.
-
-    Without a verification file, ``verify`` is None and the inverse is tested on the last batch. At
-    most ``MOST_TRIED`` evenly spaced samples of a batch are tested.
-
-    - ``round_trip_max``: the largest |Q(U(Q, dp), dp) - Q| in l/min over the feasible flows.
-    - ``infeasible``: the number of tested flows that are not feasible.
-    - ``noise_std``: standard deviation of recent measurements about the map, l/min.
-    - ``covered``: the share of tested samples within their 95 % interval.
-    - ``survey``: the coverage of the map.
-    - ``beyond_range``: the number of samples with a U outside the estimator's range.
-    - ``T``: the last measured oil temperature, °C.
-    - ``change``: the last detected change of the valve.
-    - ``structure``: the structure chosen by `Auto`.
-    - ``samples``: the number of all samples; ``rejected``: the number rejected, by reason.
-    - ``hints``: implausible properties of the valve's signals.
-    - ``again``: the error at places visited again, l/min, by which estimators are ranked; NaN for
-      one that is not.
-    - ``findings``: causes that the estimator found in the samples.
-    - ``recommended``: the valve's recommended estimator, and why.
-    """
-
-    lane: Lane
-    parameters: Mapping[str, float]
-    std: Mapping[str, float]
-    one_step: Score
-    verify: Score | None
-    round_trip_max: float
-    infeasible: int
-    noise_std: float
-    covered: float
-    survey: Survey
-    beyond_range: int
-    T: float
-    change: Change | None
-    structure: str | None
-    rejected: Mapping[str, int] = field(default_factory=dict)
-    samples: int = 0
-    hints: tuple[str, ...] = ()
-    again: float = np.nan
-    recommended: Recommendation = NOT_YET
-    findings: tuple[Finding, ...] = ()
-
-
-Report = Mapping[str, Mapping[str, EstimatorReport]]
 
 
 def replay(
@@ -105,10 +52,12 @@ def replay(
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
     U_range: tuple[float, float] | None = None,
+    dp_range: tuple[float, float] | None = None,
     read_ahead: bool = True,
     header: tuple[str, ...] | None = None,
     given: Mapping[str, Given] | None = None,
     rating: Rating | None = None,
+    note: Callable[[str], None] = lambda _line: None,
 ) -> Report:
     """Run recordings through the pipeline, one after the other; files in constant memory.
 
@@ -137,6 +86,9 @@ def replay(
     U_range
         Range of U in %, (-100, 100) of a valve that works both ways, if it is not (0, 100); the
         estimators that describe any range run then. With ``config``, it is part of it.
+    dp_range
+        Range of p1 - p2 in bar; by default (0, 200), or wider where a valve's first samples need
+        it. With ``config``, it is part of it.
     read_ahead
         Read the next batch in a thread while one is processed; useless if all processors are
         busy.
@@ -144,6 +96,8 @@ def replay(
         Headings of files that have none, and answers about foreign headings.
     rating
         What the valve's name plate states; units that it contradicts are refused.
+    note
+        Called with a line of what is left out of a recording.
 
     Returns
     -------
@@ -156,8 +110,8 @@ def replay(
     RecordingError, ConfigurationError
     """
     config = config_in(config)
-    if config is not None and U_range is not None:
-        raise ConfigurationError("with a config, U_range is its valves.U_range_percent")
+    if config is not None:
+        _refuse_beside_config(U_range, dp_range)
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
     rating = rating or Rating()
     layout = replace(
@@ -169,11 +123,12 @@ def replay(
     splitter = FlowSplitting(plans or {})
     check = _unit_check(plans, rating, only, insist=insist)
     for recording in recordings_in(recordings):
-        for name, samples in read_batches(recording, layout, progress, turn, check):
+        for name, samples in read_batches(recording, layout, progress, turn, check, note):
             found[name] = None
             if (plans and name not in plans) or (plans is None and _is_left_out(name, only)):
                 continue
-            plan = _default_plan(name, U_range) if plans is None else plans[name]
+            covered = dp_range or dp_range_of_samples(samples)
+            plan = _default_plan(name, U_range, covered) if plans is None else plans[name]
             if not _is_chosen(plan, only):
                 continue
             if name not in valves:
@@ -194,44 +149,18 @@ def replay(
         coming = (read_batches(one, layout, progress, turn) for one in recordings_in(verify))
         checks = verified_maps(valves, chain.from_iterable(coming), FlowSplitting(plans or {}))
     return {
-        name: _report(valve, summed(checks[name]), verified=verify is not None)
+        name: report_of(valve, summed(checks[name]), verified=verify is not None)
         for name, valve in valves.items()
     }
 
 
-def as_json(report: Report) -> dict[str, Any]:
-    """Return the report in its JSON form; unknown values are null."""
-    return {
-        valve: {
-            name: {
-                "parameters": _numbers(r.parameters),
-                "std": _numbers(r.std),
-                "one_step": _numbers(
-                    {k: getattr(r.one_step, k) for k in ("rmse", "nrmse", "r2", "n")}
-                ),
-                "verify": None
-                if r.verify is None
-                else _numbers({k: getattr(r.verify, k) for k in ("rmse", "max_abs", "r2", "n")}),
-                "inverse": _numbers(
-                    {"round_trip_max": r.round_trip_max, "infeasible": r.infeasible}
-                ),
-                "interval": _numbers({"noise_std": r.noise_std, "covered": r.covered}),
-                "next_point": _numbers({"U": r.survey.suggested_U, "dp": r.survey.suggested_dp}),
-                "coverage": _numbers({"share": r.survey.share, "condition": r.survey.condition}),
-                "last_change": None if r.change is None else asdict(r.change),
-                "structure": r.structure,
-                "again": _numbers({"rmse": r.again}),
-                "recommended": name == r.recommended.name,
-                "findings": [
-                    {"code": f.code.name, "probability": f.probability, "sentence": f.sentence}
-                    for f in r.findings
-                ],
-            }
-            for name, r in estimators.items()
-            if name != BEST_FIT
-        }
-        for valve, estimators in report.items()
-    }
+def _refuse_beside_config(
+    U_range: tuple[float, float] | None, dp_range: tuple[float, float] | None
+) -> None:
+    if U_range is not None:
+        raise ConfigurationError("with a config, U_range is its valves.U_range_percent")
+    if dp_range is not None:
+        raise ConfigurationError("with a config, dp_range is its valves.dp_range_bar")
 
 
 def _is_chosen(plan: ValvePlan, only: Collection[str] | None) -> bool:
@@ -279,59 +208,6 @@ def _none_of(
     return ConfigurationError(f"the recordings hold none of the configured valves: {named}")
 
 
-def _report(
-    valve: LearntValve, checks: Mapping[str, MapCheck], *, verified: bool
-) -> Mapping[str, EstimatorReport]:
-    report = {}
-    again, recommended = valve.rank()
-    state, results, beyond = valve.state(), valve.results(), valve.beyond_range()
-    for name, lane in state.lanes.items():
-        result, names = results[name], lane.estimator.parameter_names
-        check = checks.get(name)
-        report[name] = EstimatorReport(
-            lane=lane,
-            parameters=dict(zip(names, result.theta[0].tolist(), strict=True)),
-            std=dict(zip(names, result.std[0].tolist(), strict=True)),
-            one_step=lane.score,
-            verify=check.score if check is not None and verified else None,
-            round_trip_max=np.nan if check is None else check.round_trip_max,
-            infeasible=0 if check is None else check.infeasible,
-            noise_std=float(result.noise_std[0]),
-            covered=check.covered / check.tried if check and check.tried else np.nan,
-            survey=valve_state.survey_of(valve.plan, state, name),
-            beyond_range=beyond[name],
-            T=state.T,
-            change=result.change[0],
-            structure=result.structure[0],
-            rejected=valve.rejected(),
-            samples=valve.samples,
-            hints=valve.hints(),
-            again=again[name],
-            recommended=recommended,
-            findings=valve_state.findings_of(lane),
-        )
-    return report
-
-
-def refuse_if_nothing_was_learnt(report: Report) -> None:
-    """Raise RecordingError if no sample of a valve could be used; it names the reasons."""
-    empty = []
-    for valve, estimators in report.items():
-        r = next(iter(estimators.values()))
-        if all(r.lane.count == 0 for r in estimators.values()):
-            why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
-            why = why or "they are too few"
-            said = f"{valve}: nothing was learnt from {r.samples} samples: {why}"
-            if r.rejected.get("not_finite", 0) >= r.samples > 0:
-                said += (
-                    " (no row has all of U, p1, p2 and Q: as rows of time, tag and value, each tag "
-                    "keeps its last value)"
-                )
-            empty.append(said)
-    if empty:
-        raise RecordingError("; ".join(empty))
-
-
 def _chosen(plan: ValvePlan, names: Collection[str] | None) -> ValvePlan:
     """Return the plan with the chosen estimators only."""
     if names is None or LEAK in plan.estimators:
@@ -356,8 +232,10 @@ def _layout(
     return build_layout(config)
 
 
-def _default_plan(name: str, U_range: tuple[float, float] | None) -> ValvePlan:
-    given: dict[str, Any] = {}
+def _default_plan(
+    name: str, U_range: tuple[float, float] | None, dp_range: tuple[float, float]
+) -> ValvePlan:
+    given: dict[str, Any] = {"dp_range_bar": dp_range}
     whole_name, is_part, _ = name.partition(".")
     if is_part:
         raise ConfigurationError(
@@ -366,7 +244,7 @@ def _default_plan(name: str, U_range: tuple[float, float] | None) -> ValvePlan:
         )
     if U_range is not None:
         whole = [one for one in ValveConfig(name="V").estimators if one.any_U_range]
-        given = {"U_range_percent": U_range, "estimators": whole}
+        given |= {"U_range_percent": U_range, "estimators": whole}
     try:
         valve = ValveConfig(name=name, **given)
     except ValidationError as error:
@@ -374,12 +252,12 @@ def _default_plan(name: str, U_range: tuple[float, float] | None) -> ValvePlan:
             raise ConfigurationError(
                 f"U_range is {U_range!r}; a low and a high end in % are allowed, as (-100, 100)"
             ) from None
+        if any("dp_range_bar" in one["loc"] for one in error.errors()):
+            raise ConfigurationError(
+                f"dp_range is {dp_range!r}; a low and a high end in bar are allowed, as (0, 350)"
+            ) from None
         raise ConfigurationError(
             f"valve {name!r}: a name is a letter, then letters, digits, _ or -, 64 at most"
         ) from None
     (plan,) = build_plans(Config(valves=(valve,)))
     return plan
-
-
-def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {key: value if np.isfinite(value) else None for key, value in values.items()}

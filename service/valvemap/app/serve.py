@@ -21,9 +21,10 @@ from valvemap.app.connections import (
 from valvemap.app.history_span import span_in_words
 from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.memory import giving_back
+from valvemap.app.next_plan import next_plan
 from valvemap.app.plan import Plan, make_plan
 from valvemap.app.pulse import Pulse
-from valvemap.app.reload import Reload, check_what_stays, in_one_line
+from valvemap.app.reload import Reload, in_one_line
 from valvemap.app.service_manager import ServiceManager, feed_watchdog
 from valvemap.app.shown import Shown
 from valvemap.app.staged_start import complete, first_identification
@@ -183,7 +184,7 @@ async def _live(
     pulse = Pulse(live, clock)
     watched = asyncio.create_task(feed_watchdog(manager, pulse, clock))
     stopping = asyncio.create_task(_pass_on(stop, live, ended, manager))
-    following = asyncio.create_task(_following(plan, reload, ended, completing))
+    following = asyncio.create_task(next_plan(plan, reload, ended, completing))
     try:
         supervision = build_supervisor_settings(config)
         supervision = replace(supervision, connected_before=plan.after_another)
@@ -261,47 +262,3 @@ async def _pass_on(
     manager.stopping()
     live.end_soon()
     ended.set()
-
-
-async def _following(
-    plan: Plan, reload: Reload, ended: asyncio.Event, completing: asyncio.Task[None]
-) -> Plan:
-    """Wait for a valid new configuration, end this one, and transfer the source to the new one.
-
-    A preview is completed first: the states of its waiting estimators could not be transferred.
-    """
-    await asyncio.shield(completing)
-    while True:
-        outcome = await reload.asked()
-        try:
-            following = await _checked(plan, reload)
-        except (ValvemapError, HardenedError) as error:
-            log.warning(
-                "configuration refused, the present one stays in use", reason=in_one_line(error)
-            )
-            if not outcome.done():
-                outcome.set_exception(error)
-            continue
-        if not outcome.done():
-            outcome.set_result(None)
-        if following is None:
-            log.info("configuration unchanged")
-            continue
-        log.info("configuration taken over", valves=len(following.config.valves))
-        following.source.succeed(plan.source)
-        following.axis_source.succeed(plan.axis_source)
-        ended.set()
-        return following
-
-
-async def _checked(plan: Plan, reload: Reload) -> Plan | None:
-    """Load and check the new configuration; return its plan, or None if it is unchanged."""
-    config = await asyncio.to_thread(reload.load)
-    if config == plan.config:
-        return None
-    check_what_stays(plan.config, config)
-    following = make_plan(config, plan.given_settings, after_another=True)
-    await following.compiled.ended()
-    await following.source.check()
-    await following.axis_source.check()
-    return following

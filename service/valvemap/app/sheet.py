@@ -11,6 +11,7 @@ from valvemap.plant.evidence import coefficient
 from valvemap.plant.ports import NAMES, physics_of
 from valvemap.plant.reading import Reading
 from valvemap.plant.roles import QUANTITY, Role
+from valvemap.plant.unused import Unused
 from valvemap.plant.verdict import Verdict
 
 HEADINGS = ("signal", "node", "unit", "range", "values seen", "reason")
@@ -68,6 +69,16 @@ def _row(verdict: Verdict, reading: Reading, role: Role) -> Row:
     )  # fmt: skip
 
 
+def _left_out(one: Unused) -> Row:
+    node = one.variable
+    bounds = "" if node.bounds is None else f"{node.bounds[0]:g} … {node.bounds[1]:g}"
+    name = printable("/".join(node.path))
+    unit = printable(node.symbol) or "/".join(unit.symbol for unit in node.label.units)
+    return Row(
+        "Used by no valve", "-", printable(node.node), unit, bounds, "", f"{name}: {one.reason}"
+    )  # fmt: skip
+
+
 def _unrated(reading: Reading, drop_bar: float) -> Iterator[str]:
     """Yield what to compare with the name plate: a factor of Q contradicts nothing else."""
     k, U = coefficient(reading.values), np.abs(reading.values[Role.U])
@@ -78,11 +89,14 @@ def _unrated(reading: Reading, drop_bar: float) -> Iterator[str]:
         )
 
 
-def sheet_page(url: str, verdicts: Iterable[Verdict]) -> str:
-    """Return the sheet as a page (HTML, complete in itself) with a line for a signature."""
+def sheet_page(url: str, verdicts: Iterable[Verdict], left: Iterable[Unused] = ()) -> str:
+    """Return the sheet as a page (HTML, complete in itself) with a line for a signature.
+
+    The numbers ``left`` that no valve uses are at its end, each with the reason.
+    """
     body: list[str] = []
     valve = None
-    for row in rows(verdicts):
+    for row in (*rows(verdicts), *map(_left_out, left)):
         if row.valve != valve:
             valve = row.valve
             body.append(f'<tr><th colspan="{len(HEADINGS)}">{escape(valve)}</th></tr>')

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from valvemap.app.plan import Plan
 from valvemap.app.reload import Reload
 from valvemap.opcua_results.results_server import ResultsServer
-from valvemap.pipeline.results import AlarmChange
+from valvemap.pipeline.alarm_results import AlarmChange
 from valvemap.storage.history import HistoryFile
 
 

@@ -1,5 +1,6 @@
 """Lists, adopts, renames, exports and imports the learnt states of valves and axes."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -9,7 +10,8 @@ from typing import Final
 from valvemap.app.axes import axes_file, build_axis_states
 from valvemap.app.build import build_identification
 from valvemap.config.models import Config
-from valvemap.errors import NoSuchFile, StorageError
+from valvemap.config.names import ALLOWED_NAME, NAME
+from valvemap.errors import ConfigurationError, NoSuchFile, StorageError
 from valvemap.owned_files import written_aside
 from valvemap.pipeline.axis_states import OF_AXES
 from valvemap.pipeline.kept_together import KeptTogether, KeptValves
@@ -17,7 +19,7 @@ from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage.checkpoint_rows import SetAside
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.state_files import read_states, write_states
-from valvemap.vocabulary.edges import split_id
+from valvemap.vocabulary.edges import PARTS, split_id
 
 _OF_SERVICE: Final = "Service"  # its position and alarms are no states of a valve
 _FITS: Final = "fits the configuration"
@@ -26,7 +28,7 @@ _AXIS_MARK: Final = "a"  # before the numbers of states set aside of axes, which
 
 @dataclass(frozen=True)
 class _Kept:
-    """A file of states, and what they are of; ``mark`` precedes its numbers in the list."""
+    """A file of states and their owners; ``mark`` precedes its numbers in the list."""
 
     file: Path
     states: KeptTogether
@@ -134,9 +136,16 @@ def rename(config: Config, old: str, new: str) -> list[str]:
 
     Raises
     ------
+    ConfigurationError
+        if no valve can have the new name, or it is the present one.
     StorageError
         if there is no such state, or a service uses the file.
     """
+    owner, _, part = new.partition(".")
+    if re.fullmatch(NAME, owner) is None or part not in ("", *PARTS):
+        raise ConfigurationError(f"{new!r} is no name: {ALLOWED_NAME}")
+    if new == old:
+        raise ConfigurationError(f"{old} has this name already")
     known = _kept(config)
     for kept in known:
         stored, aside = kept.stored()
@@ -187,7 +196,7 @@ def import_states(config: Config, file: Path, valves: Sequence[str]) -> list[str
     StorageError
         if there is no such state, a file cannot be used, or a service uses a state file.
     """
-    given, _ = read_states(file)
+    given, _ = read_states(file, "valvemap state export")
     known = [one for one in given if one.valve != _OF_SERVICE]
     for valve in valves:
         if all(one.valve != valve for one in known):

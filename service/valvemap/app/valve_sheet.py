@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,7 +17,8 @@ from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.dynamics import Dynamics
 from valvemap.model.judged_sheet import Apart, Line, Verdict, compare, judge
 from valvemap.model.samples import Floats
-from valvemap.model.sheet import Figure, Sheet, SheetError, make_sheet
+from valvemap.model.sheet import Figure, Sheet, SheetError, make_sheet, too_few_traverses
+from valvemap.storage.commission_files import why_unfinished
 from valvemap.storage.layout import Layout
 
 _NOISE_PERCENT: Final = 1.0  # of a signal at 0
@@ -87,6 +88,9 @@ def sheet_of(
         sheet = make_sheet(samples, dp_rated, U_range)
     except SheetError as error:
         raise RecordingError(f"{file}: {error}") from None
+    unfinished = why_unfinished(file)
+    if unfinished is not None:  # its moves between the traverses are no work
+        sheet = replace(sheet, not_a_test=too_few_traverses(sheet.conditions) or unfinished)
     lines = tuple(_line(figure, datasheet) for figure in sheet.figures)
     apart = None
     if against is not None:

@@ -8,55 +8,25 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
 from multiprocessing.sharedctypes import Synchronized
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
-
-from valvemap.app.build import alignment_of, build_identification, build_plans
+from valvemap.app.warm_up_parts import compile_here, parts_of
 from valvemap.config.meters import meters_of
 from valvemap.config.models import Config
 from valvemap.config.valves import ValveConfig
-from valvemap.model import flow_map_warm_up, spool_fit
-from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
-from valvemap.model.capabilities import ChoosesStructure, FindsChanges
-from valvemap.model.estimator import Estimator, key_of
 from valvemap.model.kernels.compiled import take_shortcuts
 from valvemap.model.kernels.warmed_up import note_warm_up, was_warmed_up
-from valvemap.model.residual_spread import ResidualSpread
-from valvemap.model.samples import Samples, Segments, Trace
-from valvemap.model.shared_meter import SharedMeter
-from valvemap.model.support import Support
 from valvemap.numba_version import are_shortcuts_asked_for
-from valvemap.opcua_source.decoding import decode_data_changes
-from valvemap.pipeline.alarms import RULES, Alarms
-from valvemap.pipeline.axes import Axis, AxisPlan
-from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.kernels import lanes
-from valvemap.pipeline.places import Places
-from valvemap.pipeline.plausibility import Plausibility
-from valvemap.pipeline.quality_gate import QualityGate
-from valvemap.pipeline.score import Score
-from valvemap.pipeline.valve_timing import make_one_scan
-
-_NO_CHANGES = bytes(4) + b"\xff" * 4  # a DataChangeNotification: no items, no diagnostics
-_ONE_CHANGE = DataChanges(
-    item=np.zeros(1, np.int32),
-    value=np.zeros(1),
-    status=np.zeros(1, np.uint32),
-    source_time=np.zeros(1, np.int64),
-)
-
 
 Progress = Callable[[int, int], None]  # parts done, parts in total
 _REPORT_EVERY_S = 5.0
 _POLL_S: Final = 0.5  # s; longest delay until a request to end is noticed
 _MOST_HELPERS: Final = 2  # processes; a third finds little work, and each needs 150 MB
-_NICENESS: Final = 5  # the service, which runs meanwhile, comes first
+_NICENESS: Final = 5  # the running service has priority
 _OF_ONE = {"name", "nodes", "source", "identification"}  # fields without effect on the kernels
 
 
@@ -93,7 +63,7 @@ def warm_up_aside(
     config = _one_of_each_kind(config)
     if was_warmed_up():
         return
-    of = len(_parts(config))
+    of = len(parts_of(config))
     with _helpers(config, min(os.cpu_count() or 1, _MOST_HELPERS), _NICENESS) as shared:
         while any(helper.is_alive() for helper in shared.helpers) and not is_over():
             progress(shared.done.value, of)
@@ -121,7 +91,7 @@ def _one_of_each_kind(config: Config) -> Config:
 
 def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], bool]) -> None:
     """Compile the slow parts, each in one of two processes."""
-    finished, of = threading.Event(), len(_parts(config))
+    finished, of = threading.Event(), len(parts_of(config))
     with _helpers(config, min((os.cpu_count() or 1) - 1, 1), 0) as shared:
 
         def report() -> None:
@@ -156,12 +126,28 @@ def _helpers(config: Config, number: int, niceness: int) -> Iterator[_Shared]:
     taken, done = context.Value("i", 0), context.Value("i", 0)
     given = config, taken, done, gc.get_threshold(), are_shortcuts_asked_for(), niceness
     helpers = [context.Process(target=_help, args=given, daemon=True) for _ in range(number)]
-    with _starting:
+    with _starting, _without_ctrl_c():
         for helper in helpers:
             helper.start()
     yield _Shared(taken, done, tuple(helpers))
     for helper in helpers:
         helper.join()
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Block SIGINT in this thread: a process that it starts inherits that, before its first line.
+
+    `_help` would ignore Ctrl-C only once everything is imported.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _help(
@@ -197,7 +183,7 @@ def _take_parts(
     done: "Synchronized[int]",
     is_over: Callable[[], bool],
 ) -> None:
-    parts = _parts(config)
+    parts = parts_of(config)
     while True:
         with taken.get_lock():
             if is_over():
@@ -208,156 +194,3 @@ def _take_parts(
         parts[mine]()
         with done.get_lock():
             done.value += 1
-
-
-def _parts(config: Config) -> list[Callable[[], None]]:
-    """Return the parts to compile separately, the longest first; they share hardly any kernel."""
-    estimators = {
-        key_of(estimator): estimator
-        for plan in build_plans(config)
-        for estimator in plan.estimators.values()
-    }
-    finds_structure = any(isinstance(one, ChoosesStructure) for one in estimators.values())
-    others = [one for one in estimators.values() if not isinstance(one, ChoosesStructure)]
-    return [
-        *((flow_map_warm_up.learn, flow_map_warm_up.fit) if finds_structure else ()),
-        *(partial(_learn, one) for one in others if isinstance(one, FindsChanges)),
-        *(partial(_learn, one) for one in others if not isinstance(one, FindsChanges)),
-        partial(compile_alignment, config),
-        _look_around,
-        _watch,
-        _compare,
-        partial(_first_maps, config),
-        *((flow_map_warm_up.look, flow_map_warm_up.begin_again) if finds_structure else ()),
-        *((_learn_axis,) if config.axes else ()),
-        *((_fit_dynamics,) if config.dynamics.share else ()),
-        *((_share_a_meter,) if meters_of(config.valves) else ()),
-    ]
-
-
-def _share_a_meter() -> None:
-    """Compile the division of a flow among valves."""
-    meter, one = SharedMeter(((0.0, 100.0), (0.0, 100.0))), np.ones((2, 1))
-    meter.learn(meter.initial_state(), one, one, one[0], np.ones(1, np.bool_))
-
-
-def _learn_axis() -> None:
-    """Compile the regression of axes."""
-    regression, line = AxisRegression(AxisGeometry(63.0, 45.0, 800.0, 1.2, 1.2)), _samples()
-    samples = AxisSamples.of(
-        line.t, U=line.U, x=line.Q, pA=line.p2, pB=line.p2, pS=line.p1, pT=line.T
-    )
-    regression.update(regression.initial_state(), samples)
-    axis = Axis(AxisPlan("", regression.geometry))
-    axis.take_line(0, line)
-    axis.take_line(1, line)
-
-
-def _fit_dynamics() -> None:
-    """Compile the fit of dynamics."""
-    few = _samples()
-    grid = spool_fit.Grid(
-        few.T, few.U, few.p1, few.Q, 1e-2, 40, spool_fit.Hold.CONSTANT, (0.0, 5.0, 1.0)
-    )
-    point = spool_fit.Point(10.0, 0.7, spool_fit.NO_SLEW, 0.0, 0.01, 1.0)
-    spool_fit.residual(grid, point)
-    spool_fit.response(point, 1.0, 0.01)
-
-
-def _learn(estimator: Estimator[Any]) -> None:
-    state, _ = estimator.update(estimator.initial_state(), _samples())
-    estimator.predict(state, *(np.full(1, x) for x in (50.0, 100.0, 40.0)))
-    estimator.parameters(state)
-
-
-def compile_alignment(config: Config) -> None:
-    """Compile decoding and alignment, all that `record` needs."""
-    decode_data_changes(_NO_CHANGES)
-    alignment = alignment_of(config, ((),), (False,))
-    waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)
-    alignment.waits(waiting)
-    make_one_scan()
-
-
-def _first_maps(config: Config) -> None:
-    """Compile the inverse map, which is published before the first sample."""
-    build_identification(config)
-
-
-def _look_around() -> None:
-    """Compile plausibility, quality gate, support and residual spread."""
-    samples, one = _samples(), Segments.one(len(_samples()))
-    Plausibility(1).count(samples, one)
-    gate = QualityGate()
-    gate.judge(gate.initial_state(1), samples, one)
-    support = Support.none().of_many(1)
-    status = np.zeros(len(samples), np.uint8)
-    support.learn(samples, status, one)
-    rests, U, dp, T = support.one(0), *(np.full(1, x) for x in (50.0, 100.0, 40.0))
-    rests.distance(U, dp, T)
-    rests.misfit(U, dp, U)
-    rests.may_hide(U, dp)
-    spread = ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
-    spread.half_width(U, dp, U)
-
-
-def _compare() -> None:
-    """Compile the comparison of estimators at places, for one valve."""
-    samples, places = _samples(), Places(1, 1)
-    errors, status = np.zeros((1, len(samples))), np.zeros((1, len(samples)), np.uint8)
-    places.learn(samples, errors, errors, status, Segments.one(len(samples)))
-    places.of(0, 0).widened(samples.U, samples.U, samples.dp, samples.T)
-
-
-def _watch() -> None:
-    """Compile alarms, scores and the bookkeeping of lanes."""
-    samples, one = _samples(), Segments.one(len(_samples()))
-    trace = Trace(samples.Q, samples.Q, samples.Q, np.zeros(len(samples), np.uint8))
-    alarms = Alarms(1, RULES, 200.0)
-    alarms.watch(samples, trace, one)
-    alarms.note_answers(np.zeros(1, np.int64), np.zeros(1))
-    Score.none().add(samples, trace)
-    lanes.note(samples.t, trace.predicted, trace.residual, trace.status, lanes.nothing(1), one)
-    lanes.last_T(samples.T, samples.quality, np.full(1, np.nan), one)
-
-
-def compile_here(config: Config) -> None:
-    """Run every kind of pipeline once on synthetic samples; the results are discarded."""
-    compile_alignment(config)  # by itself: at first the timing holds changes back
-    if config.axes:
-        _learn_axis()
-    if config.dynamics.share:
-        _fit_dynamics()
-    if meters_of(config.valves):
-        _share_a_meter()
-    identification = build_identification(config)
-    if config.valves:
-        identification.take(_ONE_CHANGE)
-    identification.arrivals.waits()
-    for valve in identification.valves.one_of_each_kind():
-        plan = identification.plans[valve]
-        identification.take_samples(valve, _samples())
-        for estimator in plan.estimators:
-            identification.predict(plan.name, estimator, 50.0, 100.0, 40.0)
-            identification.predict_measurement(plan.name, estimator, 50.0, 100.0, 40.0)
-            support, one = (
-                identification.valves.lane(plan.name, estimator).support,
-                np.full(1, 50.0),
-            )
-            support.misfit(one, one, one)  # the samples decide which kernels a map needs
-            support.may_hide(one, one)
-        identification.results.one(valve)
-    identification.maps.refresh()
-    plans = identification.plans
-    if any(isinstance(one, ChoosesStructure) for plan in plans for one in plan.estimators.values()):
-        flow_map_warm_up.look()
-        flow_map_warm_up.begin_again()
-
-
-def _samples() -> Samples:
-    n = 32
-    k = np.arange(n, dtype=np.float64)
-    U, dp = (37.0 * k) % 100.0, (1.0 + 61.0 * k) % 200.0
-    return Samples.of(
-        t=np.arange(n), U=U, p1=np.full(n, 200.0), p2=200.0 - dp, Q=U * np.sqrt(dp) / 10, T=0 * U
-    )

@@ -9,7 +9,7 @@ import numpy as np
 from valvemap.app.connections import build_axis_sources, build_source
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
-from valvemap.config.valves import EdgeConfig, LineConfig
+from valvemap.config.valve_parts import EdgeConfig, LineConfig
 from valvemap.errors import SourceRejected
 from valvemap.opcua_source.client import OpcUaSource
 from valvemap.pipeline.data_changes import DataChanges

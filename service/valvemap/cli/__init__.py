@@ -1,10 +1,13 @@
 """The command ``valvemap``: exit code 0, 1 (the command failed) or 2 (usage error)."""
 
+import errno
 import gc
+import io
 import logging
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -19,6 +22,8 @@ __all__ = ["COMMANDS", "application", "main", "run"]
 
 _QUIET = ("asyncua", "numba", "matplotlib")  # libraries whose warnings concern no user
 
+_ENDED = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE}  # of a nameless output
+
 _UsageError: Any = typer.BadParameter.__base__  # typer exports its children only
 
 
@@ -31,6 +36,9 @@ def main() -> None:
     gc.set_threshold(50_000, 20, 20)  # imports and address spaces create little garbage
     for name in _QUIET:
         logging.getLogger(name).setLevel(logging.ERROR)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # ASCII and code pages have no √ and °
     code = run(sys.argv[1:])
     gc.freeze()  # skip the collection at exit
     sys.exit(code)
@@ -49,6 +57,7 @@ def run(arguments: list[str]) -> int:
 
             allow_address_space()
         code = get_command(application()).main(arguments, standalone_mode=False)
+        _flush()
     except typer.Exit as end:
         return int(end.exit_code)
     except _UsageError as error:
@@ -57,11 +66,31 @@ def run(arguments: list[str]) -> int:
         return _say(said if asked_nothing else f"valvemap: {printable(said, LINE)}", 2)
     except (KeyboardInterrupt, typer.Abort):
         return _say("valvemap: interrupted", 1)
+    except OSError as error:
+        return _ended_output(error)
     except Exception as error:
         if not _is_for_the_user(error):
             raise
         return _say(f"valvemap: {error}", _exit_code(error))
     return int(code or 0)
+
+
+def _flush() -> None:
+    if sys.stdout is not None:  # it is closed
+        sys.stdout.flush()
+
+
+def _ended_output(error: OSError) -> int:
+    """Say that standard output takes no more; any other error is raised."""
+    if _is_for_the_user(error):
+        return _say(f"valvemap: {error}", _exit_code(error))
+    if error.filename is not None or error.errno not in _ENDED:
+        raise error
+    with Path(os.devnull).open("wb") as nothing:  # the interpreter flushes again at its exit
+        os.dup2(nothing.fileno(), sys.stdout.fileno())
+    if error.errno == errno.EPIPE:
+        return 1
+    return _say(f"valvemap: standard output: {str(error.strerror).lower()}", 1)
 
 
 def application() -> typer.Typer:

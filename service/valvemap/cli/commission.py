@@ -50,7 +50,7 @@ def commission(
     ] = False,
 ) -> None:
     """Drive a valve through its range until its map is known, within limits."""
-    from valvemap.app.commission import plan_in_words, settings_of
+    from valvemap.app.commission_settings import plan_in_words, settings_of
 
     loaded = config_of(load_config(config), valve)
     settings = settings_of(loaded.valves[0], accuracy / 1.96)
@@ -72,7 +72,8 @@ async def _run(
     config: "Config", accuracy: float, data: Path, *, resume: bool, unattended: bool
 ) -> bool:
     """Run until the end; return whether it was reached."""
-    from valvemap.app.commission import CommissionRun, is_armed, result_in_words, settings_of
+    from valvemap.app.commission import CommissionRun, is_armed, result_in_words
+    from valvemap.app.commission_settings import settings_of
     from valvemap.storage.commission_files import RunFiles, last_run, new_run
     from valvemap.vocabulary.commission import Phase
 

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
+from valvemap.cli import connect_lines
 from valvemap.cli.options import FolderOption, RatedDropOption, RatedFlowOption, new_file
 from valvemap.cli.output import terminal, write_line
 from valvemap.cli.progress import working
@@ -20,14 +18,12 @@ from valvemap.foreign_text import LINE, printable
 from valvemap.owned_files import write_whole
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from valvemap.app.connect import Found
-    from valvemap.opcua_source.client import SourceSettings
-    from valvemap.plant.verdict import Verdict
+    from valvemap.opcua_client.source_settings import SourceSettings
 
 _WATCH_S = 30.0
-_MOST_SKIPPED = 20  # lines; further ones are counted only
 
 
 def _or_yes(context: typer.Context, value: bool) -> bool:  # noqa: FBT001 - typer's callback
@@ -114,7 +110,8 @@ def connect(
     ] = False,
 ) -> None:
     """Find the valves of a server, check their signals, write a configuration."""
-    from valvemap.app.connect import Wanted, look_around
+    from valvemap.app.connect import look_around
+    from valvemap.app.connect_answers import Wanted
     from valvemap.app.connect_toml import configuration
     from valvemap.app.sheet import sheet_page
     from valvemap.config.template import configuration_template
@@ -143,23 +140,20 @@ def connect(
     with working(f"watching for {watch:g} s"):
         settings, found = _by_the_best(look) if security is None else look(security)
     console.print(f"security: {settings.security}", soft_wrap=True)
-    for line in _skipped(found):
-        console.print(f"skipped: {line}", soft_wrap=True)
+    for line in connect_lines.left_out(found):
+        console.print(line, soft_wrap=True, highlight=False)
     if not found.verdicts:
         raise ConfigurationError(
             f"{url}: no valve was found: U, two pressures and a flow are needed; name their nodes: "
             "--signal=V1.U=NODE --signal=V1.p1=NODE --signal=V1.p2=NODE --signal=V1.Q=NODE"
         )
-    console.print(_table(found))
-    for line in _sheet(found):
-        console.print(line, soft_wrap=True, highlight=False)
-    command = _command(context)
-    for line in (line for verdict in found.open for line in _question(verdict, command)):
+    console.print(connect_lines.table(found))
+    for line in connect_lines.of_valves(found, _command(context)):
         console.print(line, soft_wrap=True, highlight=False)
     is_written = bool(found.accepted) and (yes or not found.open)
     if is_written:
         make_users(data, None)
-        pages = {} if sheet is None else {sheet: sheet_page(url, found.accepted)}
+        pages = {} if sheet is None else {sheet: sheet_page(url, found.accepted, found.unused)}
         pages |= {out: configuration(found, settings, configuration_template(data))}
         for file, text in pages.items():
             write_whole(file, text)
@@ -175,28 +169,6 @@ def _refuse_if_open(found: "Found", out: Path, what: str) -> None:
         raise StorageError(f"{out}: {what}: to be decided: {printable(about, LINE)}")
 
 
-def _question(verdict: "Verdict", command: str) -> "Iterator[str]":
-    """Yield the lines of a question: the readings, their consequences, and the command of each."""
-    question = verdict.question
-    if question is None:
-        return
-    yield f"{verdict.valve}: {question.about}"
-    if verdict.reading is not None:
-        for role, node in verdict.reading.nodes.items():
-            yield f"  {role:8} {printable(node.node)}"
-    for number, option in enumerate(question.options, 1):
-        yield f"  {number}. {option.text} ({100 * option.probability:.0f} %)"
-        yield f"     {option.consequence}"
-        yield f"     answer: {command} {' '.join(map(shlex.quote, option.answers))}"
-    if question.otherwise:
-        spans = " ".join(question.otherwise)
-        yield f"  if a sensor has another span, LEAST to MOST: {command} {spans}"
-    if not question.options and verdict.reading is not None and verdict.reading.missing:
-        wanted = (f"--signal={verdict.valve}.{role}=NODE" for role in verdict.reading.missing)
-        yield f"  to name what is missing: {command} {' '.join(wanted)}"
-    yield f"  to leave it out: {command} --skip={verdict.valve}"
-
-
 def _command(context: typer.Context) -> str:
     """Return the command with the options that were given, for a terminal."""
     parts = ["valvemap", "connect", str(context.params["url"])]
@@ -210,27 +182,6 @@ def _command(context: typer.Context) -> str:
         else:
             parts += [f"{name}={one}" for one in (given if isinstance(given, list) else [given])]
     return " ".join(shlex.quote(printable(part)) for part in parts)
-
-
-def _sheet(found: "Found") -> "Iterator[str]":
-    """Yield the lines of the sheet; a NodeId is on one line, so that it can be copied."""
-    from valvemap.app.sheet import rows
-
-    valve = None
-    for row in rows(found.accepted):
-        if row.valve != valve:
-            valve = row.valve
-            yield f"Signals of {printable(valve)}"
-        yield f"  {row.signal:8} {row.node}".rstrip()
-        bounds = row.range and f"range {row.range}"
-        seen = row.seen and f"seen {row.seen}"
-        yield f"           {'; '.join(filter(None, (row.unit, bounds, seen, row.reason)))}"
-
-
-def _skipped(found: "Found") -> list[str]:
-    """Return lines for the unusable nodes, at most ``_MOST_SKIPPED``."""
-    more = len(found.skipped) - _MOST_SKIPPED
-    return [*found.skipped[:_MOST_SKIPPED], *([f"{more:,} more"] if more > 0 else [])]
 
 
 def _by_the_best(
@@ -252,7 +203,7 @@ def _settings(
 ) -> "SourceSettings":
     from guarded_opcua import Pki, ensure_certificate
     from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
-    from valvemap.opcua_source.client import Security, SourceSettings
+    from valvemap.opcua_client.source_settings import Security, SourceSettings
 
     try:
         policy = Security(security)
@@ -273,7 +224,7 @@ def _settings(
 def _trust(data: Path, refused: SourceRejected) -> bool:
     """Trust the certificate that a refusal names; return False if it names none."""
     from guarded_opcua import Pki
-    from guarded_opcua.security.certificates import trust
+    from guarded_opcua.security.pki_folders import trust
 
     words = str(refused).split("`valvemap trust ")
     if len(words) < 2:
@@ -281,25 +232,3 @@ def _trust(data: Path, refused: SourceRejected) -> bool:
     trusted = trust(Pki(data / "pki" / "service"), words[1].split("`")[0])
     write_line(f"trusted: {trusted}")
     return True
-
-
-def _table(found: "Found") -> Table:
-    """Table of the values seen; it fits a terminal of 80 columns."""
-    table = Table(title="Values seen", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("signal", no_wrap=True)
-    for heading in ("rate\nHz", "skew\nms", "comes", "good\n%", "mean", "noise"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for verdict in found.verdicts:
-        if verdict.reading is None:
-            continue
-        table.add_row(Text(printable(verdict.valve), style="bold"))
-        for role, node in verdict.reading.nodes.items():
-            seen = found.watched.get(verdict.valve, {}).get(node.node)
-            figures: list[str] = []
-            if seen is not None:
-                comes = "on change" if seen.on_change else "cyclic"
-                numbers = seen.rate_hz, seen.skew_ms, 100.0 * seen.good, seen.mean, seen.noise
-                rate, skew, good, mean, noise = (f"{number:.3g}" for number in numbers)
-                figures = [rate, skew, comes, good, mean, noise]
-            table.add_row(role, *figures)
-    return table

@@ -15,6 +15,7 @@ from valvemap.cli.logs import set_up_logs
 from valvemap.cli.options import (
     ConfigOption,
     ForceOption,
+    InsistOption,
     MetricsHostOption,
     MetricsOption,
     metrics_address,
@@ -128,9 +129,7 @@ def reidentify(
     ] = None,
     *,
     force: ForceOption = False,
-    insist: Annotated[
-        bool, typer.Option("--insist", help="Learn even from implausible signals.")
-    ] = False,
+    insist: InsistOption = False,
 ) -> None:
     """Identify valves from recordings again, on all processors; resumes after a kill."""
     from valvemap.config.loading import load_config

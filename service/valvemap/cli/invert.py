@@ -222,5 +222,6 @@ def _table(title: str, Q: np.ndarray, dp: np.ndarray, T: np.ndarray, answer: "In
         if number == MOST_ROWS:
             table.add_row(*["…"] * 6, f"{len(Q) - MOST_ROWS} more; see --to")
             break
-        table.add_row(*(f"{x:.2f}" for x in numbers), InverseStatus(status).name)
+        shown = ("–" if np.isnan(x) else f"{x:.2f}" for x in numbers)
+        table.add_row(*shown, InverseStatus(status).name)
     return table

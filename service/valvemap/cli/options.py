@@ -62,7 +62,9 @@ SourceOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Which of [[sources]], where there are several.")
 ]
 
-
+InsistOption = Annotated[
+    bool, typer.Option("--insist", help="Learn even from implausible signals.")
+]
 ForceOption = Annotated[
     bool,
     typer.Option(
@@ -126,6 +128,8 @@ def _new(
     name = option.opts[0] if option.opts[0].startswith("-") else option.opts[0].upper()
     if not folder:
         check_folder(name, value)
+        if value.is_dir():
+            raise ConfigurationError(f"{name} {value}: is a folder; name a file")
     there = [file for file in written(value) if file.is_file()]
     if there and not context.params.get("force"):
         raise ConfigurationError(

@@ -13,6 +13,7 @@ from valvemap.cli.history import recordings_of
 from valvemap.cli.options import (
     ConfigOption,
     ForceOption,
+    InsistOption,
     RatedDropOption,
     RatedFlowOption,
     new_file,
@@ -22,13 +23,15 @@ from valvemap.cli.options import (
 from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
+from valvemap.model.extrapolation import ranges_of
 from valvemap.owned_files import write_whole
 from valvemap.vocabulary.edges import EDGES
 
 _BEYOND = "beyond_range"  # has a separate line
 
 if TYPE_CHECKING:
-    from valvemap.app.replay import EstimatorReport, Report, Tap
+    from valvemap.app.replay import Tap
+    from valvemap.app.replay_report import EstimatorReport, Report
     from valvemap.model.samples import Samples, Trace
     from valvemap.pipeline.row_tallies import RowTallies
     from valvemap.report.replay_plots import ReplayPlots
@@ -92,14 +95,12 @@ def replay(
     rated_drop: RatedDropOption = 35.0,
     *,
     force: ForceOption = False,
-    insist: Annotated[
-        bool, typer.Option("--insist", help="Learn even from implausible signals.")
-    ] = False,
+    insist: InsistOption = False,
 ) -> None:
     """Identify valves from recordings, as the live service does."""
     from valvemap.app.models import save_models
-    from valvemap.app.replay import as_json, refuse_if_nothing_was_learnt
     from valvemap.app.replay import replay as run
+    from valvemap.app.replay_report import as_json, refuse_if_nothing_was_learnt
     from valvemap.pipeline.edges import LEAK
     from valvemap.pipeline.row_tallies import RowTallies
     from valvemap.plant.answers import parse_answers
@@ -107,7 +108,7 @@ def replay(
     from valvemap.report.verification import verification_table
 
     loaded = None if config is None else load_config(config)
-    rows = RowTallies()
+    rows, left_out = RowTallies(), list[str]()
     plots = None
     if plot is not None:  # matplotlib is an extra
         from valvemap.report.replay_plots import ReplayPlots
@@ -124,6 +125,7 @@ def replay(
             header=tuple(columns.split(",")) if columns else None,
             given=parse_answers(signal or (), scale or ()),
             rating=Rating(flow_l_min=rated_flow, drop_bar=rated_drop),
+            note=left_out.append,
         )
     console = terminal()
     report = {valve: _best_first(estimators) for valve, estimators in report.items()}
@@ -144,6 +146,7 @@ def replay(
         *_not_learnt_from(report),
         *_dropped(report),
         *rows.lines(),
+        *left_out,
         *_hints(of_drops),
     ]
     for line in notes:
@@ -227,14 +230,15 @@ def _hints(report: "Report") -> Iterator[str]:
 
 
 def _not_learnt_from(report: "Report") -> Iterator[str]:
-    """Yield a line for each valve with samples whose U is outside an estimator's range."""
+    """Yield a line for each valve with samples outside an estimator's ranges."""
     for valve, estimators in report.items():
-        beyond = max(r.beyond_range for r in estimators.values())
-        if beyond:
+        name, most = max(estimators.items(), key=lambda one: one[1].beyond_range)
+        if most.beyond_range:
             yield (
-                f"{valve}: not learnt from, because U lay beyond what an estimator can describe "
-                f"(0 … 100 %): {beyond} samples; U_range_percent = [-100, 100] in a --config "
-                "FILE covers them"
+                f"{valve}: not learnt from, because U or p1 - p2 lay beyond what an estimator "
+                f"can describe ({name}: {ranges_of(most.lane.estimator)}): "
+                f"{most.beyond_range} samples; U_range_percent = [-100, 100] or dp_range_bar = "
+                "[0, 400] in a --config FILE covers them"
             )
 
 

@@ -135,7 +135,7 @@ def _recording(scenario: Scenario, file: Path, stack: ExitStack) -> Callable[[Ri
         from valvemap.cli.machine_recording import MachineWriter
 
         return stack.enter_context(MachineWriter(file, scenario.machines)).append
-    from valvemap.storage.recordings import RecordingWriter
+    from valvemap.storage.recording_writer import RecordingWriter
 
     writer = stack.enter_context(RecordingWriter(file))
     return lambda block: _append(writer.append, block)

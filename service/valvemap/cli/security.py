@@ -1,8 +1,6 @@
 """``valvemap init`` and ``valvemap trust``: certificates, users, a first configuration."""
 
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -20,8 +18,8 @@ from guarded_opcua import (
     thumbprint,
 )
 from guarded_opcua.security.certificate_rules import Use, name_of
-from guarded_opcua.security.certificates import trust as trust_certificate
 from guarded_opcua.security.peer_certificates import PeerTrust
+from guarded_opcua.security.pki_folders import trust as trust_certificate
 from guarded_opcua.security.whole_files import write_owner_only
 from valvemap.app.identities import (
     APPLICATION_NAME,
@@ -35,8 +33,7 @@ from valvemap.app.identities import (
 from valvemap.cli.options import FolderOption
 from valvemap.cli.output import write_line
 from valvemap.config.template import configuration_template
-from valvemap.errors import StorageError
-from valvemap.owned_files import write_whole
+from valvemap.owned_files import naming, write_whole
 
 _OWNERS = ("service", "rig")
 _HOSTS = ["localhost", "127.0.0.1"]
@@ -112,7 +109,7 @@ def _trust_user(pki: Pki, users_file: Path, user: str, role: Role, file: Path) -
     der = certificate.public_bytes(Encoding.DER)
     users = UserStore.load(users_file)
     users.add_certificate(user, role, der)
-    account = users.account(user)
+    account = users.accounts.get(user)
     assert account is not None  # noqa: S101 - it was just added
     # the server checks revocation lists, which may be added later
     trusted = PeerTrust(pki, require_crl=False)
@@ -176,7 +173,7 @@ def make_users(data: Path, operator_password: str | None) -> None:
     users = UserStore()
     password = operator_password or secrets.token_urlsafe(12)
     users.add("operator", Role.OPERATOR, password)
-    with _naming(data):
+    with naming(data):
         data.mkdir(parents=True, exist_ok=True)
     users.add("service", Role.OPERATOR, _secret(data / "source-password"))
     users.save(file)
@@ -196,17 +193,9 @@ def _make_configuration(data: Path, hosts: list[str]) -> None:
 
 def _secret(file: Path) -> str:
     """Return the password in a file; if it is missing, write a new one."""
-    with _naming(file):
+    with naming(file):
         if file.exists():
             return file.read_text(encoding="utf-8").partition("\n")[0]
         secret = secrets.token_urlsafe(24)
         write_owner_only(file, f"{secret}\n".encode())
         return secret
-
-
-@contextmanager
-def _naming(file: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None

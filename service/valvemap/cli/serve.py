@@ -14,7 +14,7 @@ from valvemap.cli.progress import working
 from valvemap.cli.without import without
 from valvemap.config.connections import NamedSourceConfig
 from valvemap.config.loading import load_config
-from valvemap.config.valves import EdgeConfig, LineConfig
+from valvemap.config.valve_parts import EdgeConfig, LineConfig
 from valvemap.errors import RecordingError
 
 

@@ -112,12 +112,12 @@ def sheet(
 
 
 def _last_commission(data: Path, valve: str) -> Path:
-    from valvemap.storage.commission_files import last_run
+    from valvemap.storage.commission_files import last_sampled_run
 
-    found = last_run(data / "commission", valve)
+    found = last_sampled_run(data / "commission", valve)
     if found is None:
         raise ConfigurationError(
-            f"VALVE {valve!r}: {data / 'commission'} holds no run of it; "
+            f"VALVE {valve!r}: {data / 'commission'} holds no run of it with samples; "
             "name a recording with --from, or run `valvemap commission`"
         )
     return found

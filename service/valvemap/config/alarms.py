@@ -5,8 +5,9 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from valvemap.config.sections import NotNegative, Section
+from valvemap.pipeline.alarm_rules import RULES, Alarm
 from valvemap.pipeline.alarm_states import AlarmRule
-from valvemap.pipeline.alarms import RULES, SERVICE_RULES, Alarm
+from valvemap.pipeline.service_alarms import SERVICE_RULES
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 
 

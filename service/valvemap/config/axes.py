@@ -10,6 +10,7 @@ from valvemap.config.feed_forward import (
     check_command_unit,
     check_feed_forward,
 )
+from valvemap.config.names import NAME
 from valvemap.config.ports import check_each_once, node_id
 from valvemap.config.sections import Section
 from valvemap.config.signals import SignalConfig
@@ -139,9 +140,7 @@ class AxisSignalsConfig(
 class AxisConfig(Section):
     """A cylinder on a 4/3 valve: position or speed and four pressures replace a flow meter."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")] = Field(
-        description="its name in each node id"
-    )
+    name: Annotated[str, Field(pattern=NAME)] = Field(description="its name in each node id")
     source: str | None = Field(
         None, description="which of [[sources]] publishes its signals; none with [source]"
     )

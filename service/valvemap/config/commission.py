@@ -72,6 +72,13 @@ class CommissionConfig(Section):
             raise ValueError(
                 f"sweep_s = {self.sweep_s:g}: must not exceed most_s = {self.most_s:g}"
             )
+        for name, end in (("p1_range_bar", 0), ("p2_range_bar", 0), ("load_range_bar", 1)):
+            given, most = getattr(self, name), self.p_most_bar
+            if given is not None and most is not None and given[end] >= most:
+                raise ValueError(
+                    f"p_most_bar = {most:g}: must exceed {given[end]:g} of {name} = "
+                    f"{list(given)}; the run ends above p_most_bar"
+                )
         return self
 
     def check_within(self, U_range: Range, *, has_load: bool) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from valvemap.config.loading import read_toml
+from valvemap.config.loading import nearest, read_toml
 from valvemap.errors import ConfigurationError
 from valvemap.model.sheet_figures import KEYS
 
@@ -57,4 +57,9 @@ def read_datasheet(file: Path) -> Datasheet:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "datasheet"
         said = first["msg"].removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden":
+            of = Datasheet if len(first["loc"]) == 1 else Expected
+            said = f"there is no such field{nearest(str(first['loc'][-1]), of.model_fields)}"
+        elif first["type"] == "model_type":
+            said = f"a section is needed, [{where}] with {', '.join(Expected.model_fields)}"
         raise ConfigurationError(f"{file}: {where}: {said}") from None

@@ -5,6 +5,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, assert_never, get_a
 
 from pydantic import BaseModel, Field, ValidationInfo, field_validator
 
+from valvemap.config.names import NAME
 from valvemap.config.sections import Range, Section
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
@@ -24,7 +25,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 
 Name = Annotated[
     str,
-    Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$", description="its name in each node id"),
+    Field(pattern=NAME, description="its name in each node id"),
 ]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
 DEFAULT_LAM = 0.998

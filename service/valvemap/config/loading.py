@@ -3,7 +3,7 @@
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -14,6 +14,7 @@ from pydantic_settings import BaseSettings, SettingsError
 
 from valvemap.config.estimators import FORMER_FIELDS, FORMER_KINDS, KINDS, kind_of
 from valvemap.config.models import Config
+from valvemap.config.names import ALLOWED_NAME
 from valvemap.errors import ConfigurationError
 
 S = TypeVar("S", bound=BaseSettings)
@@ -92,15 +93,16 @@ def read_toml(file: Path, remedy: str = "") -> dict[str, Any]:
     ConfigurationError
     """
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise ConfigurationError(f"{file}: no such file or directory{remedy}") from None
     except OSError as error:
         raise ConfigurationError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{file}: not a text file in UTF-8") from None
+        raise ConfigurationError(f"{file}: not a text file in UTF-8; save it so") from None
     except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{file}: not valid TOML: {error}; text goes in quotes") from None
+        quotes = "; text goes in quotes" if str(error).startswith("Invalid") else ""
+        raise ConfigurationError(f"{file}: not valid TOML: {error}{quotes}") from None
 
 
 def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
@@ -116,9 +118,18 @@ def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
         sections = list(_models(field.annotation)) if field is not None else []
     if not sections:
         return ""
-    fields = sections[0].model_fields
-    near = get_close_matches(str(path[-1]), fields, n=1)
-    return f"; is {near[0]} meant?" if near else f"; there are {', '.join(fields)}"
+    return nearest(str(path[-1]), sections[0].model_fields)
+
+
+def nearest(name: str, fields: Iterable[str]) -> str:
+    """Return what follows a name that is none of the fields: the closest one, or all.
+
+    >>> nearest("valu", ["value", "min"]), nearest("x", ["value", "min"])
+    ('; is value meant?', '; there are value, min')
+    """
+    known = list(fields)
+    near = get_close_matches(name, known, n=1)
+    return f"; is {near[0]} meant?" if near else f"; there are {', '.join(known)}"
 
 
 def _models(annotation: Any) -> Iterator[Any]:  # noqa: ANN401 - any type
@@ -138,7 +149,7 @@ def _sentence(details: ErrorDetails) -> str:
     if kind == "union_tag_invalid" and context["tag"] in FORMER_KINDS:
         return f"kind {context['tag']!r} has another name: write {FORMER_KINDS[context['tag']]!r}"
     if kind == "union_tag_invalid":
-        return f"kind {context['tag']!r}: allowed is one of {context['expected_tags']}"
+        return f"kind {context['tag']!r:.60}: allowed is one of {context['expected_tags']}"
     if kind == "union_tag_not_found":
         return f"kind is missing: allowed is one of {', '.join(KINDS)}"
     if kind in _SHAPES:
@@ -154,7 +165,7 @@ _FORMS = {
     "group": "allowed are words without / + #, a space between them, 64 characters at most",
     "edge_node": "allowed are words without / + #, a space between them, 64 characters at most",
     "primary_host": "allowed are words without / + #, a space between them, 64 characters at most",
-    "name": "allowed is a letter, then letters, digits, _ or -, 64 at most",
+    "name": ALLOWED_NAME,
 }
 _SHAPES = {
     "tuple_type": "a list is needed, [a, b], or a section [[…]] for each",

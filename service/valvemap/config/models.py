@@ -21,7 +21,8 @@ from valvemap.config.names import RESERVED_VALVES, check_not_reserved, check_uni
 from valvemap.config.samples import AlignmentConfig
 from valvemap.config.sections import SettingsFile
 from valvemap.config.stores import HistoryConfig, RecordingConfig, StateConfig
-from valvemap.config.valves import ValveConfig, parts_of
+from valvemap.config.valve_parts import parts_of
+from valvemap.config.valves import ValveConfig
 
 
 class Config(SettingsFile):

@@ -1,6 +1,6 @@
 """Names of valves, estimators and sources."""
 
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field
 
@@ -27,7 +27,9 @@ RESERVED_ESTIMATORS = (
     "ProcessValues",
     *PARTS,
 )
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+NAME: Final = r"^[A-Za-z][A-Za-z0-9_-]{0,63}$"
+ALLOWED_NAME: Final = "allowed is a letter, then letters, digits, _ or -, 64 at most"
+Name = Annotated[str, Field(pattern=NAME)]
 
 
 def check_unique(what: str, names: list[str]) -> None:

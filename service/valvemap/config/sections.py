@@ -1,14 +1,26 @@
 """Base classes of configuration sections and files."""
 
-from collections.abc import Callable, Iterable
-from typing import Annotated, Any
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    create_model,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from valvemap.vocabulary.signals import SENSORS, Signal
 
-NARROWEST = 1e-6  # of a range; what is divided by a narrower one has no digits left
+_LONGEST_PATH = 4_095  # bytes; the limit of Linux
+NARROWEST = 1e-6  # of a range; a quotient by a narrower one has no significant digits
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]  # no sensor of a plant reads more
 Positive = Annotated[Number, Field(gt=0.0)]
 NotNegative = Annotated[Number, Field(ge=0.0)]
@@ -37,6 +49,50 @@ class Section(BaseModel):
     """Nothing unknown is taken, no number is infinite, nothing changes later."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_their_types(cls, given: object) -> object:
+        """Refuse true and false as numbers, and texts that name no file."""
+        if isinstance(given, Mapping):
+            faults = [
+                InitErrorDetails(
+                    type=PydanticCustomError("type", "{fault}", {"fault": fault}),
+                    loc=(name,),
+                    input=value,
+                )
+                for name, value in given.items()
+                if name in cls.model_fields
+                and (fault := _fault(cls.model_fields[name].annotation, value))
+            ]
+            if faults:
+                raise ValidationError.from_exception_data(cls.__name__, faults)
+        return given
+
+
+def _fault(annotation: Any, value: object) -> str:  # noqa: ANN401 - any type
+    """Return why a value is none of a field of this type; "" where pydantic finds it out."""
+    types = set(_types(annotation))
+    truths = [one for one in _singles(value) if isinstance(one, bool)]
+    if truths and bool not in types and types & {int, float}:
+        return f"{str(truths[0]).lower()} is no number"
+    if Path not in types or not isinstance(value, str):
+        return ""
+    if not value.strip() or not value.isprintable():
+        return "the name of a file or a folder is allowed"
+    is_long = len(os.fsencode(value)) > _LONGEST_PATH
+    return f"a name of {_LONGEST_PATH} bytes at most is allowed" if is_long else ""
+
+
+def _types(annotation: Any) -> Iterator[Any]:  # noqa: ANN401 - any type
+    """Yield the classes within an annotation, such as float and None."""
+    yield annotation
+    for part in get_args(annotation):
+        yield from _types(part)
+
+
+def _singles(value: object) -> Iterator[object]:
+    yield from value if isinstance(value, list | tuple) else (value,)
 
 
 def per_signal(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from valvemap.errors import BlockError
 from valvemap.kafka.json_messages import loads, text, whole
 from valvemap.model.samples import Samples, Segments
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.vocabulary.signals import MEASURED
 
 VERSION: Final = 1

@@ -8,7 +8,7 @@ import structlog
 from valvemap.app.connections import build_sources, build_supervisor_settings
 from valvemap.app.metrics_address import MetricsAddress
 from valvemap.app.serving_metrics import metrics_served
-from valvemap.app.warm_up import compile_alignment
+from valvemap.app.warm_up_parts import compile_alignment
 from valvemap.clock import SystemClock
 from valvemap.kafka.catalogue import load_catalogue, site_of
 from valvemap.kafka.collector import Collector

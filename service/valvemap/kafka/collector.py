@@ -20,8 +20,8 @@ from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.spool import Packed, Spool
 from valvemap.model.estimator import StateMismatchError
 from valvemap.model.samples import Samples, Segments, Times
-from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.runtime.failure_log import log_left_out, log_missing

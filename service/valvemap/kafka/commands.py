@@ -18,9 +18,9 @@ from valvemap.kafka.json_messages import (
     whole,
 )
 from valvemap.pipeline import operator_ports
-from valvemap.pipeline.alarms import ALARM_NAMES
+from valvemap.pipeline.alarm_results import Remark
+from valvemap.pipeline.alarm_rules import ALARM_NAMES
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.results import Remark
 from valvemap.vocabulary import commands
 from valvemap.vocabulary.commands import Subject
 

@@ -21,8 +21,8 @@ from valvemap.kafka.memory import Memory, read_memory
 from valvemap.kafka.result_blocks import ResultsBlock, read_results
 from valvemap.kafka.result_checks import check_results
 from valvemap.kafka.settings import TopicsConfig
-from valvemap.pipeline.result_tables import descriptions
 from valvemap.pipeline.results import ValveDescription
+from valvemap.pipeline.valve_descriptions import descriptions
 
 ROW_BYTES: Final = 8 * 6 + 1 + 4  # bytes of an uncompressed sample in a block
 SHARE: Final = 0.5  # maximum size of a block of samples before compression, per largest message

@@ -28,7 +28,8 @@ from valvemap.kafka.group_clock import Ahead, plausible
 from valvemap.kafka.memory import Memory, read_memory, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.model.estimator import StateMismatchError
-from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Step
 from valvemap.pipeline.results import Results

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.model.survey import Survey
-from valvemap.pipeline.results import AlarmReport, AlarmResults, Results, Version
+from valvemap.pipeline.alarm_results import AlarmReport, AlarmResults
+from valvemap.pipeline.results import Results, Version
 from valvemap.vocabulary.statuses import Quality
 
 R = TypeVar("R")

@@ -14,10 +14,11 @@ from valvemap.errors import BlockError, CommandRejected
 from valvemap.kafka.commands import ANSWERS, Command, Reply, read_command, write_message
 from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
-from valvemap.pipeline.alarms import FLEET_RULES, ServiceAlarms
+from valvemap.pipeline.alarm_results import AlarmReport, Remark
 from valvemap.pipeline.operator_ports import Answer
 from valvemap.pipeline.operator_ports import Command as Asked
-from valvemap.pipeline.results import AlarmReport, Remark, Version
+from valvemap.pipeline.results import Version
+from valvemap.pipeline.service_alarms import FLEET_RULES, ServiceAlarms
 from valvemap.vocabulary.commands import NAMED, Action
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
@@ -141,7 +142,7 @@ class FleetOperator:
         return self._mirror.baseline(valve)
 
     def alarmed(self) -> Iterable[str]:
-        """Valves with at least one alarm so far."""
+        """Valves that have had an alarm."""
         return [name for name, number in self._numbers.items() if self._mirror.reports(number)]
 
     def alarms(self, valve: str | None) -> Sequence[AlarmReport]:

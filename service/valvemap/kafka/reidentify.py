@@ -119,7 +119,8 @@ def learn(task: Task) -> list[str]:
     """Identify valves, save their maps, and record their completion; return errors."""
     # Imported by workers only: the import would delay the process that distributes tasks by 1 s.
     from valvemap.app.models import save_models  # noqa: PLC0415
-    from valvemap.app.replay import as_json, replay  # noqa: PLC0415
+    from valvemap.app.replay import replay  # noqa: PLC0415
+    from valvemap.app.replay_report import as_json  # noqa: PLC0415
 
     only = frozenset(task.valves)
     try:

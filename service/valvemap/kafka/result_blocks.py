@@ -3,8 +3,8 @@
 Tables of the inverse map and surveys are large and computed in turns: a block holds the new ones.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,19 +16,24 @@ from valvemap.kafka.blocks import (
     Head,
     batch_column,
     names_of,
-    numpy_of,
     read,
     times,
     write,
 )
 from valvemap.kafka.json_messages import whole
-from valvemap.model.change import Change
-from valvemap.model.samples import Floats
-from valvemap.model.survey import Survey
+from valvemap.kafka.result_columns import (
+    ESTIMATOR_FORMS,
+    INVERSE_FORMS,
+    TEXTS,
+    matrix_of,
+    objects_of,
+    plain_form,
+    row_lists,
+    text_lists,
+)
+from valvemap.pipeline.alarm_results import AlarmReport, AlarmResults
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation
 from valvemap.pipeline.results import (
-    AlarmReport,
-    AlarmResults,
     EstimatorResults,
     InverseResults,
     Results,
@@ -36,19 +41,9 @@ from valvemap.pipeline.results import (
     Version,
 )
 from valvemap.vocabulary.findings import Finding, FindingCode
-from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind
 from valvemap.vocabulary.signals import PUBLISHED
 
 _RESULTS: Final = "results"
-_FLOATS: Final = pa.list_(pa.float64())
-_NAMES: Final = pa.list_(pa.string())
-_SURVEY: Final = pa.struct(
-    [(name, _FLOATS) for name in ("U", "dp", "std", "age_s")]
-    + [(name, pa.float64()) for name in ("share", "condition", "suggested_U", "suggested_dp")]
-)
-_CHANGE: Final = pa.struct(
-    [("count", pa.int64()), ("sample", pa.int64()), ("t", pa.int64()), ("size", pa.float64())]
-)
 _BASELINE: Final = pa.struct([("version", pa.string()), ("t", pa.int64()), ("digest", pa.string())])
 _ALARMS: Final = pa.list_(
     pa.struct(
@@ -102,17 +97,17 @@ def write_results(block: ResultsBlock) -> bytes:
         for k, name in enumerate(PUBLISHED):
             columns[f"signals.{name}"] = pa.array(np.ascontiguousarray(signals.values[:, k]))
     for estimator, own in found.estimators.items():
-        for name, form in _ESTIMATOR.items():
+        for name, form in ESTIMATOR_FORMS.items():
             columns[f"{estimator}.{name}"] = form.column(getattr(own, name))
-    for name, form in _INVERSE.items():
+    for name, form in INVERSE_FORMS.items():
         columns[f"inverse.{name}"] = form.column(getattr(found.inverse, name))
-    columns["counters"] = _rows(np.asarray(found.counters, np.int64).reshape(M, -1))
-    columns["waiting"] = _lists(found.waiting or [()] * M)
-    columns["timing"] = _lists(found.timing or [()] * M)
+    columns["counters"] = row_lists(np.asarray(found.counters, np.int64).reshape(M, -1))
+    columns["waiting"] = text_lists(found.waiting or [()] * M)
+    columns["timing"] = text_lists(found.timing or [()] * M)
     columns["findings"] = pa.array(
         [[_finding_row(one) for one in own] for own in found.findings or [()] * M], _FINDINGS
     )
-    columns["recommended"] = _lists(found.recommended or [NOT_YET] * M)
+    columns["recommended"] = text_lists(found.recommended or [NOT_YET] * M)
     columns["baseline"] = _structs(found.baselines or [None] * M, _BASELINE)
     if found.alarms is not None:
         columns["alarms.version"] = pa.array(np.asarray(found.alarms.version, np.int64))
@@ -146,7 +141,7 @@ def _results(head: Head, batch: pa.RecordBatch) -> ResultsBlock:
     estimators = names_of(head.more.get("estimators"), "estimators")
     counters = names_of(head.more.get("counters"), "counters")
     shape = _table_shape(head.more.get("map_shape", [0, 0]))
-    inverse = {name: form.values(batch, f"inverse.{name}") for name, form in _INVERSE.items()}
+    inverse = {name: form.values(batch, f"inverse.{name}") for name, form in INVERSE_FORMS.items()}
     tables = [
         _NO_TABLE if row is None else np.array(row).reshape(shape) for row in inverse["map_U"]
     ]
@@ -156,21 +151,21 @@ def _results(head: Head, batch: pa.RecordBatch) -> ResultsBlock:
             estimator: EstimatorResults(
                 **{
                     name: form.values(batch, f"{estimator}.{name}")
-                    for name, form in _ESTIMATOR.items()
+                    for name, form in ESTIMATOR_FORMS.items()
                 }
             )
             for estimator in estimators
         },
         inverse=InverseResults(**{**inverse, "map_U": tables}),
-        counters=_matrix(batch, "counters", pa.int64(), len(counters)),
+        counters=matrix_of(batch, "counters", pa.int64(), len(counters)),
         counter_names=tuple(counters),
         signals=_signals(batch),
-        waiting=[tuple(row) for row in batch_column(batch, "waiting", _NAMES).to_pylist()],
-        timing=[tuple(row) for row in batch_column(batch, "timing", _NAMES).to_pylist()],
+        waiting=[tuple(row) for row in batch_column(batch, "waiting", TEXTS).to_pylist()],
+        timing=[tuple(row) for row in batch_column(batch, "timing", TEXTS).to_pylist()],
         recommended=_recommended(batch),
         findings=_findings(batch),
         alarms=_alarms(batch),
-        baselines=[_version(row) for row in _objects(batch, "baseline", _BASELINE)],
+        baselines=[_version(row) for row in objects_of(batch, "baseline", _BASELINE)],
     )
     names = tuple(batch_column(batch, "valve", pa.string()).to_pylist())
     return ResultsBlock(head.group, head.number, names, results)
@@ -196,7 +191,7 @@ def _findings(batch: pa.RecordBatch) -> list[tuple[Finding, ...]]:
 
 
 def _recommended(batch: pa.RecordBatch) -> list[Recommendation]:
-    rows = batch_column(batch, "recommended", _NAMES).to_pylist()
+    rows = batch_column(batch, "recommended", TEXTS).to_pylist()
     if any(len(row) != len(NOT_YET) for row in rows):
         raise BlockError("column recommended: a name and a reason are needed")
     return [Recommendation(*row) for row in rows]
@@ -212,10 +207,10 @@ def _table_shape(said: object) -> tuple[int, int]:
 def _signals(batch: pa.RecordBatch) -> SignalResults | None:
     if "signals.t" not in batch.schema.names:
         return None
-    columns = [_plain(pa.float64()).values(batch, f"signals.{name}") for name in PUBLISHED]
+    columns = [plain_form(pa.float64()).values(batch, f"signals.{name}") for name in PUBLISHED]
     return SignalResults(
-        t=_plain(TIME).values(batch, "signals.t"),
-        quality=_plain(pa.uint8()).values(batch, "signals.quality"),
+        t=plain_form(TIME).values(batch, "signals.t"),
+        quality=plain_form(pa.uint8()).values(batch, "signals.quality"),
         values=np.stack(columns, axis=1),
     )
 
@@ -234,119 +229,9 @@ def _alarms(batch: pa.RecordBatch) -> AlarmResults | None:
         return None
     rows = [
         tuple(AlarmReport(**report) for report in row or ())
-        for row in _objects(batch, "alarms.reports", _ALARMS)
+        for row in objects_of(batch, "alarms.reports", _ALARMS)
     ]
-    return AlarmResults(_plain(pa.int64()).values(batch, "alarms.version"), rows.__getitem__)
-
-
-class _Form(NamedTuple):
-    """Conversion of a field of M valves to a column, and back."""
-
-    column: Callable[[Any], pa.Array]
-    values: Callable[[pa.RecordBatch, str], Any]
-
-
-def _plain(kind: pa.DataType) -> _Form:
-    return _Form(
-        lambda values: times(values) if kind == TIME else pa.array(values, kind),
-        lambda batch, name: numpy_of(batch_column(batch, name, kind), kind),
-    )
-
-
-def _new(kind: pa.DataType, without: float) -> _Form:
-    """As `_plain`; ``without`` is the value in blocks of workers that do not know the column."""
-    plain = _plain(kind)
-    return _Form(
-        plain.column,
-        lambda batch, name: (
-            plain.values(batch, name)
-            if name in batch.schema.names
-            else np.full(batch.num_rows, without)
-        ),
-    )
-
-
-def _vectors() -> _Form:
-    return _Form(
-        lambda values: _rows(np.asarray(values, np.float64)),
-        lambda batch, name: _matrix(batch, name, pa.float64(), None),
-    )
-
-
-def _nullable(kind: pa.DataType, pack: Callable[[Any], Any], unpack: Callable[[Any], Any]) -> _Form:
-    return _Form(
-        lambda values: (
-            pa.array([None if v is None else pack(v) for v in values], kind)
-            if any(v is not None for v in values)
-            else pa.nulls(len(values), kind)
-        ),
-        lambda batch, name: [None if v is None else unpack(v) for v in _objects(batch, name, kind)],
-    )
-
-
-def _table(values: Sequence[Floats]) -> pa.Array:
-    if not any(table.size for table in values):
-        return pa.nulls(len(values), _FLOATS)
-    return pa.array([table.ravel() if table.size else None for table in values], _FLOATS)
-
-
-def _survey(found: Survey) -> dict[str, Any]:
-    return {f.name: np.ravel(getattr(found, f.name)) for f in fields(Survey)} | {
-        name: getattr(found, name) for name in ("share", "condition", "suggested_U", "suggested_dp")
-    }
-
-
-def _as_survey(row: Mapping[str, Any]) -> Survey:
-    U, dp = np.array(row["U"]), np.array(row["dp"])
-    shape = len(U), len(dp)
-    grids = {name: np.array(row[name]).reshape(shape) for name in ("std", "age_s")}
-    return Survey(**{**row, **grids, "U": U, "dp": dp})
-
-
-_KINDS: Final = {Kind.NUMBER: pa.float64(), Kind.COUNT: pa.int64(), Kind.CODE: pa.uint8()}
-_ESTIMATOR: Final[Mapping[str, _Form]] = {
-    "t": _plain(TIME),
-    "quality": _plain(pa.uint8()),
-    "theta": _vectors(),
-    "std": _vectors(),
-    "survey": _nullable(_SURVEY, _survey, _as_survey),
-    "change": _nullable(_CHANGE, vars, lambda row: Change(**row)),
-    "structure": _nullable(pa.string(), str, str),
-    "lags": _nullable(_FLOATS, list, lambda row: (row[0], row[1])),
-    **{q.field: _plain(_KINDS[q.kind]) for q in ESTIMATOR_QUANTITIES},
-}
-_INVERSE: Final[Mapping[str, _Form]] = {
-    "t": _plain(TIME),
-    "quality": _plain(pa.uint8()),
-    "required_U": _plain(pa.float64()),
-    "lower": _new(pa.float64(), np.nan),
-    "upper": _new(pa.float64(), np.nan),
-    "status": _plain(pa.uint8()),
-    "map_U": _Form(_table, lambda batch, name: _objects(batch, name, _FLOATS)),
-    "armed": _plain(pa.bool_()),
-    "feed_forward": _plain(pa.uint8()),
-}
-
-
-def _rows(values: Any) -> pa.Array:  # noqa: ANN401 - an array (M, n)
-    M, n = values.shape
-    edges = pa.array(np.arange(M + 1, dtype=np.int32) * n)
-    return pa.ListArray.from_arrays(edges, pa.array(np.ascontiguousarray(values).ravel()))
-
-
-def _matrix(batch: pa.RecordBatch, name: str, kind: pa.DataType, n: int | None) -> Any:  # noqa: ANN401
-    column = batch_column(batch, name, pa.list_(kind))
-    flat = numpy_of(column.flatten(), kind)
-    M = len(column)
-    n = (len(flat) // M if M else 0) if n is None else n
-    edges = np.arange(M + 1) * n
-    if (column.offsets.to_numpy() - column.offsets[0].as_py() != edges).any():
-        raise BlockError(f"column {name}: its lists must be of equal length")
-    return flat.reshape(M, n)
-
-
-def _lists(values: Sequence[tuple[str, ...]]) -> pa.Array:
-    return pa.array([list(row) for row in values], _NAMES)
+    return AlarmResults(plain_form(pa.int64()).values(batch, "alarms.version"), rows.__getitem__)
 
 
 def _structs(values: Sequence[Version | None], kind: pa.DataType) -> pa.Array:
@@ -358,12 +243,3 @@ def _structs(values: Sequence[Version | None], kind: pa.DataType) -> pa.Array:
 
 def _version(row: Mapping[str, Any] | None) -> KnownVersion | None:
     return None if row is None else KnownVersion(**row)
-
-
-def _objects(batch: pa.RecordBatch, name: str, kind: pa.DataType) -> list[Any]:
-    """Return a nullable column as a list."""
-    where = batch.schema.get_all_field_indices(name)
-    if len(where) != 1 or batch.column(where[0]).type != kind:
-        raise BlockError(f"column {name}, of type {kind}, is needed once")
-    rows: list[Any] = batch.column(where[0]).to_pylist()
-    return rows

@@ -11,8 +11,9 @@ from valvemap.errors import BlockError
 from valvemap.kafka.json_messages import LATEST, MOST_TEXT
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.model.survey import axes
-from valvemap.pipeline.alarms import ALARM_NAMES
-from valvemap.pipeline.results import AlarmReport, Results, ValveDescription
+from valvemap.pipeline.alarm_results import AlarmReport
+from valvemap.pipeline.alarm_rules import ALARM_NAMES
+from valvemap.pipeline.results import Results, ValveDescription
 from valvemap.vocabulary.statuses import (
     Adaptation,
     FeedForwardStatus,

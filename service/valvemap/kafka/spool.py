@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Final, NamedTuple
 
 from valvemap.storage.closing import Closing
-from valvemap.storage.sqlite_files import check_owner, naming, transaction
+from valvemap.storage.sqlite_files import OurConnection, check_owner, naming, transaction
 
 APPLICATION_ID: Final = 0x76_6D_73_70  # "vmsp"
 SCHEMA_VERSION: Final = 1
@@ -187,7 +187,9 @@ class Spool(Closing):
 
 
 def _open(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
+    connection = sqlite3.connect(
+        path, timeout=0.0, isolation_level=None, check_same_thread=False, factory=OurConnection
+    )
     try:
         connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # no second collector
         connection.execute("PRAGMA journal_mode = WAL")

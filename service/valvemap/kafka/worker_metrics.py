@@ -14,7 +14,7 @@ from valvemap.kafka.client_statistics import ClientStatistics, read_statistics
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.kafka.topics import COMMANDS, SAMPLES
 from valvemap.opcua_results.valve_variables import counter_name
-from valvemap.pipeline.results import AlarmReport
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.vocabulary import series
 from valvemap.vocabulary.quantities import FRAME_QUANTITIES
 from valvemap.vocabulary.series import Point

@@ -7,9 +7,8 @@ publishing interval long: no change is lost, at the cost of a short delay.
 import asyncio
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import count
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from asyncua import ua
 
@@ -17,6 +16,7 @@ from valvemap.errors import SourceError, SourceLost, SourceRejected
 from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import in_chunks, operation_limits
 from valvemap.opcua_client.responses import decode_response
+from valvemap.opcua_client.sampling import CLOSELY, Sampling, sampled_item
 from valvemap.opcua_client.source_errors import status_name
 
 _Name = TypeVar("_Name")
@@ -29,26 +29,6 @@ _MOST_EVENTS = 5_000  # buffered until take_events(); the oldest are dropped fir
 _EVENT_QUEUE = 1_000  # at the server, until they are published
 
 
-@dataclass(frozen=True)
-class Sampling:
-    """How a server samples a variable.
-
-    Attributes
-    ----------
-    every_s
-        Sampling interval; of several values within it only the last is reported.
-    queue
-        Queue size in values, for delayed publishing.
-    equal_too
-        Whether an equal value with a new timestamp is a change: it shows that the valve is alive.
-    """
-
-    every_s: float
-    queue: int
-    equal_too: bool
-
-
-CLOSELY: Final = Sampling(0.05, 40, equal_too=True)
 """Twice the fastest update rate of any client, so no update is lost; the queue holds 2 s."""
 
 
@@ -218,7 +198,7 @@ class Followed(Generic[_Name]):
             return
         handles = {next(self._handles): name for name in nodes}
         self._names |= handles
-        items = [_item(nodes[name], handle, sampling) for handle, name in handles.items()]
+        items = [sampled_item(nodes[name], handle, sampling) for handle, name in handles.items()]
         limit = (await operation_limits(self._connection)).items_per_call
         results = await in_chunks(items, limit, self._create)
         for (handle, name), result in zip(handles.items(), results, strict=True):
@@ -284,20 +264,3 @@ class Followed(Generic[_Name]):
                 case ua.StatusChangeNotification(Status=status) if status.value >> 30:
                     url, why = self._connection.settings.url, status_name(status.value)
                     raise SourceLost(f"{url}: the subscription ended: {why}")
-
-
-def _item(node: ua.NodeId, handle: int, sampling: Sampling) -> ua.MonitoredItemCreateRequest:
-    trigger = ua.DataChangeTrigger.StatusValue
-    if sampling.equal_too:
-        trigger = ua.DataChangeTrigger.StatusValueTimestamp
-    return ua.MonitoredItemCreateRequest(
-        ItemToMonitor=ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value),
-        MonitoringMode=ua.MonitoringMode.Reporting,
-        RequestedParameters=ua.MonitoringParameters(
-            ClientHandle=handle,
-            SamplingInterval=sampling.every_s * 1e3,
-            Filter=ua.DataChangeFilter(Trigger=trigger, DeadbandType=ua.DeadbandType.None_),
-            QueueSize=sampling.queue,
-            DiscardOldest=True,
-        ),
-    )

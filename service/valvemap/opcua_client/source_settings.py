@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from urllib.parse import urlsplit
 
-from guarded_opcua.security.certificates import OwnCertificate, Pki
+from guarded_opcua.security.own_certificate import OwnCertificate
+from guarded_opcua.security.pki_folders import Pki
 from valvemap.errors import ConfigurationError
 
 

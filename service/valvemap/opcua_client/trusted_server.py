@@ -11,12 +11,8 @@ from cryptography.hazmat.primitives import serialization
 
 from guarded_opcua import CertificateError
 from guarded_opcua.security.certificate_rules import CertificateRefused, Use, first_certificate
-from guarded_opcua.security.certificates import (
-    OwnCertificate,
-    expiry_warning,
-    load_certificate,
-    thumbprint,
-)
+from guarded_opcua.security.certificates import expiry_warning, load_certificate, thumbprint
+from guarded_opcua.security.own_certificate import OwnCertificate
 from guarded_opcua.security.peer_certificates import (
     PeerTrust,
     application_uris,

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from itertools import chain
 
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.axis_ports import AxisOperator
 from valvemap.pipeline.operator_ports import Answer, Command, Operator
-from valvemap.pipeline.results import AlarmReport
 
 
 class AlarmOwners:

@@ -24,14 +24,13 @@ from valvemap.opcua_results.information_model import (
     TIMING,
     WAITING,
 )
+from valvemap.opcua_results.result_codes import estimator_own_words, inverse_codes
 from valvemap.opcua_results.result_values import (
     Column,
     Shown,
     baseline_values,
     discovery_values,
-    estimator_own_words,
     feed_forward_values,
-    inverse_codes,
     lag_values,
     map_value,
     survey_values,

@@ -26,7 +26,6 @@ An edge of a valve with ports has the place of a valve under the name ``<Valve>.
 ``<Valve>.LineA``: ``s=<Valve>.PA.<Estimator>.<Variable>``, ``s=<Valve>.LineA.Leakage``.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -34,10 +33,8 @@ from functools import cache
 from asyncua import ua
 
 from guarded_opcua import Unit
-from valvemap.errors import ConfigurationError
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.pipeline.results import EstimatorDescription, ValveDescription
-from valvemap.vocabulary.edges import PARTS, split_id
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Bounds, Kind, Quantity
 from valvemap.vocabulary.signals import PUBLISHED, SENSORS
 from valvemap.vocabulary.statuses import (
@@ -70,12 +67,6 @@ U_RANGE = (0.0, 100.0)
 T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
-_TAKEN = {
-    *(DYNAMICS, COMMISSION, INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
-    *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION, RECOMMENDED, RECOMMENDED_REASON, PROCESS_VALUES),
-    *PARTS,
-}
-_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
 
 
@@ -100,25 +91,6 @@ class VariableNode:
     def enum_strings(self) -> tuple[str, ...] | None:
         """Names of the values 0, 1, …."""
         return None if self.statuses is None else tuple(member.name for member in self.statuses)
-
-
-def check_names(valves: Sequence[ValveDescription]) -> None:
-    """Check that names are valid and unique, so that NodeIds and paths keep to the contract.
-
-    Raises
-    ------
-    ConfigurationError
-        if a name is invalid or taken; names the valve or estimator.
-    """
-    _check_unique("valve", [valve.name for valve in valves], {ROOT, SERVICE, TYPES})
-    for valve in valves:
-        names = [estimator.name for estimator in valve.estimators]
-        _check_unique(f"valve {valve.name}: estimator", names, _TAKEN)
-
-
-def check_axis_names(axes: Sequence[str]) -> None:
-    """Check the names of axes, as `check_names` does those of valves."""
-    _check_unique("axis", list(axes), {ROOT, SERVICE, TYPES})
 
 
 def estimator_variables(
@@ -299,19 +271,3 @@ _UNITS = {
 def sentences_of(statuses: type[Described]) -> str:
     """Return every member of an enumeration with its sentence, for a description."""
     return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)
-
-
-def _own_name(name: str) -> str:
-    """Return a name; of an edge or a line, that of its valve."""
-    owner, rest = split_id(name)
-    return name if rest else owner.partition(".")[0]
-
-
-def _check_unique(what: str, names: Sequence[str], taken: set[str]) -> None:
-    for number, name in enumerate(names):
-        if not _NAME.fullmatch(_own_name(name)):
-            raise ConfigurationError(
-                f"{what} '{name}': a name of letters, digits, '_' and '-' is needed"
-            )
-        if name in taken or name in names[:number]:
-            raise ConfigurationError(f"{what} '{name}': the name is taken")

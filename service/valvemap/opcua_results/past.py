@@ -10,7 +10,7 @@ from asyncua import ua
 
 from guarded_opcua import Cells, Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import DYNAMICS, ROOT
-from valvemap.pipeline.results import AlarmReport
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.store_ports import PastStore
 from valvemap.vocabulary.edges import split_id
 from valvemap.vocabulary.history_columns import OF_AXES, REQUIRED_U, REQUIRED_U_STATUS, place_of

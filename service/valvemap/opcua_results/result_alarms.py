@@ -15,9 +15,7 @@ from guarded_opcua import (
     Argument,
     Clock,
     Condition,
-    ConditionClass,
     ConditionKey,
-    ConditionKind,
     Event,
     HardenedServer,
     Role,
@@ -26,41 +24,28 @@ from guarded_opcua import (
     caller,
 )
 from guarded_opcua import CommandRejected as Refused
+from valvemap.opcua_results.alarm_conditions import (
+    CONDITION,
+    add_condition,
+    condition_key,
+    condition_of,
+    facts_of,
+)
 from valvemap.opcua_results.alarm_owners import AlarmOwners
 from valvemap.opcua_results.answers import answered
-from valvemap.opcua_results.information_model import ALARMS, ROOT, SERVICE, VariableNode
+from valvemap.opcua_results.information_model import ALARMS, SERVICE, VariableNode
 from valvemap.opcua_results.result_types import ALARM, Place, type_of
 from valvemap.opcua_results.result_values import Shown, alarm_values
 from valvemap.opcua_results.valve_variables import alarm_variables
+from valvemap.pipeline.alarm_results import AlarmChange, AlarmReport, Remark
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
 from valvemap.pipeline.operator_ports import Answer, Command
-from valvemap.pipeline.results import AlarmChange, AlarmReport, Remark, Results, ValveDescription
+from valvemap.pipeline.results import Results, ValveDescription
 from valvemap.vocabulary.alarm_guide import GUIDES
 from valvemap.vocabulary.commands import NAMED, Action
 from valvemap.vocabulary.edges import split_id
 
-CONDITION = "Condition"
 MOST_OF_A_COMMENT = 200  # characters shown in LastAction
-_SERVER = ua.NodeId(ua.ObjectIds.Server)
-_KIND = {
-    "Changed": ConditionKind.OFF_NORMAL,
-    "Extrapolated": ConditionKind.OFF_NORMAL,
-    "LaneFailed": ConditionKind.OFF_NORMAL,
-    "AxisFailed": ConditionKind.OFF_NORMAL,
-    "MessagesRejected": ConditionKind.OFF_NORMAL,
-    "Certificate": ConditionKind.BELOW_LIMIT,
-}
-_CATEGORY = {
-    **dict.fromkeys(
-        ("Changed", "Residual", "SensorLost", "SensorFrozen", "LagFound"),
-        ConditionClass.MAINTENANCE,
-    ),
-    **dict.fromkeys(
-        ("EdgeChanged", "LeakageChanged", "AirChanged", "FrictionChanged", "AxisSilent"),
-        ConditionClass.MAINTENANCE,
-    ),
-    **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated", "AxisMisfit"), ConditionClass.PROCESS),
-}
 _COMMENT = Argument("Comment", "Action taken", type=ua.VariantType.String)
 
 Show = Callable[[str, Shown], None]
@@ -148,10 +133,10 @@ class ResultAlarms:
         for new in alarm_values(came, now):
             self._show(owner, new)
         for report in came:
-            digest = hash(_facts(report))
+            digest = hash(facts_of(report))
             before = self._reported.get((owner, report.name))
             self._reported[owner, report.name] = digest
-            condition = _condition(self._key(owner, report.name), report)
+            condition = condition_of(self._key(owner, report.name), report)
             is_news = before is not None or condition.retain  # else it ended before the start
             if before != digest and is_news:
                 self._server.conditions.report(condition)
@@ -160,7 +145,7 @@ class ResultAlarms:
 
     def event_of(self, owner: str, report: AlarmReport) -> Event:
         """Return the event of a change, from the alarm's report at that time; deterministic."""
-        return _condition(self._key(owner, report.name), report).event()
+        return condition_of(self._key(owner, report.name), report).event()
 
     async def add(self, parent: ua.NodeId, valve: str | None, add_variable: AddVariable) -> None:
         """Add the nodes of a valve's alarms, or of the service's."""
@@ -181,13 +166,13 @@ class ResultAlarms:
                 await add_variable(each, node, now[split_id(node.id)[1]])
             await self._add_methods(self._server, each, valve, alarm.name)
             kind = self._key(owner, alarm.name).type_definition
-            folder = await _add_condition(self._server, each, kind)
+            folder = await add_condition(self._server, each, kind)
             self._server.add_condition(folder, partial(self._standing, valve, alarm.name))
 
     async def declare(self, place: Place, kind: ua.NodeId) -> None:
         """Declare the methods and the condition of an alarm, for its type."""
         await self._add_methods(place, kind, None, "")
-        await _add_condition(place, kind, ua.NodeId(ua.ObjectIds.AlarmConditionType))
+        await add_condition(place, kind, ua.NodeId(ua.ObjectIds.AlarmConditionType))
 
     async def _add_methods(
         self,
@@ -222,7 +207,7 @@ class ResultAlarms:
         for valve in (None, *self._owners.alarmed()):
             owner = SERVICE if valve is None else valve
             every = (
-                _condition(self._key(owner, report.name), report)
+                condition_of(self._key(owner, report.name), report)
                 for report in self._owners.alarms(valve)
             )
             yield [condition for condition in every if condition.retain]
@@ -277,57 +262,10 @@ class ResultAlarms:
 
     def _standing(self, valve: str | None, alarm: str) -> Condition:
         (report,) = (r for r in self._owners.alarms(valve) if r.name == alarm)
-        return _condition(self._key(SERVICE if valve is None else valve, alarm), report)
-
-    def _key(self, owner: str, alarm: str) -> ConditionKey:
-        index = self._server.namespace_index
-        source = ua.NodeId(owner, index)
-        return ConditionKey(
-            id=ua.NodeId(f"{owner}.{ALARMS}.{alarm}.{CONDITION}", index),
-            name=alarm,
-            kind=_KIND.get(alarm, ConditionKind.ABOVE_LIMIT),
-            category=_CATEGORY.get(alarm, ConditionClass.SYSTEM),
-            source=source,
-            source_name=owner,
-            emitters=(_SERVER, ua.NodeId(ROOT, index), source),
+        return condition_of(
+            self._key(SERVICE if valve is None else valve, alarm),
+            report,
         )
 
-
-async def _add_condition(place: Place, parent: ua.NodeId, kind: ua.NodeId) -> ua.NodeId:
-    return await add_object(
-        place,
-        parent,
-        f"{parent.Identifier}.{CONDITION}",
-        description="The same alarm as a condition of Part 9.",
-        type_definition=kind,
-    )
-
-
-def _facts(report: AlarmReport) -> tuple[object, ...]:
-    return (
-        report.at,
-        report.count,
-        report.active,
-        report.acked,
-        report.confirmed,
-        report.commented,
-    )
-
-
-def _condition(key: ConditionKey, report: AlarmReport) -> Condition:
-    return Condition(
-        key=key,
-        active=report.active,
-        acked=report.acked,
-        confirmed=report.confirmed,
-        severity=report.severity,
-        message=report.text,
-        coming=report.count,
-        changed=report.at,
-        begun=report.since,
-        ended=report.ended,
-        limit=report.limit,
-        comment=report.comment,
-        commented_by=report.commented_by,
-        commented=report.commented,
-    )
+    def _key(self, owner: str, alarm: str) -> ConditionKey:
+        return condition_key(self._server.namespace_index, owner, alarm)

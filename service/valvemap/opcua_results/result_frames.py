@@ -19,7 +19,8 @@ from valvemap.opcua_results.information_model import (
     SIGNALS,
     VariableNode,
 )
-from valvemap.opcua_results.result_values import Column, estimator_own_words, worse
+from valvemap.opcua_results.result_codes import estimator_own_words, worse
+from valvemap.opcua_results.result_values import Column
 from valvemap.pipeline.results import Results, ValveDescription
 from valvemap.vocabulary.quantities import FRAME_QUANTITIES
 from valvemap.vocabulary.signals import PUBLISHED

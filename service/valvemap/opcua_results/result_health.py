@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from asyncua import ua
 
 from guarded_opcua import Clock, HardenedServer, Variable
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.device_health import DeviceHealth, device_health
-from valvemap.pipeline.results import AlarmReport
 
 
 class ResultHealth:

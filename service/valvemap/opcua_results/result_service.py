@@ -14,8 +14,8 @@ from valvemap.opcua_results.result_health import ResultHealth
 from valvemap.opcua_results.result_values import service_values
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.service_variables import service_variables
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.result_ports import Health
-from valvemap.pipeline.results import AlarmReport
 
 _PARTS = {
     f"{SERVICE}.Checkpoint": "State of the checkpoint: saves, failures, size.",

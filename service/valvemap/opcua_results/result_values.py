@@ -1,21 +1,4 @@
-"""Maps results to values with specific StatusCodes (Part 4, 7.39; Part 8, 6). Pure.
-
-=====================================  ==========================================================
-no result yet                          BadWaitingForInitialData
-parameters not determined              UncertainInitialValue
-inputs without variety, parameters held UncertainSubNormal
-the newest sample is unusable          BadSensorFailure
-no samples arrive                      BadNoCommunication
-RequiredU at the end of the range      UncertainEngineeringUnitsExceeded
-RequiredU where nothing was measured   UncertainSubNormal
-U outside the estimator's range        UncertainEngineeringUnitsExceeded
-nothing demanded                       BadNoData
-the map falls with U                   BadInvalidState
-=====================================  ==========================================================
-
-Status, SampleCount and similar values describe the service, not the valve. They stay readable as
-UncertainLastUsableValue while the other values are Bad, or Uncertain because of their age.
-"""
+"""Maps results to values of variables with StatusCodes. Pure."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator
@@ -27,7 +10,7 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from valvemap.model.recursive_least_squares import Change
+from valvemap.model.change import Change
 from valvemap.model.samples import Floats, Times
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.information_model import (
@@ -45,9 +28,19 @@ from valvemap.opcua_results.information_model import (
     SERVICE,
     SIGNALS,
 )
+from valvemap.opcua_results.result_codes import (
+    StatusCodes,
+    answer_codes,
+    estimator_codes,
+    estimator_own_words,
+    inverse_codes,
+    inverse_own_words,
+    signal_codes,
+    worse,
+)
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.result_ports import Health
 from valvemap.pipeline.results import (
-    AlarmReport,
     EstimatorResults,
     InverseResults,
     LineResults,
@@ -56,12 +49,8 @@ from valvemap.pipeline.results import (
     Version,
 )
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Undetermined
-from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 _Codes = ua.StatusCodes
-_BAD = 0x8000_0000
-
-StatusCodes = NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
@@ -200,33 +189,6 @@ def map_value(table: Floats, code: int, t: int) -> Shown:
     return Shown(f"{INVERSE}.Map", table, code, t)
 
 
-def estimator_codes(results: EstimatorResults) -> StatusCodes:
-    """Return the StatusCodes (M,) of an estimator's numeric results."""
-    return _of_estimators(_ESTIMATOR, results)
-
-
-def estimator_own_words(results: EstimatorResults) -> StatusCodes:
-    """Return the StatusCodes (M,) of Status, SampleCount and similar values.
-
-    They are never Bad: these values do not depend on the sensors.
-    """
-    words = _of_estimators(_ESTIMATOR_ITSELF, results)
-    if results.old is None:
-        return words
-    return np.where(results.old, worse(words, _Codes.UncertainLastUsableValue), words)
-
-
-def inverse_codes(results: InverseResults) -> StatusCodes:
-    """Return the StatusCodes (M,) of the inverse maps."""
-    return _of_inverses(_INVERSE, results)
-
-
-def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
-    """Return elementwise the StatusCode of worse severity; the first if they are equal."""
-    second = np.asarray(others, np.uint32)
-    return np.where(codes >> 30 >= second >> 30, codes, second).astype(np.uint32)
-
-
 def _estimator_columns(
     name: str, results: EstimatorResults, now: int, *, by_name: bool
 ) -> Iterator[Column]:
@@ -251,7 +213,7 @@ def _estimator_columns(
 
 
 def _signal_column(signals: SignalResults, now: int) -> Column:
-    codes = _SIGNAL[_waiting(signals.t), signals.quality]
+    codes = signal_codes(signals)
     none = worse(codes, _Codes.BadNoData)
     return _each(SIGNALS, signals.values, codes, none, np.where(signals.t, signals.t, now))
 
@@ -264,11 +226,11 @@ def _each(name: str, values: Floats, codes: StatusCodes, of_none: StatusCodes, t
 
 def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
     codes, t = inverse_codes(results), np.where(results.t, results.t, now)
-    answers = worse(codes, _ANSWERS[results.status])
+    answers = worse(codes, answer_codes(results.status))
     yield Column(f"{INVERSE}.RequiredU", results.required_U, answers, t)
     for end, values in (("Lower", results.lower), ("Upper", results.upper)):
         yield Column(f"{INVERSE}.RequiredU{end}", values, answers, t)
-    own = _of_inverses(_INVERSE_ITSELF, results)
+    own = inverse_own_words(results)
     yield Column(f"{INVERSE}.RequiredUStatus", results.status, own, t)
 
 
@@ -277,80 +239,4 @@ def _line_columns(lines: LineResults, inverse: InverseResults, now: int) -> Iter
     for name, values in ((LEAKAGE, lines.leakage), (LEAKAGE_STD, lines.leakage_std)):
         known = np.where(np.isfinite(values), codes, worse(codes, _Codes.UncertainInitialValue))
         yield Column(name, values, known, t)
-    yield Column(f"{INVERSE}.Edge", lines.edge, _of_inverses(_INVERSE_ITSELF, inverse), t)
-
-
-def _of_estimators(table: StatusCodes, results: EstimatorResults) -> StatusCodes:
-    return np.asarray(table[_waiting(results.t), results.quality, results.status])
-
-
-def _of_inverses(table: StatusCodes, results: InverseResults) -> StatusCodes:
-    return np.asarray(table[_waiting(results.t), results.quality])
-
-
-def _waiting(t: Times) -> NDArray[np.uint8]:
-    return (t == 0).view(np.uint8)
-
-
-def _own_words(codes: StatusCodes) -> StatusCodes:
-    words = np.where(codes >= _BAD, _Codes.UncertainLastUsableValue, _Codes.Good)
-    waiting = codes == _Codes.BadWaitingForInitialData
-    return np.where(waiting, _Codes.UncertainInitialValue, words).astype(np.uint32)
-
-
-def _of_estimator(t: int, quality: Quality, status: Status) -> int:
-    if t == 0:
-        return int(_Codes.BadWaitingForInitialData)
-    if quality == Quality.GOOD:
-        return int(_Codes.Good)
-    if quality == Quality.UNCERTAIN:
-        return int(_UNCERTAIN_BECAUSE.get(status, _Codes.UncertainLastUsableValue))
-    return int(_BAD_BECAUSE.get(status, _Codes.BadNoCommunication))
-
-
-_UNCERTAIN_BECAUSE: dict[Status, int] = {
-    Status.WARMING_UP: _Codes.UncertainInitialValue,
-    Status.UNEXCITED: _Codes.UncertainSubNormal,
-    Status.EXTRAPOLATING: _Codes.UncertainEngineeringUnitsExceeded,
-    Status.UNRELIABLE: _Codes.UncertainSubNormal,
-}
-_BAD_BECAUSE: dict[Status, int] = {
-    Status.REJECTED: _Codes.BadSensorFailure,
-    Status.FAILED: _Codes.BadInternalError,
-}
-_OF_INVERSE: dict[Quality, int] = {
-    Quality.GOOD: _Codes.Good,
-    Quality.UNCERTAIN: _Codes.UncertainSubNormal,
-    Quality.BAD: _Codes.BadNoCommunication,
-}
-_OF_ANSWER: dict[InverseStatus, int] = {
-    InverseStatus.OK: _Codes.Good,
-    InverseStatus.ABOVE_REACH: _Codes.UncertainEngineeringUnitsExceeded,
-    InverseStatus.BELOW_REACH: _Codes.UncertainEngineeringUnitsExceeded,
-    InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
-    InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
-    InverseStatus.NOT_FINITE: _Codes.BadNoData,
-    InverseStatus.OUTSIDE: _Codes.UncertainEngineeringUnitsExceeded,
-    InverseStatus.EXTRAPOLATING: _Codes.UncertainSubNormal,
-    InverseStatus.UNCERTAIN: _Codes.UncertainSubNormal,
-}
-
-# By "no result yet" (0 or 1), quality, status.
-_ESTIMATOR = np.array(
-    [[[_of_estimator(t, q, s) for s in Status] for q in Quality] for t in (1, 0)], np.uint32
-)
-_INVERSE = np.array(
-    [[_OF_INVERSE[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
-    np.uint32,
-)
-_OF_SIGNAL: dict[Quality, int] = {
-    Quality.GOOD: _Codes.Good,
-    Quality.UNCERTAIN: _Codes.Uncertain,
-    Quality.BAD: _Codes.Bad,
-}
-_SIGNAL = np.array(
-    [[_OF_SIGNAL[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
-    np.uint32,
-)
-_ESTIMATOR_ITSELF, _INVERSE_ITSELF = _own_words(_ESTIMATOR), _own_words(_INVERSE)
-_ANSWERS = np.array([_OF_ANSWER[status] for status in InverseStatus], np.uint32)
+    yield Column(f"{INVERSE}.Edge", lines.edge, inverse_own_words(inverse), t)

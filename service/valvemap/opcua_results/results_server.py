@@ -22,16 +22,9 @@ from valvemap.opcua_results.alarm_owners import AlarmOwners
 from valvemap.opcua_results.axis_nodes import AxisNodes
 from valvemap.opcua_results.commission_nodes import CommissionNodes
 from valvemap.opcua_results.companions import add_companions
-from valvemap.opcua_results.information_model import (
-    INVERSE,
-    NAMESPACE,
-    NODE_VERSION,
-    ROOT,
-    SERVICE,
-    check_axis_names,
-    check_names,
-)
+from valvemap.opcua_results.information_model import INVERSE, NAMESPACE, NODE_VERSION, ROOT, SERVICE
 from valvemap.opcua_results.model_changes import axes_change, model_change, version_of_root
+from valvemap.opcua_results.node_names import check_axis_names, check_names
 from valvemap.opcua_results.past import AlarmsPast, ResultsPast
 from valvemap.opcua_results.process_values import ProcessValues
 from valvemap.opcua_results.result_alarms import ResultAlarms
@@ -50,11 +43,12 @@ from valvemap.opcua_results.result_types import VALVE, add_enumerations, add_typ
 from valvemap.opcua_results.result_values import Shown
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.opcua_results.successive_operator import SuccessiveOperator
+from valvemap.pipeline.alarm_results import AlarmChange
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.commission_ports import CommissionResults
 from valvemap.pipeline.operator_ports import Operator
 from valvemap.pipeline.result_ports import Health
-from valvemap.pipeline.results import AlarmChange, Results, ValveDescription
+from valvemap.pipeline.results import Results, ValveDescription
 from valvemap.pipeline.store_ports import PastStore
 
 __all__ = ["NAMESPACE", "ResultsServer"]

@@ -248,7 +248,7 @@ COUNTERS = {
     "frozen": "Samples rejected because a signal was constant for too long.",
     "too_fast": "Samples rejected because a signal changed faster than its limit.",
     "spike": "Samples rejected because a signal had a spike.",
-    "beyond_range": "Samples not learnt by an estimator: U is outside the range of its structure.",
+    "beyond_range": "Samples not learnt by an estimator: U or Δp is outside the range of its map.",
     "censored": "Samples not learnt by Auto: the meter does not show a flow as large or as small.",
     "lane_failures": "Stops of an estimator at an unexpected error (alarm LaneFailed).",
 }

@@ -12,9 +12,10 @@ from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import children_of, namespaces_of, read_attributes
 from valvemap.opcua_client.source_errors import in_one_line
-from valvemap.opcua_source.members import Path, path_text
 from valvemap.opcua_source.node_ids import parse_node_id
 from valvemap.opcua_source.source_units import read_units
+from valvemap.opcua_source.structures import Path, path_text
+from valvemap.opcua_source.text_values import as_text, has_number
 from valvemap.opcua_source.type_definitions import numbers_of
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.plant.candidates import Candidate
@@ -29,6 +30,7 @@ _ATTRIBUTES: Final = (
     ua.AttributeIds.Description,
 )
 _FEWEST_NAMED: Final = 2  # elements that a list names
+_NUMBER: Final = re.compile(r"^\s*\[?\d+\]?\s*[:=.)]\s*")  # 0: or [0] = before an element's name
 _UNIT_OF_ALL: Final = re.compile(r"(.*?)(?:\s*\[([^\]]*)\])?", re.DOTALL)
 _LONGEST: Final = 4_096  # characters; the most that an identifier may have (Part 3, 8.2.4)
 _LONGEST_NAME: Final = 300  # characters of a name that are used
@@ -71,7 +73,7 @@ async def find_numbers(
         places = await _variables(connection)
         answers = await read_attributes(connection, [node for node, _ in places], _ATTRIBUTES)
     both = list(zip(places, answers, strict=True))
-    numbers = [(place, answer) for place, answer in both if _is_number(answer)]
+    numbers = [(place, a) for place, a in both if _is_number(a) or has_number(a)]
     said = await read_units(connection, [node for (node, _), _ in numbers])
     namespaces = await namespaces_of(connection)
     skipped = [*_unusable(places, answers)]
@@ -91,6 +93,9 @@ async def find_numbers(
             symbol=of_node.symbol,
             largest=_largest(answer[0]),
         )
+        if has_number(answer):
+            found += as_text(candidate, answer)
+            continue
         found += _elements(candidate, answer[0], named) if _is_array(answer) else [candidate]
     return found, skipped
 
@@ -207,14 +212,20 @@ def element_names(text: str, n: int) -> list[str] | None:
 
     >>> element_names("P, T, A, B [bar]", 4)
     ['P [bar]', 'T [bar]', 'A [bar]', 'B [bar]']
+    >>> element_names("0: U [%]; 1: p1 [bar]; 2: p2 [bar]; 3: Q [l/min]", 4)
+    ['U [%]', 'p1 [bar]', 'p2 [bar]', 'Q [l/min]']
     >>> element_names("Pressures of the four ports", 4) is None
     True
     """
     plain, unit = _UNIT_OF_ALL.fullmatch(text.strip()).groups()  # type: ignore[union-attr]
-    parts = [part.strip() for part in re.split(r"[,;|/]", plain)]
-    if n < _FEWEST_NAMED or len(parts) != n or not all(parts) or len(set(parts)) < n:
-        return None
-    return [f"{part} [{unit}]" if unit else part for part in parts]
+    if "[" in plain:  # each has a separate unit
+        plain, unit = text, None
+    for mark in ";|,/":
+        parts = re.split(rf"{re.escape(mark)}(?![^\[]*\])", plain)
+        names = [_NUMBER.sub("", part).strip() for part in parts]
+        if n >= _FEWEST_NAMED and len(names) == n and all(names) and len(set(names)) == n:
+            return [f"{name} [{unit}]" if unit else name for name in names]
+    return None
 
 
 def _unusable(places: Sequence[_Place], answers: Sequence[Sequence[ua.DataValue]]) -> Iterator[str]:

@@ -16,7 +16,8 @@ from typing import Final, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.opcua_source.members import PATH, Member, Path, parse_path, taken
+from valvemap.opcua_source.members import Member, taken
+from valvemap.opcua_source.structures import PATH, Path, parse_path
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.pipeline.data_changes import DataChanges
 

@@ -10,9 +10,10 @@ from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import read_attributes
 from valvemap.opcua_client.source_errors import status_name
-from valvemap.opcua_source.members import Member, Path
+from valvemap.opcua_source.members import Member
 from valvemap.opcua_source.node_ids import resolved_node_id
 from valvemap.opcua_source.source_nodes import HEARTBEAT, Wanted
+from valvemap.opcua_source.structures import Path
 from valvemap.opcua_source.type_definitions import member_of
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.vocabulary.item_states import ItemState

@@ -23,7 +23,13 @@ from valvemap.opcua_source.timestamps import (
     MOST_PICOSECONDS,
     ns_from_ticks,
 )
-from valvemap.opcua_source.wire import FIXED_SIZES, NUMERIC_FORMATS, DecodeError, Reader
+from valvemap.opcua_source.wire import (
+    EXTENSION_OBJECT,
+    FIXED_SIZES,
+    NUMERIC_FORMATS,
+    DecodeError,
+    Reader,
+)
 from valvemap.pipeline.data_changes import DataChanges
 
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
@@ -35,7 +41,6 @@ _RESERVED = 0xC0  # bits of a DataValue mask
 _NO_NUMBER, _COMPOUND = NO_NUMBER, COMPOUND  # as the compiled loop knows them
 _IS_ARRAY = 0x80  # bit of a Variant's encoding byte
 _OF_KIND = 0x3F
-_EXTENSION_OBJECT = 22
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ def _pass_over(
         reader.skip_variant_body(encoding)
         kind[row] = 0 if encoding == 0 else _NO_NUMBER
         is_array = encoding & _IS_ARRAY and encoding & _OF_KIND in NUMERIC_FORMATS
-        if is_array or encoding & _OF_KIND == _EXTENSION_OBJECT:
+        if is_array or encoding & _OF_KIND == EXTENSION_OBJECT:
             bits[row], kind[row] = place, _COMPOUND
     status[row] = reader.u4() if mask & 0x02 else 0
     source = reader.i8() if mask & 0x04 else 0

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 from valvemap.errors import ConfigurationError
 from valvemap.opcua_source.elements import parted
-from valvemap.opcua_source.members import Path
 from valvemap.opcua_source.node_ids import parse_node_id
+from valvemap.opcua_source.structures import Path
 from valvemap.pipeline.units import Measure
 from valvemap.vocabulary.signals import PER_VALVE, READ, Signal
 

@@ -21,6 +21,7 @@ from valvemap.pipeline.units import (
     Quantity,
     Unit,
     inside,
+    relative,
     unit_by_number,
     unit_of,
 )
@@ -208,7 +209,9 @@ def _said(information: object, bounds: object) -> SaidOfNode:
         symbol = in_one_line(information.DisplayName.Text or "")
         if information.NamespaceUri in {UNECE, "", None}:
             unit = unit_by_number(information.UnitId)
-        unit = unit or unit_of(symbol)
+        by_symbol = unit_of(symbol)
+        if unit is None or (by_symbol is not None and relative(by_symbol) == unit):
+            unit = by_symbol  # no number stands for an absolute pressure
     if isinstance(bounds, ua.Range) and np.isfinite([bounds.Low, bounds.High]).all():
         span = (float(bounds.Low), float(bounds.High)) if bounds.Low < bounds.High else None
     return SaidOfNode(unit, symbol, span)

@@ -14,46 +14,34 @@ from valvemap.errors import SourceRejected
 from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import in_chunks, read_attributes
 from valvemap.opcua_client.source_errors import in_one_line
-from valvemap.opcua_source.members import (
+from valvemap.opcua_source.members import Member, encodings_of, numbers_in
+from valvemap.opcua_source.read_types import (
+    Undescribed,
+    assemble,
+    built_in_of,
+    definition_of,
+    fields_of,
+    is_built_in,
+    keep_type,
+)
+from valvemap.opcua_source.structures import (
     DEEPEST,
     MOST_FIELDS,
-    Field,
-    Form,
-    Member,
     Path,
     Structure,
-    encodings_of,
     has_a_text,
     kind_of,
-    numbers_in,
 )
-from valvemap.opcua_source.wire import DecodeError
+from valvemap.opcua_source.wire import EXTENSION_OBJECT, DecodeError
 
-MOST_TYPES: Final = 2_000  # of a connection
 _BROWSED_AT_ONCE: Final = 20
 _MOST_REFERENCES: Final = 20
-_ENUMERATION: Final = 29
-_INT32: Final = 6
 _BOOLEAN: Final = 1
-_VARIANT: Final = 24
-_EXTENSION_OBJECT: Final = 22
-_LAST_BUILT_IN: Final = 25
 _ATTRIBUTES: Final = (
     ua.AttributeIds.DataTypeDefinition,
     ua.AttributeIds.IsAbstract,
     ua.AttributeIds.BrowseName,
 )
-_FORMS: Final = {0: Form.PLAIN, 1: Form.OPTIONAL, 2: Form.UNION, 3: Form.PLAIN, 4: Form.UNION}
-_WITH_SUBTYPES: Final = {3, 4}
-_OPEN_RANKS: Final = {-3, -2, 0}  # each value says whether it is an array
-_TOO_DEEP: Final = f"has structures inside each other, more than {DEEPEST} levels deep"
-
-_Said = tuple[ua.StructureDefinition | None, bool, str]
-"""Definition (None: no structure), whether it is abstract, and its name."""
-
-
-class _Undescribed(Exception):  # noqa: N818 - never leaves the module
-    """Why a type is not known, as the end of a sentence."""
 
 
 async def member_of(
@@ -94,7 +82,7 @@ async def structure_of(
             if data_type is None:
                 return "has a type that is not known"
             structure, encoding = await _structure(connection, data_type)
-    except (_Undescribed, SourceRejected) as error:
+    except (Undescribed, SourceRejected) as error:
         return str(error)
     if sent is None and encoding.Identifier:
         sent = encoding
@@ -157,8 +145,8 @@ async def _type_of_encoding(connection: Connection, encoding: ua.NodeId) -> ua.N
         return known
     found = await _above(connection, [encoding], ua.ObjectIds.HasEncoding)
     if found[0] is None:
-        raise _Undescribed(f"has values of a type that nothing describes ({_shown(encoding)})")
-    _keep(connection, encoding, found[0])
+        raise Undescribed(f"has values of a type that nothing describes ({_shown(encoding)})")
+    keep_type(connection, encoding, found[0])
     return found[0]
 
 
@@ -177,11 +165,11 @@ async def _structure(connection: Connection, data_type: ua.NodeId) -> tuple[Stru
             said = connection.types.get(one)
             definition = said[0] if isinstance(said, tuple) else None
             if definition is not None:
-                inner.update(dict.fromkeys(own.DataType for own in _fields(definition)))
-        wanted = [one for one in inner if not _is_built_in(one) and one not in connection.types]
+                inner.update(dict.fromkeys(own.DataType for own in fields_of(definition)))
+        wanted = [one for one in inner if not is_built_in(one) and one not in connection.types]
     made: dict[ua.NodeId, Structure] = {}
-    structure = _made(connection, data_type, made, ())
-    definition = _said(connection, data_type)[0]
+    structure = assemble(connection, data_type, made, ())
+    definition = definition_of(connection, data_type)[0]
     assert definition is not None  # noqa: S101 - it was made of it
     both = structure, definition.DefaultEncodingId
     connection.types[data_type,] = both
@@ -199,10 +187,10 @@ async def _read(connection: Connection, types: Sequence[ua.NodeId]) -> None:
             plain.append(one)
             continue
         if len(own.Fields or ()) > MOST_FIELDS:
-            raise _Undescribed(f"has a structure of more than {MOST_FIELDS} members")
+            raise Undescribed(f"has a structure of more than {MOST_FIELDS} members")
         is_abstract = abstract.Value is not None and abstract.Value.Value is True
         shown = name.Value.Value.Name if name.Value is not None else ""
-        _keep(connection, one, (own, is_abstract, in_one_line(str(shown))))
+        keep_type(connection, one, (own, is_abstract, in_one_line(str(shown))))
     left = {one: one for one in plain}
     for _ in range(DEEPEST):
         if not left:
@@ -210,67 +198,20 @@ async def _read(connection: Connection, types: Sequence[ua.NodeId]) -> None:
         bases = await _above(connection, list(left.values()), ua.ObjectIds.HasSubtype)
         for (own, _), base in zip(list(left.items()), bases, strict=True):
             if base is None:
-                raise _Undescribed(
+                raise Undescribed(
                     f"needs the type {_shown(own)}, which the server does not describe"
                 )
-            if _is_built_in(base):
-                kind = _built_in(base)
-                if kind == _EXTENSION_OBJECT:
-                    raise _Undescribed(
+            if is_built_in(base):
+                kind = built_in_of(base)
+                if kind == EXTENSION_OBJECT:
+                    raise Undescribed(
                         f"needs the structure {_shown(own)}, of which the server states no "
                         "DataTypeDefinition; let it show each member that is a signal as a variable"
                     )
-                _keep(connection, own, kind)
+                keep_type(connection, own, kind)
                 del left[own]
             else:
                 left[own] = base
-
-
-def _made(
-    connection: Connection,
-    data_type: ua.NodeId,
-    made: dict[ua.NodeId, Structure],
-    above: tuple[ua.NodeId, ...],
-) -> Structure:
-    if data_type in made:
-        return made[data_type]
-    definition, _, name = _said(connection, data_type)
-    if definition is None:
-        raise _Undescribed("is no structure")
-    if data_type in above or len(above) >= DEEPEST:
-        raise _Undescribed(_TOO_DEEP)
-    inner = (*above, data_type)
-    form = int(definition.StructureType)
-    fields = tuple(_field(connection, own, form, made, inner) for own in _fields(definition))
-    found = Structure(name, fields, _FORMS[form])
-    if found.depth + len(above) > DEEPEST:
-        raise _Undescribed(_TOO_DEEP)
-    made[data_type] = found
-    return found
-
-
-def _field(
-    connection: Connection,
-    own: ua.StructureField,
-    form: int,
-    made: dict[ua.NodeId, Structure],
-    above: tuple[ua.NodeId, ...],
-) -> Field:
-    name = own.Name or ""
-    if own.ValueRank in _OPEN_RANKS:
-        raise _Undescribed(f"has a member '{in_one_line(name)}' of no fixed rank")
-    built_in, structure = _EXTENSION_OBJECT, None
-    said = connection.types.get(own.DataType)
-    if _is_built_in(own.DataType):
-        built_in = _built_in(own.DataType)
-    elif isinstance(said, int):
-        built_in = said
-    elif not _said(connection, own.DataType)[1]:  # of an abstract one, each value says
-        structure = _made(connection, own.DataType, made, above)
-    if form in _WITH_SUBTYPES and own.IsOptional:
-        built_in, structure = (_EXTENSION_OBJECT if structure else _VARIANT), None
-    optional = _FORMS[form] is Form.OPTIONAL and bool(own.IsOptional)
-    return Field(name, built_in, max(own.ValueRank, 0), structure, optional)
 
 
 async def _above(
@@ -303,38 +244,6 @@ async def _above(
 
 def _plain(node: ua.NodeId) -> ua.NodeId:
     return ua.NodeId(node.Identifier, node.NamespaceIndex, node.NodeIdType)
-
-
-def _keep(connection: Connection, node: ua.NodeId, said: object) -> None:
-    if len(connection.types) >= MOST_TYPES:
-        raise _Undescribed(f"needs more types than the {MOST_TYPES} that are read of a server")
-    connection.types[node] = said
-
-
-def _said(connection: Connection, node: ua.NodeId) -> _Said:
-    said = connection.types.get(node)
-    if isinstance(said, tuple):
-        return said
-    if isinstance(said, int):
-        return None, False, ""
-    raise _Undescribed(_TOO_DEEP)
-
-
-def _fields(definition: ua.StructureDefinition) -> Sequence[ua.StructureField]:
-    return definition.Fields or ()
-
-
-def _is_built_in(node: ua.NodeId) -> bool:
-    own = node.Identifier
-    in_zero = node.NamespaceIndex == 0 and isinstance(own, int)
-    return in_zero and (0 < own <= _VARIANT + 5)
-
-
-def _built_in(node: ua.NodeId) -> int:
-    own = int(node.Identifier)
-    if own == _ENUMERATION:
-        return _INT32
-    return own if own <= _LAST_BUILT_IN else _VARIANT
 
 
 def _shown(node: ua.NodeId) -> str:

@@ -32,6 +32,9 @@ NUMERIC_FORMATS = {
 }
 """Built-in types that are numbers: Boolean, SByte … UInt64, Float, Double."""
 
+EXTENSION_OBJECT = 22
+"""The built-in type of structures."""
+
 FIXED_SIZES = {kind: form.size for kind, form in NUMERIC_FORMATS.items()} | {
     0: 0,  # Null
     13: 8,  # DateTime

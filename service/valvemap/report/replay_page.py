@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from valvemap.errors import StorageError
+from valvemap.owned_files import naming
 from valvemap.report import standalone_page
 
 PAGE = "index.html"
@@ -57,11 +57,9 @@ def write_page(
         naming the file.
     """
     file = folder / PAGE
-    try:
+    with naming(file):
         folder.mkdir(parents=True, exist_ok=True)
         figures = "\n".join(_figure(picture) for picture in pictures)
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     shown = "\n".join(map(_table, tables))
     items = "\n".join(f"<li>{escape(note)}</li>" for note in notes)
     body = f"{shown}\n<ul>\n{items}\n</ul>\n{figures}"

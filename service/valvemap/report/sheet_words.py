@@ -13,10 +13,11 @@ HEADINGS: Final = ("figure", "value", "95 % interval", "unit", "datasheet", "ver
 def notes_of(sheet: Sheet, apart: Apart | None) -> list[str]:
     """Sentences about the conditions, and another map beside."""
     c = sheet.conditions
+    pace = f" at {c.pace:.3g} % per s" if c.traverses else ""
     taken = (
         f"All figures hold at {sheet.dp_rated:g} bar. The recording has {c.samples:,} samples in "
-        f"{c.duration:.0f} s, U from {c.U[0]:.3g} to {c.U[1]:.3g} %, {c.traverses} traverses at "
-        f"{c.pace:.3g} % per s, Δp from {c.dp[0]:.3g} to {c.dp[1]:.3g} bar."
+        f"{c.duration:.0f} s, U from {c.U[0]:.3g} to {c.U[1]:.3g} %, {c.traverses} traverses"
+        f"{pace}, Δp from {c.dp[0]:.3g} to {c.dp[1]:.3g} bar."
     )
     oil = "The oil's temperature was not measured."
     if math.isfinite(c.T[0]):

@@ -12,15 +12,17 @@ from valvemap.clock import Clock
 from valvemap.errors import CommandRejected, SourceError, StorageError
 from valvemap.model.axis import AxisSamples
 from valvemap.model.samples import Times
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import Axis, AxisPlan, Job
+from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_arrivals import LINES, awaited, counted
+from valvemap.pipeline.axis_jobs import Job
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.axis_states import AxisStates
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.operator_ports import Command
-from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import CheckpointStore, Piece
 from valvemap.runtime.daemon_thread import in_daemon_thread
@@ -28,7 +30,7 @@ from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.kept_position import resume_source
 from valvemap.runtime.led_axes import LedAxes
-from valvemap.runtime.past import pieces_of
+from valvemap.runtime.past_pieces import pieces_of
 from valvemap.runtime.restoring import REMEDY, by_reason, restore
 from valvemap.runtime.state_keeper import StateKeeper
 from valvemap.runtime.waiting_time import WaitingTime

@@ -6,7 +6,7 @@ from typing import Any, Final, TypeVar
 
 from valvemap.clock import Clock
 
-LOOK_S: Final = 0.02  # s of the machine's clock between two looks at the other
+LOOK_S: Final = 0.02  # s of the machine's clock between two readings of the other
 
 T = TypeVar("T")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import structlog
 
 from valvemap.clock import Clock, thread_seconds
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.dynamics_reference import Outcome
 from valvemap.pipeline.dynamics_results import NOTHING_YET, DynamicsResults
 from valvemap.pipeline.identification import Identification

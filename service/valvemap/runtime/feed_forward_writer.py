@@ -1,4 +1,4 @@
-"""Writes the required U of standing demands to what is armed for feed-forward."""
+"""Writes the required U of standing demands to the valves that are armed for feed-forward."""
 
 import asyncio
 import math
@@ -76,9 +76,11 @@ class FeedForwardWriter:
         return now - self._written_at[valves] >= AGAIN_S
 
     async def write(self, valves: Times) -> None:
-        """Advance what is configured among the rows ``valves`` by one step, concurrently."""
+        """Advance the configured ones among the rows ``valves`` by one step, concurrently."""
         self._written_at[valves] = self._clock.monotonic()
-        chosen = set(valves.tolist()) & self._states.keys() if self._states else set()
+        if not self._states:
+            return
+        chosen = set(valves.tolist()) & self._states.keys()
         led = [valve for valve in self._states if valve in chosen]
         steps = (self._step(valve) for valve in led)
         outcomes = await asyncio.gather(*steps, return_exceptions=True)

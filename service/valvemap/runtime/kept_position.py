@@ -22,7 +22,7 @@ def position_of(source: AllSources, mark: Any, clock: Clock) -> list[Checkpoint]
 def resume_source(
     source: AllSources, stored: Sequence[Checkpoint]
 ) -> tuple[list[Checkpoint], dict[str, str]]:
-    """Resume at the stored position, and have the source keep what it sends until a commit.
+    """Resume at the stored position, and make the source keep its messages until a commit.
 
     Returns the other checkpoints, and the reason why a position is refused, by its name.
     """

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
+from valvemap.model.samples import Floats
 from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
+from valvemap.runtime.stale_samples import StaleSamples
 from valvemap.vocabulary.statuses import FeedForwardStatus
 
 
@@ -15,8 +17,8 @@ class LedValves:
     ----------
     identification
         Provides the required U and the armed valves.
-    situation
-        Returns the connection, sample age and map status of a valve.
+    stale, newest_U
+        Connection and age of the valves' samples, and the signal U of the newest, % (M,).
     note_new
         Called with the valves that have new results to publish.
     """
@@ -24,12 +26,13 @@ class LedValves:
     def __init__(
         self,
         identification: Identification,
-        situation: Callable[[int], Situation],
+        stale: StaleSamples,
+        newest_U: Floats,
         note_new: Callable[[Sequence[int]], None],
     ) -> None:
         self._identification = identification
+        self._stale, self._newest_U = stale, newest_U
         self._note_new = note_new
-        self.situation = situation
 
     @property
     def settings(self) -> Mapping[int, FeedForward]:
@@ -40,6 +43,24 @@ class LedValves:
     def name(self, number: int) -> str:
         """Name of a valve."""
         return self._identification.plans[number].name
+
+    def situation(self, number: int) -> Situation:
+        """Return the connection of a valve, and, if it is armed, its sample and its answer."""
+        armed = self._identification.armed.is_armed(number)
+        connected = bool(self._stale.connected[number])
+        if not (armed and connected):
+            return Situation(armed, connected)
+        answer, status = self._identification.answers.required(number)
+        return Situation(
+            armed=armed,
+            connected=True,
+            age_s=self._stale.age_s(number),
+            U=float(self._newest_U[number]),
+            map=status,
+            required_U=answer.U,
+            width=answer.width,
+            answer=answer.status,
+        )
 
     def note_status(self, number: int, status: FeedForwardStatus) -> None:
         """Publish a new status."""

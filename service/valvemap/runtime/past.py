@@ -2,55 +2,32 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import chain, pairwise
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
+from typing import Final
 
-import numpy as np
 import structlog
-from numpy.typing import NDArray
 
 from valvemap.errors import StorageError
-from valvemap.model.samples import Codes, Floats, Samples, Times
-from valvemap.pipeline.alignment import ByValve
-from valvemap.pipeline.axis_ports import AxisResults
+from valvemap.pipeline.alarm_results import AlarmChange
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.result_ports import PastCounters
-from valvemap.pipeline.results import AlarmChange, Results
+from valvemap.pipeline.results import Results
 from valvemap.pipeline.store_ports import PastStore, Piece
-from valvemap.vocabulary.history_columns import REQUIRED_U, REQUIRED_U_STATUS, STATUS
-from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
-from valvemap.vocabulary.signals import PUBLISHED
-from valvemap.vocabulary.statuses import Quality
+from valvemap.runtime.past_pieces import (
+    SIGNALS,
+    PartResults,
+    joined,
+    parts_of,
+    rows_of_results,
+    rows_of_samples,
+)
 
 MOST_ROWS: Final = 1_000_000  # rows buffered: 60 MB; further rows are dropped and counted
 SERIES_PER_S: Final = 500  # series saved per s, 0.1 ms each; more series lengthen the interval
 FORGET_EVERY_S: Final = 60.0
-_SIGNALS, _INVERSE = "Signals", "Inverse"
-
-_CODES = np.zeros(max(Quality) + 1, np.uint32)
-_CODES[Quality.UNCERTAIN], _CODES[Quality.BAD] = 0x4000_0000, 0x8000_0000
 
 log = structlog.get_logger(__name__)
-
-
-def signals_of(valve: str) -> str:
-    """Return the series name of a valve's signals."""
-    return f"{valve}.{_SIGNALS}"
-
-
-def results_of(valve: str, part: str) -> str:
-    """Return the series name of results of an estimator or inverse map, or of an axis' status."""
-    return f"{valve}.{part}"
-
-
-class _Noted(NamedTuple):
-    """Buffered results of one part (an estimator, the inverse map, signals) for (M,) valves."""
-
-    part: str
-    valves: Times
-    quality: Codes
-    t: Times
-    columns: Mapping[str, Floats]
 
 
 class PastKeeper:
@@ -78,7 +55,7 @@ class PastKeeper:
         self._store = store
         self._valves = tuple(valves)
         self._samples: list[ByValve] = []
-        self._results: list[_Noted] = []
+        self._results: list[PartResults] = []
         self._changes: list[AlarmChange] = []
         self._of_axes: list[Piece] = []
         self._rows = 0
@@ -103,7 +80,7 @@ class PastKeeper:
 
     def note(self, results: Results) -> None:
         """Buffer results."""
-        noted = list(_noted(results))
+        noted = list(parts_of(results))
         if self._has_room(sum(len(one.valves) for one in noted)):
             self._results += noted
 
@@ -122,7 +99,7 @@ class PastKeeper:
         self._now = now
         if now < self._due or (self._keeping is not None and not self._keeping.done()):
             return
-        parts = len({noted.part for noted in self._results} | {_SIGNALS})
+        parts = len({noted.part for noted in self._results} | {SIGNALS})
         self._due = now + max(1.0, len(self._valves) * parts / SERIES_PER_S)
         forget = now >= self._forget_due
         if forget:
@@ -171,8 +148,10 @@ class PastKeeper:
         failed: dict[str, Exception] = {}
 
         def pieces() -> Iterator[Piece]:
-            of_samples = _of_samples(self._valves, samples, failed)
-            return chain(of_samples, _of_results(self._valves, results, failed), joined(of_axes))
+            of_samples = rows_of_samples(self._valves, samples, failed)
+            return chain(
+                of_samples, rows_of_results(self._valves, results, failed), joined(of_axes)
+            )
 
         def keep() -> None:
             if samples or results or of_axes:
@@ -214,123 +193,3 @@ class PastKeeper:
                 except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
                     failed[piece.series.rpartition(".")[0]] = error
                     self.lost += len(piece.t)
-
-
-def pieces_of(axis: str, results: AxisResults, *, with_map: bool) -> list[Piece]:
-    """Return the rows of an axis: status, answer to a demand, and ``with_map`` its quantities.
-
-    While it is stale, it has no sample: the time is that of the last sample plus 1 ns.
-    """
-    quality = Quality.UNCERTAIN if results.is_stale else Quality.GOOD
-    t, good = np.array([results.t]), _CODES[[Quality.GOOD]]
-    status = {STATUS: np.array([float(results.status)])}
-    pieces = [Piece(results_of(axis, STATUS), t + results.is_stale, good, status)]
-    if with_map:
-        columns = {name: np.array([value]) for name, value in results.numbers.items()}
-        pieces.append(Piece(axis, t, _CODES[[quality]], columns))
-    if np.isfinite(results.required.U):
-        answer = {
-            REQUIRED_U: np.array([results.required.U]),
-            REQUIRED_U_STATUS: np.array([float(results.required.status)]),
-        }
-        pieces.append(Piece(results_of(axis, _INVERSE), t, good, answer))
-    return pieces
-
-
-def joined(pieces: Sequence[Piece]) -> Iterator[Piece]:
-    """Yield one piece for each series, of pieces with the same columns."""
-    by_series: dict[str, list[Piece]] = {}
-    for piece in pieces:
-        by_series.setdefault(piece.series, []).append(piece)
-    for series, own in by_series.items():
-        columns = {
-            name: np.concatenate([one.columns[name] for one in own]) for name in own[0].columns
-        }
-        codes = np.concatenate([one.codes for one in own])
-        yield Piece(series, np.concatenate([one.t for one in own]), codes, columns)
-
-
-def _of_samples(
-    names: Sequence[str], batches: Sequence[ByValve], failed: dict[str, Exception]
-) -> Iterator[Piece]:
-    """Yield one piece for each valve; valves whose piece raises are added to ``failed``."""
-    by_valve: dict[int, list[ByValve]] = {}
-    for batch in batches:
-        for valve in batch:
-            by_valve.setdefault(valve, []).append(batch)
-    for valve, own in by_valve.items():
-        try:
-            piece = _signals(names[valve], [batch[valve] for batch in own])
-        except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
-            failed[names[valve]] = error
-        else:
-            yield piece
-
-
-def _signals(valve: str, samples: Sequence[Samples]) -> Piece:
-    columns = {
-        name: np.concatenate([getattr(part, name) for part in samples]) for name in PUBLISHED
-    }
-    t = np.concatenate([part.t for part in samples])
-    quality = np.concatenate([part.quality for part in samples])
-    return Piece(signals_of(valve), t, _CODES[quality], columns)
-
-
-def _noted(results: Results) -> Iterator[_Noted]:
-    """Yield the rows of each estimator, of the inverse map, and of signals that are Bad."""
-    valves, inverse, signals = results.valves, results.inverse, results.signals
-    for name, found in results.estimators.items():
-        columns = {q.name: _numbers(getattr(found, q.field)) for q in HISTORY_QUANTITIES}
-        yield _Noted(name, valves, found.quality, found.t, columns)
-    answer = {REQUIRED_U: inverse.required_U, REQUIRED_U_STATUS: _numbers(inverse.status)}
-    yield _Noted(_INVERSE, valves, inverse.quality, inverse.t, answer)
-    if signals is not None:
-        lost = signals.quality == Quality.BAD
-        columns = dict(zip(PUBLISHED, signals.values[lost].T, strict=True))
-        yield _Noted(_SIGNALS, valves[lost], signals.quality[lost], signals.t[lost], columns)
-
-
-def _of_results(
-    names: Sequence[str], noted: Sequence[_Noted], failed: dict[str, Exception]
-) -> Iterator[Piece]:
-    """Yield one piece for each part of each valve.
-
-    Bad results have no sample: their time is that of the last sample plus 1 ns.
-    """
-    by_part: dict[str, list[_Noted]] = {}
-    for one in noted:
-        by_part.setdefault(one.part, []).append(one)
-    for part, rows in by_part.items():
-        yield from _by_valve(names, part, rows, failed)
-
-
-def _by_valve(
-    names: Sequence[str], part: str, rows: Sequence[_Noted], failed: dict[str, Exception]
-) -> Iterator[Piece]:
-    valves = np.concatenate([row.valves for row in rows])
-    quality = np.concatenate([row.quality for row in rows])
-    t = np.concatenate([row.t for row in rows])
-    columns = {
-        name: np.concatenate([row.columns[name] for row in rows]) for name in rows[0].columns
-    }
-    t = np.where(quality == Quality.BAD, t + 1, t)
-    order = np.argsort(valves, kind="stable")
-    order = order[t[order] > 1]  # no sample yet
-    edges = np.flatnonzero(np.diff(valves[order], prepend=-1, append=-1))
-    for first, last in pairwise(edges.tolist()):
-        own, name = order[first:last], names[int(valves[order[first]])]
-        try:
-            of_valve = {column: values[own] for column, values in columns.items()}
-            piece = Piece(results_of(name, part), t[own], _codes(quality[own]), of_valve)
-        except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
-            failed[name] = error
-        else:
-            yield piece
-
-
-def _numbers(values: NDArray[Any]) -> Floats:
-    return np.asarray(values, np.float64)
-
-
-def _codes(quality: Codes) -> NDArray[np.uint32]:
-    return np.asarray(_CODES[quality])

@@ -13,19 +13,15 @@ class SampleAges:
 
     def __init__(self, M: int, source: AllSources, clock: Clock) -> None:
         self._newest = np.zeros(M, np.int64)  # sample's time, UTC ns; 0: no sample yet
-        self._clocks = SampleClocks(M)
+        self.clocks = SampleClocks(M)
         self._source, self._clock = source, clock
 
     def note(self, members: Times, newest: Times) -> None:
-        """Note the times of the newest samples of some valves, UTC ns."""
+        """Note the times of the newest samples of the given valves, UTC ns."""
         self._newest[members] = newest
         if len(members):
             ours = self._against_ours(self._source.clock_offset_s)
-            self._clocks.note(members, newest, self._clock.monotonic(), ours)
-
-    def forget_clock(self, valves: Times) -> None:
-        """Forget the course of a clock: the source of these valves was restarted."""
-        self._clocks.forget(valves)
+            self.clocks.note(members, newest, self._clock.monotonic(), ours)
 
     def of(self, valves: slice = slice(None)) -> Floats:
         """Age of each valve's newest sample by the source's clock, s; NaN: no sample yet."""
@@ -36,8 +32,8 @@ class SampleAges:
     def source_now(self) -> Times:
         """Current time of each valve's source, UTC ns."""
         offset_s = self._source.clock_offset_s
-        self._clocks.note_offset(self._against_ours(offset_s))
-        ahead = offset_s + self._clocks.correction_s
+        self.clocks.note_offset(self._against_ours(offset_s))
+        ahead = offset_s + self.clocks.correction_s
         return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
 
     def _against_ours(self, offset_s: float | Floats) -> Floats:

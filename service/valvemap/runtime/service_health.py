@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from valvemap.clock import Clock
+from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.result_ports import COMPLETE, Health, PastCounters, ResultSink
-from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import CheckpointStore, KeptElsewhere
 from valvemap.runtime.past import PastKeeper

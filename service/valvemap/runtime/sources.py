@@ -243,7 +243,7 @@ async def supervise_all(
 
 
 async def _tick_alone(consumer: Consumer, stop: asyncio.Event, tick_s: float) -> None:
-    """Without a source, have the consumer do what is due until ``stop`` is set."""
+    """Without a source, call the consumer's tick until ``stop`` is set."""
     while not stop.is_set():
         await consumer.tick()
         with suppress(TimeoutError):

@@ -24,10 +24,10 @@ class ValveLog:
 
     def _note_plausibility(self) -> None:
         implausible = self._identification.implausible()
-        for valve in np.flatnonzero(self._implausible & ~implausible).tolist():
+        for valve in (self._implausible & ~implausible).nonzero()[0].tolist():
             name = self._identification.plans[valve].name
             log.info("learnt from again", valve=name, why="its pressures have been right for long")
-        for valve in np.flatnonzero(implausible & ~self._implausible).tolist():
+        for valve in (implausible & ~self._implausible).nonzero()[0].tolist():
             name = self._identification.plans[valve].name
             findings = self._identification.plausibility.findings(valve)
             why = "; ".join(finding.sentence for finding in findings)

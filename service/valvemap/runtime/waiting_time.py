@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
 
-LONGEST_TICK_S = 0.5  # s; the time by which a tick is longer does not count as waiting
+LONGEST_TICK_S = 0.5  # s; a tick counts as waiting for this long at most
 
 
 class WaitingTime:
@@ -44,6 +44,12 @@ class WaitingTime:
         all, e.g. with something in the reorder buffer.
         """
         passed, self._until = now - self._until, now
+        if not waits.any():
+            self._waited_s[:] = 0.0
+            return _NONE
         self._waited_s[counts] += min(passed, LONGEST_TICK_S)
         self._waited_s[~waits] = 0.0
-        return np.flatnonzero(counts & (self._waited_s > self._limit_s))
+        return (counts & (self._waited_s > self._limit_s)).nonzero()[0]
+
+
+_NONE = np.zeros(0, np.int64)

@@ -13,17 +13,18 @@ from paho.mqtt.client import MQTT_ERR_SUCCESS, Client, MQTTv311, topic_matches_s
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.reasoncodes import ReasonCode
 
-from valvemap.errors import ConfigurationError, SinkError, SinkLost, SinkRejected
+from valvemap.errors import SinkError, SinkLost, SinkRejected
 from valvemap.sparkplug.edge_node import Message
 from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
 from valvemap.sparkplug.settings import BrokerSettings
+from valvemap.sparkplug.tls import tls_context, words_of
 
 _MOST_RECEIVED: Final = (
     100  # messages; capacity of a filter's receive buffer, which drops the oldest
 )
 _LARGEST: Final = 65_536  # bytes; larger payloads are neither a command nor a STATE message
 _FAREWELL_S: Final = 2.0
-_SERVER_UNAVAILABLE: Final = "Server unavailable"  # the only refusal that is worth a retry
+_SERVER_UNAVAILABLE: Final = "Server unavailable"  # the only refusal to retry after
 
 
 class PahoBroker:
@@ -37,7 +38,7 @@ class PahoBroker:
 
     def __init__(self, settings: BrokerSettings) -> None:
         self._settings = settings
-        self._tls = _tls(settings) if settings.tls else None
+        self._tls = tls_context(settings) if settings.tls else None
         self.refused_packets = 0
         self.lost_messages = 0
 
@@ -116,9 +117,9 @@ class PahoSession:
                 lambda: self._client.connect(settings.host, settings.port, settings.keep_alive_s)
             )
         except ssl.SSLError as error:
-            raise SinkRejected(f"{settings.url}: {_words(error)}") from error
+            raise SinkRejected(f"{settings.url}: {words_of(error)}") from error
         except (OSError, ValueError) as error:
-            raise SinkLost(f"{settings.url}: {_words(error)}") from error
+            raise SinkLost(f"{settings.url}: {words_of(error)}") from error
         self._client.loop_start()
         await self._wait(self._accepted, "it does not take the connection")
         if not self._guard.received:  # the size of packets would be unbounded
@@ -306,34 +307,3 @@ class _GuardedClient(Client):
         sent = super()._sock_send(buf)
         self._guard.send(bytes(buf[:sent]))
         return sent
-
-
-class _Closing(ssl.SSLSocket):
-    """A socket that closes when its handshake fails; paho leaves it to the garbage collector."""
-
-    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - as in ssl
-        try:
-            super().do_handshake(block)
-        except BaseException:
-            self.close()
-            raise
-
-
-def _tls(settings: BrokerSettings) -> ssl.SSLContext:
-    for file in (settings.ca_file, settings.certificate_file, settings.key_file):
-        if file is not None and not file.is_file():
-            raise ConfigurationError(f"{file}: no such file; [mqtt] names it")
-    try:
-        context = ssl.create_default_context(cafile=settings.ca_file)
-        if settings.certificate_file is not None:
-            context.load_cert_chain(settings.certificate_file, settings.key_file, password="")
-    except (OSError, ValueError) as error:
-        names = ", ".join(str(f) for f in (settings.ca_file, settings.certificate_file) if f)
-        raise ConfigurationError(f"{names}: cannot be used: {_words(error)}") from None
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.sslsocket_class = _Closing
-    return context
-
-
-def _words(error: Exception) -> str:
-    return str(getattr(error, "strerror", None) or error).lower()

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
-from valvemap.pipeline.results import AlarmChange, AlarmReport
+from valvemap.pipeline.alarm_results import AlarmChange, AlarmReport
 
 MOST_CHANGES: Final = 100_000  # rows; some 50 MB; the oldest are dropped first
 _SCHEMA = (

@@ -13,7 +13,7 @@ from valvemap.model.axis_inverse import HALVES, AxisTable
 from valvemap.model.kernels.axis_edges import ROOT
 from valvemap.model.kernels.axis_oil import KELVIN, WALTHER_SHIFT
 from valvemap.owned_files import write_whole
-from valvemap.storage.lookup_tables import FINITE, STATUSES, c_numbers, in_a_comment, literal
+from valvemap.storage.table_text import FINITE, STATUSES, c_numbers, in_a_comment, literal
 from valvemap.vocabulary.edges import EDGES
 
 _SUFFIX: Final = ".st"

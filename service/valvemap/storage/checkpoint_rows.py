@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, Self
 
 from valvemap.pipeline.meaning import UNREADABLE, digest_of
 from valvemap.pipeline.store_ports import Checkpoint
-from valvemap.storage.sqlite_files import text
+from valvemap.storage.sqlite_files import OurConnection, text
 
 APPLICATION_ID: Final = 0x76_6D_61_70  # "vmap"
 SCHEMA_VERSION: Final = 3
@@ -146,6 +146,13 @@ class SetAside(NamedTuple):
     reason: str
 
 
+def check_columns(connection: sqlite3.Connection) -> None:
+    """Raise sqlite3.OperationalError if a table or a column has another name."""
+    for select in (SELECT, f"SELECT {_ASIDE} FROM aside", "SELECT id, said FROM meaning"):  # noqa: S608
+        connection.execute(f"{select} LIMIT 0")
+    connection.execute("SELECT id FROM identity LIMIT 0")
+
+
 def meanings_in(connection: sqlite3.Connection) -> dict[str, str]:
     """Return the texts of the meanings by their digests, without damaged ones."""
     rows = connection.execute("SELECT id, said FROM meaning").fetchall()
@@ -230,6 +237,7 @@ def aside_in(connection: sqlite3.Connection, meanings: Mapping[str, str]) -> lis
 
 def read_only(path: Path) -> sqlite3.Connection:
     """Open a file without changing it."""
-    connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    name = f"{path.absolute().as_uri()}?mode=ro"  # any character may be in it
+    connection = sqlite3.connect(name, uri=True, factory=OurConnection)
     connection.text_factory = text
     return connection

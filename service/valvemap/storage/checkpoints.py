@@ -11,16 +11,14 @@ from valvemap.errors import StateFileLost
 from valvemap.pipeline.meaning import digest_of
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage import checkpoint_rows as rows_of
-from valvemap.storage.checkpoint_rows import APPLICATION_ID, SCHEMA_VERSION, Row, SetAside
+from valvemap.storage.checkpoint_connection import fold_log, frames_in_log, open_checkpoints
+from valvemap.storage.checkpoint_rows import Row, SetAside
 from valvemap.storage.closing import Closing
 from valvemap.storage.sqlite_files import (
-    check_owner,
     damage,
     is_damage,
     naming,
-    pragma,
     set_aside,
-    text,
     transaction,
 )
 from valvemap.storage.state_lock import FileLock, is_at
@@ -30,7 +28,6 @@ LOG = "the log of the last save"
 MOST_ASIDE = 8  # states set aside of one valve and estimator; the oldest are deleted
 
 _SMALLEST_BYTES = 512  # of any SQLite file
-_LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes, of a write-ahead log
 
 
 class CheckpointFile(Closing):
@@ -119,14 +116,14 @@ class CheckpointFile(Closing):
             saved = self._saved + 1
             rows = [Row.of(c, 1 - self._generations.get(_name(c), 1), saved) for c in checkpoints]
             meanings = self._new_meanings(checkpoints)
-            self._connection.execute("PRAGMA synchronous = OFF")  # _fold_log waits for the disk
+            self._connection.execute("PRAGMA synchronous = OFF")  # fold_log waits for the disk
             try:
                 with transaction(self._connection):
                     self._connection.executemany(rows_of.INSERT_MEANING, meanings.items())
                     self._connection.executemany(rows_of.INSERT, rows)
             finally:
                 self._connection.execute("PRAGMA synchronous = NORMAL")
-            _fold_log(self._connection)
+            fold_log(self._connection)
             self._saved = saved
             self._meanings.update(meanings)
             self._generations.update((r.name, r.generation) for r in rows)
@@ -162,7 +159,7 @@ class CheckpointFile(Closing):
                 self._connection.executemany(rows_of.INSERT, put)
                 self._forget_oldest()
                 self._connection.execute(rows_of.FORGET_MEANINGS)
-            _fold_log(self._connection)
+            fold_log(self._connection)
             self._read()
 
     def aside(self) -> list[SetAside]:
@@ -201,17 +198,17 @@ class CheckpointFile(Closing):
 
     def _open(self) -> None:
         """Open the file at the path; set a damaged one aside and copy its readable rows."""
-        frames = _frames_in_log(self.path)
+        frames = frames_in_log(self.path)
         try:
             if self.path.is_file() and self.path.stat().st_size < _SMALLEST_BYTES:
                 raise damage("it is cut short")
-            self._connection = _open(self.path, self._timeout)
-            self._log_was_torn = _fold_log(self._connection) < frames
+            self._connection = open_checkpoints(self.path, self._timeout)
+            self._log_was_torn = fold_log(self._connection) < frames
         except sqlite3.DatabaseError as error:
             if not is_damage(error):
                 raise
             self.set_aside = set_aside(self.path)
-            self._connection = _open(self.path, self._timeout)
+            self._connection = open_checkpoints(self.path, self._timeout)
             rows, meanings = rows_of.salvaged(self.set_aside)
             with suppress(sqlite3.Error), transaction(self._connection):
                 self._connection.executemany(rows_of.INSERT_MEANING, meanings.items())
@@ -304,53 +301,3 @@ def _until(
 
 def _name(one: Checkpoint) -> tuple[str, str]:
     return one.valve, one.estimator
-
-
-def _frames_in_log(path: Path) -> int:
-    """Return the number of frames of a write-ahead log, by its size."""
-    log = path.with_name(f"{path.name}-wal")
-    if not log.exists() or log.stat().st_size < _LOG_HEADER:
-        return 0
-    with log.open("rb") as file:
-        page = int.from_bytes(file.read(12)[8:], "big") or 4096
-    return (log.stat().st_size - _LOG_HEADER) // (_FRAME_HEADER + page)
-
-
-def _fold_log(connection: sqlite3.Connection) -> int:
-    """Write the log's pages into the file; return their number."""
-    _, pages, _ = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-    connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-    return max(int(pages), 0)
-
-
-def _open(path: Path, timeout: float) -> sqlite3.Connection:
-    """Open and check the file; create the tables of a new one."""
-    connection = sqlite3.connect(
-        path, timeout=timeout, isolation_level=None, check_same_thread=False
-    )
-    try:
-        connection.text_factory = text
-        _check(connection, path)
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = NORMAL")
-        with transaction(connection):
-            if pragma(connection, "application_id") == 0:
-                for statement in rows_of.SCHEMA:
-                    connection.execute(statement)
-            elif pragma(connection, "user_version") < SCHEMA_VERSION:
-                rows_of.migrate(connection)
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _check(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise if the file belongs to another program, before it is changed."""
-    is_new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION, rows_of.TABLES)
-    version = pragma(connection, "user_version")
-    if not is_new and version < rows_of.OLDEST_VERSION:
-        raise damage(f"it is of format {version}, this one writes {SCHEMA_VERSION}")
-    (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    if verdict != "ok":
-        raise damage(str(verdict))

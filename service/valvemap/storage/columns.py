@@ -41,12 +41,14 @@ _MISSING = frozenset(  # as other programs write it, historians and spreadsheets
         "invalid",
     }
     | {"bad input", "bad quality", "no data", "no value", "nodata", "not available", "i/o timeout"}
-    | {"comm fail", "comm error", "shutdown", "out of service", "error", "#value!", "#div/0!"}
-    | {"#ref!", "#num!", "over range", "under range", "overflow", "underflow"}
+    | {"comm fail", "comm error", "shutdown", "out of service", "error", "#div/0!", "underflow"}
+    | {"#nv", "#n/d", "(null)", "<null>", "err", "over range", "under range", "overflow"}
 )
+_ERROR_VALUE = re.compile(r"#[^\d!?]+[!?]|-?1\.#(?:qnan|ind|snan)")  # of spreadsheets, of C
 ALLOWED_QUALITY = "0, 1, 2, Good, Uncertain, Bad or an OPC UA status code"
 ALLOWED_VALVE = "a name"
 
+_ZONE_WORD = re.compile(r"\s*(?:UTC|GMT)$")
 _FRACTION = re.compile(r"[.,](\d+)")
 _EXACT_SECONDS = 1e6  # below, doubles still resolve 1 ns
 _EXACT_INTEGERS = 2.0**53  # below, doubles are exact integers
@@ -81,7 +83,8 @@ def numbers(cells: Sequence[str], column: str) -> Floats:
 
 def is_missing(cell: str) -> bool:
     """Whether a cell says that there is no number: it is empty, or NA, null, none or a dash."""
-    return cell.strip().casefold() in _MISSING
+    text = cell.strip().casefold()
+    return text in _MISSING or _ERROR_VALUE.fullmatch(text) is not None
 
 
 def times(cells: Sequence[str], form: DateForm | None = None) -> Times:
@@ -244,7 +247,7 @@ def _nanoseconds(cell: str) -> int | None:
 
 
 def _iso_nanoseconds(cell: str) -> int:
-    moment = datetime.fromisoformat(cell)  # truncates the fraction to six digits
+    moment = datetime.fromisoformat(_ZONE_WORD.sub("+00:00", cell))  # cuts digits behind the sixth
     fraction = _FRACTION.search(cell)
     rest = int(fraction[1][6:9].ljust(3, "0")) if fraction else 0
     return utc_ns(moment) + rest

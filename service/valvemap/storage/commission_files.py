@@ -9,13 +9,15 @@ import re
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from valvemap.errors import StorageError
 from valvemap.model.samples import Samples
 from valvemap.storage.closing import Closing
 from valvemap.storage.csv_writing import csv_header, csv_rows
 from valvemap.storage.recordings import read_recording
+
+_AUDIT: Final = ".audit.jsonl"
 
 
 def new_run(folder: Path, valve: str, now: int) -> Path:
@@ -25,10 +27,39 @@ def new_run(folder: Path, valve: str, now: int) -> Path:
 
 def last_run(folder: Path, valve: str) -> Path | None:
     """Return the recording of the newest run of a valve, None without one."""
+    return max(_runs(folder, valve), default=None)
+
+
+def last_sampled_run(folder: Path, valve: str) -> Path | None:
+    """Return the recording of the newest run that received samples, None without one."""
+    least = len(csv_header())
+    return max((f for f in _runs(folder, valve) if f.stat().st_size > least), default=None)
+
+
+def _runs(folder: Path, valve: str) -> Iterator[Path]:
     form = re.compile(re.escape(valve) + r"\.\d{8}T\d{6}Z\.csv")
-    if not folder.is_dir():
+    if folder.is_dir():
+        yield from (file for file in folder.iterdir() if form.fullmatch(file.name))
+
+
+def why_unfinished(recording: Path) -> str | None:
+    """Why a guided run did not reach its end, empty if it did; None of any other recording."""
+    audit = recording.with_suffix(_AUDIT)
+    if not audit.is_file():
         return None
-    return max((file for file in folder.iterdir() if form.fullmatch(file.name)), default=None)
+    found = "the guided run did not end"
+    with _naming(audit):
+        for line in audit.read_text(encoding="utf-8", errors="replace").splitlines():
+            try:
+                said = json.loads(line)
+            except ValueError:  # half a line, at a kill
+                continue
+            if said.get("event") == "started":
+                found = "the guided run did not end"
+            elif said.get("event") == "ended":
+                done = said.get("phase") == "DONE"
+                found = "" if done else f"the guided run was ended: {said.get('reason')}"
+    return found
 
 
 class RunFiles(Closing):
@@ -47,7 +78,7 @@ class RunFiles(Closing):
 
     def __init__(self, recording: Path, valve: str) -> None:
         self.recording = recording
-        self.audit = recording.with_suffix(".audit.jsonl")
+        self.audit = recording.with_suffix(_AUDIT)
         self._valve = valve
         self._resumes = recording.is_file()
 

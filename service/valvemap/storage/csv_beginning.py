@@ -13,13 +13,14 @@ from valvemap.plant.unit_texts import split_unit
 from valvemap.storage import columns
 from valvemap.storage.cell_units import number_and_unit, units_of
 from valvemap.storage.clock_times import Clock, day_and_clock, is_clock
+from valvemap.storage.column_finding import find_columns
 from valvemap.storage.columns import CellError
 from valvemap.storage.csv_cells import TextCells, TextForm
 from valvemap.storage.csv_headings import SEPARATORS, cells_of, headings_of, is_number
 from valvemap.storage.dates import date_form
 from valvemap.storage.digit_groups import grouping_of
 from valvemap.storage.headings import Beginning, recognise, time_column
-from valvemap.storage.layout import COLUMNS, Columns, Layout, MissingColumnError, find_columns
+from valvemap.storage.layout import COLUMNS, Columns, Layout, MissingColumnError
 from valvemap.storage.long_format import LongColumns, long_columns
 from valvemap.storage.packed_text import HEADER_LIMIT, Faults
 from valvemap.storage.time_units import seconds_per_unit
@@ -117,7 +118,7 @@ class CsvBeginning:
             raise refusal
         texts = TextCells(rows, self._form_of(rows[:_PEEKED], time))
         try:
-            times = texts.times(time, seconds_per_unit(self.header[time]))
+            times = texts.times(time, seconds_per_unit(self.header[time], 1.0))
         except CellError:
             raise refusal from None
         numbers = {

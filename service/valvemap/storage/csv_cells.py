@@ -1,5 +1,6 @@
 """The cells of some lines of a CSV file, by column: as text, or parsed by Arrow."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -11,8 +12,15 @@ from valvemap.storage import columns
 from valvemap.storage.cell_units import without_unit
 from valvemap.storage.clock_times import Clock
 from valvemap.storage.columns import CellError
+from valvemap.storage.csv_headings import is_number
 from valvemap.storage.dates import DateForm
 from valvemap.storage.digit_groups import ungrouped
+from valvemap.storage.time_units import SYMBOLS
+
+_ALLOWED_UNITS = (
+    f"a number of {', '.join(SYMBOLS)}, and the heading states another unit: name it in brackets, "
+    "such as t [ms] (units={'t': 'ms'} in Python)"
+)
 
 
 class Cells(Protocol):
@@ -72,7 +80,7 @@ class TextCells:
 
     def times(self, place: int, seconds: float = 1.0) -> Times:
         """UTC ns; ``seconds`` is the unit of numbers."""
-        if seconds != 1.0:
+        if seconds != 1.0 and is_number(self._columns[place][0]):
             return scaled_times(self.numbers(place, "t"), self._columns[place], seconds)
         if self._form.clock is not None:
             return self._form.clock.times(self._columns[place])
@@ -89,7 +97,9 @@ class TextCells:
 
 
 def scaled_times(values: Floats, cells: Any, seconds: float) -> Times:  # noqa: ANN401 - by row
-    """Return ns of numbers in a unit, given in seconds."""
+    """Return ns of numbers in a unit, given in seconds; `UNKNOWN` is refused."""
+    if math.isnan(seconds):
+        raise CellError(0, "t", cells[0], _ALLOWED_UNITS)
     if not np.isfinite(values).all():
         row = int(np.argmax(~np.isfinite(values)))
         raise CellError(row, "t", cells[row], columns.ALLOWED_TIME)
@@ -101,6 +111,13 @@ def scaled_times(values: Floats, cells: Any, seconds: float) -> Times:  # noqa: 
     return np.asarray(
         whole.astype(np.int64) * unit + np.rint((values - whole) * unit).astype(np.int64)
     )
+
+
+def times_of_cells(cells: Sequence[str], seconds: float) -> Times:
+    """Return UTC ns of cells with points; ``seconds`` is the unit of numbers."""
+    if seconds != 1.0 and len(cells) and is_number(cells[0]):
+        return scaled_times(columns.numbers(cells, "t"), cells, seconds)
+    return columns.times(cells)
 
 
 def times_of_text(cells: Sequence[str], separator: str, dates: DateForm) -> Times:

@@ -93,4 +93,6 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit that recordings have."""
-    return text.casefold() in TIME_UNITS or known_unit(text) is not None or is_of_others(text)
+    return (
+        text.casefold() in {"", *TIME_UNITS} or known_unit(text) is not None or is_of_others(text)
+    )

@@ -62,7 +62,7 @@ class CsvReader:
     @property
     def fraction(self) -> float:
         """The fraction of the file's bytes read, 0 to 1."""
-        with suppress(OSError, ValueError):  # a thread that reads ahead may close it meanwhile
+        with suppress(OSError, ValueError):  # a thread that reads ahead may close it
             return min(self._raw.tell() / self._size, 1.0)
         return 1.0
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from valvemap.model.flow_table import FlowTable
 from valvemap.owned_files import write_whole
-from valvemap.storage.lookup_tables import in_a_comment, literal, stated
+from valvemap.storage.table_text import in_a_comment, literal, stated
 
 
 def write_flow_table(file: Path, table: FlowTable, title: str) -> None:

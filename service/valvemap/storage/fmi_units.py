@@ -21,8 +21,10 @@ from valvemap.errors import StorageError
 from valvemap.model.samples import Floats
 from valvemap.model.valve_tables import ValveTables
 from valvemap.owned_files import written_aside
-from valvemap.storage.fmi_source import FMI_CALLS, FMI_TYPES, TABLE_CALLS
-from valvemap.storage.lookup_tables import STATUSES, as_c, c_marks, c_numbers, c_rows, error_text
+from valvemap.storage.fmi_source import FMI_CALLS, FMI_TYPES
+from valvemap.storage.fmi_table_source import TABLE_CALLS
+from valvemap.storage.lookup_tables import as_c
+from valvemap.storage.table_text import STATUSES, c_marks, c_numbers, c_rows, error_text
 
 IDENTIFIER: Final = "valvemap_valve"
 COMPILERS: Final = ("cc", "gcc", "clang")

@@ -19,7 +19,6 @@ from valvemap.pipeline.units import QUANTITY_OF, inside
 from valvemap.plant.answers import of_valve
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.grouping import Group, group
-from valvemap.plant.names import tokens
 from valvemap.plant.questions import Option
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import NAMES, Role
@@ -27,13 +26,8 @@ from valvemap.plant.scales import Scale
 from valvemap.plant.unit_texts import split_unit
 from valvemap.plant.verdict import Verdict, judge
 from valvemap.storage.layout import DEFAULT_VALVE, Columns, Layout, Part
-from valvemap.storage.time_units import seconds_per_unit
+from valvemap.storage.time_units import named_time, seconds_per_unit
 
-_TIMES: Final = """
-time timestamp datetime date zeit zeitstempel datum uhrzeit temps horodatage tiempo fecha hora tempo
-ora 时间 时刻 日期 czas tijd tid cas zaman tarih saat время дата 時刻 時間 日時 시간 시각 일시 ts
-"""
-_TIME_WORDS: Final = frozenset(word for name in _TIMES.split() for word in tokens(name))
 _PLAIN: Final = {name.casefold(): name for name in ("U", "p1", "p2", "Q", "T", "dp")}
 _COUNTS_FROM: Final = 1_000.0  # whole numbers beyond it may be raw counts
 _INTEGER_TYPES: Final = (2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1)
@@ -56,13 +50,8 @@ def time_column(headings: Sequence[str], numeric: Sequence[bool]) -> int | None:
     >>> time_column(["Druck [bar]", "Zeit [ms]", "T"], [True, True, True])
     1
     """
-    names = [split_unit(heading)[0] for heading in headings]
-    if "t" in names:
-        return names.index("t")
-    for number, name in enumerate(names):
-        if _TIME_WORDS & set(tokens(name)):
-            return number
-    return 0 if numeric and not numeric[0] else None
+    named = named_time(headings)
+    return 0 if named is None and numeric and not numeric[0] else named
 
 
 def recognise(begins: Beginning, layout: Layout, refusal: RecordingError) -> Columns:

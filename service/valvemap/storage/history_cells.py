@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Floats, Times
+from valvemap.model.samples import Flags, Floats, Times
 from valvemap.pipeline.store_ports import PastCells
 from valvemap.storage.history_blocks import CODES, SEALED, T, base_of
 from valvemap.vocabulary.history_columns import OWN_WORDS
@@ -169,3 +169,12 @@ def as_past(cells: Columns, column: str, extent: tuple[int, int]) -> PastCells:
         fields[MARKS].astype(np.uint8),
         extent,
     )
+
+
+def overlapping(t: NDArray[np.int64], width: int, spans: NDArray[np.int64]) -> Flags:
+    """Return which cells that begin at t (n,) overlap any of the spans (m, 2)."""
+    if not len(spans):
+        return np.zeros(len(t), np.bool_)
+    reached = np.maximum.accumulate(spans[:, 1])
+    before = np.searchsorted(spans[:, 0], t + width) - 1  # the last span that begins in time
+    return (before >= 0) & (reached[np.maximum(before, 0)] >= t)

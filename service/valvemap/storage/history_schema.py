@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Final
 
 from valvemap.storage import alarm_changes, history_age
-from valvemap.storage.sqlite_files import check_owner, damage, pragma, text, transaction
+from valvemap.storage.sqlite_files import (
+    OurConnection,
+    check_owner,
+    damage,
+    pragma,
+    text,
+    transaction,
+)
 
 APPLICATION_ID = 0x76_6D_61_68  # "vmah"
 SCHEMA_VERSION = 3  # 1: checksums without the column's name; 2: nothing packed, no tiers
@@ -163,7 +170,9 @@ def _template() -> tuple[_Objects, bytes]:
 
 def open_to_write(path: Path) -> sqlite3.Connection:
     """Return the writing connection to a history, with its schema."""
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    connection = sqlite3.connect(
+        path, isolation_level=None, check_same_thread=False, factory=OurConnection
+    )
     connection.text_factory = text
     try:
         prepare(connection, path)

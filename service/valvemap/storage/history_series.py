@@ -2,7 +2,6 @@
 
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -23,36 +22,17 @@ from valvemap.storage.history_blocks import (
     pack,
     pack_sealed,
 )
-from valvemap.storage.history_cells import WIDTHS, cells_of, merged, tier_of, width_of
+from valvemap.storage.history_cells import WIDTHS, cells_of, merged, overlapping, tier_of
 from valvemap.storage.history_rows import Rows, by_time
+from valvemap.storage.history_write_states import BLOCK, CELLS, WriteState, series_of_file
 
-BLOCK: Final = 4_096  # rows of a sealed block: 41 s at 100 Hz, some 8 kB per column
-CELLS: Final = 1_024  # of a large block of a tier: 2.8 h of 10 s, 3.6 days of 5 min
 MOST_LOOSE: Final = 64  # blocks of a series; beyond it they are joined
 MOST_SMALL: Final = 16  # blocks of a tier; beyond it they are joined
-_SMALL = "SELECT id, rows FROM block WHERE series = ? AND rows < ? ORDER BY id"
 _OVERLAPPING = "SELECT id FROM block WHERE series IN (?, ?) AND first <= ? AND last >= ?"
 _NEWEST = (
     "SELECT ifnull((SELECT max(id) FROM block), 0), ifnull((SELECT max(block) FROM written), 0)"
 )
 _PENDING = "SELECT id, series FROM block WHERE id > ? AND rows >= ? AND series IN ({}) ORDER BY id"
-
-
-@dataclass
-class _Series:
-    """The write state of a series: its last time, and the rows of blocks that are not joined."""
-
-    last: int = -(2**63)
-    small: dict[int, int] = field(default_factory=dict)
-
-    @property
-    def rows(self) -> int:
-        return sum(self.small.values())
-
-    def start_anew(self) -> dict[int, int]:
-        """Return the blocks to be joined, and drop them from the list."""
-        small, self.small = self.small, {}
-        return small
 
 
 class SeriesWriter:
@@ -78,7 +58,7 @@ class SeriesWriter:
         self.lost = 0
         self.damaged_tiers = set[str]()
         self.names: dict[str, int] = {}
-        self._series: dict[str, _Series] = {}
+        self._series: dict[str, WriteState] = {}
         self._newest = 0
         self.reload()
 
@@ -90,11 +70,11 @@ class SeriesWriter:
     def reload_series(self) -> None:
         """Load the series from the file."""
         self._newest = max(self._newest, *self._writer.execute(_NEWEST).fetchone())
-        self._series = self._known_series()
+        self._series = series_of_file(self._writer, self.names)
 
     def append(self, piece: Piece) -> int:
         """Write a piece as a loose block; seal the loose blocks when they fill a large one."""
-        series = self._series.setdefault(piece.series, _Series())
+        series = self._series.setdefault(piece.series, WriteState())
         own = by_time(piece)
         late = own.t <= series.last
         if late.any():
@@ -143,7 +123,7 @@ class SeriesWriter:
             blocks = self._writer.execute("SELECT id FROM block WHERE series = ?", (number,))
             for (block,) in blocks.fetchall():
                 found = self.examined(self._writer, tier, block)
-                kept = chosen(found, ~_touched(found.t, width, spans))
+                kept = chosen(found, ~overlapping(found.t, width, spans))
                 if len(kept.t) == len(found.t) and len(kept.t):
                     continue
                 self._delete([block])
@@ -174,7 +154,7 @@ class SeriesWriter:
             self._add_cells(tier_of(series, width), cells_of(columns, width))
 
     def _add_cells(self, tier: str, cells: Mapping[str, NDArray[Any]]) -> None:
-        own = self._series.setdefault(tier, _Series())
+        own = self._series.setdefault(tier, WriteState())
         block = self._add(tier, cells[T], pack_sealed(cells))
         own.small[block] = len(cells[T])
         if own.rows < CELLS and len(own.small) <= MOST_SMALL:
@@ -191,7 +171,7 @@ class SeriesWriter:
         if len(joined[T]) < CELLS:
             own.small[block] = len(joined[T])
 
-    def _is_known(self, series: _Series, own: Rows, late: Flags) -> Flags:
+    def _is_known(self, series: WriteState, own: Rows, late: Flags) -> Flags:
         """Return which rows are stored already (n,); count those of whose time others are stored.
 
         A row at the last time of its series is a repetition, whatever its values.
@@ -222,7 +202,7 @@ class SeriesWriter:
             id_ = self._newest
         return insert(self._writer, series, t, parts, self.number, id_)
 
-    def _taken(self, name: str, series: _Series) -> dict[str, NDArray[Any]]:
+    def _taken(self, name: str, series: WriteState) -> dict[str, NDArray[Any]]:
         """Delete a series' loose blocks; return their rows, with NaN for columns they lack."""
         examined = [self.examined(self._writer, name, block) for block in series.small]
         blocks = [found for found in examined if len(found.t)]
@@ -288,20 +268,6 @@ class SeriesWriter:
         self._writer.executemany("DELETE FROM part WHERE block = ?", rows)
         self._writer.executemany("DELETE FROM block WHERE id = ?", rows)
 
-    def _known_series(self) -> dict[str, _Series]:
-        """Return the write state of every series in the file, by the name of its loose blocks."""
-        names = {number: name for name, number in self.names.items()}
-        found: dict[str, _Series] = {}
-        last = "SELECT series, max(last) FROM block GROUP BY series"
-        for number, newest in self._writer.execute(last).fetchall():
-            name = names[number]
-            series = found.setdefault(base_of(name), _Series())
-            series.last = max(series.last, newest)
-            if not name.endswith(SEALED):
-                full = CELLS if width_of(name) else BLOCK
-                series.small = dict(self._writer.execute(_SMALL, (number, full)).fetchall())
-        return found
-
     def number(self, name: str) -> int:
         """Return the number of a name, a new one if it has none."""
         if name not in self.names:
@@ -330,12 +296,3 @@ class SeriesWriter:
         select = f"SELECT name, digest, data FROM part WHERE block = ? {which}"  # noqa: S608
         rows = connection.execute(select, (block, *(numbers if columns else ()))).fetchall()
         return {numbers[n]: (digest, data) for n, digest, data in rows if n in numbers}
-
-
-def _touched(t: NDArray[np.int64], width: int, spans: NDArray[np.int64]) -> Flags:
-    """Return which cells that begin at t (n,) overlap any of the spans (m, 2)."""
-    if not len(spans):
-        return np.zeros(len(t), np.bool_)
-    reached = np.maximum.accumulate(spans[:, 1])
-    before = np.searchsorted(spans[:, 0], t + width) - 1  # the last span that begins in time
-    return (before >= 0) & (reached[np.maximum(before, 0)] >= t)

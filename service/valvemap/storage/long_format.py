@@ -15,6 +15,7 @@ from valvemap.plant.names import tokens
 from valvemap.plant.unit_texts import split_unit
 from valvemap.storage import columns
 from valvemap.storage.cell_units import number_and_unit
+from valvemap.storage.column_finding import find_columns
 from valvemap.storage.csv_headings import is_number, is_unit
 from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
@@ -23,7 +24,6 @@ from valvemap.storage.layout import (
     Layout,
     MissingColumnError,
     Part,
-    find_columns,
     with_p2,
 )
 

@@ -1,32 +1,26 @@
 """Lookup tables for controllers: C99 and IEC 61131-3 Structured Text."""
 
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from valvemap.errors import ConfigurationError
-from valvemap.model.flow_table import FlowTable
 from valvemap.model.lookup_table import LookupTable
-from valvemap.model.samples import Floats
 from valvemap.owned_files import write_whole
+from valvemap.storage.structured_text import as_structured_text
+from valvemap.storage.table_text import (
+    INVALID,
+    STATUSES,
+    c_marks,
+    c_numbers,
+    c_rows,
+    error_text,
+    grounds,
+    in_a_comment,
+)
 
-INVALID: Final = -1000.0
 CSV: Final = ".csv"  # of a table over flow and pressure drop, see `flow_tables`
 UNIT: Final = ".fmu"  # of an FMI unit, see `fmi_units`
-FINITE: Final = "1.0e300"  # limit of finite numbers in Structured Text, which has no other test
-STATUSES: Final = {
-    "OK": 0,
-    "ABOVE_REACH": 1,
-    "BELOW_REACH": 2,
-    "UNIDENTIFIED": 4,
-    "NOT_FINITE": 5,
-    "OUTSIDE": 6,
-    "EXTRAPOLATING": 7,
-}
 
 
 def write_table(file: Path, table: LookupTable, title: str) -> None:
@@ -66,7 +60,7 @@ def as_c(table: LookupTable, title: str) -> str:
  * drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
  * a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
  * bilinearly: U is within VALVEMAP_ERROR_U % of the identified map's inverse, and the flow within
- * VALVEMAP_ERROR_Q l/min, {_grounds(table)}.
+ * VALVEMAP_ERROR_Q l/min, {grounds(table)}.
  * Where nothing was measured near, the map is extrapolated: U is a guess, and the status
  * VALVEMAP_EXTRAPOLATING.
  *
@@ -172,181 +166,7 @@ int valvemap_required_U(double Q, double dp, double *U)
 """
 
 
-def as_structured_text(table: LookupTable, title: str) -> str:
-    """Return a function block of IEC 61131-3 (3rd edition): inputs Q, dp; outputs U, Status."""
-    n_r, n_dp = len(table.r), len(table.dp)
-    meanings = ", ".join(f"{code} {name}" for name, code in STATUSES.items())
-    return f"""(* {in_a_comment(title)}
-
-   Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
-   drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
-   a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
-   bilinearly: U is within {error_text(table.error_U)} % of the identified map's inverse, and the
-   flow within {error_text(table.error_Q)} l/min, {_grounds(table)}.
-   Where nothing was measured near, the map is extrapolated: U is a guess, and Status
-   {STATUSES["EXTRAPOLATING"]}.
-
-   Status: {meanings}.
-   With UNIDENTIFIED and NOT_FINITE U keeps its value; outside the axis of dp U is that of its
-   nearest end.
-   In the table {INVALID:.1f} means that no U can be trusted. *)
-FUNCTION_BLOCK FB_ValveRequiredU
-VAR_INPUT
-    Q : LREAL;
-    dp : LREAL;
-END_VAR
-VAR_OUTPUT
-    U : LREAL;
-    Status : INT;
-END_VAR
-VAR
-    AxisDp : ARRAY[0..{n_dp - 1}] OF LREAL := [
-{c_numbers(table.dp)}
-    ];
-    Lowest : ARRAY[0..{n_dp - 1}] OF LREAL := [
-{c_numbers(table.lowest)}
-    ];
-    Highest : ARRAY[0..{n_dp - 1}] OF LREAL := [
-{c_numbers(table.highest)}
-    ];
-    AxisR : ARRAY[0..{n_r - 1}] OF LREAL := [
-{c_numbers(table.r)}
-    ];
-    TableU : ARRAY[0..{n_r * n_dp - 1}] OF LREAL := [
-{c_numbers(_valid(table.U).ravel())}
-    ];
-    Guess : ARRAY[0..{n_r * n_dp - 1}] OF INT := [
-{_st_marks(table.guessed)}
-    ];
-    y : LREAL;
-    a : LREAL;
-    b : LREAL;
-    r : LREAL;
-    QLow : LREAL;
-    QHigh : LREAL;
-    i : INT;
-    j : INT;
-    k : INT;
-END_VAR
-
-Status := 0;
-IF NOT ((Q >= -{FINITE}) AND (Q <= {FINITE}) AND (dp >= -{FINITE}) AND (dp <= {FINITE})) THEN
-    Status := {STATUSES["NOT_FINITE"]};
-ELSE
-    y := LIMIT(AxisDp[0], dp, AxisDp[{n_dp - 1}]);
-    IF y <> dp THEN
-        Status := {STATUSES["OUTSIDE"]};
-    END_IF;
-
-    j := 0;
-    WHILE (j < {n_dp - 2}) AND (AxisDp[j + 1] <= y) DO
-        j := j + 1;
-    END_WHILE;
-    b := (y - AxisDp[j]) / (AxisDp[j + 1] - AxisDp[j]);
-    QLow := (1.0 - b) * Lowest[j] + b * Lowest[j + 1];
-    QHigh := (1.0 - b) * Highest[j] + b * Highest[j + 1];
-    IF QHigh > QLow THEN
-        r := (Q - QLow) / (QHigh - QLow);
-    ELSE
-        r := 0.0;
-        Status := {STATUSES["UNIDENTIFIED"]};
-    END_IF;
-    i := 0;
-    WHILE (i < {n_r - 2}) AND (AxisR[i + 1] <= r) DO
-        i := i + 1;
-    END_WHILE;
-    k := i * {n_dp} + j;
-    IF (Status = 0)
-        AND (Guess[k] + Guess[k + 1] + Guess[k + {n_dp}] + Guess[k + {n_dp + 1}] > 0) THEN
-        Status := {STATUSES["EXTRAPOLATING"]};
-    END_IF;
-
-    IF r > 1.0 THEN
-        U := 100.0;
-        IF Status = 0 THEN
-            Status := {STATUSES["ABOVE_REACH"]};
-        END_IF;
-    ELSIF r < 0.0 THEN
-        U := 0.0;
-        IF Status = 0 THEN
-            Status := {STATUSES["BELOW_REACH"]};
-        END_IF;
-    ELSE
-        IF (TableU[k] <= {INVALID:.1f}) OR (TableU[k + 1] <= {INVALID:.1f})
-            OR (TableU[k + {n_dp}] <= {INVALID:.1f})
-            OR (TableU[k + {n_dp + 1}] <= {INVALID:.1f}) THEN
-            IF Status <> {STATUSES["OUTSIDE"]} THEN
-                Status := {STATUSES["UNIDENTIFIED"]};
-            END_IF;
-        ELSE
-            a := (r - AxisR[i]) / (AxisR[i + 1] - AxisR[i]);
-            U := (1.0 - a) * ((1.0 - b) * TableU[k] + b * TableU[k + 1])
-                + a * ((1.0 - b) * TableU[k + {n_dp}] + b * TableU[k + {n_dp + 1}]);
-        END_IF;
-    END_IF;
-END_IF;
-END_FUNCTION_BLOCK
-"""
-
-
 _FORMS: Final[Mapping[str, Callable[[LookupTable, str], str]]] = {
     ".c": as_c,
     ".st": as_structured_text,
 }
-
-
-def stated(table: LookupTable | FlowTable) -> str:
-    """Return the table's errors in words."""
-    errors = error_text(table.error_U), error_text(table.error_Q)
-    return f"{errors[0]} % of U, {errors[1]} l/min of Q, {_grounds(table)}"
-
-
-def _grounds(table: LookupTable | FlowTable) -> str:
-    return "certified over the whole table" if table.certified else "measured at 49 points a cell"
-
-
-def error_text(error: float) -> str:
-    """Return an error rounded up to 4 digits."""
-    step = 10.0 ** (math.floor(math.log10(error)) - 3)
-    return literal(float(f"{math.ceil(error / step) * step:.4g}"))
-
-
-def in_a_comment(title: str) -> str:
-    """Return a title without line ends and comment delimiters."""
-    return "".join(c if c.isalnum() or c in " .,:;=-_%" else "_" for c in title)
-
-
-def _valid(U: Floats) -> Floats:
-    return np.where(np.isnan(U), INVALID, U)
-
-
-def c_numbers(values: Iterable[float], per_line: int = 8) -> str:
-    """Return literals with commas between."""
-    texts = [literal(x) for x in values]
-    lines = [texts[k : k + per_line] for k in range(0, len(texts), per_line)]
-    return ",\n".join("        " + ", ".join(line) for line in lines)
-
-
-def literal(x: float) -> str:
-    """Return a number as a floating-point literal of both languages."""
-    text = f"{x:.12g}"
-    if "e" in text:
-        mantissa, _, power = text.partition("e")
-        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{int(power)}"
-    return text if "." in text else f"{text}.0"
-
-
-def c_rows(U: Floats) -> str:
-    """Return the rows of a table in braces; NaN is ``INVALID``."""
-    return ",\n".join("    {\n" + c_numbers(row) + "\n    }" for row in _valid(U))
-
-
-def c_marks(guessed: NDArray[np.bool_]) -> str:
-    """Return the rows of a mask in braces."""
-    return ",\n".join("    { " + ", ".join(str(int(x)) for x in row) + " }" for row in guessed)
-
-
-def _st_marks(guessed: NDArray[np.bool_], per_line: int = 24) -> str:
-    texts = [str(int(x)) for x in guessed.ravel()]
-    lines = [texts[k : k + per_line] for k in range(0, len(texts), per_line)]
-    return ",\n".join("        " + ", ".join(line) for line in lines)

@@ -6,73 +6,36 @@ All values are in physical units and full precision: a loaded model predicts bit
 from typing import Annotated, Final, Literal, assert_never
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from valvemap.model.drift_states import moving_by_logarithm
 from valvemap.model.kernels import lack_of_fit
 from valvemap.model.kernels.flow_path import OF_MAP
 from valvemap.model.kernels.support import PLACES_OF_CELL, T_LOW
 from valvemap.model.linear_map import LinearParameters
-from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
 from valvemap.model.portable_flow_map import FIRST_SCALARS, MOVING, SCALARS, GaussianMap
 from valvemap.model.portable_map import PortableMap
-from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import NetworkMap
 from valvemap.model.residual_spread import EDGES_DP, EDGES_U
 from valvemap.model.samples import Floats, Singles
 from valvemap.model.support import Support
+from valvemap.storage.structure_document import (
+    Numbers,
+    Section,
+    StructureSection,
+    fewest_parameters,
+    structure_of,
+    structure_section,
+)
 
 VERSION: Final = 2
 MOST_RANGE: Final = 1e4  # % or bar
 UNITS: Final = {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
 
-Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class PolynomialSection(_Section):
-    """Sums of products of powers, eq. (7) among them."""
-
-    kind: Literal["polynomial"] = "polynomial"
-    terms: tuple[str, ...]
-    names: tuple[str, ...] = ()
-    viscosity_40: float = 46.0
-    viscosity_100: float = 6.8
-
-
-class SplineSection(_Section):
-    """Tensor product of cubic B-splines over U, s[, T]."""
-
-    kind: Literal["spline"] = "spline"
-    U: Numbers
-    s: Numbers
-    T: Numbers = ()
-    dead_band: float | None = None
-    saturation: float | None = None
-    smoothness: float = 0.3
-    at_rest: Literal["free", "zero"] = "free"
-
-
-class RadialBasisSection(_Section):
-    """Eq. (7) and a grid of Gaussians over U, s."""
-
-    kind: Literal["radial_basis"] = "radial_basis"
-    U: Numbers
-    s: Numbers
-    width: float = 1.0
-    smoothness: float = 0.03
-
-
-StructureSection = Annotated[
-    PolynomialSection | SplineSection | RadialBasisSection, Field(discriminator="kind")
-]
-
-
-class LinearSection(_Section):
+class LinearSection(Section):
     """A structure, theta and its covariance."""
 
     kind: Literal["linear"] = "linear"
@@ -82,9 +45,9 @@ class LinearSection(_Section):
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> "LinearSection":
-        if (least := _fewest(self.structure)) > len(self.theta):
+        if (least := fewest_parameters(self.structure)) > len(self.theta):
             raise ValueError(f"theta has {len(self.theta)} numbers; {least} or more are allowed")
-        n = len(_structure(self.structure).parameter_names)
+        n = len(structure_of(self.structure).parameter_names)
         if len(self.theta) != n:
             raise ValueError(f"theta has {len(self.theta)} numbers; {n} are allowed")
         if [len(row) for row in self.covariance] != [n] * n:
@@ -92,7 +55,7 @@ class LinearSection(_Section):
         return self
 
 
-class NetworkSection(_Section):
+class NetworkSection(Section):
     """The paper's network: weights, centres and log-widths of its neurons, normalised."""
 
     kind: Literal["network"] = "network"
@@ -114,7 +77,7 @@ class NetworkSection(_Section):
         return self
 
 
-class GaussianSection(_Section):
+class GaussianSection(Section):
     """The map of `Auto`, see :class:`~valvemap.model.portable_flow_map.GaussianMap`.
 
     Effects of temperature are of ``viscosity``, as √ν - 1 and ν - 1 had them up to 0.2.0, or of its
@@ -152,7 +115,7 @@ MapSection = Annotated[
 ]
 
 
-class RegionSection(_Section):
+class RegionSection(Section):
     """Where there were samples: edges of the cells over U (%) and dp (bar), and their weights."""
 
     U: Numbers
@@ -168,8 +131,8 @@ class RegionSection(_Section):
         return self
 
 
-class SupportSection(_Section):
-    """What the map rests on, see :class:`~valvemap.model.support.Support`.
+class SupportSection(Section):
+    """Region of the map's samples, see :class:`~valvemap.model.support.Support`.
 
     ``boxes`` are rows: samples (255 at most), what they span of U, dp and T, low and high each, and
     the widest gap in T; null where no temperature was measured. ``fit`` holds the sums behind the
@@ -193,7 +156,7 @@ class SupportSection(_Section):
         return self
 
 
-class ModelDocument(_Section):
+class ModelDocument(Section):
     """One valve's map as one estimator identified it."""
 
     format: Literal["valvemap-model"] = "valvemap-model"
@@ -222,7 +185,7 @@ def map_section(portable: PortableMap) -> MapSection:
     match portable:
         case LinearParameters(structure, theta, covariance):
             return LinearSection(
-                structure=_structure_section(structure),
+                structure=structure_section(structure),
                 theta=_numbers(theta),
                 covariance=_rows(covariance),
             )
@@ -261,7 +224,7 @@ def map_of(section: MapSection) -> PortableMap:
     match section:
         case LinearSection():
             return LinearParameters(
-                _structure(section.structure),
+                structure_of(section.structure),
                 np.array(section.theta),
                 np.array(section.covariance),
             )
@@ -311,57 +274,6 @@ def support_of(section: SupportSection) -> Support:
     boxes = np.array(section.boxes, np.float64).reshape(-1, PLACES_OF_CELL)
     ranges = np.array([*section.U_range, *section.dp_range, section.Q_max])
     return Support.of_boxes(boxes, np.array(section.fit), ranges)
-
-
-def _structure_section(structure: Structure) -> StructureSection:
-    match structure:
-        case Polynomial():
-            return PolynomialSection(
-                terms=structure.terms,
-                names=structure.names,
-                viscosity_40=structure.viscosity_40,
-                viscosity_100=structure.viscosity_100,
-            )
-        case TensorSpline():
-            return SplineSection(
-                U=structure.U,
-                s=structure.s,
-                T=structure.T,
-                dead_band=structure.dead_band,
-                saturation=structure.saturation,
-                smoothness=structure.smoothness,
-                at_rest=structure.at_rest,
-            )
-        case RadialBasis():
-            return RadialBasisSection(
-                U=structure.U,
-                s=structure.s,
-                width=structure.width,
-                smoothness=structure.smoothness,
-            )
-        case _:
-            raise ValueError(f"a {type(structure).__name__} cannot be saved")
-
-
-def _structure(section: StructureSection) -> Structure:
-    match section:
-        case PolynomialSection():
-            return Polynomial(**section.model_dump(exclude={"kind"}))
-        case SplineSection():
-            return TensorSpline(**section.model_dump(exclude={"kind"}))
-        case RadialBasisSection():
-            return RadialBasis(**section.model_dump(exclude={"kind"}))
-
-
-def _fewest(section: StructureSection) -> int:
-    """Return a lower bound of the number of parameters, without building the structure."""
-    match section:
-        case PolynomialSection():
-            return 1
-        case SplineSection():
-            return len(section.U) * len(section.s) * max(1, len(section.T))
-        case RadialBasisSection():
-            return len(section.U) * len(section.s)
 
 
 def _or_none(x: float) -> float | None:

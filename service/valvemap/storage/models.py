@@ -30,7 +30,7 @@ MOST_SHOWN: Final = 60  # characters of a value in a message
 DEEPEST: Final = 8  # nesting of lists and objects; a model has 4
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class StoredModel:
     """One valve's map as one estimator identified it.
 
@@ -163,9 +163,9 @@ def _content(file: Path) -> object:
         allowed = f"up to {MOST_BYTES // 1_000_000} MB are allowed"
         raise StorageError(f"{file}: it is too large; {allowed}")
     try:
-        content: object = json.loads(read.decode("utf-8"))
+        content: object = json.loads(read.decode("utf-8-sig"))
     except UnicodeDecodeError:
-        raise StorageError(f"{file}: not a text file in UTF-8") from None
+        raise StorageError(f"{file}: not a text file in UTF-8; save it so") from None
     except RecursionError:
         raise StorageError(f"{file}: nested too deep; {DEEPEST} levels are allowed") from None
     except ValueError as error:

@@ -10,15 +10,20 @@ planes of bytes; each is one byte if constant, deflated if that saves space, and
 """
 
 import struct
-import zlib
 from collections.abc import Callable, Mapping
 from itertools import permutations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from valvemap.model.samples import Floats, Times
+from valvemap.storage.byte_planes import (
+    Integers,
+    byte_at,
+    packed_integers,
+    slice_of,
+    unpacked_integers,
+)
 
 MAGIC: Final = b"\xf7vmp"
 MOST_ROWS: Final = 1 << 21  # of a column; more are not unpacked
@@ -26,15 +31,11 @@ MOST_ROWS: Final = 1 << 21  # of a column; more are not unpacked
 _HEADER: Final = struct.Struct("<4sBI")  # magic, form, rows
 _STEP: Final = struct.Struct("<d")
 _BITS, _STEPS, _SINGLE_STEPS, _TIMES, _OF_OTHERS = range(5)
-_CONSTANT, _PLAIN, _DEFLATED = range(3)
-_PLANES: Final = 8
 _PROBE: Final = 256  # rows on which steps and other columns are tried
 _ENOUGH: Final = 0.9  # of these must fit
 _FIT: Final = 1e-7  # of a step; a value on the grid is as near to it
 _STEPS_TRIED: Final = tuple(10.0**-e for e in range(7))
 _MOST_STEPS: Final = 2.0**50
-_MOST_BITS: Final = 7.7  # of a byte; a plane with more information is not deflated
-_Integers = NDArray[np.int64]
 Others = Callable[[str], Floats]
 
 
@@ -56,21 +57,21 @@ def pack_doubles(values: Floats, others: Mapping[str, Floats] | None = None) -> 
     n, given = len(values), others or {}
     if pair := _difference_of(values, given):
         beside = _bits(values) - _bits(given[pair[0]] - given[pair[1]])
-        return _HEADER.pack(MAGIC, _OF_OTHERS, n) + _naming(0.0, pair) + _packed(beside)
+        return _HEADER.pack(MAGIC, _OF_OTHERS, n) + _naming(0.0, pair) + packed_integers(beside)
     found = _step_of(values)
     if found is not None:
         form, step = found
         k = _counted(values, step)
         beside = _bits(values) - _bits(_on_grid(k, step, form))
         header = _HEADER.pack(MAGIC, form, n) + _STEP.pack(step)
-        return header + _packed(_differences(k)) + _packed(beside)
+        return header + packed_integers(_differences(k)) + packed_integers(beside)
     if sum_of := _sum_with(values, given):
         name, step = sum_of
         k = _counted(_sum(values, given[name]), step)
         beside = _bits(values) - _bits(_on_grid(k, step, _STEPS) - given[name])
         header = _HEADER.pack(MAGIC, _OF_OTHERS, n) + _naming(step, (name,))
-        return header + _packed(_differences(k)) + _packed(beside)
-    return _HEADER.pack(MAGIC, _BITS, n) + _packed(_differences(_bits(values)))
+        return header + packed_integers(_differences(k)) + packed_integers(beside)
+    return _HEADER.pack(MAGIC, _BITS, n) + packed_integers(_differences(_bits(values)))
 
 
 def unpack_doubles(data: bytes, others: Others | None = None) -> Floats:
@@ -84,12 +85,12 @@ def unpack_doubles(data: bytes, others: Others | None = None) -> Floats:
     form, n = _header(data)
     at = _HEADER.size
     if form == _BITS:
-        found, at = _unpacked(data, at, n)
+        found, at = unpacked_integers(data, at, n)
         bits = np.cumsum(found)
     elif form in (_STEPS, _SINGLE_STEPS):
-        (step,) = _STEP.unpack(_slice(data, at, _STEP.size))
-        differences, at = _unpacked(data, at + _STEP.size, n)
-        beside, at = _unpacked(data, at, n)
+        (step,) = _STEP.unpack(slice_of(data, at, _STEP.size))
+        differences, at = unpacked_integers(data, at + _STEP.size, n)
+        beside, at = unpacked_integers(data, at, n)
         bits = _bits(_on_grid(np.cumsum(differences), step, form)) + beside
     elif form == _OF_OTHERS:
         step, names, at = _named(data)
@@ -98,11 +99,11 @@ def unpack_doubles(data: bytes, others: Others | None = None) -> Floats:
             raise ValueError("the columns that it follows from are missing")
         with np.errstate(all="ignore"):
             if len(columns) == 1:
-                differences, at = _unpacked(data, at, n)
+                differences, at = unpacked_integers(data, at, n)
                 near = _on_grid(np.cumsum(differences), step, _STEPS) - columns[0]
             else:
                 near = columns[0] - columns[1]
-        beside, at = _unpacked(data, at, n)
+        beside, at = unpacked_integers(data, at, n)
         bits = _bits(near) + beside
     else:
         raise ValueError(f"form {form} is not one of doubles")
@@ -116,7 +117,7 @@ def others_of(data: bytes) -> tuple[str, ...]:
     return _named(data)[1] if _header(data)[0] == _OF_OTHERS else ()
 
 
-def pack_integers(values: _Integers) -> bytes:
+def pack_integers(values: Integers) -> bytes:
     """Return integers (n,), such as times, packed as the differences of their differences."""
     values = np.ascontiguousarray(values, np.int64)
     header = _HEADER.pack(MAGIC, _TIMES, len(values))
@@ -125,7 +126,7 @@ def pack_integers(values: _Integers) -> bytes:
     unit = int(np.gcd.reduce(first[1:] - base)) or 1
     start = int(values[0]) if len(values) else 0
     counted = np.concatenate([[0], (first[1:] - base) // unit]) if len(values) else first
-    return header + struct.pack("<qqq", start, base, unit) + _packed(_differences(counted))
+    return header + struct.pack("<qqq", start, base, unit) + packed_integers(_differences(counted))
 
 
 def unpack_integers(data: bytes) -> Times:
@@ -134,8 +135,8 @@ def unpack_integers(data: bytes) -> Times:
     at = _HEADER.size + 24
     if form != _TIMES:
         raise ValueError(f"form {form} is not one of integers")
-    start, base, unit = struct.unpack("<qqq", _slice(data, _HEADER.size, 24))
-    second, at = _unpacked(data, at, n)
+    start, base, unit = struct.unpack("<qqq", slice_of(data, _HEADER.size, 24))
+    second, at = unpacked_integers(data, at, n)
     if at != len(data):
         raise ValueError("longer than its rows")
     first = np.cumsum(second) * np.int64(unit) + np.int64(base)
@@ -211,103 +212,36 @@ def _naming(step: float, names: tuple[str, ...]) -> bytes:
 def _named(data: bytes) -> tuple[float, tuple[str, ...], int]:
     """Return step and names of a column that follows from others, and the place behind them."""
     at = _HEADER.size
-    (step,) = _STEP.unpack(_slice(data, at, _STEP.size))
+    (step,) = _STEP.unpack(slice_of(data, at, _STEP.size))
     at += _STEP.size
-    count, at = _byte(data, at), at + 1
+    count, at = byte_at(data, at), at + 1
     if not 1 <= count <= 2:
         raise ValueError(f"{count} other columns; there are 1 or 2")
-    sizes, at = _slice(data, at, count), at + count
+    sizes, at = slice_of(data, at, count), at + count
     names = []
     for size in sizes:
-        names.append(_slice(data, at, size).decode("utf-8", "replace"))
+        names.append(slice_of(data, at, size).decode("utf-8", "replace"))
         at += size
     return step, tuple(names), at
 
 
-def _counted(values: Floats, step: float) -> _Integers:
+def _counted(values: Floats, step: float) -> Integers:
     """Return the number of steps of each value; 0 where that is none."""
     with np.errstate(all="ignore"):
         k = np.rint(values / step)
         return np.where(np.abs(k) <= _MOST_STEPS, k, 0.0).astype(np.int64)
 
 
-def _on_grid(k: _Integers, step: float, form: int) -> Floats:
+def _on_grid(k: Integers, step: float, form: int) -> Floats:
     with np.errstate(all="ignore"):
         values = k.astype(np.float64) * step
         return values.astype(np.float32).astype(np.float64) if form == _SINGLE_STEPS else values
 
 
-def _bits(values: Floats) -> _Integers:
+def _bits(values: Floats) -> Integers:
     return np.ascontiguousarray(values).view(np.int64)
 
 
-def _differences(values: _Integers) -> _Integers:
+def _differences(values: Integers) -> Integers:
     """Return the first value and the differences; they wrap around."""
     return np.diff(values, prepend=np.int64(0))
-
-
-def _packed(values: _Integers) -> bytes:
-    """Return integers (n,) as planes of bytes, those near zero with leading zeros."""
-    folded = ((values << 1) ^ (values >> 63)).view(np.uint64).astype("<u8", copy=False)
-    planes = folded.view(np.uint8).reshape(len(values), _PLANES).T
-    return b"".join(_plane(np.ascontiguousarray(plane)) for plane in planes)
-
-
-def _plane(plane: NDArray[np.uint8]) -> bytes:
-    if not len(plane) or (plane == plane[0]).all():
-        return bytes([_CONSTANT, int(plane[0]) if len(plane) else 0])
-    data = plane.tobytes()
-    share = np.bincount(plane) / len(plane)
-    share = share[share > 0]
-    if -(share * np.log2(share)).sum() < _MOST_BITS:
-        deflated = zlib.compress(data, 1)
-        if len(deflated) < len(data):
-            return struct.pack("<BI", _DEFLATED, len(deflated)) + deflated
-    return bytes([_PLAIN]) + data
-
-
-def _unpacked(data: bytes, at: int, n: int) -> tuple[_Integers, int]:
-    """Return n integers from the planes at a place, and the place behind them."""
-    planes = np.zeros((n, _PLANES), np.uint8)
-    for place in range(_PLANES):
-        kind, at = _byte(data, at), at + 1
-        if kind == _CONSTANT:
-            value, at = _byte(data, at), at + 1
-            if value:
-                planes[:, place] = value
-            continue
-        if kind == _PLAIN:
-            plane, at = _slice(data, at, n), at + n
-        elif kind == _DEFLATED:
-            (length,) = struct.unpack("<I", _slice(data, at, 4))
-            plane, at = _inflated(_slice(data, at + 4, length), n), at + 4 + length
-        else:
-            raise ValueError(f"no plane of kind {kind}")
-        if len(plane) != n:
-            raise ValueError("a plane is cut short")
-        planes[:, place] = np.frombuffer(plane, np.uint8)
-    folded: NDArray[Any] = planes.reshape(-1).view("<u8").astype(np.uint64, copy=False)
-    values = (folded >> np.uint64(1)).view(np.int64) ^ -(folded & np.uint64(1)).view(np.int64)
-    return values, at
-
-
-def _byte(data: bytes, at: int) -> int:
-    return _slice(data, at, 1)[0]
-
-
-def _slice(data: bytes, at: int, size: int) -> bytes:
-    found = data[at : at + size]
-    if len(found) != size:
-        raise ValueError("cut short")
-    return found
-
-
-def _inflated(data: bytes, n: int) -> bytes:
-    inflating = zlib.decompressobj()
-    try:
-        found = inflating.decompress(data, n + 1)
-    except zlib.error as error:
-        raise ValueError(str(error)) from error
-    if not inflating.eof:
-        raise ValueError("cut short, or longer than any block")
-    return found

@@ -12,6 +12,7 @@ from valvemap.model.samples import Floats
 from valvemap.owned_files import written_aside
 from valvemap.vocabulary.statuses import InverseStatus
 
+_SEPARATORS = ",;\t"  # of equal counts, the first is taken
 Points = tuple[Floats, Floats, Floats]
 
 
@@ -19,6 +20,8 @@ def read_points(file: Path) -> Points:
     """Read Q (l/min), dp (bar) and T (°C, NaN if missing), each (N,), from a CSV file.
 
     The first line names the columns: Q, dp and optionally T, in any order; others are ignored.
+    Columns are separated by commas, semicolons or tabs; without commas between them, a comma is
+    the decimal mark.
 
     Raises
     ------
@@ -26,7 +29,9 @@ def read_points(file: Path) -> Points:
         if a value is invalid; names file, line, column and value.
     """
     try:
-        lines = list(csv.reader(io.StringIO(file.read_text(encoding="utf-8-sig"))))
+        text = file.read_text(encoding="utf-8-sig")
+        separator = max(_SEPARATORS, key=text.partition("\n")[0].count)
+        lines = list(csv.reader(io.StringIO(text), delimiter=separator))
     except FileNotFoundError:
         raise NoSuchFile(f"{file}: no such file; lines of Q,dp or Q,dp,T are wanted") from None
     except OSError as error:
@@ -37,6 +42,8 @@ def read_points(file: Path) -> Points:
     for name in ("Q", "dp"):
         if name not in header:
             raise StorageError(f"{file}: line 1: no column {name}; Q, dp and perhaps T are wanted")
+    if separator != ",":
+        lines = [[cell.replace(",", ".") for cell in row] for row in lines]
     rows = [(number, row) for number, row in enumerate(lines[1:], start=2) if any(row)]
     Q, dp = (_column(file, header.index(name), name, rows) for name in ("Q", "dp"))
     if "T" not in header:

@@ -18,7 +18,7 @@ from typing import Any, Final
 from valvemap.storage import alarm_changes
 from valvemap.storage.history_blocks import Examined, base_of, examine, rows_in
 from valvemap.storage.history_schema import FIXED, PAGE, first_page, has_header, has_tables
-from valvemap.storage.sqlite_files import FIRST_PAGE, text
+from valvemap.storage.sqlite_files import FIRST_PAGE, OurConnection, text
 
 CHANGE: Final = slice(24, 28)  # in the header: change counter
 SIZE: Final = slice(28, 32)  # pages of the file
@@ -100,7 +100,7 @@ def _opened(damaged: Path) -> sqlite3.Connection:
 
 
 def _connected(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, check_same_thread=False)
+    connection = sqlite3.connect(path, check_same_thread=False, factory=OurConnection)
     connection.text_factory = text
     return connection
 

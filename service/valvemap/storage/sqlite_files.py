@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from valvemap.errors import StorageError
 
@@ -15,9 +15,31 @@ MOST_SET_ASIDE: Final = 3  # damaged files of one name; the oldest is deleted fi
 MOST_VERSION: Final = 1_000  # versions are small integers; a larger one is damage
 _DAMAGE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _NO_FORMAT: Final = "unsupported file format"  # damage: all our files have one format
+_NO_NAME: Final = ("no such column", "no such table")  # of our own statements: a name is damaged
 _COMPANIONS: Final = ("-wal", "-shm", "")
 FIRST_PAGE: Final = ".first-page"  # copy of a damaged file's first page, if it was replaced
 SALVAGING: Final = ".salvaging"  # marker of a damaged file that is not fully copied yet
+
+
+class OurConnection(sqlite3.Connection):
+    """A connection that reports every damage as SQLite's own errors do.
+
+    Where a damaged schema is no UTF-8, Python cannot decode SQLite's message, and raises that.
+    """
+
+    def execute(self, *arguments: Any) -> sqlite3.Cursor:  # noqa: ANN401 - as of sqlite3
+        """As of `sqlite3.Connection`."""
+        try:
+            return super().execute(*arguments)
+        except UnicodeDecodeError as error:
+            raise damage("malformed database schema") from error
+
+    def executemany(self, *arguments: Any) -> sqlite3.Cursor:  # noqa: ANN401 - as of sqlite3
+        """As of `sqlite3.Connection`."""
+        try:
+            return super().executemany(*arguments)
+        except UnicodeDecodeError as error:
+            raise damage("malformed database schema") from error
 
 
 def check_owner(
@@ -105,7 +127,7 @@ def damage(text: str) -> sqlite3.DatabaseError:
 def is_damage(error: sqlite3.Error) -> bool:
     """Whether an error means a damaged file, not a locked, full or inaccessible one."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    return code in _DAMAGE or str(error) == _NO_FORMAT
+    return code in _DAMAGE or str(error) == _NO_FORMAT or str(error).startswith(_NO_NAME)
 
 
 def text(data: bytes) -> str:

@@ -10,10 +10,12 @@ from valvemap.pipeline.meaning import digest_of
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage import checkpoint_rows as rows_of
 from valvemap.storage.checkpoint_rows import Row
-from valvemap.storage.sqlite_files import naming, pragma, text, transaction
+from valvemap.storage.sqlite_files import OurConnection, naming, pragma, text, transaction
 
 
-def read_states(path: Path) -> tuple[list[Checkpoint], list[rows_of.SetAside]]:
+def read_states(
+    path: Path, made_by: str = "valvemap serve"
+) -> tuple[list[Checkpoint], list[rows_of.SetAside]]:
     """Return the newest whole state of each name, and the states that are set aside.
 
     Raises
@@ -24,7 +26,7 @@ def read_states(path: Path) -> tuple[list[Checkpoint], list[rows_of.SetAside]]:
         naming the file: it cannot be read, or is no state file.
     """
     if not path.is_file():
-        raise NoSuchFile(f"{path}: no such file; `valvemap serve` makes it")
+        raise NoSuchFile(f"{path}: no such file; `{made_by}` makes it")
     with naming(path), closing(rows_of.read_only(path)) as connection:
         connection.text_factory = text
         if pragma(connection, "application_id") != rows_of.APPLICATION_ID:
@@ -54,7 +56,7 @@ def write_states(path: Path, checkpoints: Sequence[Checkpoint]) -> None:
     StorageError
         naming the file.
     """
-    opened = closing(sqlite3.connect(path, isolation_level=None))
+    opened = closing(sqlite3.connect(path, isolation_level=None, factory=OurConnection))
     with naming(path), opened as connection, transaction(connection):
         for statement in rows_of.SCHEMA:
             connection.execute(statement)

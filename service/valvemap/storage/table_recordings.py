@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from valvemap.errors import RecordingError
 from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage import columns
+from valvemap.storage.column_finding import find_columns
 from valvemap.storage.columns import CellError
-from valvemap.storage.csv_cells import scaled_times
+from valvemap.storage.csv_cells import scaled_times, times_of_cells
 from valvemap.storage.headings import Beginning, recognise, time_column
 from valvemap.storage.layout import (
     DEFAULT_VALVE,
@@ -19,10 +20,9 @@ from valvemap.storage.layout import (
     Layout,
     MissingColumnError,
     Part,
-    find_columns,
     with_p2,
 )
-from valvemap.storage.tables import columns_of, narwhals, series_in, size_of
+from valvemap.storage.tables import columns_of, narwhals, series_in, size_of, without_mask
 from valvemap.storage.time_units import seconds_per_unit
 
 _RECOGNISED: Final = 3_000  # rows used to recognise foreign headings
@@ -96,7 +96,7 @@ class TableReader:
             }
             begin = plain[time][:_RECOGNISED]
             try:
-                times = _times(begin, seconds_per_unit(headings[time]))
+                times = _times(begin, seconds_per_unit(headings[time], 1.0))
             except CellError:
                 raise missing from None
             begins = Beginning(Path(self.name), headings, numbers, time, times)
@@ -147,7 +147,7 @@ def _plain(values: object) -> Column:
     series = series_in(values)
     if series is not None:
         return _of_series(series)
-    array = np.asarray(values)
+    array = np.asarray(without_mask(values))
     if array.ndim != 1:
         raise TypeError(f"{array.dtype} and shape {array.shape}; (N,) is allowed")
     if array.dtype.kind == "M":
@@ -212,10 +212,10 @@ def _numbers(where: str, column: Column, signal: str) -> Floats:
 
 
 def _times(column: Column, seconds: float) -> Times:
-    if not isinstance(column, list) and column.dtype.kind in "if" and seconds != 1.0:
-        return scaled_times(column.astype(np.float64), column, seconds)
     if isinstance(column, list):
-        return columns.times(column)
+        return times_of_cells(column, seconds)
+    if column.dtype.kind in "if" and seconds != 1.0:
+        return scaled_times(column.astype(np.float64), column, seconds)
     if column.dtype.kind == "M":
         return column.astype(np.int64)
     if column.dtype.kind == "i":

@@ -77,6 +77,26 @@ def size_of(values: object, where: str) -> int:
         raise RecordingError(f"{where} is {values!r}; an array of (N,) is allowed") from None
 
 
+def without_mask(values: object) -> object:
+    """Return the values of a masked array: NaN, NaT or None where it is masked.
+
+    >>> without_mask(np.ma.masked_array([1, 2], [False, True]))
+    array([ 1., nan])
+    """
+    if not isinstance(values, np.ma.MaskedArray):
+        return values
+    bare, masked = values.filled(), np.ma.getmaskarray(values)
+    if not masked.any():
+        return bare
+    match bare.dtype.kind:
+        case "m" | "M":
+            return np.where(masked, np.array("NaT", bare.dtype), bare)
+        case "i" | "u" | "f":
+            return np.where(masked, np.nan, bare.astype(np.float64))
+        case _:
+            return values.tolist()  # None where it is masked
+
+
 def series_in(values: object) -> Any:  # noqa: ANN401 - narwhals' series of any library
     """Return a column as narwhals' series, with times in UTC; None if it is no series."""
     nw = None if isinstance(values, np.ndarray | list | tuple) else narwhals()

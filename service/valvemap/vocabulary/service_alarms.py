@@ -2,7 +2,7 @@
 
 Nodes (`s=Service.Alarms.<label>`), their conditions, the configuration's names and the
 documentation are made from these rows. A new alarm is a row here, its rule in
-``pipeline/alarms.py``, its text in ``pipeline/alarm_words.py``, what to do in
+``pipeline/service_alarms.py``, its text in ``pipeline/alarm_words.py``, what to do in
 ``vocabulary/alarm_guide.py`` and its health in ``pipeline/device_health.py``; the service that has
 it passes its quantity to `ServiceAlarms.note`.
 """
