@@ -9,7 +9,7 @@ import time
 import urllib.request
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from guarded_opcua import Pki, ensure_certificate
@@ -17,6 +17,7 @@ from support import compose
 from support.base_image import base_image
 from support.compose import ROOT, Project
 from support.processes import free_port
+from support.served import patient
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 
 pytestmark = [pytest.mark.image, pytest.mark.soak, pytest.mark.timeout(3600)]
@@ -129,7 +130,7 @@ def samples(ports, label):
 async def read_as_operator(project, ports, password, pki):
     """Number of samples that a client on the host reads, once the service trusts it."""
     own = ensure_certificate(Pki(pki), "urn:test:client", ("localhost",), "client")
-    client = Client(f"opc.tcp://127.0.0.1:{ports['VALVEMAP_SERVICE_PORT']}/valvemap/service/")
+    client = patient(f"opc.tcp://127.0.0.1:{ports['VALVEMAP_SERVICE_PORT']}/valvemap/service/")
     client.application_uri = "urn:test:client"
     client.set_user("operator")
     client.set_password(password)

@@ -6,11 +6,13 @@ pytest.importorskip("sklearn")
 from sklearn.base import clone
 from sklearn.model_selection import cross_val_score
 from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator, parametrize_with_checks
 
 from valvemap.model.forgetting import Adaptive, Directional
 from valvemap.model.least_squares import batch_least_squares
-from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.model.model_structures import FiveTerms
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.sklearn import EXPECTED_FAILURES, AutoFlowMap, FlowMapRegressor
 
 
@@ -121,3 +123,32 @@ def test_auto_learns_the_same_in_parts_to_the_bit(worn):
 def test_auto_names_the_columns_that_it_takes(features):
     with pytest.raises(ValueError, match=rf"X has {features} feature\(s\); U, dp or U, dp, T"):
         AutoFlowMap().fit(np.ones((9, features)), np.ones(9))
+
+
+def test_auto_tells_what_it_does_not_learn_beyond_its_ranges(worn):
+    X, Q = worn
+    with pytest.warns(UserWarning, match=r"rows are not learnt: U is .* U_range = \(0.0, 50.0\)"):
+        half = AutoFlowMap(U_range=(0, 50)).fit(X, Q)
+    _, std = half.predict([[90.0, 60.0, 40.0], [40.0, 60.0, 40.0]], return_std=True)
+    assert np.isnan(std).tolist() == [True, False]
+    with pytest.warns(UserWarning, match="without a scaler"):
+        make_pipeline(StandardScaler(), AutoFlowMap()).fit(X, Q)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"U_range": (100, 0)}, r"U_range is \(100, 0\); a low and a high end are allowed"),
+        ({"U_range": "ab"}, "U_range is 'ab'"),
+        ({"dp_range": (0, np.inf)}, "dp_range is"),
+        ({"interval": 0}, "interval is 0; a number of seconds above 0"),
+    ],
+)
+def test_auto_names_a_wrong_parameter(worn, arguments, said):
+    with pytest.raises(ValueError, match=said):
+        AutoFlowMap(**arguments).fit(*worn)
+
+
+def test_auto_takes_its_ranges_as_lists(worn):
+    given = AutoFlowMap(U_range=[0, 100], dp_range=[0, 200]).fit(*worn)
+    np.testing.assert_array_equal(given.predict(worn[0]), AutoFlowMap().fit(*worn).predict(worn[0]))

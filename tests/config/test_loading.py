@@ -124,6 +124,14 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
             FED + "fallback = 'ramp'\nrange_percent = [5, 95]\n",
             "fallback_percent = 0: must be within range_percent = [5.0, 95.0]",
         ),
+        (
+            "[[valves]]\n[valves.commission]\np1_range_bar = [150, 220]\np_most_bar = 100\n",
+            "p_most_bar = 100: must exceed 150 of p1_range_bar = [150.0, 220.0]; the run ends",
+        ),
+        (
+            "[[valves]]\n[valves.commission]\nload_range_bar = [5, 190]\np_most_bar = 180\n",
+            "p_most_bar = 180: must exceed 190 of load_range_bar = [5.0, 190.0]",
+        ),
         (FED + "max_age_s = 0.1\n", "valves[0].feed_forward.max_age_s = 0.1: must be longer than"),
         (FED + "max_width_percent = nan\n", "valves[0].feed_forward.max_width_percent"),
         ("[[valves]]\n[valves.feed_forward]\n", "nodes.required_U is needed"),
@@ -156,6 +164,13 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
             )
             for kind, least in (("RLS", 0.8333), ("RML", 0.5), ("Auto", 0.5))
         ),
+        ("[source]\ntimeout_s = true\n", "source.timeout_s = True: true is no number"),
+        ("[dynamics]\nshare = false\n", "dynamics.share = False: false is no number"),
+        ("[[valves]]\ndp_range_bar = [true, 200]\n", "dp_range_bar = [True, 200]: true is no"),
+        ("[state]\nfile = ''\n", "state.file = '': the name of a file or a folder is allowed"),
+        ("[state]\nfile = '  '\n", "state.file = '  ': the name of a file or a folder is"),
+        ('[history]\nfile = "a\\u0000"\n', "history.file = 'a\\x00': the name of a file or a"),
+        (f"[security]\nusers = '{'x' * 5_000}'\n", "a name of 4095 bytes at most is allowed"),
         ("[source\n", "not valid TOML"),
         ("[source]\ntimeout_s = nan\n", "source.timeout_s"),
     ],
@@ -171,6 +186,18 @@ def test_a_mistake_in_the_environment_names_the_variable(monkeypatch):
     monkeypatch.setenv("VALVEMAP_SOURCE__QUEUE_SIZE", "many")
     with pytest.raises(ConfigurationError, match="VALVEMAP_SOURCE__QUEUE_SIZE"):
         load_config()
+
+
+def test_an_editor_s_byte_order_mark_is_no_part_of_the_text(tmp_path):
+    file = tmp_path / "service.toml"
+    file.write_text("[[valves]]\nname = 'V7'\n", encoding="utf-8-sig")
+    assert load_config(file).valves[0].name == "V7"
+
+
+def test_a_field_that_stands_twice_is_not_asked_for_quotes(tmp_path):
+    said = complaint(tmp_path, "[source]\nurl = 'opc.tcp://a:1'\nurl = 'opc.tcp://b:1'\n")
+    assert "Cannot overwrite a value (at line 3" in said
+    assert "quotes" not in said
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -7,9 +7,10 @@ import pytest
 from documentation.alarms import alarm_tables
 from documentation.pages import ALARMS, alarms_page
 from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
+from valvemap.pipeline.alarm_rules import RULES
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
-from valvemap.pipeline.alarms import FLEET_RULES, RULES, SERVICE_RULES
 from valvemap.pipeline.axis_alarms import AXIS_RULES
+from valvemap.pipeline.service_alarms import FLEET_RULES, SERVICE_RULES
 from valvemap.vocabulary.alarm_guide import GUIDES
 
 

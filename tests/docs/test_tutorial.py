@@ -2,32 +2,19 @@
 
 import os
 import re
-import signal
-import subprocess
 import sys
-import time
 import urllib.request
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from support.processes import free_port, is_open
+from support.typed import Block, Terminal
 
 ROOT = Path(__file__).parents[2]
 TUTORIAL = ROOT / "docs" / "tutorial.md"
 _BLOCK = re.compile(r'^```(sh title="terminal (\d)"|text)\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 _DEFAULT_PORTS = (4840, 4841, 8080)
-_LONGEST_S = 420.0  # of one block: a first run compiles, perhaps beside others
-
-
-@dataclass(frozen=True)
-class Block:
-    """Commands for a terminal, and what it shows then."""
-
-    terminal: str
-    commands: str
-    shown: tuple[str, ...]
 
 
 def blocks():
@@ -39,67 +26,6 @@ def blocks():
         else:
             found.append(Block(terminal, body, ()))
     return found
-
-
-class Terminal:
-    """A shell that is typed into."""
-
-    def __init__(self, folder, log):
-        self._log, self._read = log, 0
-        env = {
-            k: v for k, v in os.environ.items() if not k.startswith(("MAKE", "MFLAGS", "VIRTUAL"))
-        }
-        with log.open("wb") as out:
-            self._shell = subprocess.Popen(
-                ["sh"],
-                stdin=subprocess.PIPE,
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                cwd=folder,
-                env={**env, "COLUMNS": "160", "PYTHONUNBUFFERED": "1"},
-                start_new_session=True,
-            )
-
-    def type(self, block):
-        """Type a block in, and wait until it shows what it should, or is done."""
-        self._read = len(self.text())
-        done = f"done-{time.monotonic_ns()}"
-        self._shell.stdin.write(f"{block.commands}\necho {done} $?\n".encode())
-        self._shell.stdin.flush()
-        wanted = [_pattern(line) for line in block.shown if line != "…"] or [
-            re.compile(f"{done} 0")
-        ]
-        end = time.monotonic() + _LONGEST_S
-        while not _in_order(wanted, self.new()) and done not in self.new():
-            assert time.monotonic() < end, f"{block.commands}\n{self.new()}"
-            time.sleep(0.1)
-        assert _in_order(wanted, self.new()), f"{block.commands}\n{self.new()}"
-        for line in self.new().splitlines():
-            assert not line.startswith(("valvemap:", "sh:", "make: ***")), self.new()
-
-    def text(self):
-        return self._log.read_text(encoding="utf-8", errors="replace")
-
-    def new(self):
-        return self.text()[self._read :]
-
-    def close(self):
-        for kill in (signal.SIGINT, signal.SIGKILL):
-            try:
-                os.killpg(self._shell.pid, kill)
-                self._shell.wait(20)
-            except (ProcessLookupError, subprocess.TimeoutExpired):
-                continue
-        self._shell.stdin.close()
-
-
-def _pattern(line):
-    return re.compile(".*".join(map(re.escape, re.split("…", line))))
-
-
-def _in_order(patterns, text):
-    lines = iter(text.splitlines())
-    return all(any(pattern.fullmatch(line.strip()) for line in lines) for pattern in patterns)
 
 
 def _moved(text, ports):

@@ -10,7 +10,7 @@ from valvemap.vocabulary.statuses import Status
 QUANTITIES = "service/valvemap/vocabulary/quantities.py"
 RESULTS, LANES = "service/valvemap/pipeline/results.py", "service/valvemap/pipeline/lanes.py"
 STATUSES = "service/valvemap/vocabulary/statuses.py"
-VALUES = "service/valvemap/opcua_results/result_values.py"
+CODES = "service/valvemap/opcua_results/result_codes.py"
 
 QUANTITY_USED = """
 import json
@@ -91,7 +91,7 @@ def status(tree, quantity):  # after it: kernels that name statuses would be com
         f'    STALLED = {len(Status)}, "stalled", "The estimator waits for a part of the plant."\n',
     )
     tree.after(
-        VALUES,
+        CODES,
         "    Status.FAILED: _Codes.BadInternalError,\n",
         "    Status.STALLED: _Codes.BadSensorFailure,\n",
     )

@@ -50,7 +50,8 @@ from valvemap.opcua_results.information_model import signal_variables
 from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.page.greeting import _signals
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.storage.recording_writer import RecordingWriter
+from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.signals import PER_VALVE, PUBLISHED, Signal
 
 found = {}

@@ -5,8 +5,6 @@ import json
 import tarfile
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 from documentation.bill_of_materials import LOCK
 from release.bill import image_bill
@@ -14,6 +12,7 @@ from release.dpkg import SystemPackage, distribution, installed
 from release.errors import ReleaseError
 from release.image_archive import read_image
 from release.images import pack
+from support.bills import complaint_of
 
 STATUS = """\
 Package: bash
@@ -106,7 +105,7 @@ def purls(bill):
 
 def test_it_is_valid_and_names_what_the_image_has(archive):
     bill = image_bill(archive, [LOCK], "valvemap", "9.9.9")
-    assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(bill) is None
+    assert complaint_of(bill) is None
     found = purls(bill)
     assert {
         BASH,

@@ -3,10 +3,11 @@
 import math
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support import fuxa
 from support.processes import run
+from support.served import patient
 from support.services import until_rejected
 
 pytestmark = [pytest.mark.node, pytest.mark.timeout(900)]  # npm installs
@@ -25,7 +26,7 @@ def program(tmp_path, request):
 
 async def break_sensors(demo):
     """Let the demo's sensors be of Bad quality for ten seconds."""
-    client = Client(demo.rig)
+    client = patient(demo.rig)
     client.set_user("operator")
     client.set_password(demo.password)
     async with client:

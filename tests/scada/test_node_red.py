@@ -4,10 +4,11 @@ import asyncio
 import math
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 
 from support.node_red import flow, node_red, signed
 from support.processes import run
+from support.served import patient
 from support.services import until_rejected
 
 pytestmark = [pytest.mark.node, pytest.mark.timeout(900)]  # npm installs
@@ -56,7 +57,7 @@ def program(tmp_path_factory, request):
 
 
 async def test_one_connection_shows_signals_prediction_and_parameters(program, demo):
-    async with Client(demo.url) as client:
+    async with patient(demo.url) as client:
         program.deploy(flow(demo.url))
         shows_what_the_valve_does(program)
         with_it = await client.get_node(SESSIONS).read_value()

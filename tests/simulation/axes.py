@@ -13,13 +13,15 @@ import numpy as np
 from simulation import judge
 from simulation.axis_installation import InstalledAxis, edited_axis, first_state, relived
 from simulation.installation import MOST_PENDING, reorder
-from simulation.source import Client, Server
+from simulation.plant_server import Server
+from simulation.source_client import Client
 from simulation.stores import StateFile
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import LEARNT, Axis
+from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_arrivals import counted
 from valvemap.pipeline.axis_states import checkpoints_of
+from valvemap.pipeline.kept_axes import LEARNT
 from valvemap.runtime.axes import LiveAxes
 from valvemap.runtime.sources import Part, Sources
 from valvemap.vocabulary.signals import PER_VALVE, Signal
@@ -46,6 +48,7 @@ class Axes:
         self.delivers = False  # whether its source did, until an orderly stop
         self.installed, self.edits = InstalledAxis(), list(world.case.axis_edits)
         self.parts = [(0, self.installed)]  # how many were learnt before each configuration
+        self.given_up = {}  # by configuration: its states, and what was learnt under it
         first = first_state(self.installed.plan, self.case.period_s)
         (one,) = checkpoints_of(Axis(self.installed.plan), 0, {LEARNT: first})
         self.states.committed = self.states.durable = {(one.valve, one.estimator): one}
@@ -110,9 +113,13 @@ class Axes:
         if valid := [one for one in maps if self._is_valid(one)]:
             if found not in [one.state for one in valid]:
                 world.violated("axis: it has forgotten what it had learnt")
+            states, learnt = self.given_up.get(self.installed, ((), None))
             if self.installed != self.parts[-1][1]:
                 own = self._counters()["aligned"] - len(axis._unmet[0].t)
-                self.parts.append((own, self.installed))
+                if found in states:  # what replaced it was lost with the power
+                    self.learnt, self.of_A, self.parts = (list(one) for one in learnt)
+                else:
+                    self.parts.append((own, self.installed))
             return
         if found is not None:
             world.violated("axis: it learns on under another meaning")
@@ -122,6 +129,8 @@ class Axes:
         if any(f"{one.valve}.{LEARNT}" not in said for one in maps):
             world.violated("axis: no word of its former state")
         self.server.excuse((line, k) for k in range(self.server.taken) for line in LINES)
+        was = [one.state for one in maps], (self.learnt, self.of_A, self.parts)
+        self.given_up[self.parts[-1][1]] = was
         self.learnt, self.of_A, self.parts = [], [], [(0, self.installed)]
         axis.resume(LEARNT, first_state(self.installed.plan, self.case.period_s))
 
@@ -196,8 +205,8 @@ class Axes:
         ]
         if stuck := set.intersection(*unmet) - {None}:
             self.world.violated(f"axis: {sorted(stuck)[:5]} wait for samples that are there")
-        excused = set.union(*(self.server.excused[line] for line in LINES))
-        excused |= {k for _, k in self.server.undelivered()}
+        excused = {k for _, k in self.server.undelivered()}  # ends a subscription that has lapsed
+        excused = excused.union(*(self.server.excused[line] for line in LINES))
         left = set(range(max(self.learnt) + 1, self.server.subscribed)) - self._waiting() - excused
         dropped = excused - set(self.learnt)
         if left := {k for k in left if not judge.is_overtaken(self.world, self.server, k, dropped)}:

@@ -7,8 +7,9 @@ import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisRegression
 from valvemap.model.axis_basis import SIZE
-from valvemap.pipeline.axes import LEARNT, Axis, AxisPlan
-from valvemap.pipeline.kept_axes import Learnt
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
+from valvemap.pipeline.kept_axes import LEARNT, Learnt
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
 
 AXIS_EDITS: Final = ("axis name", "axis node", "axis unit", "axis piston", "axis memory")

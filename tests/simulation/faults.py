@@ -23,6 +23,7 @@ from valvemap.pipeline.kept_states import MEMORY, KeptStates
 from valvemap.pipeline.kept_together import KeptValves
 from valvemap.runtime import sources as sources_module
 from valvemap.runtime import supervisor
+from valvemap.runtime.doubted_valves import DoubtedValves
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.state_keeper import StateKeeper
@@ -131,7 +132,7 @@ def old_results_that_stay_good():
     async def never(self, *_):
         pass
 
-    return mock.patch.multiple(LiveService, _doubt=never, _doubt_old=never, _lose=never)
+    return mock.patch.multiple(DoubtedValves, doubt=never, doubt_old=never, lose=never)
 
 
 def a_batch_dropped_at_the_end_of_a_connection():

@@ -10,7 +10,7 @@ from guarded_opcua.history.historian import EVER, Span
 from guarded_opcua.history.reading import Rest, _page
 from simulation.stores import column_of
 from valvemap.opcua_results.past import ResultsPast
-from valvemap.runtime.past import results_of, signals_of
+from valvemap.runtime.past_pieces import results_of, signals_of
 from valvemap.vocabulary.statuses import Quality
 
 _NEXT_S = 1.0  # the longest time between the pages of one reader

@@ -186,8 +186,10 @@ def of_counts(world, identification):
         world.counts["learnt"] += len(learnt)
         counted = counters["gaps"] + counters["missing"]
         is_exact = server.case.numbered and not server.case.restarts
-        early = range(min(known)) if len(meeting.rows_behind(world, valve)) > 1 else ()
-        unmatched = sum(k not in server.excused[valve] for k in early)  # counted, if they came
+        unmatched = 0
+        if len(meeting.rows_behind(world, valve)) > 1:  # counted since the first one that came
+            came = (k for k in range(min(known)) if k not in server.excused[valve])
+            unmatched = min(known) - next(came, min(known))
         if is_exact and not len(lost) <= counted <= len(lost) + unmatched:
             named = {name: counters[name] for name in COUNTER_NAMES}
             world.violated(f"V{valve} lost {len(lost)}, counted {named}")
@@ -204,7 +206,8 @@ def _of_newest(world, identification, valve):
     stuck = unmet(world, identification, valve) & set.intersection(*there)
     if stuck:
         world.violated(f"V{valve}: {sorted(stuck)[:5]} wait for samples that are there")
-    excused = _excused(world, valve) | {k for v, k in server.undelivered() if v in rows}
+    undelivered = {k for v, k in server.undelivered() if v in rows}  # ends what has lapsed
+    excused = undelivered | _excused(world, valve)
     first = max(learnt, default=min(server.acknowledged[valve], default=server.taken))
     left = set(range(first + 1, server.subscribed)) - waits - excused
     dropped = excused - set(learnt)

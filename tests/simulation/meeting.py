@@ -48,10 +48,11 @@ def relive_together(world, identification):
     rows = world.learnt[0]
     t = world.servers[0].t[rows]
     for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(t) <= 0) + 1):
+        if not len(part):  # nothing was learnt
+            continue
         batches = [
             world.server_of[valve].as_samples(valve, [rows[k] for k in part], one.gains)
             for valve, one in enumerate(world.plant)
         ]
-        if len(part):
-            parts = {valve: samples for one in batches for valve, samples in one.items()}
-            identification.learn(gathered(parts))
+        parts = {valve: samples for one in batches for valve, samples in one.items()}
+        identification.learn(gathered(parts))

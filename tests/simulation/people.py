@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from simulation.source import Client
+from simulation.draws import COMMANDS
+from simulation.source_client import Client
 from valvemap.errors import CommandRejected, StorageError
 from valvemap.pipeline.operator_ports import Command
 from valvemap.runtime.live import LiveService
@@ -15,6 +16,30 @@ from valvemap.storage.state_lock import FileLock
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 FORGETTING: Final = {"forget more": 0.97, "forget nothing": 1.0}  # lam
+
+
+async def act(world, live, settings, supervision):
+    """Clients call the service, and somebody starts a second one."""
+    rivals = [(at, "rival", 0) for at in world.case.rivals]
+    reading = [_read_later(world, *read) for read in world.case.reads]
+    reads = [asyncio.create_task(one) for one in reading]
+    for at, kind, valve in sorted(
+        [*world.case.calls, *world.case.commands, *world.case.leads, *rivals], key=_in_time
+    ):
+        if at < world.time.elapsed:
+            continue
+        await asyncio.sleep(at - world.time.elapsed)
+        if kind == "rival":
+            await rival(world, settings, supervision)
+        elif (at, kind, valve) in world.case.leads:
+            world.leading.operate(live.identification, kind, valve)
+        elif kind in COMMANDS:
+            operate(world, live.identification, kind, valve)
+            world.counts[kind] += 1
+        else:
+            call(world, live.identification, kind, valve)
+
+    await asyncio.gather(*reads)
 
 
 def call(world, identification, kind, valve):
@@ -112,3 +137,14 @@ async def rival(world, settings, supervision):
         await supervise_all(sources, live, world.time, asyncio.Event(), supervision)
     finally:
         lock.close()
+
+
+async def _read_later(world, at, *read):
+    if at >= world.time.elapsed:
+        await asyncio.sleep(at - world.time.elapsed)
+        await world.rows.read(*read)
+
+
+def _in_time(event):
+    at, kind, valve = event
+    return at, str(kind), valve

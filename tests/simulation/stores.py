@@ -11,8 +11,8 @@ from typing import ClassVar, Final
 
 from guarded_opcua.history.historian import EVER
 from valvemap.errors import StorageError
-from valvemap.runtime.past import REQUIRED_U
 from valvemap.storage.history import HistoryFile
+from valvemap.vocabulary.history_columns import REQUIRED_U
 
 _EVERY_PAGE: Final = 2**32 - 2  # SQLite's default for the largest number of pages
 
@@ -132,7 +132,7 @@ class RealPastFile:
     def refuses(self, full):
         if self._file is not None:
             most = 1 if full else _EVERY_PAGE  # 1: no page more than there are
-            self._file._writer.execute(f"PRAGMA max_page_count = {most}").fetchall()
+            self._file._database.writer.execute(f"PRAGMA max_page_count = {most}").fetchall()
 
     def times(self, series):
         """The times of all rows of a series."""

@@ -18,7 +18,8 @@ from simulation.draws import (
 from simulation.faults import FAULTS
 from simulation.world import simulate
 
-SEEDS = 60
+SEEDS = (*range(30), 49, 54, 55)  # few that hold all that happens; others below use many, too
+MORE_SEEDS = sorted({*range(500)} - {*SEEDS})
 MOST_SEEDS = 1_000  # in which a planted fault is found
 WHERE = (
     *(0, 0, 919, 10, 73, 110, 18, 11, 0, 12, 4, 1, 11, 1, 0, 1),
@@ -34,7 +35,7 @@ simulated = lru_cache(simulate)
 
 
 @pytest.mark.parametrize(
-    "seeds", [range(SEEDS), pytest.param(range(SEEDS, 500), marks=pytest.mark.soak)]
+    "seeds", [SEEDS, pytest.param(MORE_SEEDS, marks=pytest.mark.soak)], ids=["few", "more"]
 )
 def test_no_seed_breaks_a_promise(seeds):
     outcomes = [simulated(seed) for seed in seeds]
@@ -80,6 +81,22 @@ def test_no_seed_with_types_that_found_a_defect_does_so_again(seed):
 @pytest.mark.parametrize("seed", [9_300_330])
 def test_no_seed_with_axes_and_ports_that_found_a_defect_does_so_again(seed):
     assert simulate(seed, draw_axes).violations == []
+
+
+# 9602519: a write of the feed-forward found the connection lost; the pieces of a message behind it
+# were not learnt, and acknowledged with the next one.
+@pytest.mark.parametrize("seed", [9_602_519])
+def test_no_seed_with_feed_forward_that_found_a_defect_does_so_again(seed):
+    assert simulate(seed).violations == []
+
+
+# 9501376: valves behind a meter learnt nothing, and the simulator failed to repeat that.
+# 9601413: the first samples behind a meter did not meet: those lost between them are counted, too.
+# 9602288: the power failed before the first save under an edit, which was undone.
+# 9602994: a subscription lapsed between the last look and the end.
+@pytest.mark.parametrize("seed", [9_501_376, 9_601_413, 9_602_288, 9_602_994])
+def test_a_seed_in_which_the_simulator_was_wrong_is_judged(seed):
+    assert simulate(seed).violations == []
 
 
 @pytest.mark.parametrize("seed", [3, 7, 11, 12])

@@ -1,6 +1,7 @@
 """An event loop on simulated time: when every task waits, the time jumps to the next timer."""
 
 import asyncio
+import heapq
 from contextlib import contextmanager
 
 _STEPS = 200_000  # turns of the loop without a timer: a task that never waits
@@ -25,32 +26,13 @@ class DeadlockError(Exception):
     """All tasks wait, and no timer will ever end one of them."""
 
 
-class _Jump:
-    """A selector without files: to wait is to set the time forward."""
-
-    def __init__(self, time):
-        self._time = time
-        self._turns = 0
-
-    def select(self, timeout):
-        if timeout is None:
-            raise DeadlockError
-        self._turns += 1
-        if timeout > 0.0:
-            self._time.elapsed += timeout
-            self._turns = 0
-        elif self._turns > _STEPS:
-            raise DeadlockError
-        return []
-
-
 class VirtualLoop(asyncio.BaseEventLoop):
     """One process. Work for a thread runs inline, ``thread_takes()`` = (before, after) s around."""
 
     def __init__(self, time, thread_takes):
         super().__init__()
         self._virtual = time
-        self._selector = _Jump(time)
+        self._turns = 0  # since the time was set forward
         self._thread_takes = thread_takes
         self._clock_resolution = 1e-9
 
@@ -78,7 +60,43 @@ class VirtualLoop(asyncio.BaseEventLoop):
         self.call_later(before, work)
         return done
 
-    def _process_events(self, event_list):
+    def _run_once(self):
+        """One turn, as asyncio's: in its order, without files, threads and debugging."""
+        ready, scheduled, time = self._ready, self._scheduled, self._virtual
+        while scheduled and scheduled[0]._cancelled:
+            heapq.heappop(scheduled)._scheduled = False
+        self._turns += 1
+        if not (ready or self._stopping):
+            if not scheduled:
+                raise DeadlockError
+            wait = scheduled[0]._when - time.elapsed
+            if wait > 0.0:
+                time.elapsed += wait
+                self._turns = 0
+        if self._turns > _STEPS:
+            raise DeadlockError
+        until = time.elapsed + self._clock_resolution
+        while scheduled and scheduled[0]._when < until:
+            handle = heapq.heappop(scheduled)
+            handle._scheduled = False
+            ready.append(handle)
+        for _ in range(len(ready)):
+            handle = ready.popleft()
+            if not handle._cancelled:
+                handle._run()
+
+    def call_soon(self, callback, *args, context=None):
+        handle = asyncio.Handle(callback, args, self, context)
+        self._ready.append(handle)
+        return handle
+
+    def call_at(self, when, callback, *args, context=None):
+        timer = asyncio.TimerHandle(when, callback, args, self, context)
+        heapq.heappush(self._scheduled, timer)
+        timer._scheduled = True
+        return timer
+
+    def _timer_handle_cancelled(self, handle):
         pass
 
     def _write_to_self(self):

@@ -6,7 +6,7 @@ import random
 import re
 import tempfile
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
 
@@ -15,33 +15,34 @@ import structlog
 from simulation import judge, people
 from simulation.axes import NO_JOB, Axes
 from simulation.draw_sources import SIMULATED_S
-from simulation.draws import COMMANDS, draw
+from simulation.draws import draw
 from simulation.history import Rows
 from simulation.installation import edited, fresh, installed, reorder
 from simulation.leading import Leading
 from simulation.meeting import give_one_flow
+from simulation.overtaken import Overtaken
+from simulation.plant_server import Server
 from simulation.ports import give_signals
-from simulation.source import Client, Server
+from simulation.shown import Shown
+from simulation.source_client import Client
 from simulation.stores import PastFile, RealPastFile, StateFile
 from simulation.virtual_loop import DeadlockError, VirtualTime, process
 from support.plant import START
 from valvemap.errors import SourceLost
 from valvemap.model.samples import Samples
-from valvemap.runtime import live as live_module
+from valvemap.runtime import learning_pace
 from valvemap.runtime import past as past_module
-from valvemap.runtime.live import LiveService, LiveSettings
-from valvemap.runtime.past import PastKeeper, results_of, signals_of
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
+from valvemap.runtime.past import PastKeeper
+from valvemap.runtime.past_pieces import signals_of
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.storage import history_series
 from valvemap.storage.state_lock import FileLock
-from valvemap.vocabulary.signals import PER_VALVE
-from valvemap.vocabulary.statuses import Quality
 
 _MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 - a disk that costs no time
 _FOLDER = tempfile.TemporaryDirectory(prefix="simulation", dir=_MEMORY)  # lock file and histories
-_SHARPEST_S = 6.0  # how long a kill waits for the moment at which it hurts most
-_SHARP_S = 0.1
 _SEALED_ROWS = 24  # of a block of the history: several in a simulated minute
 
 
@@ -61,7 +62,7 @@ def simulate(seed, drawn=draw):
     with (
         structlog.testing.capture_logs() as world.logs,
         mock.patch.multiple(
-            live_module, FEWEST_AT_ONCE=world.case.at_once, FIRST_AT_ONCE=world.case.at_once
+            learning_pace, FEWEST_AT_ONCE=world.case.at_once, FIRST_AT_ONCE=world.case.at_once
         ),
         mock.patch.object(past_module, "MOST_ROWS", world.case.history_rows),
         mock.patch.object(history_series, "BLOCK", _SEALED_ROWS),
@@ -79,40 +80,6 @@ def simulate(seed, drawn=draw):
         said = repr(sorted(line.items()))
         world.note(re.sub(rf"{_FOLDER.name}[\w/.-]*", "", said))  # another one in each process
     return Outcome(seed, world.violations, world.trace.hexdigest(), world.counts)
-
-
-@dataclass
-class Shown:
-    """Implements `ResultSink`: the newest results of each valve."""
-
-    world: "World"
-    quality: dict = field(default_factory=dict)
-    t: dict = field(default_factory=dict)
-
-    async def publish(self, results):
-        world = self.world
-        for m, valve in enumerate(results.valves.tolist()):
-            name, own = world.plant[valve].name, world.plant[valve].estimator
-            found = results.estimators[own]
-            self.quality[valve], self.t[valve] = int(found.quality[m]), int(found.t[m])
-            world.note((valve, self.quality[valve], self.t[valve], int(found.sample_count[m])))
-            for estimator, of in results.estimators.items():
-                world.published[results_of(name, estimator)] += int(of.t[m] > 0)
-            world.published[results_of(name, past_module._INVERSE)] += int(results.inverse.t[m] > 0)
-            lost = results.signals.quality[m] == Quality.BAD and results.signals.t[m] > 0
-            world.published[signals_of(name)] += int(lost)
-            if world.rows is not None:
-                world.rows.publish(name, results, m)
-        if world.case.sink_s:
-            await asyncio.sleep(world.case.sink_s)
-
-    async def doubt(self, valves):
-        for valve in valves.tolist():
-            if self.quality.get(valve) == Quality.GOOD:
-                self.quality[valve] = int(Quality.UNCERTAIN)
-
-    async def show_health(self, health):
-        self.world.note(health.source_states)
 
 
 class World:
@@ -272,11 +239,11 @@ class World:
         if self.axes is not None:
             lives.append(supervise_all(*self.axes.begin(settings), clock, stop, supervision))
         supervising = asyncio.create_task(_together(lives))
-        taking = _Taking(live, self.states)
-        at_work = asyncio.create_task(self._others(live, settings, supervision))
+        taking = Overtaken(live, self.states)
+        at_work = asyncio.create_task(people.act(self, live, settings, supervision))
         await self._watch(live, keeper, shown, until, supervising)
         if kind == "kill" and len(sources.parts) > 1 and case.sink_s:
-            await self._sharpen(taking)
+            await taking.wait()
         at_work.cancel()
         if kind != "stop":
             return
@@ -316,41 +283,6 @@ class World:
             self.rows.add(signals_of(name), samples.t)
         self.note((name, samples.t.tolist()))
 
-    async def _others(self, live, settings, supervision):
-        """Clients call the service, and somebody starts a second one."""
-        rivals = [(at, "rival", 0) for at in self.case.rivals]
-        reading = [self._read_later(*read) for read in self.case.reads]
-        reads = [asyncio.create_task(one) for one in reading]
-        for at, kind, valve in sorted(
-            [*self.case.calls, *self.case.commands, *self.case.leads, *rivals], key=_in_time
-        ):
-            if at < self.time.elapsed:
-                continue
-            await asyncio.sleep(at - self.time.elapsed)
-            if kind == "rival":
-                await people.rival(self, settings, supervision)
-            elif (at, kind, valve) in self.case.leads:
-                self.leading.operate(live.identification, kind, valve)
-            elif kind in COMMANDS:
-                people.operate(self, live.identification, kind, valve)
-                self.counts[kind] += 1
-            else:
-                people.call(self, live.identification, kind, valve)
-
-        await asyncio.gather(*reads)
-
-    async def _read_later(self, at, *read):
-        if at >= self.time.elapsed:
-            await asyncio.sleep(at - self.time.elapsed)
-            await self.rows.read(*read)
-
-    async def _sharpen(self, taking):
-        """Wait for the worst moment of a kill: states were just saved, and a batch is half done."""
-        for _ in range(round(_SHARPEST_S / _SHARP_S)):
-            if taking.was_overtaken():
-                return
-            await asyncio.sleep(_SHARP_S)
-
     async def _watch(self, live, keeper, shown, until, supervising):
         """Run until the end of this life; look every second at what must hold at any time."""
         case, time = self.case, self.time
@@ -372,43 +304,5 @@ class World:
             self.violated("the supervision ended")
 
 
-def _in_time(event):
-    at, kind, valve = event
-    return at, str(kind), valve
-
-
 async def _together(lives):
     await asyncio.gather(*lives)
-
-
-class _Taking:
-    """The batches under way, of which states were saved after another batch had overtaken one."""
-
-    def __init__(self, live, states):
-        self._states, self._batches = states, {}  # by valves: changes left, saves when overtaken
-        take, learn = live.take, live.identification.take
-
-        async def noted(changes, valves):
-            own = tuple(valves.tolist())
-            self._batches[own] = len(changes), None
-            try:
-                await take(changes, valves)
-            finally:
-                del self._batches[own]
-                for other, (left, saves) in self._batches.items():
-                    now = states.saves if saves is None else saves
-                    self._batches[other] = left, now
-
-        def learning(piece):
-            for own, (left, saves) in self._batches.items():
-                if piece.item[0] // PER_VALVE in own:
-                    self._batches[own] = left - len(piece), saves
-            return learn(piece)
-
-        live.take, live.identification.take = noted, learning
-
-    def was_overtaken(self):
-        return any(
-            left and saves is not None and self._states.saves > saves
-            for left, saves in self._batches.values()
-        )

@@ -1,4 +1,4 @@
-"""20 valves, and an error that is raised in one step of one of them."""
+"""Eight valves, and an error that is raised in one step of one of them."""
 
 import inspect
 from collections.abc import Callable
@@ -14,6 +14,7 @@ from valvemap.pipeline import (
     alarms,
     kept_states,
     lanes,
+    required_signal,
     result_tables,
     shared_support,
     valve_state,
@@ -22,10 +23,10 @@ from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.runtime import past
+from valvemap.runtime import past_pieces
 from valvemap.vocabulary.signals import PER_VALVE
 
-VALVES, CULPRIT = 20, 7
+VALVES, CULPRIT = 8, 5
 LANES = ("RLS", "RML", "RBF")
 MARK = 33.125  # °C: the oil of the valve at which something raises
 
@@ -157,14 +158,14 @@ STEPS = (
         *("survey", Step.SURVEY, ("RML",), valve_state, "survey_of"),
         lambda plan, _state, name: _of(plan) and name == "RML",
     ),
-    Injected("map", Step.MAP, ("RLS",), valve_state, "inverse_map", _of),
-    Injected("inverse", Step.INVERSE, ("RLS",), valve_state, "required", _of),
+    Injected("map", Step.MAP, ("RLS",), required_signal, "inverse_map", _of),
+    Injected("inverse", Step.INVERSE, ("RLS",), required_signal, "required", _of),
     Injected(
         *("results", Step.RESULTS, LANES, result_tables.ResultTables, "_of_fleet"),
         lambda _tables, _fleet, valves, *_: CULPRIT in valves,
     ),
     Injected(
-        *("history", Step.HISTORY, LANES, past, "_signals"),
+        *("history", Step.HISTORY, LANES, past_pieces, "_signals"),
         lambda valve, _samples: valve == f"V{CULPRIT}",
     ),
     Injected(

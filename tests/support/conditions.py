@@ -11,9 +11,10 @@ from support.interoperation import identification
 from support.plant import START, as_changes, plant
 from support.results import results_settings
 from support.stream import until
+from support.users import CHEAP
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.alarm_results import Remark
 from valvemap.pipeline.operator_ports import Command
-from valvemap.pipeline.results import Remark
 from valvemap.runtime.past import PastKeeper
 
 S = 1_000_000_000
@@ -109,7 +110,7 @@ class Plant:
 
 @asynccontextmanager
 async def raised(**settings):
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("operator", Role.OPERATOR, "correct horse")
     plant = Plant(users, TurnedClock(START + 1_000 * S), **settings)
     await plant.start()

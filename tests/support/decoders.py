@@ -23,7 +23,8 @@ from guarded_opcua import errors as hardened
 from guarded_opcua.binary.bounded_decoding import Budget, Reader, decode
 from guarded_opcua.binary.index_range import IndexRangeError, parse_index_range
 from guarded_opcua.security.certificate_rules import CertificateRefused, parse
-from guarded_opcua.security.certificates import Pki, load_certificate
+from guarded_opcua.security.certificates import load_certificate
+from guarded_opcua.security.pki_folders import Pki
 from guarded_opcua.security.trust_folders import TrustFolders
 from guarded_opcua.security.users import UserStore
 from support import certificates
@@ -57,34 +58,30 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Segments
 from valvemap.opcua_client import responses
 from valvemap.opcua_source import decoding
-from valvemap.opcua_source.members import (
-    Field,
-    Form,
-    Member,
-    Structure,
-    encodings_of,
-    kind_of,
-    taken,
-)
+from valvemap.opcua_source.members import Member, encodings_of, taken
 from valvemap.opcua_source.node_ids import parse_node_id
 from valvemap.opcua_source.position import position_from_bytes
+from valvemap.opcua_source.structures import Field, Form, Structure, kind_of
 from valvemap.opcua_source.wire import DecodeError
 from valvemap.page.answering import request_of
 from valvemap.page.questions import Senseless as SenselessRequest
 from valvemap.pipeline import kept_axes, operator_ports
-from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.alarm_results import AlarmReport
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.axes import ALARMS, SEARCHES, WATCH, Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_alarms import AxisAlarms
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_searches import Searches
 from valvemap.pipeline.axis_watch import AxisWatch, AxisWindowSums
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.dynamics_reference import DynamicsReference
 from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.kept_axes import ALARMS, SEARCHES, WATCH
 from valvemap.pipeline.kept_watches import pack_watch
 from valvemap.pipeline.meters import Meters
 from valvemap.pipeline.quality_gate import QualityGate
-from valvemap.pipeline.results import AlarmReport
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.timing_state import TimingSettings
 from valvemap.pipeline.valve_state import ValvePlan
@@ -111,7 +108,8 @@ from valvemap.storage.history_blocks import (
 from valvemap.storage.history_cells import WIDTHS, cells_of
 from valvemap.storage.models import load_model, save_model
 from valvemap.storage.points import read_points
-from valvemap.storage.recordings import RecordingWriter, read_recording
+from valvemap.storage.recording_writer import RecordingWriter
+from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.axis_alarms import AxisAlarm
 from valvemap.vocabulary.commands import NAMED
 from valvemap.vocabulary.service_alarms import ServiceAlarm

@@ -10,6 +10,7 @@ from pathlib import Path
 from pydantic import SecretStr
 
 from guarded_opcua import CommandRejected, Role, ServerSettings, UserStore
+from support.users import CHEAP
 from valvemap.app.build import build_identification
 from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
 from valvemap.app.serve import serve
@@ -73,7 +74,7 @@ class ListeningRig(RigServer):
 
 def settings(url, uri, name):
     """A server without security for the operator."""
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("operator", Role.OPERATOR, PASSWORD)
     return ServerSettings(
         url=url,

@@ -12,7 +12,7 @@ from valvemap.kafka.commands import Command, Reply, write_message
 from valvemap.kafka.group import Group, Rhythm
 from valvemap.kafka.result_blocks import write_results
 from valvemap.model.samples import Samples, Segments
-from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.by_valve import ByValve
 
 ESTIMATORS = (RlsConfig(), RmlConfig(), RbfConfig())
 RHYTHM = Rhythm(results_ns=200_000_000, maps_ns=1_000_000_000)

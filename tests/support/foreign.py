@@ -2,10 +2,15 @@
 
 import asyncio
 import threading
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 from asyncua import Server, ua
+from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import User, UserRole
+from cryptography.hazmat.primitives.serialization import Encoding
 
 PSI, GALLON = 14.503773773, 3.785411784
 
@@ -33,15 +38,45 @@ def scattered(k, _place, _t):
     return U, dp + 5, 5.0, 0.1 * U * dp**0.5
 
 
+@dataclass(frozen=True)
+class Guard:
+    """What a server asks of its clients: a certificate in the folder of trusted ones; a user."""
+
+    certificate: Path
+    key: Path
+    uri: str
+    trusted: Path
+    user: str
+    password: str
+
+    async def protect(self, server):
+        async def check(certificate, _application):
+            known = {file.read_bytes() for file in self.trusted.glob("*.der")}
+            if certificate.public_bytes(Encoding.DER) not in known:
+                raise ServiceError(ua.StatusCodes.BadSecurityChecksFailed)
+
+        await server.set_application_uri(self.uri)
+        await server.load_certificate(str(self.certificate))
+        await server.load_private_key(str(self.key))
+        server.set_certificate_validator(check)
+        server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+        server.set_identity_tokens([ua.UserNameIdentityToken])
+
+    def get_user(self, iserver, username=None, password=None, certificate=None):
+        right = (username, password) == (self.user, self.password)
+        return User(role=UserRole.User, name=username) if right else None
+
+
 class Foreign(threading.Thread):
     """A server of another make in a thread of its own: 20 Hz, one signal 3 ms after the other.
 
-    ``move(k, place, t)`` says U, p1, p2 and Q of the k-th scan of a valve at t s.
+    ``move(k, place, t)`` says U, p1, p2 and Q of the k-th scan of a valve at t s. Without a `Guard`
+    it asks nothing of its clients.
     """
 
-    def __init__(self, names, folders, move=scattered, listen="127.0.0.1:0"):
+    def __init__(self, names, folders, move=scattered, listen="127.0.0.1:0", guard=None):
         super().__init__(daemon=True)
-        self.listen = listen
+        self.listen, self.guard = listen, guard
         self.names, self.folders, self.move, self.url = names, folders, move, None
         self.ready, self.over = threading.Event(), threading.Event()
 
@@ -49,10 +84,13 @@ class Foreign(threading.Thread):
         asyncio.run(self.serve())
 
     async def serve(self):
-        server = Server()
+        server = Server(user_manager=self.guard)
         await server.init()
         server.set_endpoint(f"opc.tcp://{self.listen}/plc/")
-        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        if self.guard is None:
+            server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        else:
+            await self.guard.protect(server)
         index = await server.register_namespace("urn:plc")
         nodes = [await self.add(server, index, folder) for folder in self.folders]
         async with server:

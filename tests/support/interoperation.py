@@ -29,11 +29,13 @@ from support.peer import PeerError
 from support.plant import plant
 from support.proxy import Proxy
 from support.results import results_settings
+from support.users import CHEAP
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Segments
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.nameplate import Nameplate
 from valvemap.pipeline.quality_gate import QualityGate
@@ -131,7 +133,7 @@ async def raised(folder, **more):
     own = ensure_certificate(theirs, APPLICATION_URI, ("localhost", "127.0.0.1"), "peer")
     pki.make_folders()
     trust(pki, own.certificate)
-    users = UserStore()
+    users = UserStore(cost=CHEAP)
     users.add("operator", Role.OPERATOR, PASSWORD)
     users.add("observer", Role.OBSERVER, PASSWORD)
     users.add("engineer", Role.ENGINEER, PASSWORD)

@@ -6,12 +6,14 @@ from contextlib import suppress
 from support.stream import NODES
 from valvemap.clock import SystemClock
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings
+from valvemap.opcua_client.source_settings import SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import QualityGate, SignalLimits
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.vocabulary.signals import SENSORS

@@ -18,7 +18,9 @@ from support.peer import Peer
 from support.processes import free_port
 from support.proxy import Proxy
 from valvemap.errors import SourceLost, SourceRejected
-from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.opcua_client.source_settings import Security, SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.signals import Signal
 

@@ -12,7 +12,9 @@ from guarded_opcua import HardenedServer, add_object, add_variable
 from support.plant_server import plant_settings
 from support.proxy import Proxy
 from valvemap.clock import SystemClock
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_client.source_settings import SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
