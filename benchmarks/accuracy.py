@@ -1,4 +1,4 @@
-"""How accurate the estimators are on data nobody here made: ``python -m benchmarks.accuracy``.
+"""Accuracy of the estimators on data by others: ``python -m benchmarks.accuracy``.
 
 Prints the figures of docs/accuracy.md and writes them to benchmarks/results/accuracy.json.
 """
@@ -33,8 +33,10 @@ from valvemap.model.forgetting import (
     Subspace,
     Variable,
 )
-from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
+from valvemap.model.model_structures import FiveTerms, Polynomial
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.tensor_spline import TensorSpline
 
 Figures = dict[str, dict[str, float | None]]
 RESULTS = Path(__file__).parent / "results" / "accuracy.json"

@@ -1,4 +1,4 @@
-"""What it takes to sort changes into samples: ``python -m benchmarks.alignment_speed``.
+"""Processor time of sorting changes into samples: ``python -m benchmarks.alignment_speed``.
 
 CPU time per change, ns, of ``Alignment.take`` on one core, the best of many batches, compiled
 before. A sample has five signals and, where samples are numbered, its number.

@@ -23,7 +23,7 @@ from valvemap.model.estimator import Estimator, State
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 
 Figures = Mapping[str, float]
 

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.axis import GEOMETRY, NOISES_MM, SIGMA, errors, machine, played, samples
 from valvemap.model.axis_fit import fit, moved, with_map
 from valvemap.model.axis_search import identify
-from valvemap.pipeline.axes import CHANGES_PER_S
+from valvemap.pipeline.axis_learner import CHANGES_PER_S
 
 SEARCHED, ALL, BATCH, FITTED_AGAIN = 15_000, 90_000, 500, 5_000  # samples
 

@@ -9,7 +9,7 @@ Figures = dict[str, Any]  # of one seed, as JSON holds them
 
 @dataclass(frozen=True)
 class Judged:
-    """What a cell says of the seeds done: figure, what is demanded, and whether it is met."""
+    """A cell for the seeds done: figure, bar, and whether it is met."""
 
     figure: str
     bar: str
@@ -18,7 +18,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Cell:
-    """Seeds that the bar asks for; the figures of one; what they say together.
+    """Seeds that the bar asks for; the figures of one; their summary.
 
     Cells with the same ``shared`` judge the same figures.
     """

@@ -10,7 +10,7 @@ import scipy.linalg
 
 from benchmarks import peers
 from benchmarks.measured_data import Floats, Problem, Strucchange
-from valvemap.model.recursive_least_squares import recursive_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 
 MOST_DIGITS = 16.0  # what a double can hold
 START_VALUES = tuple(10.0 ** (k / 2) for k in range(61))  # P(0) of the peers: the best one counts

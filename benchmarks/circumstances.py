@@ -95,7 +95,7 @@ def warming(N, low=40.0, high=60.0, tau=1200.0):
 
 
 def scattered(seed, N, U=(0.0, 100.0), dp=(2.0, 198.0)):
-    """U and dp drawn anew for every sample."""
+    """U and dp drawn for every sample."""
     rng = np.random.default_rng(seed)
     return rng.uniform(*U, N), rng.uniform(*dp, N)
 
@@ -171,7 +171,7 @@ def reacting(U, noise, gain=1.0):
 
 
 def closed_loop(seed, N, valve, sigma=SIGMA):
-    """U chosen by a PI controller from the noisy Q, dp by itself: U, dp, Q."""
+    """U chosen by a PI controller from the noisy Q, dp free: U, dp, Q."""
     rng, noise = np.random.default_rng([seed, 3]), white(seed, N, sigma)
     dp, demand = ramps_and_holds(rng, N, 20.0, 180.0), ramps_and_holds(rng, N, 10.0, 120.0)
     U, Q, integral, u = np.empty(N), np.empty(N), 0.0, 20.0

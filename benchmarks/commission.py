@@ -38,7 +38,8 @@ KINDS: Final = (
     *("source lost", "stale", "pump limit", "stuck spool", "operator gone", "process killed"),
     *("abort", "bad samples", "pressure", "refused", "terminal gone", "none"),
 )
-GO_ON: Final = {"pump limit", "refused", "none"}  # the safe U is not wanted, or not taken
+MORE_KINDS: Final = ("U stands",)  # with --kind alone
+GO_ON: Final = {"pump limit", "refused", "none", "U stands"}  # safe U not wanted, or not taken
 QUANTILES: Final = (0.25, 0.5, 0.75, 0.9)
 BY_MAP: Final = {"stuck spool", "none"}  # runs that learn
 WATCHED: Final = {"process killed"}  # by the source's watchdog alone
@@ -109,11 +110,12 @@ def maps(seeds: Sequence[int], only: str = "") -> None:
         print(f"{name}: {', '.join(line)}: {'holds' if held else 'MISSES the bar'}", flush=True)
 
 
-def fault(seed: int) -> dict[str, Any]:
-    """One run with one fault at a random time of a random kind."""
+def fault(seed: int, kind: str = "") -> dict[str, Any]:
+    """One run with one fault at a random time, of a kind by the seed if none is given."""
     rng = np.random.default_rng([seed, 17])
     valve = list(VALVES.values())[seed % len(VALVES)]
-    kind, at = KINDS[(seed // len(VALVES)) % len(KINDS)], float(rng.uniform(2.0, 12.0))
+    kind = kind or KINDS[(seed // len(VALVES)) % len(KINDS)]
+    at = float(rng.uniform(2.0, 12.0))
     lasts = {"source lost": 3.0, "stale": 2.0, "bad samples": 2.0, "refused": 0.3}.get(kind, np.inf)
     whole = {} if kind == "none" else {"sweep_s": 10.0, "most_s": 15.0}
     settings = settings_for(valve, **whole)
@@ -175,11 +177,11 @@ def _retreat(loop: Loop, at: float, after: list[tuple[float, float]]) -> float:
     return at + (falls[0] - outside[0] if falls else np.inf)
 
 
-def faults(seeds: Sequence[int]) -> None:
+def faults(seeds: Sequence[int], only: str = "") -> None:
     """Print a line per kind of fault."""
-    found = [fault(seed) for seed in seeds]
+    found = [fault(seed, only) for seed in seeds]
     print(f"{len(found)} runs; U, load or slew beyond limits in {sum(f['beyond'] for f in found)}")
-    for kind in KINDS:
+    for kind in (*KINDS, *MORE_KINDS):
         own = [f for f in found if f["kind"] == kind]
         if not own:
             continue
@@ -191,8 +193,9 @@ def faults(seeds: Sequence[int]) -> None:
         reaction = ""
         if kind not in {*WATCHED, "none"}:
             reaction = f"reaction ≤ {max(f['reaction'] for f in own):.2f} s, "
-        if kind == "stuck spool":
-            for what, key in (("", "reaction"), (f" since {MISSED:g} l/min miss", "since seen")):
+        if kind in {"stuck spool", "U stands"}:
+            since = (f" since {MISSED:g} l/min miss", "since seen")
+            for what, key in (("", "reaction"), *([since] if kind == "stuck spool" else [])):
                 spread = ", ".join(
                     f"{x:.2f}" for x in np.quantile([f[key] for f in own], QUANTILES)
                 )
@@ -212,11 +215,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--faults", type=int, default=0, help="runs with a fault")
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
     parser.add_argument("--first", type=int, help="first seed, in place of these")
+    parser.add_argument("--kind", default="", choices=("", *KINDS, *MORE_KINDS))
     parser.add_argument("--only", default="", help="columns of the maps: the first letters")
     wanted = parser.parse_args(arguments)
     first = (REPORT if wanted.report else 0) if wanted.first is None else wanted.first
     if wanted.faults:
-        faults(range(first, first + wanted.faults))
+        faults(range(first, first + wanted.faults), wanted.kind)
     if wanted.seeds:
         maps(range(first, first + wanted.seeds), wanted.only)
     return 0

@@ -31,7 +31,8 @@ from benchmarks.commission_plant import (
 )
 from guarded_opcua import Role, ServerSettings, SystemClock, UserStore
 from guarded_opcua.clock import Timer
-from valvemap.app.commission import TICK_S, CommissionRun, settings_of
+from valvemap.app.commission import TICK_S, CommissionRun
+from valvemap.app.commission_settings import settings_of
 from valvemap.config.commission import CommissionConfig
 from valvemap.config.connections import SourceConfig
 from valvemap.config.estimators import AutoConfig

@@ -77,6 +77,7 @@ class Plant:
     heartbeat: int = 0
     beaten: float = -np.inf
     stuck: bool = False
+    stands: bool = False  # U, whatever is commanded
     free: float = 0.0  # where the spool were if it did not stick
     missed: float = np.inf  # when the flow of a stuck spool first differed by `MISSED`
     weak: bool = False
@@ -100,7 +101,7 @@ class Plant:
                 self.heartbeat, self.beaten = beat, now
                 if beat == 0:
                     self.commanded, self.U = False, self.own_U
-            if U is not None:
+            if U is not None and not self.stands:
                 self.commanded, self.U = True, U
             if load is not None:
                 self.load_set = load
@@ -230,6 +231,7 @@ class Loop:
         on = self.happening
         kind = on.kind if on is not None and on.at <= now < on.at + on.lasts else ""
         self.plant.stuck = kind == "stuck spool"
+        self.plant.stands = kind == "U stands"
         self.plant.p_extra = 60.0 if kind == "pressure" else 0.0
         self.plant.weak = kind == "pump limit"
         values = self.plant.sample(now)

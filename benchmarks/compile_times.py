@@ -15,7 +15,7 @@ from pathlib import Path
 
 
 def main(arguments: list[str]) -> int:
-    """Start anew with an empty cache: numba reads where it is when it is imported."""
+    """Restart with an empty cache: numba reads its folder on import."""
     if "NUMBA_CACHE_DIR" in os.environ and arguments[:1] == ["here"]:
         return _measure(arguments[1:])
     with tempfile.TemporaryDirectory() as cache:

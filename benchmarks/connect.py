@@ -15,9 +15,12 @@ import numpy as np
 from benchmarks.connect_plants import Plant, contradicted, misstated, plant
 from benchmarks.connect_sets import SETS
 from benchmarks.connect_third import KINDS, drawn, faulty
+from valvemap.app.connect import judged
+from valvemap.app.connect_answers import Wanted
 from valvemap.plant.answers import of_valve, parse_answers
 from valvemap.plant.grouping import Group, group
 from valvemap.plant.ports import NAMES
+from valvemap.plant.possible import possible_valves
 from valvemap.plant.reading import Reading
 from valvemap.plant.verdict import Verdict, judge
 
@@ -39,7 +42,11 @@ class Outcome:
 def outcome(subject: Plant) -> Outcome:
     """Judge a plant as `connect` does; obey the first right option of every question."""
     groups = group(subject.candidates)
-    verdicts = [judge(one, subject.record, None, subject.rating) for one in groups]
+    groups += possible_valves(subject.candidates, groups)
+    verdicts, _ = judged(groups, lambda _: subject.record, Wanted(rating=subject.rating))
+    verdicts = [v for v in verdicts if v.reading is not None or v.question is not None]
+    known = {v.valve for v in verdicts}
+    groups = [one for one in groups if one.name in known]
     if not groups or any(v.question for v in verdicts):
         story = "; ".join(f"{v.valve}: {v.question.about}" for v in verdicts if v.question)
         is_known = not subject.asks or all(_is_of_ports(true) for true in subject.truth.values())

@@ -20,13 +20,9 @@ from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import (
-    FiveTerms,
-    Structure,
-    StructureWithPrior,
-    TensorSpline,
-)
+from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import Adaptation
 
 N: Final = 30_000  # samples

@@ -1,7 +1,7 @@
-"""What users run: the default configuration, replayed, live by valves and rate, and its memory.
+"""The default configuration: replayed, live by valves and rate, and its memory.
 
-``python -m benchmarks.default_speed [replay] [live] [memory] [--seconds S]``: all three, or what is
-named; each fleet is measured live for so long. Live is over TCP without encryption: a rig that
+``python -m benchmarks.default_speed [replay] [live] [memory] [--seconds S]``: all three, or the
+named ones; each fleet is measured live for S s. Live is over TCP without encryption: a rig that
 plays the fleet, and the service in this process, which learns with all estimators, publishes and
 keeps its states.
 """
@@ -56,7 +56,7 @@ def replayed() -> Figures:
 
 
 def lived(seconds: float) -> Sections:
-    """Every fleet live for so long; the first, which has no bar, not longer than `SHORT_S`."""
+    """Every fleet live for this time; the first, which has no bar, for `SHORT_S` at most."""
     durations = [min(seconds, SHORT_S), *(seconds for _ in FLEETS[1:])]
     return {
         live_title(*fleet): live(*fleet, for_s)
@@ -65,7 +65,7 @@ def lived(seconds: float) -> Sections:
 
 
 def live(valves: int, hz: float, seconds: float) -> Figures:
-    """What was lost, how old results were when they were published, and the cores used."""
+    """Losses, age of results when published, and the cores used."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name, _ages() as ages:
         url = live_speed.free_url("rig")
@@ -84,9 +84,9 @@ def live(valves: int, hz: float, seconds: float) -> Figures:
 
 
 def memory() -> Figures:
-    """Resident kB of a valve that has learnt, and what of it its estimators' arrays hold.
+    """Resident kB of a learnt valve, and the part of its estimators' arrays.
 
-    In a process of its own: what this one has freed would be taken again unseen.
+    In a separate process: what this one has freed would be taken again unseen.
     """
     with get_context("spawn").Pool(1) as pool:
         resident = pool.apply(_resident_of_a_valve)

@@ -1,4 +1,4 @@
-"""A 4/3 valve with unlike edges on a cylinder: a truth of its own for valves with ports.
+"""A 4/3 valve with unlike edges on a cylinder: an independent truth for valves with ports.
 
 Flows are steady at the pressures that hold the load, chambers are stiff. The valve has overlaps,
 play, a spool of second order and leakage between the lines; each line has a meter.
@@ -28,7 +28,7 @@ FLOW: Final = 60_000.0  # l/min of one m³/s
 
 @dataclass(frozen=True)
 class Valve:
-    """The valve: gains of its edges by what they were, play (%), leakage (l/min/bar)."""
+    """The valve: gains of its edges over the original ones, play (%), leakage (l/min/bar)."""
 
     gain: dict[str, float] = field(default_factory=lambda: dict.fromkeys(GAINS, 1.0))
     play: float = 1.0

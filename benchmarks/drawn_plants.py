@@ -144,7 +144,7 @@ CIRCUMSTANCES: Final = (
 
 
 def drawn(seed: int) -> tuple[Row, str]:
-    """The plant of a seed, and what it is in words."""
+    """The plant of a seed, and its description."""
     rng = np.random.default_rng([seed, 36])
     kind, cycle = rng.choice(VALVES), rng.choice(CYCLES)
     there = set(rng.permutation(CIRCUMSTANCES)[: rng.integers(0, 4)])

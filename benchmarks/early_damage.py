@@ -1,7 +1,7 @@
 """Damage while a map is new: ``python -m benchmarks.early_damage [--first N] [--seeds N]``.
 
 The rig's valve loses a share of its flow some seconds after the service saw it first; the figures
-are how soon `Changed` names it, and how often `Changed` comes of valves that nobody damages. No
+are how soon `Changed` names it, and how often `Changed` comes of undamaged valves. No
 server, no clock: samples of the rig go to the default configuration's valve as they would live.
 """
 

@@ -20,7 +20,7 @@ from valvemap.config.loading import load_config
 from valvemap.config.models import Config
 from valvemap.config.valves import ValveConfig
 from valvemap.model.samples import Floats, Samples
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import lane_predictions
 from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
 from valvemap.vocabulary.edges import Edge
@@ -79,7 +79,7 @@ def judged(
     """Return RMSE in σ and the share held of one edge's map."""
     lane = identification.valves.lane(f"V.{edge}", ESTIMATOR)
     U, dp = cells(rows, edge)
-    Q, std, _ = valve_state.predicted(lane, U, dp, np.full(len(U), 42.0))
+    Q, std, _ = lane_predictions.predicted(lane, U, dp, np.full(len(U), 42.0))
     error = Q - valve.flow(edge, U, dp)
     return (
         float(np.sqrt(np.mean(error**2)) / plant.SIGMA),
@@ -123,7 +123,7 @@ def rig(seed: int) -> Iterator[str]:
         for edge in Edge:
             lane = identification.valves.lane(f"V.{edge}", ESTIMATOR)
             U, dp = cells({name: x[: round(end * RATE_HZ)] for name, x in rows.items()}, edge)
-            Q, std, _ = valve_state.predicted(lane, U, dp, np.full(len(U), 40.0))
+            Q, std, _ = lane_predictions.predicted(lane, U, dp, np.full(len(U), 40.0))
             error = Q - true_edge_flow(machine.valve, edge.name, U, dp)  # type: ignore[arg-type]
             rmse, held = np.sqrt(np.mean(error**2)) / plant.SIGMA, np.abs(error) <= 1.96 * std
             said.append(f"{edge} {rmse:.2f} σ ({held.mean():.2f})")
@@ -135,7 +135,7 @@ def rig(seed: int) -> Iterator[str]:
 
 
 def change(seed: int) -> Iterator[str]:
-    """Time of use after which -10 % at one edge is named, and what is named at the others."""
+    """Time of use after which -10 % at one edge is named, and the findings at the others."""
     valve, config = plant.Valve(), config_of()
     identification = build_identification(config)
     feed(identification, config, recorded(valve, 300.0, seed), 0.0)

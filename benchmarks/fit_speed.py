@@ -15,7 +15,7 @@ import numpy as np
 
 import valvemap
 from valvemap.model.samples import Samples
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 
 BAR = 1.3
 CHUNK = 100_000

@@ -1,8 +1,8 @@
-"""What a fleet does without a broker: ``python -m benchmarks.fleet_alone [PART ...]``.
+"""Speed of a fleet without a broker: ``python -m benchmarks.fleet_alone [PART ...]``.
 
 Parts: ``worker``, where a worker's time goes, in processor time of one core, with RLS, with three
 and with the default estimators: what a bare client (:mod:`benchmarks.fleet_speed`) cannot save,
-since it does the same. ``reidentify [N]``: recordings of N samples in all, learnt anew by one
+since it does the same. ``reidentify [N]``: recordings of N samples in all, learnt again by one
 process and by two, bar 1.6 x.
 """
 
@@ -25,7 +25,7 @@ from valvemap.kafka.group import Group, Rhythm
 from valvemap.kafka.result_blocks import write_results
 from valvemap.kafka.settings import load_fleet
 from valvemap.kafka.worker import Worker
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 
 KINDS = {"rls": ("RLS",), "three": ("RLS", "RML", "RBF"), "default": ("RLS", "RML", "RBF", "Auto")}
 VALVES, SAMPLES, WARM, BLOCKS = 50, 20, 10, 50  # a block is 1,000 samples

@@ -1,7 +1,7 @@
 """A bare client that learns as a worker does: ``python -m benchmarks.fleet_client FLEET.toml``.
 
 confluent-kafka alone: what is learnt, results and offsets in one transaction; memories go to the
-results' topic under keys of their own, once in a transaction. It takes nothing over.
+results' topic under separate keys, once in a transaction. It takes nothing over.
 """
 
 import signal

@@ -2,7 +2,7 @@
 
 Parts: state, rls, three, default, two, latency, takeover; without any, all. Broker, workers and the
 bare client share this machine's cores. The bare client (:mod:`benchmarks.fleet_client`) does what a
-worker does, with confluent-kafka's transactions and a changelog of its own. Needs Java and Maven.
+worker does, with confluent-kafka's transactions and a private changelog. Needs Java and Maven.
 """
 
 import os
@@ -38,7 +38,7 @@ COMMIT_S, QUICK_COMMIT_S = 1.0, 0.05  # s between commits: where much is learnt,
 WARM = 3  # blocks of each group before anything is measured
 CACHE = Path.home() / ".cache" / "valvemap" / "kafka"
 BARS = {"rls": 500_000, "three": 180_000, "default": 40_000, "two": 800_000}
-LATENCY_S, LATENCY_HZ = 30.0, 50.0  # blocks/s: a tenth of what one worker learns
+LATENCY_S, LATENCY_HZ = 30.0, 50.0  # blocks/s: a tenth of one worker's rate
 SETTLING_S = 90.0  # of the same before: a young broker compiles, and takes a core for that
 CLOCK, PER_CORE = "samples/s, by the clock", "samples/s per worker core (processor's time)"
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -83,7 +83,7 @@ def set_up(
 
 
 class Feeder:
-    """Sends blocks; each group has a partition of its own, so that two workers share evenly."""
+    """Sends blocks; each group has one partition, so that two workers share evenly."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -169,7 +169,7 @@ def rate(
 ) -> tuple[float, float]:
     """Samples/s by the clock, and by the processors' time of those who learn.
 
-    Once they have learnt from three blocks of each group: what is done once is done then.
+    Once they have learnt from three blocks of each group: work that is done once is done then.
     """
     messages = feeder.prepared(blocks)
     _until(lambda: min(learnt(plant, consumer).values()) >= WARM, 240.0)

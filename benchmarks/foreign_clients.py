@@ -1,7 +1,7 @@
 """Clients of other stacks on the same fleet: ``python -m benchmarks.foreign_clients``.
 
 ``[VALVES] [HZ] [SECONDS]`` follow. Our service, which learns with RLS, and gopcua, async-opcua and
-Milo, which count, each subscribe in turn to all signals of a rig of their own that plays the same.
+Milo, which count, each subscribe in turn to all signals of a separate rig that plays the same.
 They are built once, into ``build/clients``; see ``clients/README.md``.
 """
 
@@ -42,7 +42,7 @@ class Missing(Exception):  # noqa: N818 - no error: it is left out
 
 @dataclass(frozen=True)
 class ForeignClient:
-    """Sources in a folder of `SOURCES`, the program that builds them, and what is run then.
+    """Sources in a folder of `SOURCES`, the program that builds them, and the command that runs it.
 
     ``pinned``: the file of them that pins the stack's version, and how it does.
     """
@@ -143,13 +143,13 @@ def measured(valves: int = 1_000, hz: float = 170.0, seconds: float = 30.0) -> F
 
 
 def counted(name: str, valves: int, hz: float, seconds: float) -> Figures:
-    """What a client of another stack takes in of a fleet.
+    """Notifications of a fleet that a client of another stack receives.
 
     Raises
     ------
     Missing
     RuntimeError
-        with what it said, where it gave up.
+        with its message, if it failed.
     """
     folder, url = built(name), live_speed.free_url("rig")
     with live_speed.rig(valves, hz, url, {}):

@@ -110,8 +110,8 @@ def hour() -> Figures:
 
 
 def _by_kind(store: HistoryFile) -> Figures:
-    """Bytes of columns, by what they are."""
-    rows = store._writer.execute(  # noqa: SLF001
+    """Bytes of columns, by their kind."""
+    rows = store._database.writer.execute(  # noqa: SLF001
         "SELECT name.name, sum(length(data)) FROM block JOIN part ON part.block = block.id "
         "JOIN name ON name.id = block.series GROUP BY name.name"
     ).fetchall()

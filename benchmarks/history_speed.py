@@ -38,7 +38,7 @@ Figures = dict[str, float]
 
 
 def beside() -> Figures:
-    """Values of signals kept per second beside a running identification, and what was lost."""
+    """Values of signals kept per second beside a running identification, and losses."""
     with tempfile.TemporaryDirectory() as name:
         folder, url = Path(name), free_url("rig")
         kept = folder / "history.sqlite"
@@ -156,7 +156,7 @@ def memory() -> Figures:
 
 
 async def _settled(service: Service, *, listen: bool) -> float:
-    """Resident MB a minute later; with ``listen`` a client has all alarms told to it, and again."""
+    """Resident MB a minute later; with ``listen`` a client receives all alarms, twice."""
     async with Client(service.url, timeout=60, watchdog_intervall=60) as client:
         if listen:
             subscription = await client.create_subscription(500, _Heard())

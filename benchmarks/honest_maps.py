@@ -1,8 +1,8 @@
-"""Every row that says how honest the maps are: ``python -m benchmarks.honest_maps``.
+"""Every row about errors that a map states of itself: ``python -m benchmarks.honest_maps``.
 
 ``--seeds N`` measures that many seeds of each cell at most, ``--only WORD`` the cells whose name
-holds the word; ``--first K`` begins at another seed than the page does. What was measured is kept
-seed by seed in benchmarks/results/honest_maps.json and not measured again as long as
+holds the word; ``--first K`` begins at another seed than the page does. Figures are kept seed by
+seed in benchmarks/results/honest_maps.json and not measured again as long as
 ``service/valvemap/model`` stays as it is; docs/honest_maps.md is written from it after each cell.
 """
 

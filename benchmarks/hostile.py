@@ -1,7 +1,7 @@
-"""What hostile peers cost the others: ``python -m benchmarks.hostile [--seconds S] [LOAD...]``.
+"""Harm by hostile peers: ``python -m benchmarks.hostile [--seconds S] [LOAD...]``.
 
 Each class of load runs against a fresh server, ours and a plain asyncua server as the baseline,
-while a second client reads and subscribes; server, attacker and client are processes of their own.
+while a second client reads and subscribes; server, attacker and client are separate processes.
 Prints the table of docs/hostile.md and writes it to benchmarks/results/hostile.json.
 """
 
@@ -28,7 +28,7 @@ START_S, SETTLE_S, ANSWER_S = 60.0, 1.0, 60.0
 SAMPLE_S = 0.05
 WITNESS = {"ours": "operator", "plain": "anybody"}
 MOST_RSS, MOST_MEDIAN, MOST_WORST, WORST_MS = 1.5, 2.0, 3.0, 250.0
-MOST_LOG = 16 * 1024  # bytes a second: each kind of line comes so many times in ten seconds
+MOST_LOG = 16 * 1024  # bytes a second: a bounded number of each kind of line in ten seconds
 
 
 def failings(row):

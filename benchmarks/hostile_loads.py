@@ -25,7 +25,7 @@ VALUE = ua.AttributeIds.Value
 
 
 async def connections(url, until):
-    """Open connections and say nothing."""
+    """Open connections and send nothing."""
     held = []
     while time.monotonic() < until:
         with contextlib.suppress(OSError):
@@ -202,7 +202,7 @@ async def subscribed(peer, interval=50.0):
 
 
 async def drained(peer):
-    """Send what waits and throw away what came."""
+    """Flush the send buffer and drop received bytes."""
     await asyncio.wait_for(peer.writer.drain(), 1.0)
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(0.002):
@@ -236,7 +236,7 @@ PEERS = {"connections": 4, "sessions": 4, "logins": 4, "passwords": 4, "garbage"
 
 
 async def attack(load, url, until):
-    """Go on for as long as asked, whatever the server does about it."""
+    """Continue for the given time, whatever the server answers."""
     while time.monotonic() < until:
         with contextlib.suppress(Exception):
             await load(url, until)
@@ -253,5 +253,5 @@ async def main(name, url, seconds):
 
 
 if __name__ == "__main__":
-    os.nice(19)  # as from another machine: what it computes takes nothing from the others
+    os.nice(19)  # as from another machine: its processor time is taken from no other
     asyncio.run(main(sys.argv[1], sys.argv[2], float(sys.argv[3])))

@@ -66,7 +66,7 @@ class Alarms:
         self._turn = 0
 
     def change(self) -> None:
-        """Have some of them change, one after the other."""
+        """Change the given ones, one after the other."""
         for k in range(AT_ONCE):
             id_ = condition_id((self._turn + k) % ALARMS)
             self._set(replace(self._standing[id_], changed=time.time_ns()))

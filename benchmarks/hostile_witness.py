@@ -1,4 +1,4 @@
-"""The second client: reads and subscribes while others attack, and tells what it felt.
+"""The second client: reads and subscribes while others attack, and reports its delays.
 
 ``python -m benchmarks.hostile_witness URL operator|anybody``; each line on stdin ends a phase and
 is answered with a line of JSON.
@@ -68,7 +68,7 @@ async def witness(url, who):
         print("ready", flush=True)
         while line := await loop.run_in_executor(None, sys.stdin.readline):
             settle = float(line)
-            await asyncio.sleep(settle)  # for what is under way
+            await asyncio.sleep(settle)  # for pending requests
             numbers = counting.numbers
             print(
                 json.dumps(

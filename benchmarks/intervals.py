@@ -16,11 +16,13 @@ from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.maximum_likelihood import MaximumLikelihood
-from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.model.model_structures import FiveTerms
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
-from valvemap.pipeline.valve_state import Lane, fresh_lane, predicted_measurement
+from valvemap.model.tensor_spline import TensorSpline
+from valvemap.pipeline.lane_predictions import predicted_measurement
+from valvemap.pipeline.valve_state import Lane, fresh_lane
 from valvemap_rig.excitation import Cycle, Excitation, Scattered, Structured
 from valvemap_rig.scenario import Scenario
 from valvemap_rig.simulation import advance, initial
@@ -55,7 +57,7 @@ def recording(excitation: Excitation, n: int, seed: int) -> Samples:
 def asked(estimator: Estimator[Any], samples: Samples, ahead: int = AHEAD) -> tuple[Floats, Floats]:
     """Errors of the predictions and half the intervals, both (M,), asked before each batch.
 
-    Where an interval is not known yet it is NaN, and counts nowhere.
+    Where an interval is not known yet it is NaN, and is left out.
     """
     lane: Lane = fresh_lane(estimator)
     errors, halves = [], []

@@ -13,9 +13,9 @@ from scipy.optimize import brentq
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import invert
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 
 POINTS, PEER_POINTS, ROUNDS = 100_000, 300, 7
 MAPS = {

@@ -1,8 +1,8 @@
 """How fast an update is beside C and other packages: ``python -m benchmarks.kernel_speed``.
 
 Five terms, arrays in, one core, CPU time, the best of several rounds of all in turn. The peers are
-``rls.c`` (compiled on the spot with -O3, where there is a gcc) and what is installed of padasip,
-river, filterpy. Ours keeps factors, a covariance of theta and, by default, watches for changes.
+``rls.c`` (compiled on the spot with -O3, where there is a gcc) and padasip, river, filterpy where
+installed. Ours keeps factors, a covariance of theta and, by default, watches for changes.
 """
 
 import ctypes
@@ -21,13 +21,11 @@ from benchmarks import peers
 from valvemap.model.estimator import Estimator
 from valvemap.model.fleet import learn_many, stack
 from valvemap.model.forgetting import Adaptive, Exponential, Forgetting
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.recursive_least_squares import (
-    RecursiveLeastSquares,
-    recursive_least_squares,
-)
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples, Segments
 
 N, PEER_N, MODELS, PASSES, ROUNDS = 200_000, 2_000, 10_000, 20, 7

@@ -1,7 +1,7 @@
 """From sample to result at a client: ``python -m benchmarks.latency [HZ] [SECONDS]``.
 
 One valve, publishing intervals of 1 ms on both ways; rig, service (this process) and client are
-processes of their own. The time is the machine's, from the sample's SourceTimestamp on.
+separate processes. The time is the machine's, from the sample's SourceTimestamp on.
 """
 
 import asyncio
@@ -31,7 +31,7 @@ def measured(
     known: bool = True,
     clients: Sequence[str] = CLIENTS,
 ) -> dict[str, float]:
-    """Percentiles of the latency, ms, once the valve is ``known`` if so; what was lost."""
+    """Percentiles of the latency, ms, once the valve is ``known`` if so; losses."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
         url = live_speed.free_url("rig")

@@ -1,4 +1,4 @@
-"""A client that looks at the clock.
+"""A client that timestamps each notification.
 
 ``python -m benchmarks.latency_client WHOSE URL INTERVAL SECONDS``, WHOSE being ``ours`` or
 ``asyncua``. Prints the median, the 99th percentile and the largest of the times from
@@ -14,7 +14,9 @@ from datetime import UTC
 import numpy as np
 from asyncua import Client, Node, ua
 
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_client.source_settings import SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 
 SETTLING_S = 2.0
 
@@ -61,7 +63,7 @@ async def plain(url: str, interval_ms: float, seconds: float) -> list[float]:
         await subscription.subscribe_data_change(node, queuesize=1000, sampling_interval=0)
         await asyncio.sleep(SETTLING_S)
         gc.collect()
-        gc.freeze()  # what is measured is not this client's garbage collection
+        gc.freeze()  # else this client's garbage collection is measured
         handler.ages.clear()
         await asyncio.sleep(seconds)
         return list(handler.ages)

@@ -1,7 +1,7 @@
 """Live over TCP: a rig that plays a fleet, the service beside it, nothing lost.
 
 ``python -m benchmarks.live_speed [VALVES] [HZ] [SECONDS] [secured]``. Rig and service are
-processes of their own; the service (this process) runs RLS on every valve, publishes, keeps its
+separate processes; the service (this process) runs RLS on every valve, publishes, keeps its
 states, as always. With ``secured`` both are set up by ``valvemap init``: SignAndEncrypt.
 """
 
@@ -50,7 +50,7 @@ def measured(
     settling_s: float = SETTLING_S,
     secured: bool = False,
 ) -> Figures:
-    """Notifications per second that reach the parameters, what was lost, and the cores used."""
+    """Notifications per second that reach the parameters, losses, and the cores used."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
         folder, url = Path(name), free_url("rig")
@@ -68,7 +68,7 @@ def measured(
 
 
 def scripted(seconds: float = 10.0) -> Figures:
-    """Notifications per second that plain scripts take in; nothing where padasip is missing."""
+    """Notifications per second that plain scripts process; none without padasip."""
     if importlib.util.find_spec("padasip") is None:
         return {}
     names = ",".join(names_of(SCRIPTED_VALVES))
@@ -94,7 +94,7 @@ def main(arguments: list[str]) -> int:
 async def live(
     config: Config, hz: float, seconds: float, *, settling_s: float = SETTLING_S, secured: bool
 ) -> Figures:
-    """Serve for so long, once all valves have been learnt from for a while."""
+    """Serve for this time, once all valves have been learnt from."""
     identification, stop = build_identification(config), asyncio.Event()
     settings = None if secured else open_settings(config, Limits())
     serving = asyncio.ensure_future(serve(config, stop, settings, identification))
@@ -129,7 +129,7 @@ def _script(url: str, names: str, seconds: float) -> float:
 
 @contextmanager
 def rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Iterator[None]:
-    """Run a rig of so many valves in a process of its own."""
+    """Run a rig of this number of valves in a separate process."""
     command = ["valvemap", "rig", "--url", url, "--valves", str(valves), "--rate", str(hz)]
     with running(command if environment else [*command, "--under-demo"], environment):
         yield
@@ -137,7 +137,7 @@ def rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Iterat
 
 @contextmanager
 def running(module: list[str], environment: dict[str, str]) -> Iterator[int]:
-    """Run a server in a process of its own, from when it says where it listens; give its id."""
+    """Run a server in a separate process until it listens; return its id."""
     with subprocess.Popen(
         [sys.executable, "-m", *module],
         stdin=subprocess.PIPE,
@@ -237,7 +237,7 @@ async def _until(reached: Callable[[], bool]) -> None:
 
 
 def free_url(name: str) -> str:
-    """Where nobody listens."""
+    """A port without a listener."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"opc.tcp://127.0.0.1:{free.getsockname()[1]}/valvemap/{name}/"

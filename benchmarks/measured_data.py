@@ -1,8 +1,8 @@
-"""Certified and measured data that nobody here made.
+"""Certified and measured data by others.
 
 What its terms allow lies in ``tests/data``, with its origin and licence; the actuator and the air
-valve are read from beside the repository, and where that folder is absent, their users say so and
-go on.
+valve are read from beside the repository, and where that folder is absent, their users report
+it and continue.
 """
 
 import csv

@@ -191,7 +191,7 @@ def _sum(valve, worn, share, U, dp):
 
 
 def held(x, every):
-    """A signal that is sampled anew with every so many-th of the others."""
+    """A signal that is sampled with every n-th of the others."""
     return x[np.arange(len(x)) // every * every]
 
 
@@ -206,7 +206,7 @@ def held_back(name, which, every, seed, N=20_000):
 
 
 def held_all(name, how, causes, seed, N=20_000):
-    """Signals that are published at periods of their own, or a command that moves in steps."""
+    """Signals that are published at different periods, or a command that moves in steps."""
     U, dp = c.cycle(seed, N)
     valve = c.VALVES[name]
     U, dp, Q = how(valve, U, dp, c.white(seed, N))
@@ -341,7 +341,7 @@ def ended_later(name, kind, seed, N=9_000, at=5_000):
 
 
 def choked(name, seed, N=20_000, share=0.7):
-    """Δp counts up to a share of p1; p2 varies by itself."""
+    """Δp counts up to a share of p1; p2 varies freely."""
     U, dp = c.cycle(seed, N)
     p2 = c.ramps_and_holds(np.random.default_rng([seed, 7]), N, 2.0, 60.0)
     valve = c.VALVES[name]
@@ -420,7 +420,7 @@ def quantised(name, seed, N=20_000, of_U=0.4, of_dp=1.0):
 
 
 def pulsed(name, seed, N=20_000, pulse=1e-4):
-    """A gear meter: what it shows are the pulses, in l, between two samples."""
+    """A gear meter: it shows the pulses, in l, between two samples."""
     row = plain(name, "cycle", N, seed)
     count = np.floor(np.cumsum(row.samples.Q) / (60.0 * c.FS * pulse))
     Q = 60.0 * c.FS * pulse * np.diff(count, prepend=0.0)

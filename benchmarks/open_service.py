@@ -1,4 +1,4 @@
-"""``valvemap serve`` with an endpoint at which anybody may look: ``-m benchmarks.open_service``.
+"""``valvemap serve`` with an endpoint for anonymous clients: ``-m benchmarks.open_service``.
 
 The argument is a configuration file. Whatever holds the loop for long is named on standard output,
 with the processor time that it took: a busy machine does not change that.

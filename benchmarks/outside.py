@@ -31,7 +31,8 @@ from valvemap.model.model_structures import FiveTerms
 from valvemap.model.residual_spread import TWO_SIDED_95
 from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.fleet import Fleet
-from valvemap.pipeline.valve_state import Lane, predicted
+from valvemap.pipeline.lane_predictions import predicted
+from valvemap.pipeline.valve_state import Lane
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 Part = tuple[tuple[float, float], tuple[float, float]]

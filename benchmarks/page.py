@@ -20,7 +20,8 @@ from statistics import median
 from websockets.asyncio.client import connect
 
 from benchmarks import results_file
-from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE
 
 VIEWERS = (*(0, 1, 0, 20, 0, 20) * 3, 0)
@@ -41,7 +42,7 @@ def main() -> None:
 
 
 def figures() -> dict[str, float]:
-    """What the page costs, and what it costs the service."""
+    """Processor time of the page, and of the service for it."""
     bare = _bare_asyncua_mb()
     with tempfile.TemporaryDirectory() as folder, demo(Path(folder) / "demo.log") as (pid, log):
         found = asyncio.run(_measure(pid, log))

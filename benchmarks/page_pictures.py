@@ -49,7 +49,7 @@ _RESIDUALS = r"[1-9]\d\d residuals"
 _ANSWERED = r"95 %: [\d.]+ to"
 _MISSING = "Red: the map.*samples learnt from"
 PICTURES = (
-    # so long that the maps are settled before something is broken
+    # the maps settle before a part is broken
     Picture("commissioning", "commissioning/Boom", _MISSING, look_s=120.0),
     Picture("rig", "rig/Arm", "Injected"),
     Picture("overview", "overview", "valve changed"),
@@ -64,7 +64,7 @@ PICTURES = (
 
 
 def main() -> None:
-    """Look at each view, and keep what is seen."""
+    """Open each view, and save its picture."""
     asyncio.run(_draw(shutil.which("chromium") or "chromium"))
 
 

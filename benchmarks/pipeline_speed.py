@@ -32,12 +32,12 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.storage.recordings import RecordingWriter
+from valvemap.storage.recording_writer import RecordingWriter
 
 SIGNALS, STRIDE = 5, 6
 START, SPACING = 1_700_000_000_000_000_000, 10_000_000  # ns
 MESSAGES, WARM = 14, 4
-AGE = 40_000  # samples of a valve after which it is looked at as seldom as ever
+AGE = 40_000  # samples of a valve after which its map is compared at the longest interval
 
 DOUBLE, INT32, BAD = 11, 6, 0x80000000
 RECORD = np.dtype(
@@ -128,7 +128,7 @@ def profile() -> Figures:
 def scaling(each: Callable[[int], int]) -> Figures:
     """Time per sample, ns, of 10 to 10,000 valves; ``each``: samples of a valve in a message.
 
-    The valves are of one age: a young one is looked at more often, whatever their number.
+    The valves are of one age: a new one is compared more often, whatever their number.
     """
     return {
         f"{valves:,} valves": SIGNALS * 1e9 / rate(valves, each(valves), rls, age=AGE)
@@ -197,7 +197,7 @@ def main(arguments: Sequence[str]) -> int:
 def _as_if_aged(
     valves: int, age: int, estimators: Estimators, rng: np.random.Generator
 ) -> list[Checkpoint]:
-    """What is kept of so many valves that have learnt: of ten, over and over again."""
+    """Checkpoints of this number of learnt valves: copies of ten."""
     few = service(min(valves, 10), estimators)
     for first in range(0, age, 1_000):
         few.take(_changes(len(few.plans), min(1_000, age - first), first, rng))

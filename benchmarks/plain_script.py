@@ -1,4 +1,4 @@
-"""The script that a user would write: asyncua's client, padasip's filter, one sample at a time.
+"""A user's script: asyncua's client, padasip's filter, one sample at a time.
 
 ``python -m benchmarks.plain_script URL VALVE,… SECONDS`` prints how many notifications of the
 virtual rig's open endpoint it takes in per second.

@@ -1,4 +1,4 @@
-"""What our server publishes to a client, both over TCP in processes of their own.
+"""Publishing of our server to a client, over TCP, each in a separate process.
 
 ``python -m benchmarks.publish`` prints the figures as JSON; the functions return them.
 """
@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 
 from guarded_opcua import Limits, Pki, Role, ServerSettings, UserStore, trust
-from guarded_opcua.security.certificates import ensure_certificate
-from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from guarded_opcua.security.own_certificate import ensure_certificate
+from valvemap.opcua_client.source_settings import Security, SourceSettings
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.vocabulary.signals import Signal
 from valvemap_rig.fleet_server import FleetServer
 from valvemap_rig.scenario import BUILTIN, Fleet
@@ -71,7 +73,7 @@ async def fleet(
 
 
 async def count_changes(source: OpcUaSource, seconds: float) -> dict[str, int]:
-    """Take what comes; every valve's Sequence must grow by one."""
+    """Receive notifications; every valve's Sequence must grow by one."""
     end = time.perf_counter() + seconds
     notifications = gaps = 0
     last: dict[str, np.ndarray] = {}
@@ -128,7 +130,7 @@ def _settings(url: str, folder: Path, *, secured: bool) -> SourceSettings:
 async def _rig(
     valves: int, rate_hz: float, folder: Path, *, secured: bool
 ) -> AsyncIterator[tuple[str, Any]]:
-    """Start a fleet in its own process; ``ask`` tells what it has seen."""
+    """Start a fleet in its own process; ``ask`` returns its counters."""
     if secured:
         ours, its = Pki(folder / "client"), Pki(folder / "rig")
         names = ("localhost", "127.0.0.1")
@@ -195,7 +197,7 @@ async def _serve(valves: int, rate_hz: float, folder: str | None) -> None:
 
 
 def main() -> None:
-    """Measure, or serve what is measured."""
+    """Measure, or run the server."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--serve", type=json.loads, help=argparse.SUPPRESS)
     parser.add_argument("--valves", type=int, default=1_000)

@@ -40,8 +40,9 @@ from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.lane_predictions import predicted
 from valvemap.pipeline.quality_gate import QualityGate
-from valvemap.pipeline.valve_state import ValvePlan, predicted
+from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.statuses import Status
 
 RESULTS: Final = Path(__file__).parent / "results" / "recommended.json"
@@ -113,7 +114,7 @@ def _circumstances() -> dict[str, Circumstance]:
 
 
 def measured(estimators: dict[str, Estimator[Any]], row: rows.Row) -> dict[str, Any]:
-    """Run the estimators; return each one's error, shares held and OK, and what is recommended."""
+    """Run the estimators; return each one's error, shares held and OK, and the recommended one."""
     plan = ValvePlan("V", QualityGate(), estimators, next(iter(estimators)), follows=True)
     fleet, end, one = Fleet(plan, 1), row.ends[-1], {name: [] for name in estimators}
     statuses: dict[str, list[np.ndarray]] = {name: [] for name in estimators}
@@ -123,7 +124,7 @@ def measured(estimators: dict[str, Estimator[Any]], row: rows.Row) -> dict[str, 
         for name, trace in traces.items():
             one[name].append(trace.residual)
             statuses[name].append(trace.status)
-    ranking, found = fleet.rank_now(0), {}
+    ranking, found = fleet.maps.rank_now(0), {}
     at = rows.inside(row, end)
     T, truth = np.full(len(at.U), row.T), row.truths[-1](at.U, at.dp)
     for name in estimators:
@@ -192,7 +193,7 @@ def _recommended(
     plan = ValvePlan("V", QualityGate(), dict(estimators), "Auto", follows=True)
     fleet = Fleet(plan, 1)
     _, traces = fleet.take(samples, Segments.one(len(samples)))
-    ranking = fleet.rank_now(0)
+    ranking = fleet.maps.rank_now(0)
     return list(estimators)[ranking.chosen] if ranking.chosen >= 0 else "none", traces
 
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.measured_data import SECOND, Dynamics, Floats
+from valvemap.model.armax import recursive_maximum_likelihood
 from valvemap.model.estimator import Estimator
 from valvemap.model.forgetting import Forgetting
-from valvemap.model.maximum_likelihood import recursive_maximum_likelihood
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import Polynomial
-from valvemap.model.recursive_least_squares import recursive_least_squares
 from valvemap.model.samples import Samples
 
 COOLING_CIRCUIT = Polynomial(("1", "dp", "T", "dp*T"))

@@ -1,8 +1,8 @@
-"""What cuts, kills, disorder, damage and load cost: ``python -m benchmarks.reliability``.
+"""Losses by cuts, kills, disorder, damage and load: ``python -m benchmarks.reliability``.
 
 Writes each row into ``docs/reliability.md``. One valve at 100 Hz from a guarded server in the same
 process, through a proxy that cuts and stalls; every sample is numbered, so every loss shows.
-``--hour [SECONDS]`` runs 1,000 valves for so long, ``--only half`` with half a processor.
+``--hour [SECONDS]`` runs 1,000 valves for that time, ``--only half`` with half a processor.
 """
 
 import argparse
@@ -163,7 +163,7 @@ def short_and_foreign(count: int, seed: int) -> str:
 
 
 def out_of_range(count: int, seed: int) -> str:
-    """One number of what was kept changed to one that can hardly be, under a valid digest."""
+    """One number of a stored state changed to an implausible one, under a valid digest."""
     rng, refused, crashes = np.random.default_rng(seed), 0, 0
     learnt = fresh()
     learnt.take_samples(0, samples_of(400))

@@ -18,12 +18,12 @@ STEP_NS = 10_000_000
 START_S = 120.0  # longest start, on a busy machine
 SHORTEST_S = 0.3  # of a life, its start with it
 IN_STARTS = 2.0  # how long the longest is: of what the first took to start
-QUIET_S = 2.5  # after which what was sent has been learnt
+QUIET_S = 2.5  # after which all sent samples have been learnt
 
 
 @asynccontextmanager
 async def plant_of(*valves, before_s=0.0):
-    """A source of lively valves, 100 Hz, that plays, and has played for so long; and a folder."""
+    """A source of lively valves, 100 Hz, that has played for a time; and a folder."""
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -79,7 +79,7 @@ async def kills(count, seed, *, warm_start_s=0.0):
 
 
 async def reload(seconds=5.0):
-    """One of two valves is configured anew while the service runs: account of the other."""
+    """One of two valves is reconfigured while the service runs: account of the other."""
     async with plant_of("V1", "V2") as (served, folder, playing):
         whole = Whole(folder, served, ("V1", "V2"))
         with whole.life() as process:
@@ -94,7 +94,7 @@ async def reload(seconds=5.0):
 
 
 async def warm_start(seconds=20.0):
-    """A service that is started where the source remembers so much: account."""
+    """A service that is started when the source holds a history: account."""
     async with plant_of("V1", before_s=1.5 * seconds) as (served, folder, playing):
         whole = Whole(folder, served, source=f"warm_start_s = {seconds}")
         with whole.life() as process:

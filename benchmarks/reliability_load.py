@@ -49,7 +49,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Service:
-    """A service that runs in its own process, and what it watches."""
+    """A service that runs in a separate process, and its source."""
 
     process: subprocess.Popen[bytes]
     url: str
@@ -84,7 +84,7 @@ class Service:
 
 @contextmanager
 def service_of(valves: int, hz: float, sync_s: float = 0.0, more: str = "") -> Iterator[Service]:
-    """A rig of so many valves and ``serve`` in its default configuration, once it shows results.
+    """A rig and ``serve`` in its default configuration, once it shows results.
 
     ``more`` are further sections of the configuration.
     """
@@ -117,7 +117,7 @@ def service_of(valves: int, hz: float, sync_s: float = 0.0, more: str = "") -> I
 
 @asynccontextmanager
 async def watched(service: Service) -> AsyncIterator[Seen]:
-    """A client that looks at one result all the time, and now and then at the ages of many."""
+    """A client that monitors one result, and polls the ages of many."""
     seen = Seen()
     async with Client(service.url, timeout=60, watchdog_intervall=60) as client:
         index = await client.get_namespace_index(NAMESPACE)
@@ -214,7 +214,7 @@ class Run:
 
 
 async def slow_disk(valves: int, hz: float, seconds: float, sync_s: float = 2.0) -> SlowDisk:
-    """Watch a service whose disk takes so long to sync, and end it."""
+    """Watch a service whose disk takes this long to sync, and end it."""
     with service_of(valves, hz, sync_s) as service:
         async with watched(service) as seen:
             before = len(service.held())

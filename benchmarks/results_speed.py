@@ -1,6 +1,6 @@
 """Results of many valves to our client: ``python -m benchmarks.results_speed [VALVES] [HZ] [S]``.
 
-A results server (a process of its own) learns one sample of each valve and publishes all results,
+A results server (a separate process) learns one sample of each valve and publishes all results,
 HZ times a second; the client subscribes to five numbers of every valve. ``SampleCount`` grows by
 one with each result: a jump is a loss.
 """
@@ -22,8 +22,10 @@ from valvemap.app.identities import APPLICATION_URI
 from valvemap.app.warm_up import warm_up
 from valvemap.cli.logs import set_up_logs
 from valvemap.config.logs import LogConfig
+from valvemap.opcua_client.source_settings import SourceSettings
 from valvemap.opcua_results.results_server import ResultsServer
-from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.client import OpcUaSource
+from valvemap.opcua_source.source_nodes import ValveNodes
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.vocabulary.signals import PER_VALVE
 
@@ -39,7 +41,7 @@ LIMITS = Limits(
 def measured(
     valves: int = 1_000, hz: float = 70.0, seconds: float = 15.0, *, warm_s: float = WARM_S
 ) -> dict[str, float]:
-    """Notifications per second at the client, and what was lost."""
+    """Notifications per second at the client, and losses."""
     set_up_logs(LogConfig(level="error"))
     url = live_speed.free_url("service")
     with live_speed.running(
@@ -115,7 +117,7 @@ def _names(valves: int) -> list[str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Measure and print, or serve what is measured."""
+    """Measure and print, or run the server."""
     if arguments[:1] == ["serve"]:
         asyncio.run(_serve(arguments[1], int(arguments[2]), float(arguments[3])))
         return 0

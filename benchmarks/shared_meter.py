@@ -18,7 +18,7 @@ from valvemap.app.build import build_identification
 from valvemap.config.loading import load_config
 from valvemap.config.models import Config
 from valvemap.model.samples import Samples
-from valvemap.pipeline import valve_state
+from valvemap.pipeline import lane_predictions
 from valvemap.pipeline.edges import gathered
 from valvemap.pipeline.identification import Identification
 
@@ -119,7 +119,7 @@ def errors(
         cells = cells[counts >= 20]
         at_U, at_dp = cells[:, 0] * 5.0 + 2.5, (cells[:, 1] + 0.5) ** 2
         lane = identification.valves.lane(name, estimator)
-        Q, std, _ = valve_state.predicted(lane, at_U, at_dp, np.full(len(at_U), 42.0))
+        Q, std, _ = lane_predictions.predicted(lane, at_U, at_dp, np.full(len(at_U), 42.0))
         error = Q - flow(name, at_U, at_dp)
         rmse = float(np.sqrt(np.mean(error**2)) / SIGMA)
         found[name] = rmse, float((np.abs(error) <= 1.96 * std).mean())

@@ -19,7 +19,7 @@ from benchmarks.commission_plant import VALVES, Valve
 from valvemap.model.samples import Samples
 from valvemap.model.sheet import Measured, make_sheet, name_of
 from valvemap.model.sheet_figures import GRID, OF_SIDES, OF_VALVE, Side
-from valvemap.model.sweep_fit import spool
+from valvemap.model.sweep_equations import spool
 from valvemap.pipeline.commission_plan import GOLDEN, triangle
 
 REPORT: Final = 83_000

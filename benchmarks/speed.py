@@ -1,6 +1,6 @@
 """How fast the service is: ``python -m benchmarks.speed [PART…] [--seconds S]``.
 
-Measures all parts, or those that are named; keeps what was measured of the others before. Writes
+Measures all parts, or those that are named; keeps the others' earlier figures. Writes
 ``results/latest.json`` (figures, ratios to ours, bars), and of it ``docs/performance.md`` and its
 picture; ``page`` as a part measures nothing. ``--seconds`` shortens the long live runs.
 """
@@ -84,7 +84,7 @@ def _live() -> Sections:
 
 
 def measured(names: Sequence[str], seconds: float, before: Mapping[str, Any]) -> dict[str, Any]:
-    """A record of these parts, and of what was measured of the others before."""
+    """A record of these parts, and of the others' earlier figures."""
     all_parts = parts()
     tables = {title: before[title] for title in before if title not in speed_page.ABOUT}
     when: dict[str, Any] = dict(before.get("measured", {}))

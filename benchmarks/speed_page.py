@@ -1,4 +1,4 @@
-"""The page about speed, of what was measured: from a record to bars, text and picture.
+"""The page about speed: from a record of figures to bars, text and picture.
 
 A record is what ``results/latest.json`` holds: machine, versions, when and with which command each
 table was measured, and of each table its title, with name → value.
@@ -45,7 +45,7 @@ The default configuration (RLS, RML, RBF and `Auto`), on one core: how many valv
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure that has to be reached: at least so much, or at most."""
+    """A bar: the least or the largest value of a figure."""
 
     what: str
     unit: str
@@ -74,7 +74,7 @@ def page(record: Record) -> str:
 
 
 def bars(record: Record) -> list[dict[str, Any]]:
-    """Every bar, with what was measured; None where nothing was."""
+    """Every bar with its measured figure; None without one."""
     found = []
     for bar in BARS:
         try:
@@ -97,7 +97,7 @@ def bars(record: Record) -> list[dict[str, Any]]:
 
 
 def draw(record: Record, file: Path) -> None:
-    """Valves by rate: what a core carries, and what was carried live."""
+    """Valves by rate: computed for one core, and measured live."""
     figure = Figure(figsize=(7.0, 4.5), layout="constrained")
     axes = figure.add_subplot(
         xscale="log", yscale="log", xlabel="valves", ylabel="samples per valve and second, Hz"

@@ -125,7 +125,7 @@ async def _serve(file: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure and print, or serve what is measured."""
+    """Measure and print, or run the server."""
     if arguments[:1] == ["serve"]:
         asyncio.run(_serve(Path(arguments[1])))
         return 0

@@ -23,7 +23,7 @@ from valvemap.errors import RecordingError
 from valvemap.model.samples import Samples
 from valvemap.pipeline.units import Measure, unit_of
 from valvemap.plant.evidence import RATED_DROP_BAR, Rating
-from valvemap.storage.layout import find_columns
+from valvemap.storage.column_finding import find_columns
 
 HELD_OUT: Final = (80_000, 80_060)
 """Seeds of the reported figures."""
@@ -51,7 +51,7 @@ SIGNALS: Final = ("U", "p1", "p2", "Q")
 def judged(
     values: Mapping[str, np.ndarray], units: Mapping[str, str], rating: Rating | None = None
 ) -> str:
-    """Return what is said of values in stated units; empty if they are accepted."""
+    """Return the refusal of values in stated units; empty if they are accepted."""
     part = find_columns(["t", *SIGNALS], layout_of(dict(units), None), "drawn").parts[0]
     inner = {name: part.numbers[name][1](values[name]) for name in SIGNALS}
     t = 1_767_225_600 * 10**9 + np.arange(len(values["U"])) * round(STEP_S * 1e9)
@@ -74,7 +74,7 @@ def in_units(values: Mapping[str, np.ndarray], units: Mapping[str, str]) -> dict
 def remedied(
     values: Mapping[str, np.ndarray], units: Mapping[str, str], rating: Rating | None, said: str
 ) -> str:
-    """Return what is said once the units that a refusal names are given."""
+    """Return the refusal once the units that it names are given."""
     named = re.search(r"units=(\{.*?\})", said)
     return judged(values, {**units, **ast.literal_eval(named[1])}, rating) if named else said
 

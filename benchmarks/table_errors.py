@@ -15,11 +15,11 @@ from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_table import flow_table
 from valvemap.model.inverse_map import invert
 from valvemap.model.lookup_table import lookup_table, place
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
 from valvemap.model.support import Support
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.model.valve_tables import valve_tables
 from valvemap.vocabulary.statuses import InverseStatus
 

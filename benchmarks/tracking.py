@@ -1,7 +1,7 @@
 """Maps that must stay right where eq. (7) misfits, and follow a valve that drifts or wears.
 
-Cells of `benchmarks.honest_maps`: error of the map over the visited region, in σ, beside what is
-demanded: of RLS 1.3 times the best eq. (7) of the moment there (and 0.5 under drift), of `Auto` 2.
+Cells of `benchmarks.honest_maps`: error of the map over the visited region, in σ, beside the
+bar: of RLS 1.3 times the best eq. (7) of the moment there (and 0.5 under drift), of `Auto` 2.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,7 +41,7 @@ def edge(estimator: Estimator[Any], valve: c.Valve, seed: int) -> Figures:
 
 
 def judge(found: Sequence[Figures]) -> Judged:
-    """Worst and mean error; every seed within what is demanded of it."""
+    """Worst and mean error; every seed within its bar."""
     error, most = (np.array([f[k] for f in found]) for k in ("error", "demanded"))
     says = ", ".join(sorted({f["says"] for f in found}))
     figure = f"{error.mean():.2f} (worst {error.max():.2f}) σ, {says}"

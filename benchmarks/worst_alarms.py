@@ -142,7 +142,7 @@ async def listening(peer, count):
         )
         response = await peer.call(create, ua.CreateMonitoredItemsResponse)
         if not response.Results[0].StatusCode.is_good():
-            break  # as many as anybody may have listen
+            break  # the limit of listeners
     return number
 
 
@@ -154,7 +154,7 @@ async def heard(peer, until):
 
 
 async def taken(peer):
-    """Send what waits and throw away what came."""
+    """Flush the send buffer and drop received bytes."""
     await asyncio.wait_for(peer.writer.drain(), 1.0)
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(0.05):

@@ -1,7 +1,7 @@
 """The worst requests that keep within every announced limit, service by service.
 
-Each load logs in as anybody may, builds up what the limits allow, and asks for the dearest thing
-that one service does with it, again and again.
+Each load logs in as an anonymous client, fills the limits, and repeats the most
+expensive request of one service.
 """
 
 import asyncio
@@ -58,7 +58,7 @@ async def close_session(url, until):
 
 
 async def delete_items(url, until):
-    """Delete a thousand items of ten thousand, and make them anew."""
+    """Delete a thousand items of ten thousand, and create them again."""
     peer, number = await ready(url)
     while time.monotonic() < until:
         for some in batched(await filled(peer, number)):
@@ -164,7 +164,7 @@ async def writes(url, until):
 
 
 async def sessions_full(url, until):
-    """Hold all sessions and subscriptions that anybody may have."""
+    """Hold the limit of sessions and subscriptions."""
     peers = []
     with contextlib.suppress(Exception):
         while True:

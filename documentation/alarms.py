@@ -3,10 +3,11 @@
 from collections.abc import Iterator
 
 from documentation.tables import table
+from valvemap.pipeline.alarm_rules import RULES
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS, possible_causes
-from valvemap.pipeline.alarms import FLEET_RULES, RULES, SERVICE_RULES
 from valvemap.pipeline.axis_alarms import AXIS_RULES
+from valvemap.pipeline.service_alarms import FLEET_RULES, SERVICE_RULES
 from valvemap.vocabulary.alarm_guide import GUIDES
 
 BEGIN = "<!-- Made by `make reference`: tables of alarms -->"

@@ -20,9 +20,10 @@ from paper.learning import (
 )
 from paper.verdict import Claim, Part
 from valvemap.model.inverse_map import invert
-from valvemap.model.model_structures import FiveTerms, Polynomial, Structure, TensorSpline
+from valvemap.model.model_structures import FiveTerms, Polynomial, Structure
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples
+from valvemap.model.tensor_spline import TensorSpline
 
 CORNER: Final = (70.0, 120.0)
 

@@ -23,9 +23,11 @@ from paper.learning import (
 from paper.verdict import Claim, Part
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.inverse_map import invert
-from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
+from valvemap.model.model_structures import FiveTerms, Polynomial
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 from valvemap.vocabulary.statuses import InverseStatus
 
 CLOCK_HZ, SAMPLES_PER_S, SHARE = 100e6, 1e3, 0.1

@@ -8,8 +8,8 @@ from paper import printed
 from paper.data import PaperData
 from paper.erratum import ROUNDING, Erratum
 from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.recursive_least_squares import recursive_least_squares
 from valvemap.model.samples import Floats
 
 LAM = 0.97

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from paper.erratum import Erratum
-from valvemap.model.maximum_likelihood import recursive_maximum_likelihood
+from valvemap.model.armax import recursive_maximum_likelihood
 from valvemap.model.samples import Floats
 
 A, B, D = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, -1.0, 0.2]

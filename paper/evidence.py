@@ -14,9 +14,9 @@ from paper.learning import (
     rmse,
 )
 from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.recursive_least_squares import recursive_least_squares
 from valvemap.model.samples import Samples
 
 

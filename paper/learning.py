@@ -11,10 +11,11 @@ from paper import printed
 from paper.data import Points
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples
 
 LAMBDAS: Final = (0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)

@@ -15,7 +15,8 @@ import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisSamples
 from valvemap.model.samples import Floats
-from valvemap.pipeline.axes import Axis, AxisPlan
+from valvemap.pipeline.axes import Axis
+from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap_rig.directional import DirectionalValve
 from valvemap_rig.faults import Fault, FaultKind
 from valvemap_rig.machine import Controller, Cylinder, Lead, Machine

@@ -5,8 +5,8 @@ import numpy as np
 from paper.evidence import Evidence
 from paper.learning import error_of, learnt
 from valvemap.model.flow_map import FlowMap
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.tensor_spline import TensorSpline
 
 MOST_PASSES = 500
 

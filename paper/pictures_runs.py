@@ -32,8 +32,9 @@ from paper.picture import (
     png_of,
     quiet,
 )
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares, recursive_least_squares
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples
 from valvemap.report.plots import GREY
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from paper.learning import learnt
 from valvemap.model.dynamics import Dynamics, fit_dynamics
-from valvemap.model.model_structures import TensorSpline
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples
+from valvemap.model.tensor_spline import TensorSpline
 
 SIGMA: Final = 0.4  # l/min; of the meter
 N, STEP_S = 6_000, 5e-4  # samples; s, of the simulation

@@ -20,9 +20,9 @@ from valvemap.model.estimator import Estimator
 from valvemap.model.extrapolation import trusted
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.inverse_map import invert
+from valvemap.model.least_squares_of_arrays import recursive_least_squares as rls_of_rows
 from valvemap.model.lookup_table import lookup_table
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.recursive_least_squares import recursive_least_squares as rls_of_rows
 from valvemap.model.residual_spread import TWO_SIDED_95, ResidualSpread
 from valvemap.model.samples import Floats, Samples
 from valvemap.model.support import Support

@@ -17,16 +17,17 @@ from documentation.figures.canvas import (
     legend,
     panels,
 )
+from valvemap.model.armax import recursive_maximum_likelihood as rml_of_rows
 from valvemap.model.estimator import Estimator
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Adaptive, Exponential, Forgetting
-from valvemap.model.maximum_likelihood import recursive_maximum_likelihood as rml_of_rows
-from valvemap.model.model_structures import FiveTerms, Polynomial, Structure, TensorSpline
+from valvemap.model.least_squares_of_arrays import recursive_least_squares as rls_of_rows
+from valvemap.model.model_structures import FiveTerms, Polynomial, Structure
 from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.recursive_least_squares import recursive_least_squares as rls_of_rows
 from valvemap.model.samples import Samples
+from valvemap.model.tensor_spline import TensorSpline
 
 U = np.linspace(0.0, 100.0, 401)
 U_LABEL, Q_LABEL = "control voltage U, %", "flow Q, l/min"
