@@ -10,8 +10,9 @@ BENCH := $(VENV)/.bench
 PEERS := node or compiler or milo or languages or broker or mosquitto or image or chromium or minor \
     or tutorial or notebooks
 
-# The files that hold a marker: to collect all others, too, takes a process a quarter of a minute.
-marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
+# The files that hold a marker of some, joined by "or": to collect all others, too, takes a process
+# a quarter of a minute.
+marked = $(shell grep -rlE --include='*.py' 'pytest\.mark\.($(subst $() or ,|,$(1)))\b' tests)
 
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
@@ -24,7 +25,7 @@ demo: $(RUNTIME)
 	@$(BIN)/valvemap demo
 
 test: $(DEV)
-	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
+	PYTHONPATH=tests:. $(BIN)/python -m support.kernels
 	$(MAKE) --no-print-directory --jobs 3 --output-sync=target works lint waits
 	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))" $(call marked,alone)
 
@@ -38,10 +39,16 @@ works: $(DEV)
 waits: $(DEV)
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or alone or $(PEERS))" $(call marked,waits)
 
+# Files that compile for minutes in few tests. They come first: xdist would begin with the files of
+# most tests, and at the end compile in one process while the others wait.
+COMPILING := tests/test_package.py tests/model/test_numba_minors.py tests/opcua/test_foreign_clients.py
+
 # Two files side by side: foreign programs start and wait for long. What draws comes last: two
 # browsers share the processor with nothing else.
 peers: $(DEV)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "($(PEERS)) and not (soak or chromium)"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
+	    -m "($(PEERS)) and not (soak or chromium)" \
+	    $(COMPILING) $(filter-out $(COMPILING),$(sort $(call marked,$(PEERS))))
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "chromium and not soak" $(call marked,chromium)
 
 # The guarded server alone: copied out of the tree with its tests, it must import and pass.

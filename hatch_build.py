@@ -1,8 +1,9 @@
 """Build hook: a platform wheel that holds its kernels compiled (`make wheel`).
 
 ``VALVEMAP_KERNELS`` names a Python that has what valvemap depends on; with it, this hook compiles
-all kernels for each kind of machine of ``valvemap.model.kernels.ahead`` and tags the wheel
-for that Python and platform. Without it the wheel is pure, and the first start compiles.
+all kernels for each kind of machine of ``valvemap.model.kernels.ahead``, or for those that
+``VALVEMAP_KERNEL_KINDS`` names, separated by commas, and tags the wheel for that Python and
+platform. Without it the wheel is pure, and the first start compiles.
 """
 
 import json
@@ -50,12 +51,18 @@ class KernelsAhead(BuildHookInterface):  # type: ignore[type-arg]
         python = os.environ.get("VALVEMAP_KERNELS")
         if not python or version == "editable":
             return
-        self._folder = Path(tempfile.mkdtemp(prefix="valvemap-kernels-"))
         answer = self._run([python, "-c", ASK], {})
         is_tested, into, tag, kinds = json.loads(answer)
         if not is_tested:
             raise RuntimeError("kernels are compiled ahead with a tested numba alone")
-        for kind, place in kinds.items():
+        wanted = os.environ.get("VALVEMAP_KERNEL_KINDS", ",".join(kinds)).split(",")
+        if unknown := sorted(set(wanted) - kinds.keys()):
+            raise RuntimeError(
+                f"VALVEMAP_KERNEL_KINDS: {unknown[0]!r} is none of {', '.join(kinds)}"
+            )
+        self._folder = Path(tempfile.mkdtemp(prefix="valvemap-kernels-"))
+        for kind in wanted:
+            place = kinds[kind]
             folder = self._folder / place
             folder.mkdir(parents=True)
             environment = {
