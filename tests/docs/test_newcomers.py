@@ -65,13 +65,11 @@ def plc(guard=None):
 
 
 def addresses():
-    """Variables that put rig, service and page elsewhere, where something has their ports."""
-    env = {}
-    if is_open(4840):
-        env["VALVEMAP_SOURCE__URL"] = rig_url(free_port())
-    if is_open(4841):
-        env["VALVEMAP_SERVER__URL"] = service_url(free_port())
-    return env
+    """Variables that put rig and service elsewhere: other tests may take their usual ports."""
+    return {
+        "VALVEMAP_SOURCE__URL": rig_url(free_port()),
+        "VALVEMAP_SERVER__URL": service_url(free_port()),
+    }
 
 
 def check_out(folder):
@@ -91,12 +89,10 @@ def check_out(folder):
 def test_a_copy_of_the_tree_is_installed_shows_the_demo_and_serves_an_own_server(block, tmp_path):
     check_out(tmp_path)
     commands = readme("See it work")[block].replace("make test ", ": make test ")
-    env = addresses()
-    terminal = Terminal(tmp_path, tmp_path / "terminal.log", env)
+    terminal = Terminal(tmp_path, tmp_path / "terminal.log", addresses())
     try:
         terminal.type(Block("1", commands, ("page …", "Valvistor: …")), INSTALLED_S)
         terminal.interrupt()
-        env.pop("VALVEMAP_SOURCE__URL", None)
         (own,) = readme("On your own server")
         with plc() as url:
             own = own.replace(PLC, url)

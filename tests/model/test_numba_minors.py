@@ -29,7 +29,7 @@ CHECKS = (
 BITS = """
 import numba, numpy as np
 from valvemap.model.armax import recursive_maximum_likelihood
-from valvemap.model.recursive_least_squares import recursive_least_squares
+from valvemap.model.least_squares_of_arrays import recursive_least_squares
 
 rng = np.random.default_rng(8)
 X = rng.normal(size=(300, 4))
