@@ -19,7 +19,7 @@ import pytest
 
 from guarded_opcua import Pki, ensure_certificate
 from support.foreign import PLANT, Foreign, Guard
-from support.processes import free_port, is_open, rig_url, service_url, wait_for
+from support.processes import free_port, rig_url, service_url, wait_for
 from support.typed import Block, Terminal
 
 ROOT = Path(__file__).parents[2]

@@ -25,6 +25,7 @@ from valvemap.opcua_source.decoding import (
 )
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.received import Left, Part, Tally
+from valvemap.opcua_source.time_order import in_order_of_time
 from valvemap.opcua_source.watched_items import WatchedItems
 from valvemap.opcua_source.wire import DecodeError
 
@@ -295,7 +296,7 @@ class Subscription:
             self._next = _ahead(begin, ahead[0])
 
     def _keep(self, message: Message) -> None:
-        changes = self.watched.changes_of(message)
+        changes = in_order_of_time(self.watched.changes_of(message))
         if not len(changes):
             return
         if len(changes) > _MOST_CHANGES:
