@@ -149,6 +149,23 @@ def test_what_comes_on_change_is_held():
     assert stage.valves[0].words.sentences({})[0] == "U: on change, its last value is held"
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_values_lost_while_the_timing_is_detected_leave_the_samples_right(seed):
+    changes, at = skewed(n=2000)
+    rng = np.random.default_rng(seed)
+    early = changes.source_time - START < 6_000 * MS
+    lost = early & (changes.item != Signal.U) & (rng.random(len(changes)) < 0.1)
+    out, stage = fed(changes[~lost])
+    said = stage.valves[0].words.sentences({})[2]
+    assert said.startswith("p2: on change, its last value is held, 6 ms after the scan's first")
+    found = samples_of(out)
+    late = found.t - START > 6_100 * MS
+    _, p1, p2, _ = truth(found.t - START, np.random.default_rng(0))
+    assert late.sum() > 0.95 * (at > 6_100 * MS).sum()
+    assert np.abs(found.p1 - p1)[late].max() < 0.01
+    assert np.abs(found.p2 - p2)[late].max() < 0.01
+
+
 def test_a_signal_that_is_held_still_is_named():
     changes, _ = on_change(still=(1,))
     _, stage = fed(changes)

@@ -52,7 +52,8 @@ class Found:
 
     ``comes`` holds a :class:`Comes` for each signal, ``offset`` its usual delay after the first
     stamp of its scan, ``limit`` the largest move within that for interpolation, ``jitter`` the
-    largest step between scans due to noise, both in the signal's unit. ``deadband`` is that of a
+    largest step between scans due to noise, both in the signal's unit. A held signal is
+    interpolated too where it comes in successive scans. ``deadband`` is that of a
     measured on-change signal; 0: none detected.
     """
 
@@ -127,17 +128,21 @@ def find_scans(changes: Changed, there: NDArray[np.bool_]) -> Found | None:
     base = np.array([_first_value(changes, j) for j in range(PER_VALVE)])
     shifted, fast = values.copy(), np.zeros(len(values), np.bool_)
     fast[0] = True
-    for j in np.flatnonzero((comes == Comes.WITH_THE_SCAN) & has.any(axis=0)):
+    for j in np.flatnonzero(there & has.any(axis=0)):
         rows = np.flatnonzero(has[:, j])
         late = behind[rows, j]
         offset[j] = int(np.median(late))
-        if offset[j] == 0 or j == Signal.SEQUENCE:
+        if (
+            offset[j] < (SHORTEST_WINDOW_NS if comes[j] == Comes.HELD else 1)
+            or j == Signal.SEQUENCE
+        ):
             continue
         x = values[rows, j]
         noise = _noise(x)
         jitter[j] = STEPS_OF_NOISE * noise
         limit[j] = max(HALF_THE_NOISE * noise, RESOLUTION * float(np.ptp(x)))
-        comes[j] = Comes.INTERPOLATED
+        if comes[j] != Comes.HELD:
+            comes[j] = Comes.INTERPOLATED
         rate = np.diff(x) / np.diff(times[rows, j])
         other = np.abs(np.diff(rate, prepend=np.inf))
         shifted[rows[1:], j] -= rate * late[1:]

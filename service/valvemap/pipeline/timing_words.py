@@ -29,13 +29,14 @@ class Words:
             return ("not found yet",)
         if self.found is None:
             return ("the signals of a sample carry one time",)
-        said = []
+        said, shifts = [], np.isfinite(self.found.limit)
         for j in np.flatnonzero(self.there):
             ms, band = self.found.offset[j] * 1e-6, float(self.found.deadband[j])
             said.append(
                 f"{labels.get(READ[j], READ[j])}: "
                 + {
                     Comes.HELD: "on change, its last value is held"
+                    + (f", {ms:.3g} ms after the scan's first" if shifts[j] else "")
                     + (f", steps from {band:.3g} on" if band > 0.0 else ""),
                     Comes.INTERPOLATED: f"{ms:.3g} ms after the scan's first, interpolated",
                     Comes.AS_IT_IS: f"{ms:.3g} ms after the scan's first, taken as it is",

@@ -2,7 +2,7 @@
 
 A signal is written at most once in a scan, and a scan lasts no longer than ``window``. On-change
 signals absent from a scan are held; signals stamped late are interpolated to the scan's first
-instant.
+instant, on-change signals where they come in successive scans.
 """
 
 from typing import NamedTuple, cast
@@ -50,7 +50,8 @@ class ScanRules(NamedTuple):
 
     ``there``: the valve has this signal. ``held``: it is written on change, or seldom. ``limit``:
     largest permitted move within its distance from the scan's first instant, or deviation from its
-    previous rate; infinite: not interpolated. ``jitter``: largest step due to noise.
+    previous rate; infinite: not interpolated. A held signal that moves more is taken as it is,
+    another one makes no sample. ``jitter``: largest step due to noise.
     """
 
     there: NDArray[np.bool_]
@@ -215,7 +216,7 @@ def _emit(rules: ScanRules, w: Scans, size: int, found: int, out: Changed, n: in
                 drift = (min(abs(rate), abs(rate - w.now_rate[j])) - noisy) * late
             if drift <= rules.limit[j]:
                 value -= rate * late
-            elif not (np.isnan(value) or np.isnan(w.now_value[j])):
+            elif not (rules.held[j] or np.isnan(value) or np.isnan(w.now_value[j])):
                 w.moved[j] += made and before != NEVER
                 made = False
         if made:
