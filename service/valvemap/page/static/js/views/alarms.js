@@ -113,7 +113,7 @@ export function alarmsView(root, { live, ask, query, keep, user }) {
       h("header", {}, h("h2.big", {}, `${alarm.source} · ${spaced(alarm.name)}`), h("span.badge", { "data-severity": alarm.active ? alarm.severity : 1 }, stateOf(alarm)), h("span.fill"),
         h("span.muted", {}, alarm.until ? `${clock(alarm.t)} to ${clock(alarm.until)}, ${span((alarm.until - alarm.t) / 1000)}` : `${told(alarm)}, ${span((Date.now() - alarm.t) / 1000)}${alarm.active ? "" : " ago"}`)),
       h("dl.answers", {},
-        h("dt", {}, "What was measured"), h("dd.measured", {}, measured || "Nothing more is known of it.", quantity ? h("small", {}, `Compared with its limit: ${quantity}.`) : null),
+        h("dt", {}, "What was measured"), h("dd.measured", {}, measured || "Nothing more is known of it.", quantity ? h("small", {}, `This alarm watches: ${quantity}.`) : null),
         causes.length ? [h("dt", {}, "What it may be"), h("dd", {}, h("ul", {}, causes.map((cause) => h("li", {}, cause))))] : [],
         action ? [h("dt", {}, "What to do"), h("dd.action", {}, inUnits(action))] : [],
         alarm.comment || alarm.user ? [h("dt", {}, "Last remark"), h("dd", {}, `${alarm.comment ? `“${alarm.comment}”` : "no comment"}${alarm.user ? `, ${alarm.user}` : ""}`)] : []),
