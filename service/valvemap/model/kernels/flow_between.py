@@ -71,7 +71,7 @@ def bends(x: Floats, at: int, base: int, share: float, usual: float) -> float:
 
     A corner between two rows, at κ of the way, bends the signal by 1 - κ of its size at the older
     one, by κ at the newer one, and is off by κ·(1 - κ) of it. A corner elsewhere bends it at one
-    row, and not between them. Bends up to ``usual`` are noise.
+    row, and not between them. Bends up to ``usual`` are noise. The signal goes one way.
     """
     older, newer = x[at], x[at + 1]
     before = x[at - 1] if at > base else older
@@ -79,7 +79,10 @@ def bends(x: Floats, at: int, base: int, share: float, usual: float) -> float:
     at_newer = abs(x[at + 2] - 2.0 * newer + older) if at + 2 < len(x) else at_older
     at_older, at_newer = max(at_older - usual, 0.0), max(at_newer - usual, 0.0)
     both = at_older + at_newer
-    return 4.0 * share * (1.0 - share) * at_older * at_newer / both if both > 0.0 else 0.0
+    if both == 0.0:
+        return 0.0
+    corner = 4.0 * share * (1.0 - share) * at_older * at_newer / both
+    return float(min(corner, paths.one_way(older, newer, share)))
 
 
 @maker
@@ -93,14 +96,16 @@ def usual_bend(x: Floats) -> float:
         step = abs(x[i + 1] - x[i])
         least = step if 0.0 < step < least else least
     least = least if least < math.inf else 0.0
-    return float(max(rules.MOST_STAY * rules.MEDIAN_TO_STD * np.median(bends), 2.0 * least))
+    return float(max(rules.MOST_STAY * rules.TENTH_TO_STD * np.quantile(bends, 0.1), 2.0 * least))
 
 
 @maker
 def noise_of(x: Floats) -> float:
     """Standard deviation of white noise, from second differences."""
     bends = np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])
-    return float(rules.MEDIAN_TO_STD * np.median(bends) / math.sqrt(6.0)) if len(bends) else 0.0
+    if len(bends) == 0:
+        return 0.0
+    return float(rules.TENTH_TO_STD * np.quantile(bends, 0.1) / math.sqrt(6.0))
 
 
 @inner

@@ -152,7 +152,18 @@ def late(recent: Singles, newest: int, known: int, ahead: int, path: Floats) -> 
     if ahead + back > 1:
         after = row + 1 if row + 1 < len(recent) else 0
         at_newer = abs(float(recent[after, LEFT_U]) - 2.0 * U + U_older)
-    return U + share * (U_older - U), share * (1.0 - share) * (at_newer + at_older)
+    off = min(share * (1.0 - share) * (at_newer + at_older), one_way(U_older, U, share))
+    return U + share * (U_older - U), off
+
+
+@inner
+def one_way(older: float, newer: float, share: float) -> float:
+    """Largest standard deviation, on the way between two rows, of a signal that goes one way there.
+
+    It is at the one value or at the other, with the odds of the straight line. A signal that rests
+    between two rows has none.
+    """
+    return math.sqrt(share * (1.0 - share)) * abs(newer - older)
 
 
 @inner
@@ -301,7 +312,7 @@ def _on_the_way(
     """Add the standard deviations of spool and root between two rows to ``out[6:]``.
 
     A straight line joins them. One that bends at either row may bend beside it as well, by as much
-    as w·(1 - w) of both second differences.
+    as w·(1 - w) of both second differences, but goes one way.
     """
     newer = _row_before(recent, newest, back)
     older = _row_before(recent, newer, 1)
@@ -309,10 +320,10 @@ def _on_the_way(
     before = _row_before(recent, older, 1) if back + 2 < known else older
     width = share * (1.0 - share)
     u, v = float(recent[newer, SPOOL]), float(recent[older, SPOOL])
-    bend = abs(u - 2.0 * v + float(recent[before, SPOOL]))
-    out[6] += width * (
-        bend + (abs(float(recent[after, SPOOL]) - 2.0 * u + v) if back > 0 else bend)
-    )
+    bend = other = abs(u - 2.0 * v + float(recent[before, SPOOL]))
+    if back > 0:
+        other = abs(float(recent[after, SPOOL]) - 2.0 * u + v)
+    out[6] += min(width * (bend + other), one_way(v, u, share))
     u = _root(axis_s, recent, newer, known - back, ahead + back, path)
     v = _root(axis_s, recent, older, known - back - 1, ahead + back + 1, path)
     x = _root(axis_s, recent, before, known - back - 2, ahead + back + 2, path)
@@ -320,7 +331,7 @@ def _on_the_way(
     if back > 0:
         x = _root(axis_s, recent, after, known - back + 1, ahead + back - 1, path)
         other = abs(x - 2.0 * u + v)
-    out[7] += width * (bend + other)
+    out[7] += min(width * (bend + other), one_way(v, u, share))
 
 
 @inner

@@ -184,6 +184,7 @@ BEAM: Final = 3  # combinations of operators that are followed at once
 DIFFERENCE: Final = 0.02  # of a parameter; half the distance over which derivatives are taken
 ABRUPT_STEPS: Final = (1.25, 1.1, 1.04, 1.015, 1.005)  # factors; search along one parameter
 MEDIAN_TO_STD: Final = 1.4826  # of a Gaussian
+TENTH_TO_STD: Final = 7.958  # standard deviation over the tenth quantile of the size, of a Gaussian
 SAME_LEAST: Final = 0.85  # of the least flow seen; a smaller one refutes it
 OTHER_HYSTERESIS: Final = (
     2.0  # of the noise's variance; what play leaves if it is another hysteresis
