@@ -28,7 +28,8 @@ print(json.dumps([is_tested(), ahead.INTO, tag, kinds]))
 """
 TRUTH = f"""
 from {PACKAGE}.cli.rig_kernels import keep_rig_kernels
-from valvemap_rig.scenario import load_scenario, verification_points
+from valvemap_rig.scenario import load_scenario
+from valvemap_rig.verification import verification_points
 keep_rig_kernels()
 verification_points(load_scenario("demo"), "Valvistor")
 """

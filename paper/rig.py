@@ -7,13 +7,14 @@ import numpy as np
 
 from paper.data import IdealValve, PaperData, Points
 from valvemap.model.samples import Floats, Samples
+from valvemap_rig.blocks import ValveBlock
 from valvemap_rig.circuit import reachable, true_flow
 from valvemap_rig.excitation import Cycle, Excitation, Scattered, Structured, Verification
 from valvemap_rig.faults import Fault, FaultKind
 from valvemap_rig.kernels import RHO_K
 from valvemap_rig.oil import Oil, density
 from valvemap_rig.scenario import Scenario, ValveBench
-from valvemap_rig.simulation import ValveBlock, advance, initial
+from valvemap_rig.simulation import advance, initial
 from valvemap_rig.valvistor import Valvistor, poppet_state
 
 DAMAGE_PERCENT: Final = -30.0

@@ -18,9 +18,10 @@ from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 from valvemap_rig import simulation
 from valvemap_rig.excitation import Scattered, Structured
 from valvemap_rig.faults import Fault, FaultKind
-from valvemap_rig.scenario import Scenario, ValveBench, verification_points
+from valvemap_rig.scenario import Scenario, ValveBench
 from valvemap_rig.sensors import Sensor, Sensors
 from valvemap_rig.valvistor import Valvistor
+from valvemap_rig.verification import verification_points
 
 SIGMA = 0.4  # 0.2 % of 200 l/min
 

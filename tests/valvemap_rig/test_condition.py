@@ -8,9 +8,10 @@ from valvemap_rig.condition import AS_NEW, Condition, condition
 from valvemap_rig.fault_effects import ActiveFault
 from valvemap_rig.fault_words import fault_effect
 from valvemap_rig.faults import UNITS, VALVE_FAULTS, Fault, FaultError, FaultKind, commanded_fault
-from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench, verification_points
+from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench
 from valvemap_rig.sensors import Sensors
 from valvemap_rig.simulation import Commands, advance, initial
+from valvemap_rig.verification import verification_points
 
 SIZES = {
     FaultKind.WEAR: -20.0,

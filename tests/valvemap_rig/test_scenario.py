@@ -3,15 +3,9 @@ from pathlib import Path
 import pytest
 
 from valvemap_rig.circuit import reachable, true_flow
-from valvemap_rig.scenario import (
-    BUILTIN,
-    Scenario,
-    ScenarioError,
-    ValveBench,
-    load_scenario,
-    verification_points,
-)
+from valvemap_rig.scenario import BUILTIN, Scenario, ScenarioError, ValveBench, load_scenario
 from valvemap_rig.valvistor import Valvistor
+from valvemap_rig.verification import verification_points
 
 EXAMPLES = Path(__file__).parents[2] / "config" / "scenarios"
 

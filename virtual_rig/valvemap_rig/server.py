@@ -15,6 +15,7 @@ from guarded_opcua import (
     Startable,
     SystemClock,
 )
+from valvemap_rig.blocks import RigBlock
 from valvemap_rig.command import Command, lead_of
 from valvemap_rig.condition import Condition, condition
 from valvemap_rig.excitation import External
@@ -27,7 +28,6 @@ from valvemap_rig.scenario import Scenario, faultable
 from valvemap_rig.simulation import (
     MOST_FAULTS,
     Commands,
-    RigBlock,
     RigState,
     advance,
     initial,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from valvemap_rig.blocks import RigBlock, ValveBlock
 from valvemap_rig.circuit import operating_point, tank_temperature
 from valvemap_rig.dynamics import lag, play, second_order
 from valvemap_rig.excitation import External, drive
@@ -26,7 +27,7 @@ from valvemap_rig.fault_effects import (
 )
 from valvemap_rig.faults import SIGNALS, Fault, Signal
 from valvemap_rig.kernels import Floats
-from valvemap_rig.machine_simulation import MachineBlock, MachineState, advance_machine
+from valvemap_rig.machine_simulation import MachineState, advance_machine
 from valvemap_rig.scenario import Scenario, ScenarioError, ValveBench
 from valvemap_rig.sensors import SensorMemory, measure
 from valvemap_rig.valvistor import pilot_opening
@@ -75,57 +76,6 @@ class RigState:
     def faults_of(self, name: str) -> Faults:
         """Return the active faults of a valve or machine."""
         return (self.machines[name] if name in self.machines else self.valves[name]).faults
-
-
-@dataclass(frozen=True)
-class ValveBlock:
-    """N samples of one valve, all arrays of shape (N,).
-
-    ``t`` (int64, UTC ns in multiples of 100) is the source time, wrong clock included; ``U`` (%),
-    ``p1``, ``p2`` (bar), ``Q`` (l/min) and ``T`` (°C) are what the sensors show; ``status``
-    (uint32, OPC UA StatusCodes) and ``present`` (bool; False = not sent) go by signal. The rest
-    is the truth, without noise: ``T_true`` at the inlet, ``Q_true`` as the meter counts it.
-    """
-
-    t: NDArray[np.int64]
-    U: Floats
-    p1: Floats
-    p2: Floats
-    Q: Floats
-    T: Floats
-    status: Mapping[Signal, NDArray[np.uint32]]
-    present: Mapping[Signal, NDArray[np.bool_]]
-    U_true: Floats
-    dp_true: Floats
-    T_true: Floats
-    Q_true: Floats
-
-    def column(self, signal: str) -> Floats:
-        """Return a signal as its sensor shows it."""
-        column: Floats = getattr(self, signal)
-        return column
-
-    def quality(self, signal: str) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
-        """Return a signal's status, and whether it is sent."""
-        own = next(name for name in SIGNALS if name == signal)
-        return self.status[own], self.present[own]
-
-
-@dataclass(frozen=True)
-class RigBlock:
-    """N samples of every valve and machine.
-
-    ``sequence`` (uint32) is the sample's number modulo 2³², ``t`` (int64, UTC ns in multiples of
-    100) its time by a clock that is right; all share both.
-    """
-
-    sequence: NDArray[np.uint32]
-    t: NDArray[np.int64]
-    valves: Mapping[str, ValveBlock]
-    machines: Mapping[str, MachineBlock] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return len(self.sequence)
 
 
 def initial(scenario: Scenario, start_ns: int) -> RigState:

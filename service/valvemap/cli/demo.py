@@ -35,7 +35,8 @@ from valvemap.model.model_structures import FiveTerms
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap_rig.condition import AS_NEW, Condition
-from valvemap_rig.scenario import Scenario, VerificationPoints, load_scenario, verification_points
+from valvemap_rig.scenario import Scenario, load_scenario
+from valvemap_rig.verification import VerificationPoints, verification_points
 
 _COMPILING = "compiling: a minute at the very first start ..."
 _MOST_MB = 100  # of the history, which is deleted with the demo's folder

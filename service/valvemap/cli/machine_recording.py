@@ -8,8 +8,8 @@ import typer
 
 from valvemap.storage.closing import Closing
 from valvemap.storage.packed_text import PACKINGS, packed
+from valvemap_rig.blocks import RigBlock
 from valvemap_rig.machine import Machine
-from valvemap_rig.simulation import RigBlock
 
 _BAD = 2
 

@@ -19,10 +19,11 @@ from valvemap.cli.progress import bars
 from valvemap.cli.rig_conditions import CONDITION_S, condition_line, start_line
 from valvemap.cli.rig_kernels import keep_rig_kernels
 from valvemap.config.logs import LogConfig
+from valvemap_rig.blocks import RigBlock
 from valvemap_rig.fleet_server import FleetServer
 from valvemap_rig.scenario import Fleet, Scenario, load_scenario
 from valvemap_rig.server import RigServer
-from valvemap_rig.simulation import RigBlock, advance, initial
+from valvemap_rig.simulation import advance, initial
 
 if TYPE_CHECKING:
     from valvemap.model.samples import Samples
