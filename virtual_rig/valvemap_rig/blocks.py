@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap_rig.faults import SIGNALS, Signal
-from valvemap_rig.kernels import Floats
 from valvemap_rig.machine_simulation import MachineBlock
+from valvemap_rig.records import Floats
 
 
 @dataclass(frozen=True)

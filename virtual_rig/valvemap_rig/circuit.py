@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from valvemap_rig import kernels
 from valvemap_rig.condition import AS_NEW, Condition
-from valvemap_rig.kernels import Floats
 from valvemap_rig.oil import Oil, density, throttling_heat
 from valvemap_rig.oil import numbers as oil_numbers
 from valvemap_rig.parameters import Parameters, parameter
+from valvemap_rig.records import CIRCUIT, Floats, Numbers
 from valvemap_rig.valvistor import Valvistor, pilot_opening, poppet_state
 from valvemap_rig.valvistor import numbers as valve_numbers
 
@@ -206,7 +206,7 @@ def _metered(oil: Oil, Q: Floats, p1: Floats, p2: Floats, T1: Floats, T2: Floats
     return Q * density(oil, p1, T1) / density(oil, p2, T2)
 
 
-def numbers(circuit: Circuit) -> kernels.Numbers:
+def numbers(circuit: Circuit) -> Numbers:
     """Return the parameters of the circuit for the compiled loops."""
     row = (
         circuit.p0_bar,
@@ -215,7 +215,7 @@ def numbers(circuit: Circuit) -> kernels.Numbers:
         circuit.load_minimum_bar,
         circuit.load_resistance_bar,
     )
-    return np.array([row], dtype=kernels.CIRCUIT)
+    return np.array([row], dtype=CIRCUIT)
 
 
 def _raveled(*values: ArrayLike) -> tuple[tuple[Floats, ...], tuple[int, ...]]:

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from valvemap_rig import machine_kernels as kernels
-from valvemap_rig.kernels import Floats, Numbers
 from valvemap_rig.parameters import Parameters, parameter
+from valvemap_rig.records import Floats, Numbers
 
 Edge = Literal["PA", "AT", "PB", "BT"]
 EDGES: Final[tuple[Edge, ...]] = ("PA", "AT", "PB", "BT")

@@ -8,7 +8,7 @@ import math
 import numba
 import numpy as np
 
-from valvemap_rig.kernels import Floats
+from valvemap_rig.records import Floats
 
 
 def play(u: Floats, width: float, memory: float) -> Floats:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from valvemap_rig.kernels import Floats
 from valvemap_rig.parameters import Parameters
 from valvemap_rig.randomness import uniform
+from valvemap_rig.records import Floats
 
 Percent = Annotated[float, Field(ge=0, le=100)]
 Bar = Annotated[float, Field(ge=0, le=400)]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap_rig.faults import SIZES, EdgeName, Fault, FaultKind
-from valvemap_rig.kernels import Floats
 from valvemap_rig.randomness import uniform
+from valvemap_rig.records import Floats
 
 GOOD = 0x00000000
 BAD_SENSOR_FAILURE = 0x808C0000  # OPC UA Part 8, table of status codes

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap_rig.faults import SIGNALS
-from valvemap_rig.kernels import Floats
 from valvemap_rig.randomness import normal
+from valvemap_rig.records import Floats
 from valvemap_rig.scenario import Scenario
 from valvemap_rig.sensors import Sensors
 from valvemap_rig.simulation import advance, initial

@@ -6,47 +6,11 @@ in any block.
 """
 
 import math
-from typing import Any, TypeAlias
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Numbers = NDArray[np.void]  # of one record of the types below
-Record: TypeAlias = Any  # one of those records; numba resolves its fields
-N: TypeAlias = Any  # a number; in the formulas of the oil also an array of numbers
-
-OIL = np.dtype([(name, np.float64) for name in ("A", "B", "rho_15", "expansion", "heat_capacity")])
-VALVE = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "phi",
-            "K_MP",
-            "K_c",
-            "K_PV",
-            "x_0",
-            "stroke",
-            "bar_per_N",
-            "preload",
-            "rate",
-            "cos_jet",
-            "pilot_jet",
-            "poppet_re",
-            "slot_re",
-            "C_d",
-            "slot_width",
-            "pilot_width",
-            "pilot_stroke",
-            "pilot_leakage",
-            "seat_leakage",
-        )
-    ]
-)
-CIRCUIT = np.dtype(
-    [(name, np.float64) for name in ("p0", "Q_pump", "override", "load_minimum", "load_resistance")]
-)
+from valvemap_rig.records import Floats, N, Numbers, Record
 
 RHO_K = 860.0  # kg/m³, the density to which the flow coefficients K belong
 NU_LEAKAGE = 46.0  # mm²/s, the viscosity to which the leakages belong

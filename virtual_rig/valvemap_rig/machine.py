@@ -21,10 +21,10 @@ from pydantic import Field
 
 from valvemap_rig import machine_kernels as kernels
 from valvemap_rig.directional import DirectionalValve
-from valvemap_rig.kernels import Numbers
 from valvemap_rig.machine_programme import Load, Programme
 from valvemap_rig.oil import Oil
 from valvemap_rig.parameters import Parameters, parameter
+from valvemap_rig.records import Numbers
 from valvemap_rig.sensors import Sensor
 
 Lead = Literal["none", "table", "external"]

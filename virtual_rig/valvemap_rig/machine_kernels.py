@@ -11,7 +11,7 @@ from typing import Final
 import numba
 import numpy as np
 
-from valvemap_rig.kernels import Floats, N, Numbers, Record
+from valvemap_rig.records import Floats, N, Numbers, Record
 
 STEP_S: Final = 2e-4  # s; see above
 DROP_BAR: Final = 0.05  # bar; below it a throttle is laminar, so that Q(dp) has a finite slope

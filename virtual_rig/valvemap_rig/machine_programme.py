@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from valvemap_rig.kernels import Floats
 from valvemap_rig.parameters import Parameters
 from valvemap_rig.randomness import uniform
+from valvemap_rig.records import Floats
 
 _PEAK = 1.875  # highest over mean speed of the move 10s³ - 15s⁴ + 6s⁵
 

@@ -20,11 +20,12 @@ from valvemap_rig.fault_effects import (
     total_size,
 )
 from valvemap_rig.faults import EDGES, FaultKind
-from valvemap_rig.kernels import NU_LEAKAGE, Floats
+from valvemap_rig.kernels import NU_LEAKAGE
 from valvemap_rig.machine import SENSOR_OF, Machine
 from valvemap_rig.machine import numbers as machine_numbers
 from valvemap_rig.machine_programme import forces, moves
 from valvemap_rig.oil import viscosity
+from valvemap_rig.records import Floats
 from valvemap_rig.sensors import SensorMemory, measure
 
 _STATE: Final = {name: place for place, name in enumerate(kernels.STATES)}

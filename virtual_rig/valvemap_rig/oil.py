@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from valvemap_rig import kernels
-from valvemap_rig.kernels import Floats
 from valvemap_rig.parameters import Parameters, parameter
+from valvemap_rig.records import OIL, Floats, Numbers
 
 _TEXTBOOK = "textbook value for mineral oil"
 _HLP = "own choice among HLP 46 oils"
@@ -87,8 +87,8 @@ def throttling_heat(oil: Oil, dp: Floats, rho: Floats) -> Floats:
     return np.asarray(kernels.throttling_heat(oil.heat_capacity_J_kg_K, dp, rho))
 
 
-def numbers(oil: Oil) -> kernels.Numbers:
+def numbers(oil: Oil) -> Numbers:
     """Return the parameters of the oil for the compiled loops."""
     A, B = walther_constants(oil)
     row = (A, B, oil.rho_15_kg_m3, oil.expansion_per_K, oil.heat_capacity_J_kg_K)
-    return np.array([row], dtype=kernels.OIL)
+    return np.array([row], dtype=OIL)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from guarded_opcua import HardenedServer
 from valvemap_rig.blocks import RigBlock, ValveBlock
 from valvemap_rig.information_model import FleetNodes, RigNodes
-from valvemap_rig.kernels import Floats
 from valvemap_rig.machine_simulation import MachineBlock
+from valvemap_rig.records import Floats
 
 _Unit = TypeVar("_Unit", ValveBlock, MachineBlock)
 

@@ -10,7 +10,7 @@ from typing import Literal, assert_never
 
 import numpy as np
 
-from valvemap_rig.kernels import Floats
+from valvemap_rig.records import Floats
 
 _CHUNK = 1024
 

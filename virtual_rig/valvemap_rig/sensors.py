@@ -7,9 +7,9 @@ from pydantic import Field
 
 from valvemap_rig.dynamics import changing_lag, lag
 from valvemap_rig.fault_effects import SensorFaults
-from valvemap_rig.kernels import Floats
 from valvemap_rig.parameters import Parameters
 from valvemap_rig.randomness import normal
+from valvemap_rig.records import Floats
 
 
 class Sensor(Parameters):

@@ -26,8 +26,8 @@ from valvemap_rig.fault_effects import (
     worn_gap,
 )
 from valvemap_rig.faults import SIGNALS, Fault, Signal
-from valvemap_rig.kernels import Floats
 from valvemap_rig.machine_simulation import MachineState, advance_machine
+from valvemap_rig.records import Floats
 from valvemap_rig.scenario import Scenario, ScenarioError, ValveBench
 from valvemap_rig.sensors import SensorMemory, measure
 from valvemap_rig.valvistor import pilot_opening

@@ -33,10 +33,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from valvemap_rig import kernels
-from valvemap_rig.kernels import Floats
 from valvemap_rig.oil import Oil
 from valvemap_rig.oil import numbers as oil_numbers
 from valvemap_rig.parameters import Parameters, parameter
+from valvemap_rig.records import VALVE, Floats, Numbers
 
 _PAPER = "paper, nomenclature; size: own choice for 200 l/min near 80 bar"
 _MERRITT = "Merritt 1967, Hydraulic Control Systems, ch. 3"
@@ -219,7 +219,7 @@ def poppet_state(
     return PoppetState(*kernels.balance(numbers(valve), oil_numbers(oil), *columns))
 
 
-def numbers(valve: Valvistor) -> kernels.Numbers:
+def numbers(valve: Valvistor) -> Numbers:
     """Return the parameters of a valve for the compiled loops; K defines the slots' widths."""
     K_per_mm = 0.06 * valve.discharge_coefficient * math.sqrt(2e5 / kernels.RHO_K)
     row = (
@@ -243,4 +243,4 @@ def numbers(valve: Valvistor) -> kernels.Numbers:
         valve.pilot_leakage_l_min_bar,
         valve.seat_leakage_l_min_bar,
     )
-    return np.array([row], dtype=kernels.VALVE)
+    return np.array([row], dtype=VALVE)

@@ -9,7 +9,7 @@ from valvemap_rig.condition import AS_NEW, Condition
 from valvemap_rig.excitation import (
     low_discrepancy_points,
 )
-from valvemap_rig.kernels import Floats
+from valvemap_rig.records import Floats
 from valvemap_rig.scenario import Scenario, ScenarioError
 
 
