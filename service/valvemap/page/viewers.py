@@ -7,7 +7,6 @@ from the store at the time of sending. A viewer that reads nothing for long is d
 import asyncio
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
@@ -24,48 +23,12 @@ from valvemap.page.packing import Packing
 from valvemap.page.ports import Wanted
 from valvemap.page.questions import Senseless, answer_to
 from valvemap.page.rates import TokenBucket
+from valvemap.page.viewer import Viewer
 
 _SLOW_READER_S = 10.0  # s; timeout of sending one message
 _OPENED_PER_S = 50  # WebSockets of one address a second; starting a wall of screens opens some 20
 _MESSAGES_PER_S, _BURST = 20.0, 60.0  # messages a second: more than dragging a slider sends
 _POLICY_VIOLATION, _TRY_AGAIN_LATER = 1008, 1013  # close codes, RFC 6455 and IANA
-
-
-@dataclass(eq=False)
-class Viewer:
-    """One open page.
-
-    Attributes
-    ----------
-    number
-        Order of opening.
-    watched
-        Name of the valve in view.
-    estimator
-        Name of the estimator whose map is in view.
-    from_afar
-        Whether one value a second is enough, as for a trend of a day.
-    overview
-        Whether the overview is in view.
-    seen, events_seen, names_seen, alarms_seen
-        Revision, event number, name number and revision of the alarms sent last.
-    """
-
-    socket: WebSocket
-    number: int = 0  # increases with each viewer
-    watched: str | None = None
-    estimator: str | None = None
-    from_afar: bool = False
-    overview: bool = False
-    seen: int = 0
-    events_seen: int = 0
-    names_seen: int = 0
-    alarms_seen: int = -1
-    greeted: tuple[int, str, str, str] | None = None
-    rows_seen: dict[int, Any] = field(default_factory=dict)
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
-    has_asked: bool = False
-    gives_way: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Viewers:
