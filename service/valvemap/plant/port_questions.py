@@ -8,11 +8,12 @@ import numpy as np
 
 from valvemap.foreign_text import printable
 from valvemap.plant.grouping import Group
+from valvemap.plant.mistaken_scales import reversed_command
 from valvemap.plant.ports import AGAINST, NAMES, REQUIRED, Edges, edges_of
 from valvemap.plant.questions import Option, Question
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import QUANTITY, Role
-from valvemap.plant.scales import Scale, reversed_command
+from valvemap.plant.scales import Scale
 from valvemap.vocabulary.edges import Edge
 
 _MOST_NAMED: Final = 12  # nodes of a question

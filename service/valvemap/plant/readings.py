@@ -19,10 +19,11 @@ from valvemap.plant.assignments import MISSING, NEGLIGIBLE, assignments, lacks, 
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.evidence import Rating
 from valvemap.plant.grouping import Group
+from valvemap.plant.mistaken_scales import mistaken, reversed_command
 from valvemap.plant.priors import MISTAKE
 from valvemap.plant.reading import Given, Reading, Record
 from valvemap.plant.roles import Role
-from valvemap.plant.scales import Scale, mistaken, reversed_command
+from valvemap.plant.scales import Scale
 from valvemap.plant.scores import BACKWARDS, Scores
 from valvemap.plant.unit_systems import of_mistaken_flow
 
