@@ -4,7 +4,6 @@ A valve has a command of its own; pressures, a flow or a temperature that no com
 shared by the valves nearest to them in the hierarchy.
 """
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -12,22 +11,17 @@ from typing import Final
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.companions import with_companions
 from valvemap.plant.concepts import Concept
-from valvemap.plant.names import concept_of, tokens
+from valvemap.plant.place_keys import Place, by_code, by_index, by_number, by_rest, folder_of
 from valvemap.plant.place_names import short_names
 from valvemap.plant.roles import Role
-from valvemap.plant.unit_texts import split_unit
 
 _OWN: Final = frozenset({Role.Q, Role.QB, Role.DP, Role.P1, Role.P2, Role.PA, Role.PB})
 _PRESSURES: Final = (Role.P1, Role.P2, Role.PA, Role.PB)
 _OF_COMMANDS: Final = frozenset(
     {Concept.COMMAND, Concept.OPENING, Concept.SETPOINT, Concept.VALVE, Concept.SPOOL}
 )
-_KKS_VALVE = re.compile(r"(\d{0,2}[A-Z]{3}\d{2})(?:AA|C[PTFG])\d{3}")
-_SEPARATORS = re.compile(r'"?\.(?=["A-Za-z_\u4e00-\u9fff])"?|/|\\|:')
-_INDEX = re.compile(r"\[([\d,\s]+)\]")
 _MOST_COMPARED: Final = 4  # valves of which each is compared with the others
 
-Place = tuple[str, ...]
 Key = Callable[[Candidate], Place]
 Parted = Mapping[Place, tuple[list[Candidate], list[Candidate]]]
 
@@ -89,8 +83,8 @@ def group(candidates: Iterable[Candidate]) -> list[Group]:
     relevant = [one for one in every if one.label.is_relevant]
     if not relevant:
         return []
-    finer = [(folder_of, key) for key in (_by_code, _by_number, _by_rest)]
-    alone = [(key,) for key in (folder_of, _by_code, _by_number, _by_index)]
+    finer = [(folder_of, key) for key in (by_code, by_number, by_rest)]
+    alone = [(key,) for key in (folder_of, by_code, by_number, by_index)]
     for keys in (alone[0], *finer, *alone[1:]):
         found = _parted(relevant, keys)
         if len(found) > 1:
@@ -225,37 +219,6 @@ def _is_whole(own: Sequence[Candidate]) -> bool:
     roles = [one.label.role for one in own]
     pressures = sum(role in _PRESSURES for role in roles)
     return Role.U in roles and _has_flow(own) and (pressures >= 2 or Role.DP in roles)
-
-
-def folder_of(one: Candidate) -> Place:
-    """Group by path: the folder, or the part of a tag before its last name."""
-    name, _, _ = split_unit(one.path[-1].strip('"'))
-    return (*one.path[:-1], *_SEPARATORS.split(name)[:-1])
-
-
-def _by_code(one: Candidate) -> Place:
-    match = _KKS_VALVE.search(one.path[-1].upper())
-    return () if match is None else (match[1],)
-
-
-def _by_number(one: Candidate) -> Place:
-    """Group by the number of the loop, as in PT-101."""
-    return tuple(word for word in _rest(one) if word.isdigit() and len(word) > 1)
-
-
-def _by_index(one: Candidate) -> Place:
-    """Group by the index of an array's element, as in cmd[3]."""
-    return tuple(index for part in one.path for index in _INDEX.findall(part))
-
-
-def _by_rest(one: Candidate) -> Place:
-    """Group by the words of a flat tag that do not describe the signal."""
-    return tuple(_rest(one))
-
-
-def _rest(one: Candidate) -> list[str]:
-    words = tokens(one.label.name)
-    return [word for word in words if not concept_of(word) and word not in {"a", "b"}]
 
 
 def _named(

@@ -14,8 +14,9 @@ import numpy as np
 from valvemap.pipeline.units import Quantity
 from valvemap.plant.candidates import Candidate
 from valvemap.plant.concepts import QUANTITIES, SIDES, Concept
-from valvemap.plant.grouping import Group, folder_of, nearness
+from valvemap.plant.grouping import Group, nearness
 from valvemap.plant.law import LEAST_ROWS, Floats, fit, moves, quantiles
+from valvemap.plant.place_keys import folder_of
 from valvemap.plant.place_names import short_names
 from valvemap.plant.reading import Record
 from valvemap.plant.roles import LEARNT, Role
