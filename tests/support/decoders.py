@@ -85,9 +85,9 @@ from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.timing_state import TimingSettings
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.sparkplug.broker import _GuardedClient
 from valvemap.sparkplug.commands import Commands
 from valvemap.sparkplug.edge_node import Message
+from valvemap.sparkplug.guarded_client import GuardedClient
 from valvemap.sparkplug.host import PrimaryHost
 from valvemap.sparkplug.outbox import Outbox
 from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
@@ -813,7 +813,7 @@ class _Wire:
 
 def _read_by_client(data):
     """Have the MQTT client read packets, as its thread does."""
-    client = _GuardedClient(
+    client = GuardedClient(
         PacketGuard("mqtt://x"),
         CallbackAPIVersion.VERSION2,
         client_id="x",

@@ -15,7 +15,8 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from valvemap.errors import SinkError, SinkLost, SinkRejected
 from valvemap.sparkplug.edge_node import Message
-from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
+from valvemap.sparkplug.guarded_client import GuardedClient
+from valvemap.sparkplug.packet_guard import PacketGuard
 from valvemap.sparkplug.settings import BrokerSettings
 from valvemap.sparkplug.tls import tls_context, words_of
 
@@ -59,7 +60,7 @@ class PahoBroker:
         """
         settings = self._settings
         guard = PacketGuard(settings.url)
-        client = _GuardedClient(
+        client = GuardedClient(
             guard,
             CallbackAPIVersion.VERSION2,
             client_id=settings.client_id,
@@ -286,24 +287,3 @@ async def _in_thread(work: Callable[[], object]) -> None:
 
     Thread(target=run, daemon=True).start()
     await done
-
-
-class _GuardedClient(Client):
-    """An MQTT client that checks packet headers before the body, in both directions."""
-
-    def __init__(self, guard: PacketGuard, *arguments: Any, **more: Any) -> None:  # noqa: ANN401
-        super().__init__(*arguments, **more)
-        self._guard = guard
-
-    def _sock_recv(self, bufsize: int) -> bytes:
-        data = super()._sock_recv(bufsize)
-        try:
-            self._guard.receive(data)
-        except PacketRefused as refusal:
-            raise ConnectionAbortedError(str(refusal)) from refusal  # paho closes the connection
-        return data
-
-    def _sock_send(self, buf: bytes | bytearray) -> int:
-        sent = super()._sock_send(buf)
-        self._guard.send(bytes(buf[:sent]))
-        return sent
