@@ -4,8 +4,8 @@ from documentation.alarms import alarm_tables
 from documentation.tables import table
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
+from valvemap.vocabulary.program_series import PROGRAMS
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
-from valvemap.vocabulary.series import PROGRAMS
 from valvemap.vocabulary.signals import SENSORS, Signal
 from valvemap.vocabulary.statuses import (
     Adaptation,

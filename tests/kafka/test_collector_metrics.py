@@ -17,7 +17,7 @@ from valvemap.kafka.spool import Spool
 from valvemap.page.exposition import exposition
 from valvemap.pipeline.source_ports import SourceCounters
 from valvemap.runtime.sources import Part, Sources
-from valvemap.vocabulary.series import OF_COLLECTOR
+from valvemap.vocabulary.fleet_series import OF_COLLECTOR
 
 CONFIG = FleetConfig(catalogue=CatalogueConfig(valves_per_group=2))
 

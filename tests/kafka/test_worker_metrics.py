@@ -14,7 +14,7 @@ from valvemap.kafka.client_statistics import read_statistics
 from valvemap.kafka.worker import Worker
 from valvemap.kafka.worker_metrics import WorkerMetrics
 from valvemap.page.exposition import exposition
-from valvemap.vocabulary.series import OF_WORKER
+from valvemap.vocabulary.fleet_series import OF_WORKER
 
 GROUPS = ("north.0", "north.1")
 TOPIC, STATES = "valvemap.samples", "valvemap.state"

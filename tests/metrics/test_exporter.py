@@ -13,14 +13,9 @@ from valvemap.app.serving_metrics import metrics_served
 from valvemap.errors import ConfigurationError
 from valvemap.page.exposition import exposition
 from valvemap.page.server import PageError
-from valvemap.vocabulary.series import (
-    PROGRAMS,
-    SPOOL_BYTES,
-    WORKER_LAG,
-    WORKER_REJECTED,
-    Point,
-    Series,
-)
+from valvemap.vocabulary.fleet_series import SPOOL_BYTES, WORKER_LAG, WORKER_REJECTED
+from valvemap.vocabulary.program_series import PROGRAMS
+from valvemap.vocabulary.series import Point, Series
 
 LOOPBACK = MetricsAddress("127.0.0.1", 0)
 

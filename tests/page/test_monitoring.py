@@ -14,7 +14,8 @@ from support.shown_service import Alarm, ShownService
 from valvemap.clock import SystemClock
 from valvemap.page.settings import PageSettings
 from valvemap.page.web import Page
-from valvemap.vocabulary.series import COMPILED, OF_PAGE, PROGRAMS
+from valvemap.vocabulary.program_series import PROGRAMS
+from valvemap.vocabulary.series import COMPILED, OF_PAGE
 
 MONITORING = Path(__file__).parents[2] / "container" / "monitoring"
 BOARDS = {

@@ -15,7 +15,7 @@ from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.kafka.topics import COMMANDS, SAMPLES
 from valvemap.opcua_results.valve_variables import counter_name
 from valvemap.pipeline.alarm_results import AlarmReport
-from valvemap.vocabulary import series
+from valvemap.vocabulary import fleet_series, series
 from valvemap.vocabulary.quantities import FRAME_QUANTITIES
 from valvemap.vocabulary.series import Point
 
@@ -107,28 +107,28 @@ class WorkerMetrics:
         """Yield all metrics."""
         consumer = self._consumer or ClientStatistics()
         for kind in (SAMPLES, COMMANDS):
-            yield Point(series.WORKER_MESSAGES, self._messages[kind], (kind,))
-        yield Point(series.WORKER_REJECTED, self._rejected)
-        yield Point(series.WORKER_COMMITS, self._commits)
-        yield Point(series.WORKER_COMMIT_AGE, self._clock.monotonic() - self._committed)
-        yield Point(series.WORKER_RESTARTS, self._restarts)
-        yield Point(series.WORKER_UNSHOWN, self._unshown)
-        yield Point(series.WORKER_UNSENT, self._producer.unsent)
+            yield Point(fleet_series.WORKER_MESSAGES, self._messages[kind], (kind,))
+        yield Point(fleet_series.WORKER_REJECTED, self._rejected)
+        yield Point(fleet_series.WORKER_COMMITS, self._commits)
+        yield Point(fleet_series.WORKER_COMMIT_AGE, self._clock.monotonic() - self._committed)
+        yield Point(fleet_series.WORKER_RESTARTS, self._restarts)
+        yield Point(fleet_series.WORKER_UNSHOWN, self._unshown)
+        yield Point(fleet_series.WORKER_UNSENT, self._producer.unsent)
         for place, lag in consumer.lag.items():
             if place[0] in self._topics:  # the client reads the states, too
-                yield Point(series.WORKER_LAG, lag, place)
-                yield Point(series.WORKER_FETCHED, consumer.fetched[place], place)
+                yield Point(fleet_series.WORKER_LAG, lag, place)
+                yield Point(fleet_series.WORKER_FETCHED, consumer.fetched[place], place)
         for name, group in list(self._groups.items()):
             if self._consumer is None or (self._topics[0], group.partition) in consumer.lag:
                 yield from self._of_group(name, group)
 
     def _of_group(self, name: str, group: _OfGroup) -> Iterator[Point]:
-        yield Point(series.GROUP_BLOCK, group.number, (name,))
+        yield Point(fleet_series.GROUP_BLOCK, group.number, (name,))
         for what, count in list(group.counts.items()):
-            yield Point(series.GROUP_TROUBLE, count, (name, what))
+            yield Point(fleet_series.GROUP_TROUBLE, count, (name, what))
         if group.newest:
             age_s = (self._clock.now() - group.newest) * 1e-9
-            yield Point(series.GROUP_AGE, age_s, (name,))
+            yield Point(fleet_series.GROUP_AGE, age_s, (name,))
         for valve, newest in list(group.valves.items()):
             yield from _of_valve(valve, newest)
 

@@ -1,4 +1,4 @@
-"""The series of `/metrics`, one row a series: of the page, of the fleet's programs, of MQTT.
+"""The series of `/metrics`, one row a series: of valves, the service, the page and MQTT.
 
 Each program's exposition, the documentation's table and the checks of the dashboards are made from
 these rows. A new series is a row here, and the program that has it yields its points.
@@ -52,7 +52,8 @@ class Point(NamedTuple):
     labels: tuple[str, ...] = ()
 
 
-def _count(name: str, sentence: str, *labels: str) -> Series:
+def counter(name: str, sentence: str, *labels: str) -> Series:
+    """Return a series that only increases."""
     return Series(name, sentence, labels, is_count=True)
 
 
@@ -68,7 +69,7 @@ FIRST_RMSE: Final = Series(
     "Root mean square of the newest residuals of the valve's first estimator.",
     ("valve",),
 )
-SAMPLES: Final = _count(
+SAMPLES: Final = counter(
     "valvemap_samples", "Samples that the valve's first estimator has learnt from.", "valve"
 )
 SILENT: Final = Series(
@@ -87,7 +88,7 @@ LAG: Final = Series(
     "Estimated lag of the effect of U, or of the flow meter.",
     ("valve", "of"),
 )
-DIAGNOSTICS: Final = _count(
+DIAGNOSTICS: Final = counter(
     "valvemap_diagnostics",
     "Samples of the valve that were aligned, late, lost or rejected.",
     "valve",
@@ -120,7 +121,7 @@ AXES: Final[Mapping[str, Series]] = {
 }
 """By name of the quantity of an axis."""
 
-SOURCE: Final = _count(
+SOURCE: Final = counter(
     "valvemap_source", "Notifications and losses of the source since the start.", "what"
 )
 SERVICE_UP: Final = Series(
@@ -132,113 +133,46 @@ COMPILED: Final = Series(
 CHECKPOINT_AGE: Final = Series(
     "valvemap_checkpoint_age_seconds", "Time since the last save of the states."
 )
-CHECKPOINT_FAILURES: Final = _count("valvemap_checkpoint_failures", "Failed saves of the states.")
-CHECKPOINT_REFUSED: Final = _count(
+CHECKPOINT_FAILURES: Final = counter("valvemap_checkpoint_failures", "Failed saves of the states.")
+CHECKPOINT_REFUSED: Final = counter(
     "valvemap_checkpoint_refused", "States rejected at the start of the service."
 )
 CHECKPOINT_BYTES: Final = Series("valvemap_checkpoint_bytes", "Size of the states on disk.")
 SESSIONS: Final = Series("valvemap_sessions", "Sessions open at the service.")
 SUBSCRIPTIONS: Final = Series("valvemap_subscriptions", "Subscriptions open at the service.")
-REFUSED: Final = _count(
+REFUSED: Final = counter(
     "valvemap_refused", "Sessions and requests that the service's OPC UA server refused.", "what"
 )
 
 PAGE_VIEWERS: Final = Series("valvemap_page_viewers", "Open pages.")
 PAGE_LOG_INS: Final = Series("valvemap_page_log_ins", "Users logged in on the page.")
 PAGE_CONNECTIONS: Final = Series("valvemap_page_connections", "Connections to the page.")
-PAGE_REFUSED: Final = _count(
+PAGE_REFUSED: Final = counter(
     "valvemap_page_refused",
     "Requests and log-ins that the page refused, connections that it refused or ended.",
     "why",
 )
 
-WORKER_LAG: Final = Series(
-    "valvemap_worker_lag_messages",
-    "Messages of a partition that its worker has not received yet.",
-    ("topic", "partition"),
-)
-WORKER_FETCHED: Final = Series(
-    "valvemap_worker_fetched_messages",
-    "Messages of a partition that the worker's client has fetched and not handed over yet.",
-    ("topic", "partition"),
-)
-WORKER_UNSENT: Final = Series(
-    "valvemap_worker_unsent_messages", "Results and states that the broker has not taken yet."
-)
-WORKER_MESSAGES: Final = _count(
-    "valvemap_worker_messages", "Messages that the worker has processed.", "kind"
-)
-WORKER_REJECTED: Final = _count(
-    "valvemap_worker_rejected_messages",
-    "Messages and states that the worker rejected: each is a dead letter.",
-)
-WORKER_COMMITS: Final = _count("valvemap_worker_commits", "Commits that the worker has begun.")
-WORKER_COMMIT_AGE: Final = Series(
-    "valvemap_worker_commit_age_seconds",
-    "Time since the worker began a commit; without messages there is none.",
-)
-WORKER_RESTARTS: Final = _count(
-    "valvemap_worker_broker_losses", "Losses of the broker, after which work was repeated."
-)
-WORKER_UNSHOWN: Final = _count(
-    "valvemap_worker_unshown_results", "Results whose metrics could not be computed."
-)
-GROUP_BLOCK: Final = Series(
-    "valvemap_group_block", "Number of the group's newest block of samples.", ("group",)
-)
-GROUP_TROUBLE: Final = _count(
-    "valvemap_group_trouble",
-    "Blocks repeated, missing, begun again; messages refused; samples ahead; states damaged.",
-    "group",
-    "what",
-)
-GROUP_AGE: Final = Series(
-    "valvemap_group_sample_age_seconds",
-    "Time between the group's newest published sample and now, by the worker's clock.",
-    ("group",),
-)
 
-SPOOL_BLOCKS: Final = Series("valvemap_spool_blocks", "Blocks on disk that wait for the broker.")
-SPOOL_BYTES: Final = Series("valvemap_spool_bytes", "Size of the blocks that wait for the broker.")
-SPOOL_LIMIT: Final = Series(
-    "valvemap_spool_limit_bytes", "Size above which the oldest blocks are dropped."
-)
-COLLECTOR_LOST: Final = _count(
-    "valvemap_collector_lost_samples",
-    "Samples dropped because the spool or the memory was full, since the spool was created.",
-)
-COLLECTOR_LEFT_OUT: Final = _count(
-    "valvemap_collector_left_out_samples", "Samples of valves whose alignment has failed."
-)
-COLLECTOR_SAMPLES: Final = _count("valvemap_collector_samples", "Samples packed into blocks.")
-COLLECTOR_UNSAVED: Final = Series(
-    "valvemap_collector_unsaved_bytes", "Size of the blocks in memory that the disk has not taken."
-)
-COLLECTOR_VALVES: Final = Series(
-    "valvemap_collector_valves", "Valves whose source is connected, or disconnected.", ("state",)
-)
-COLLECTOR_IN_FLIGHT: Final = Series(
-    "valvemap_collector_in_flight_bytes", "Size of the blocks sent and not acknowledged."
-)
 BROKER_UP: Final = Series("valvemap_broker_up", "Whether the program reaches its broker.")
 
 MQTT_WAITING: Final = Series("valvemap_mqtt_waiting_values", "Values that wait for the broker.")
 MQTT_LIMIT: Final = Series(
     "valvemap_mqtt_limit_values", "Number of waiting values above which the oldest are dropped."
 )
-MQTT_LOST: Final = _count("valvemap_mqtt_lost_values", "Values dropped before they were sent.")
-MQTT_OVERFLOWS: Final = _count(
+MQTT_LOST: Final = counter("valvemap_mqtt_lost_values", "Values dropped before they were sent.")
+MQTT_OVERFLOWS: Final = counter(
     "valvemap_mqtt_overflows", "Values that the service lost in the queues of this client."
 )
-MQTT_REFUSED: Final = _count(
+MQTT_REFUSED: Final = counter(
     "valvemap_mqtt_refused_packets", "Packets of the broker that were refused."
 )
-MQTT_CONNECTIONS: Final = _count(
+MQTT_CONNECTIONS: Final = counter(
     "valvemap_mqtt_connections", "Connections to the broker since the start."
 )
 MQTT_METRICS: Final = Series("valvemap_mqtt_metrics", "Metrics that the edge node publishes.")
 
-EXPORTER_REFUSED: Final = _count(
+EXPORTER_REFUSED: Final = counter(
     "valvemap_exporter_refused",
     "Requests that the exporter refused, and connections that it refused or ended.",
     "why",
@@ -276,38 +210,6 @@ OF_PAGE: Final[Sequence[Series]] = (
     PAGE_CONNECTIONS,
     PAGE_REFUSED,
 )
-OF_WORKER: Final[Sequence[Series]] = (
-    BUILD,
-    *OF_VALVES,
-    WORKER_LAG,
-    WORKER_FETCHED,
-    WORKER_UNSENT,
-    WORKER_MESSAGES,
-    WORKER_REJECTED,
-    WORKER_COMMITS,
-    WORKER_COMMIT_AGE,
-    WORKER_RESTARTS,
-    WORKER_UNSHOWN,
-    GROUP_BLOCK,
-    GROUP_TROUBLE,
-    GROUP_AGE,
-    EXPORTER_REFUSED,
-)
-OF_COLLECTOR: Final[Sequence[Series]] = (
-    BUILD,
-    SPOOL_BLOCKS,
-    SPOOL_BYTES,
-    SPOOL_LIMIT,
-    COLLECTOR_LOST,
-    COLLECTOR_LEFT_OUT,
-    COLLECTOR_SAMPLES,
-    COLLECTOR_UNSAVED,
-    COLLECTOR_VALVES,
-    COLLECTOR_IN_FLIGHT,
-    BROKER_UP,
-    SOURCE,
-    EXPORTER_REFUSED,
-)
 OF_MQTT: Final[Sequence[Series]] = (
     BUILD,
     SERVICE_UP,
@@ -321,10 +223,3 @@ OF_MQTT: Final[Sequence[Series]] = (
     MQTT_METRICS,
     EXPORTER_REFUSED,
 )
-PROGRAMS: Final[Mapping[str, Sequence[Series]]] = {
-    "dashboard": OF_PAGE,
-    "fleet work": OF_WORKER,
-    "fleet collect": OF_COLLECTOR,
-    "mqtt": OF_MQTT,
-}
-"""The series of each command."""
