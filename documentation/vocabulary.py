@@ -3,6 +3,7 @@
 from documentation.alarms import alarm_tables
 from documentation.tables import table
 from valvemap.vocabulary.dynamics import DynamicsStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.program_series import PROGRAMS
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
@@ -11,7 +12,6 @@ from valvemap.vocabulary.statuses import (
     Adaptation,
     AxisStatus,
     Described,
-    FeedForwardStatus,
     InverseStatus,
     LineEdge,
     Status,

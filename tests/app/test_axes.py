@@ -23,7 +23,8 @@ from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.kept_axes import LEARNT, Learnt, pack, unpack
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.vocabulary.edges import EDGES
-from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 from valvemap_rig.directional import DirectionalValve, true_edge_flow
 
 pytestmark = pytest.mark.waits

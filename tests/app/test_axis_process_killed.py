@@ -27,7 +27,8 @@ from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.pipeline.kept_axes import Learnt
 from valvemap.storage.checkpoints import CheckpointFile
-from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import InverseStatus
 from valvemap_rig.machine import Machine
 from valvemap_rig.scenario import Scenario
 from valvemap_rig.simulation import advance, initial

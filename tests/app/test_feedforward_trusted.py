@@ -29,7 +29,8 @@ from support.feeding import (
 from support.processes import READY_S, free_port, service_url
 from support.served import patient
 from valvemap.app.serve import serve
-from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import InverseStatus
 
 pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 

@@ -22,9 +22,10 @@ from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.past_pieces import pieces_of
 from valvemap.storage.history import HistoryFile
 from valvemap.vocabulary.axis_quantities import AXIS_QUANTITIES
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import Finding, FindingCode
 from valvemap.vocabulary.health import DeviceHealth
-from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus
+from valvemap.vocabulary.statuses import AxisStatus
 
 T = 1_800_000_000_000_000_000
 LEAK = Finding(FindingCode.LEAKAGE_CHANGE, 0.93, "Between the lines 0.004 (l/min)/bar leak more.")

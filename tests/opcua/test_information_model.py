@@ -9,7 +9,8 @@ from valvemap.opcua_results.map_variables import inverse_variables, map_variable
 from valvemap.opcua_results.node_names import check_names
 from valvemap.opcua_results.valve_variables import counter_variable
 from valvemap.pipeline.results import EstimatorDescription, ValveDescription
-from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, InverseStatus, Status
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import Adaptation, InverseStatus, Status
 
 RLS = EstimatorDescription(
     "RLS", "Recursive least squares.", ("a1", "a2"), has_forgetting_factor=True

@@ -27,8 +27,9 @@ from valvemap.pipeline.results import (
     ValveDescription,
 )
 from valvemap.pipeline.source_ports import SourceCounters
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import Finding, FindingCode
-from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
+from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -19,7 +19,8 @@ from valvemap.pipeline.feedforward import (
     decide,
     written,
 )
-from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus, Status
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 GOOD = Situation(
     armed=True,

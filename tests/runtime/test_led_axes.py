@@ -13,7 +13,8 @@ from valvemap.pipeline.axis_ports import RequiredU
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.led_axes import LedAxes
-from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import InverseStatus
 
 GEOMETRY = AxisGeometry(63, 45, 800, 1.2, 1.2)
 SLEW = 100.0  # %/s

@@ -20,7 +20,8 @@ from valvemap.runtime.live import LiveService
 from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.publishing_turns import VALVES_AT_ONCE
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
-from valvemap.vocabulary.statuses import FeedForwardStatus, Quality
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import Quality
 
 QUICK = SupervisorSettings(tick_s=0.001, pauses=lambda: repeat(0.0))
 

@@ -3,14 +3,9 @@
 import pytest
 
 from valvemap.page.judgement import INVERSE_SEVERITIES, Reason, Standing, judge
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import FindingCode
-from valvemap.vocabulary.statuses import (
-    Adaptation,
-    AxisStatus,
-    FeedForwardStatus,
-    InverseStatus,
-    Status,
-)
+from valvemap.vocabulary.statuses import Adaptation, AxisStatus, InverseStatus, Status
 
 PUBLISHED = [AxisStatus, Status, Adaptation, InverseStatus, FeedForwardStatus, FindingCode, Reason]
 

@@ -19,7 +19,7 @@ from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.operator_ports import Command
-from valvemap.vocabulary.statuses import FeedForwardStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap_rig.excitation import Scattered
 from valvemap_rig.scenario import Scenario
 from valvemap_rig.simulation import advance, initial

@@ -14,13 +14,8 @@ from valvemap.model.survey import axes
 from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.alarm_rules import ALARM_NAMES
 from valvemap.pipeline.results import Results, ValveDescription
-from valvemap.vocabulary.statuses import (
-    Adaptation,
-    FeedForwardStatus,
-    InverseStatus,
-    Quality,
-    Status,
-)
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import Adaptation, InverseStatus, Quality, Status
 
 _SEVEREST: Final = 1_000  # alarm severity, limit of OPC UA
 _MOST_LINES: Final = 100  # lines of a valve: reasons against adaptation, or timing of the signals

@@ -53,7 +53,7 @@ from valvemap.opcua_results.valve_variables import (
 )
 from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.commands import Subject
-from valvemap.vocabulary.statuses import FeedForwardStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 

@@ -21,12 +21,12 @@ from valvemap.opcua_results.valve_variables import COUNTERS
 from valvemap.pipeline.results import EstimatorDescription, ValveDescription
 from valvemap.vocabulary.commission import Phase
 from valvemap.vocabulary.dynamics import DynamicsStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import (
     Adaptation,
     AxisStatus,
     Described,
-    FeedForwardStatus,
     InverseStatus,
     LineEdge,
     Status,

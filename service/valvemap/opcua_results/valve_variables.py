@@ -25,10 +25,8 @@ from valvemap.opcua_results.information_model import (
 from valvemap.pipeline.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
 from valvemap.pipeline.results import ValveDescription
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import FindingCode
-from valvemap.vocabulary.statuses import (
-    FeedForwardStatus,
-)
 
 
 def recommended_variables(valve: str) -> tuple[VariableNode, VariableNode]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from valvemap.errors import CommandRejected
 from valvemap.pipeline.all_valves import AllValves
-from valvemap.vocabulary.statuses import FeedForwardStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 
 _AT_FIRST = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
 

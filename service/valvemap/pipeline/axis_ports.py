@@ -10,8 +10,9 @@ from valvemap.model.samples import Floats
 from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.axis_tracking import AxisTracking
 from valvemap.pipeline.operator_ports import Command
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import Finding
-from valvemap.vocabulary.statuses import AxisStatus, FeedForwardStatus, InverseStatus
+from valvemap.vocabulary.statuses import AxisStatus, InverseStatus
 
 
 @dataclass(frozen=True)

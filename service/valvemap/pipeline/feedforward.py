@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Self, assert_never
 
-from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus, Status
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 MOST_STEP_S: Final = 0.2  # s; longest interval for which one command may slew
 HEARTBEAT_S: Final = 0.08  # s; shortest interval: with steps every 0.1 s, at least five a second

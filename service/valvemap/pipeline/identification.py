@@ -59,8 +59,9 @@ from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_descriptions import descriptions
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.vocabulary.commands import NAMED, Subject
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.service_alarms import ServiceAlarm
-from valvemap.vocabulary.statuses import FeedForwardStatus, Status
+from valvemap.vocabulary.statuses import Status
 
 
 class Identification:

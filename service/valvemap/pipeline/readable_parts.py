@@ -19,7 +19,8 @@ from valvemap.pipeline.review import Reviewed
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, ValveState
-from valvemap.vocabulary.statuses import FeedForwardStatus, Status
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import Status
 
 
 class ReadableResults(Protocol):

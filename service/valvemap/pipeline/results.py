@@ -14,9 +14,10 @@ from valvemap.pipeline.alarm_results import AlarmResults
 from valvemap.pipeline.dynamics_results import DynamicsResults
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.recommendation import Recommendation
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.findings import Finding
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
-from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
+from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from valvemap.pipeline.feedforward import (
     written,
 )
 from valvemap.pipeline.source_ports import AllSources
-from valvemap.vocabulary.statuses import FeedForwardStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 
 AGAIN_S = 0.05  # s; interval of steps without new samples: each batch of samples makes a step
 

@@ -7,7 +7,7 @@ from valvemap.errors import CommandRejected
 from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_arrivals import LINES
 from valvemap.pipeline.feedforward import FeedForward, Situation
-from valvemap.vocabulary.statuses import FeedForwardStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 
 
 class LedAxes:

@@ -7,7 +7,7 @@ from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.runtime.stale_samples import StaleSamples
-from valvemap.vocabulary.statuses import FeedForwardStatus
+from valvemap.vocabulary.feed_forward import FeedForwardStatus
 
 
 class LedValves:
