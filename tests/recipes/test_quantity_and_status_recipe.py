@@ -8,7 +8,7 @@ from support.recipes import Tree
 from valvemap.vocabulary.statuses import Status
 
 QUANTITIES = "service/valvemap/vocabulary/quantities.py"
-RESULTS, LANES = "service/valvemap/pipeline/results.py", "service/valvemap/pipeline/lanes.py"
+RESULTS, LANES = "service/valvemap/pipeline/results.py", "service/valvemap/pipeline/lane_results.py"
 STATUSES = "service/valvemap/vocabulary/statuses.py"
 CODES = "service/valvemap/opcua_results/result_codes.py"
 
@@ -74,10 +74,10 @@ def quantity(tree):
     tree.after(RESULTS, "    residual_rmse: Floats\n", "    doubled: Floats\n")
     tree.before(
         LANES,
-        "            residual_rmse=recent_rmse(",
-        "            doubled=2.0 * notes.residual[chosen],\n",
+        "        residual_rmse=recent_rmse(",
+        "        doubled=2.0 * notes.residual[chosen],\n",
     )
-    tree.before(LANES, "            residual_rmse=nothing,", "            doubled=nothing,\n")
+    tree.before(LANES, "        residual_rmse=nothing,", "        doubled=nothing,\n")
     return len(tree.touched), json.loads(tree.run("-c", QUANTITY_USED).splitlines()[-1])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from valvemap.model.capabilities import Forgetful
 from valvemap.model.estimator import key_of
 from valvemap.model.extrapolation import ABOUT_DP, ABOUT_U, within_ranges
-from valvemap.model.residual_spread import ResidualSpread, noise_std
+from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.estimator_states import states_of
@@ -22,6 +22,7 @@ from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
 from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, all_of, isolate_last, saved
+from valvemap.pipeline.lane_results import results_of, unknown_results
 from valvemap.pipeline.lane_traces import nothing_of, prediction_only
 from valvemap.pipeline.map_errors import MapErrors
 from valvemap.pipeline.results import EstimatorResults
@@ -231,50 +232,12 @@ class Lanes:
 
     def results(self, chosen: Times) -> EstimatorResults:
         """Return the results of the given valves."""
-        notes, said = self._notes, self._notes.status[chosen]
-        theta, std = self.states.parameters(chosen)
-        status = np.where(said == NO_STATUS, Status.WARMING_UP, said).astype(np.uint8)
-        return EstimatorResults(
-            t=notes.t[chosen],
-            quality=_QUALITY[status],
-            theta=theta,
-            std=std,
-            predicted=notes.predicted[chosen],
-            residual=notes.residual[chosen],
-            residual_rmse=recent_rmse(self._scores[chosen]),
-            sample_count=notes.learnt[chosen],
-            status=status,
-            noise_std=noise_std(self._spread.overall[chosen]),
-            survey=[None] * len(chosen),
-            change=self.states.changes(chosen),
-            structure=self.states.structures(chosen),
-            lags=self.states.lags(chosen),
-            adaptation=self.states.adaptations(chosen),
-            systematic_std=np.full(len(chosen), np.nan),
-        )
+        scores, overall = self._scores[chosen], self._spread.overall[chosen]
+        return results_of(self.states, self._notes, scores, overall, chosen)
 
     def unknown(self, m: int) -> EstimatorResults:
         """Return Bad results of valve ``m``, for use when `results` raises."""
-        n = len(self._estimator.parameter_names)
-        nothing, t = np.full(1, np.nan), np.maximum(self._notes.t[m : m + 1], 1)
-        return EstimatorResults(
-            t=t,
-            quality=np.full(1, Quality.BAD, np.uint8),
-            theta=np.full((1, n), np.nan),
-            std=np.full((1, n), np.nan),
-            predicted=nothing,
-            residual=nothing,
-            residual_rmse=nothing,
-            sample_count=self._notes.learnt[m : m + 1],
-            status=np.full(1, Status.FAILED, np.uint8),
-            noise_std=nothing,
-            survey=[None],
-            change=[None],
-            structure=[None],
-            lags=[None],
-            adaptation=np.zeros(1, np.uint8),
-            systematic_std=nothing,
-        )
+        return unknown_results(self._notes, m, len(self._estimator.parameter_names))
 
     def put(self, m: int, lane: Lane) -> None:
         """Replace the lane of valve ``m``."""
@@ -305,20 +268,6 @@ class _LaneKey:
     estimator: str
     accuracy: SensorAccuracy
 
-
-_QUALITY = np.zeros(max(Status) + 1, np.uint8)
-for _status, _quality in {
-    Status.OK: Quality.GOOD,
-    Status.FROZEN: Quality.GOOD,
-    Status.WARMING_UP: Quality.UNCERTAIN,
-    Status.UNEXCITED: Quality.UNCERTAIN,
-    Status.HELD: Quality.UNCERTAIN,
-    Status.EXTRAPOLATING: Quality.UNCERTAIN,
-    Status.UNRELIABLE: Quality.UNCERTAIN,
-    Status.REJECTED: Quality.BAD,
-    Status.FAILED: Quality.BAD,
-}.items():
-    _QUALITY[_status] = _quality
 
 _FAILED = int(Status.FAILED)  # as a number: it is compared several times a batch
 

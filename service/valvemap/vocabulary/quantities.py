@@ -3,7 +3,7 @@
 Nodes, the frame, the history, the fleet's messages, Prometheus' series and the page's table of
 estimators are made from these rows. A new quantity is a row here, a field of `EstimatorResult` and
 `EstimatorResults` (``pipeline/results.py``), and the place where it is computed
-(``pipeline/lanes.py``).
+(``pipeline/lane_results.py``).
 """
 
 from dataclasses import dataclass
