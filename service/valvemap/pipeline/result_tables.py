@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Codes, Flags, Floats, Times
+from valvemap.model.samples import Codes, Floats, Times
 from valvemap.pipeline import lane_predictions
 from valvemap.pipeline.alarm_results import AlarmResults
 from valvemap.pipeline.alignment import COUNTER_NAMES as OF_ALIGNMENT
@@ -18,28 +18,20 @@ from valvemap.pipeline.dynamics_results import NOTHING_YET, DynamicsResults
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.fleet import COUNTER_NAMES as NOT_LEARNT
 from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.inverse_tables import InverseTables
 from valvemap.pipeline.lane_failures import Step
-from valvemap.pipeline.line_inverse import NO_ANSWER, LineAnswer, LineInverse
+from valvemap.pipeline.line_inverse import LineInverse
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.recommendation import NOT_YET, Recommendation, recommendation
-from valvemap.pipeline.results import (
-    EstimatorResults,
-    InverseResults,
-    LineResults,
-    Results,
-    SignalResults,
-    ValveResult,
-)
+from valvemap.pipeline.results import Results, SignalResults, ValveResult
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.waiting_reasons import WaitingReasons
 from valvemap.vocabulary.signals import PUBLISHED
-from valvemap.vocabulary.statuses import InverseStatus, Quality
+from valvemap.vocabulary.statuses import Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 
 _MISSING = OF_ALIGNMENT.index("missing")
-_GUESSED = np.zeros(max(InverseStatus) + 1, np.bool_)
-_GUESSED[[InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE]] = True
 
 
 class ResultTables:
@@ -82,11 +74,9 @@ class ResultTables:
         self._intake = intake
         self._maps = maps
         self._approved = approved
-        self._armed = armed
-        self._commands = commands
+        self._inverse = InverseTables(valves, maps, armed, commands, lines)
         self.reasons = WaitingReasons(valves, arrivals, intake)
         self._dynamics: dict[int, DynamicsResults] = {}
-        self._lines = lines
         self._alarms_base = 0  # added to the versions of alarms
 
     def show_all_alarms_again(self) -> None:
@@ -165,22 +155,12 @@ class ResultTables:
         """Return Bad results of one valve, for use when `results` raises."""
         fleet, m = self._valves.at(valve)
         one, plan = np.array([valve]), self._valves.plans[valve]
-        bad, nothing = np.full(1, Quality.BAD, np.uint8), np.full(1, np.nan)
+        bad = np.full(1, Quality.BAD, np.uint8)
         estimators = fleet.unknown(m)
         return Results(
             valves=one,
             estimators=estimators,
-            inverse=InverseResults(
-                t=estimators[plan.inverse].t,
-                quality=bad,
-                required_U=nothing,
-                status=np.full(1, InverseStatus.NOT_FINITE, np.uint8),
-                map_U=[np.full((len(plan.map_Q), len(plan.map_dp)), np.nan)],
-                armed=self._armed.armed[one],
-                feed_forward=self._armed.status[one],
-                lower=nothing,
-                upper=nothing,
-            ),
+            inverse=self._inverse.unknown(valve, estimators[plan.inverse].t),
             counters=np.zeros((1, len(COUNTERS)), np.int64),
             counter_names=COUNTERS,
             signals=SignalResults(
@@ -198,24 +178,7 @@ class ResultTables:
 
     def _of_fleet(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
         found = self._of_valves(fleet, valves, at_best)
-        return self._of_lines(found, valves) if self._lines.is_line(int(valves[0])) else found
-
-    def _of_lines(self, found: Results, valves: Times) -> Results:
-        """Return the results of lines: their edges answer the demands."""
-        answers = [self._line_answer(valve) for valve in valves.tolist()]
-        U, lower, upper, status, edge = (
-            np.array(x, np.float64) for x in zip(*answers, strict=True)
-        )
-        leakage, std = self._lines.leakages(valves.tolist())
-        codes = status.astype(np.uint8)
-        inverse = replace(found.inverse, required_U=U, status=codes, lower=lower, upper=upper)
-        lines = LineResults(np.array(leakage), np.array(std), edge.astype(np.uint8))
-        return replace(found, inverse=inverse, lines=lines)
-
-    def _line_answer(self, line: int) -> LineAnswer:
-        with self._valves.bulkhead(line, Step.INVERSE):
-            return self._lines.required(line)
-        return NO_ANSWER
+        return self._inverse.of_lines(found, valves)
 
     def _of_valves(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
         places, is_old = self._valves.places[valves], at_best == Quality.UNCERTAIN
@@ -232,7 +195,7 @@ class ResultTables:
         return Results(
             valves=valves,
             estimators=estimators,
-            inverse=self._inverse_results(fleet, valves, estimators),
+            inverse=self._inverse.of(fleet, valves, estimators),
             counters=self._counts(fleet, valves),
             counter_names=COUNTERS,
             signals=self._intake.signals(valves, at_best),
@@ -271,36 +234,6 @@ class ResultTables:
             lane = replace(fleet.lane(int(self._valves.places[valve]), name), accuracy=accuracy)
             (found[k],) = lane_predictions.systematic(lane, *point)
         return found
-
-    def _inverse_results(
-        self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
-    ) -> InverseResults:
-        M, places = len(valves), self._valves.places[valves]
-        inverses = fleet.maps.inverses(places)
-        t, quality = np.zeros(M, np.int64), np.zeros(M, np.uint8)
-        for name, found in estimators.items():
-            own = np.array([inverse == name for inverse in inverses])
-            t[own], quality[own] = found.t[own], found.quality[own]
-        U, lower, upper = np.full((3, M), np.nan)
-        status = np.full(M, np.uint8(InverseStatus.NOT_FINITE))
-        demanded: Flags = np.asarray(np.isfinite(fleet.demands(places)).all(axis=1))
-        for k in demanded.nonzero()[0]:
-            (U[k], lower[k], upper[k], status[k]), _ = self._commands.required(int(valves[k]))
-            if not self._valves.runs(int(valves[k]), inverses[k]):
-                quality[k] = Quality.BAD
-        guessed = (_GUESSED[status] & demanded).astype(np.float64)
-        fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))
-        return InverseResults(
-            t=t,
-            quality=quality,
-            required_U=U,
-            status=status,
-            map_U=[self._maps.tables[valve] for valve in valves],
-            armed=self._armed.armed[valves],
-            feed_forward=self._armed.status[valves],
-            lower=lower,
-            upper=upper,
-        )
 
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._valves.places[valves]]
