@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import math
 from collections.abc import Callable
 from typing import Self
 
@@ -16,7 +15,7 @@ from guarded_opcua import (
     SystemClock,
 )
 from valvemap_rig.blocks import RigBlock
-from valvemap_rig.command import Command, lead_of
+from valvemap_rig.commands_in_force import CommandsInForce
 from valvemap_rig.condition import Condition, condition
 from valvemap_rig.excitation import External
 from valvemap_rig.fault_words import fault_effect
@@ -25,15 +24,7 @@ from valvemap_rig.history import RigHistory
 from valvemap_rig.information_model import GOOD, RigNodes, add_rig, playable
 from valvemap_rig.publication import NOTHING, Columns, columns_of, part, publish
 from valvemap_rig.scenario import Scenario, faultable
-from valvemap_rig.simulation import (
-    MOST_FAULTS,
-    Commands,
-    RigState,
-    advance,
-    initial,
-    is_over,
-    own_command,
-)
+from valvemap_rig.simulation import MOST_FAULTS, Commands, RigState, advance, initial, is_over
 from valvemap_rig.unit_nodes import Actions
 
 _log = logging.getLogger(__name__)
@@ -76,9 +67,7 @@ class RigServer(Startable):
         self._samples = 0
         self._late_ticks = 0
         self._report_due = 0.0
-        self._commands = {unit.name: Command() for unit in scenario.units}
-        self._leads: dict[str, float] = {}  # of machines, %
-        self._led_at = 0.0
+        self._commands = CommandsInForce([unit.name for unit in scenario.units])
         self._units = {unit.name: unit for unit in scenario.units}
         self._faults: list[tuple[str, Fault]] = []
         self._changed = asyncio.Event()
@@ -254,16 +243,15 @@ class RigServer(Startable):
 
     def command_U(self, valve: str, U: float) -> None:
         """Set the external control signal (%), used within 0.02 s by the external excitation."""
-        self._commands[valve] = self._commands[valve].written(U)
+        self._commands.write_U(valve, U)
 
     def command_load(self, valve: str, load: float) -> None:
         """Set the load's set point (bar), used as `command_U` is."""
-        self._commands[valve] = self._commands[valve].loaded(load)
+        self._commands.write_load(valve, load)
 
     def heartbeat(self, valve: str, count: int) -> None:
         """Set the heartbeat of the client that commands; see :mod:`valvemap_rig.command`."""
-        now = self._clock.monotonic()
-        self._commands[valve] = self._commands[valve].beaten(count, now)
+        self._commands.beat(valve, count, self._clock.monotonic())
 
     def _leave(self) -> None:
         self._sequence_offset += self._played
@@ -288,8 +276,11 @@ class RigServer(Startable):
         return max(ahead, min(_TICK_S, 1 / rate)) if ahead > 0 else 0.0
 
     def _compute(self, scenario: Scenario, rate: float) -> None:
-        U = self._U_in_force(scenario)
-        commands = Commands(U=U, load=self._loads_in_force(), faults=tuple(self._faults))
+        commands = Commands(
+            U=self._commands.U(scenario, self._clock.monotonic()),
+            load=self._commands.loads(self._state.valves),
+            faults=tuple(self._faults),
+        )
         self._faults.clear()
         commanded = isinstance(scenario.excitation, External) or any(
             machine.takes_commands for machine in scenario.machines
@@ -299,27 +290,6 @@ class RigServer(Startable):
         self._state, self._block = advance(scenario, self._state, n, commands)
         self._columns = columns_of(self._block, self._sequence_offset)
         self._taken = 0
-
-    def _U_in_force(self, scenario: Scenario) -> dict[str, float]:
-        now, own = self._clock.monotonic(), own_command(scenario)
-        for valve, before in self._commands.items():
-            command = before.seen(now)
-            if command.dropped and not before.dropped:
-                _log.warning("%s: heartbeat stands still, U is the rig's own again", valve)
-            self._commands[valve] = command
-        given = {valve: command.in_force for valve, command in self._commands.items()}
-        passed_s, self._led_at = now - self._led_at, now
-        self._leads = {
-            machine.name: lead_of(
-                self._commands[machine.name], self._leads.get(machine.name, 0.0), passed_s
-            )
-            for machine in scenario.machines
-        }
-        return {name: own if U is None else U for name, U in given.items()} | self._leads
-
-    def _loads_in_force(self) -> dict[str, float]:
-        given = {valve: self._commands[valve].load_in_force for valve in self._state.valves}
-        return {valve: math.nan if load is None else load for valve, load in given.items()}
 
     def _publish(self, n: int, lag_s: float) -> None:
         first, self._taken = self._taken, self._taken + n
