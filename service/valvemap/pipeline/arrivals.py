@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, presence
+from valvemap.pipeline.announced_steps import AnnouncedSteps
 from valvemap.pipeline.by_valve import ByValve, in_turn, together
-from valvemap.pipeline.clock_steps import ClockSteps, Known, Step
+from valvemap.pipeline.clock_steps import Known, Step
 from valvemap.pipeline.command_rests import CommandRests
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels import waiting as slots
@@ -24,7 +25,6 @@ from valvemap.vocabulary.signals import COUNT, PER_VALVE
 
 _MISSING: Final = COUNTER_NAMES.index("missing")
 _DUPLICATES: Final = COUNTER_NAMES.index("duplicates")
-_NO_ROWS: Final = np.zeros(0, np.bool_)
 
 
 class ArrivalsOfValve(NamedTuple):
@@ -84,11 +84,7 @@ class Arrivals:
         bits = np.int64(1) << np.arange(slots.SIGNALS)
         required = (rules.required[:, np.newaxis] & bits) > 0
         self._rests = CommandRests(required, self.timing.settings.horizon_ns)
-        self._steps = ClockSteps(required, ~rules.numbered, rules.reorder)
-        self._due: list[Step] = []
-        self._repeated = _NO_ROWS
-        self._announced = 0  # changes taken of those announced
-        self._may_step = not rules.numbered.all()
+        self._steps = AnnouncedSteps(required, rules.numbered, rules.reorder)
         self.failed = np.zeros(len(self.names), np.bool_)
         self.source_started = np.zeros(len(self.names), np.int64)
         self._errors: list[tuple[int, Exception]] = []
@@ -98,12 +94,7 @@ class Arrivals:
 
         ``now_s`` is our monotonic time of their receipt.
         """
-        self._announced = 0
-        self._due, self._repeated = [], _NO_ROWS
-        if self._may_step:
-            found = self._steps.find(changes, now_s, self._waiting)
-            self._due = [step for step in found.steps if self.timing.are_alike[step.valve]]
-            self._repeated = found.repeated
+        self._steps.announce(changes, now_s, self._waiting, self.timing.are_alike)
 
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
@@ -115,12 +106,7 @@ class Arrivals:
         return parts[0] if len(parts) == 1 else in_turn(parts)
 
     def _taken(self, changes: DataChanges) -> list[ByValve]:
-        first, self._announced = self._announced, self._announced + len(changes)
-        due = [step for step in self._due if first <= step.row < self._announced]
-        after = np.zeros(len(changes), np.bool_)
-        for step in due:
-            after[step.row - first :] |= changes.item[step.row - first :] // PER_VALVE == step.valve
-        repeated = self._repeated[first : self._announced]
+        due, after, repeated = self._steps.next_part(changes)
         if repeated.any():
             self._count_duplicates(changes[repeated])
             changes, after = changes[~repeated], after[~repeated]
@@ -133,9 +119,7 @@ class Arrivals:
             parts = [self._align(self.timing.take(changes[~after], self._fail))]
             parts += self._set_clocks(due)
             parts.append(self._align(self.timing.take(changes[after], self._fail)))
-        if self._may_step:
-            for part in parts:
-                self._steps.remember(part)
+        self._steps.remember(parts)
         return parts
 
     def _held_commands(self, parts: Sequence[ByValve]) -> list[ByValve]:
