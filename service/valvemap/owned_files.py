@@ -57,12 +57,24 @@ def written_aside(file: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def naming(file: Path) -> Iterator[None]:
-    """Raise an OSError as a StorageError that names the file."""
+def naming(file: Path, failed: str = "") -> Iterator[None]:
+    """Raise an OSError as a StorageError that names the file, and says what ``failed``.
+
+    >>> with naming(Path("log.csv")):
+    ...     raise OSError(28, "No space left on device")
+    Traceback (most recent call last):
+    valvemap.errors.StorageError: log.csv: no space left on device
+    >>> with naming(Path("log.csv"), "cannot be written"):
+    ...     raise OSError(28, "No space left on device")
+    Traceback (most recent call last):
+    valvemap.errors.StorageError: log.csv cannot be written: No space left on device
+    """
     try:
         yield
     except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+        reason = error.strerror or str(error)
+        said = f"{file} {failed}: {reason}" if failed else f"{file}: {reason.lower()}"
+        raise StorageError(said) from error
 
 
 def _to_disk(path: Path) -> None:

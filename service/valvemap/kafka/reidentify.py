@@ -20,6 +20,7 @@ from dask.distributed import Client, LocalCluster, as_completed
 
 from valvemap.config.models import Config
 from valvemap.errors import FleetError, RecordingError, StorageError, ValvemapError
+from valvemap.owned_files import naming
 
 AT_ONCE: Final = 8  # valves with the same files in one task: a file is read once for all of them
 NOTES: Final = "done"  # folder of completion records, one file for each valve
@@ -237,19 +238,15 @@ def _write_all(target: Path, digests: Mapping[str, str]) -> None:
 def _write(file: Path, content: object) -> None:
     """Write atomically."""
     part = file.with_name(f"{file.name}.part")
-    try:
+    with naming(file):
         text = json.dumps(content, indent=2, allow_nan=False) + "\n"
         part.write_text(text, encoding="utf-8")
         part.replace(file)
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
 
 
 def _make(folder: Path) -> None:
-    try:
+    with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{folder}: {(error.strerror or str(error)).lower()}") from None
 
 
 def _result(future: Any) -> Any:  # noqa: ANN401 - Dask's

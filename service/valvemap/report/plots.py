@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.errors import ConfigurationError, StorageError
+from valvemap.errors import ConfigurationError
 from valvemap.model.samples import Floats, Times
-from valvemap.owned_files import written_aside
+from valvemap.owned_files import naming, written_aside
 
 try:
     from matplotlib.axes import Axes
@@ -222,10 +222,8 @@ def save_figure(figure: Figure, path: Path, kind: str = "png") -> None:
     StorageError
         if it cannot be written.
     """
-    try:
+    with naming(path, "cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{path} cannot be written: {error.strerror}") from error
     with written_aside(path) as draft:
         figure.savefig(draft, dpi=140, format=kind)
 

@@ -9,12 +9,14 @@ from typing import BinaryIO
 
 from valvemap.errors import RecordingError, StorageError
 from valvemap.model.samples import Samples
+from valvemap.owned_files import naming
 from valvemap.storage.closing import Closing
 from valvemap.storage.csv_writing import csv_header, csv_rows
 from valvemap.storage.packed_text import PACKINGS, packed
 from valvemap.storage.recording_forms import extra_of_parquet, form_of
 
 _BLOCK = 1 << 18
+_FAILED = "cannot be written"
 
 
 class RecordingWriter(Closing):
@@ -50,7 +52,7 @@ class RecordingWriter(Closing):
         self._form = _form(self.path)
         self._part = self.path.with_name(self.path.name + ".part")
         self._pending = bytearray()
-        with _naming(self.path):
+        with naming(self.path, _FAILED):
             _set_aside(self._part)
             self._file = self._part.open("wb", buffering=0)
             self._good = 0
@@ -77,7 +79,7 @@ class RecordingWriter(Closing):
     def flush(self) -> None:
         """Flush all rows to the disk (fsync), so that they survive a power failure."""
         self._write()
-        with _naming(self.path):
+        with naming(self.path, _FAILED):
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
@@ -88,24 +90,25 @@ class RecordingWriter(Closing):
             self.flush()
         finally:
             self._file.close()
-            with _naming(self.path):
+            with naming(self.path, _FAILED):
                 self._form.finish(self._part, self.path)
 
     def discard(self) -> None:
         """Close without a recording; an existing file of that name is kept."""
         self._file.close()
-        with _naming(self.path):
+        with naming(self.path, _FAILED):
             self._part.unlink(missing_ok=True)
 
     def _write(self) -> None:
         block = self._form.pack(bytes(self._pending))
-        try:
-            _write_all(self._file, block)
-        except OSError as error:
-            with suppress(OSError):  # a partial row would be joined to the next one
-                self._file.seek(self._good)
-                self._file.truncate()
-            raise _storage_error(self.path, error) from error
+        with naming(self.path, _FAILED):
+            try:
+                _write_all(self._file, block)
+            except OSError:
+                with suppress(OSError):  # a partial row would be joined to the next one
+                    self._file.seek(self._good)
+                    self._file.truncate()
+                raise
         self._good += len(block)
         self._pending.clear()
 
@@ -173,21 +176,3 @@ def _write_all(file: BinaryIO, block: bytes) -> None:
     rest = memoryview(block)
     while rest:
         rest = rest[file.write(rest) :]
-
-
-class _naming:  # noqa: N801 - reads like the function that it is
-    """Converts an OSError to a StorageError that names the file."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, OSError):
-            raise _storage_error(self._path, error) from error
-
-
-def _storage_error(path: Path, error: OSError) -> StorageError:
-    return StorageError(f"{path} cannot be written: {error.strerror or error}")

@@ -9,6 +9,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
+from valvemap import owned_files
 from valvemap.errors import StorageError
 
 MOST_SET_ASIDE: Final = 3  # damaged files of one name; the oldest is deleted first
@@ -110,11 +111,10 @@ def snapshot(connection: sqlite3.Connection) -> Iterator[None]:
 def naming(path: Path) -> Iterator[None]:
     """Convert errors of SQLite and the file system to a one-line StorageError naming the file."""
     try:
-        yield
+        with owned_files.naming(path, "cannot be used"):
+            yield
     except sqlite3.Error as error:
         raise StorageError(f"{path} cannot be used: {error}") from error
-    except OSError as error:
-        raise StorageError(f"{path} cannot be used: {error.strerror}") from error
 
 
 def damage(text: str) -> sqlite3.DatabaseError:
