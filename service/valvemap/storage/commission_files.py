@@ -11,8 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Self
 
-from valvemap.errors import StorageError
 from valvemap.model.samples import Samples
+from valvemap.owned_files import naming
 from valvemap.storage.closing import Closing
 from valvemap.storage.csv_writing import csv_header, csv_rows
 from valvemap.storage.recordings import read_recording
@@ -48,7 +48,7 @@ def why_unfinished(recording: Path) -> str | None:
     if not audit.is_file():
         return None
     found = "the guided run did not end"
-    with _naming(audit):
+    with naming(audit):
         for line in audit.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 said = json.loads(line)
@@ -83,14 +83,14 @@ class RunFiles(Closing):
         self._resumes = recording.is_file()
 
     def __enter__(self) -> Self:
-        with _naming(self.recording):
+        with naming(self.recording):
             self.recording.parent.mkdir(parents=True, exist_ok=True)
             if self._resumes:
                 _drop_half_line(self.recording)
             self._rows = self.recording.open("ab")
             if not self._rows.tell():
                 self._rows.write(csv_header())
-        with _naming(self.audit):
+        with naming(self.audit):
             self._audit = self.audit.open("a", encoding="utf-8")
         return self
 
@@ -106,7 +106,7 @@ class RunFiles(Closing):
         ------
         StorageError
         """
-        with _naming(self.recording):
+        with naming(self.recording):
             self._rows.write(csv_rows(self._valve, samples))
             self._rows.flush()
 
@@ -117,7 +117,7 @@ class RunFiles(Closing):
         ------
         StorageError
         """
-        with _naming(self.audit):
+        with naming(self.audit):
             self._audit.write(json.dumps(what, ensure_ascii=False) + "\n")
             self._audit.flush()
 
@@ -139,7 +139,7 @@ class RunFiles(Closing):
         if not self._resumes or not self.audit.is_file():
             return 0.0
         found = 0.0
-        with _naming(self.audit):
+        with naming(self.audit):
             for line in self.audit.read_text(encoding="utf-8", errors="replace").splitlines():
                 try:
                     elapsed = json.loads(line).get("elapsed_s")
@@ -156,17 +156,3 @@ def _drop_half_line(file: Path) -> None:
         rows.truncate(content.rfind(b"\n") + 1)
         rows.flush()
         os.fsync(rows.fileno())
-
-
-class _naming:  # noqa: N801 - reads like the function that it is
-    """Raise an OSError as a StorageError that names the file."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-
-    def __enter__(self) -> None:
-        return
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, OSError):
-            raise StorageError(f"{self._file}: {error.strerror or error}") from error
