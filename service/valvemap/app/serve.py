@@ -30,6 +30,7 @@ from valvemap.app.shown import Shown
 from valvemap.app.staged_start import complete, first_identification
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
+from valvemap.daemon_thread import unless_stopped
 from valvemap.errors import StorageError, ValvemapError
 from valvemap.model.kernels import interpreted
 from valvemap.model.kernels.warmed_up import was_warmed_up
@@ -37,7 +38,6 @@ from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.runtime.axes import AxisTap
-from valvemap.runtime.daemon_thread import unless_stopped
 from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper

@@ -14,12 +14,12 @@ import structlog
 from valvemap.app.build import build_identification, build_preview
 from valvemap.app.warm_up import warm_up, warm_up_aside
 from valvemap.config.models import Config
+from valvemap.daemon_thread import in_daemon_thread
 from valvemap.model.kernels import interpreted
 from valvemap.model.kernels.warmed_up import was_warmed_up
 from valvemap.numba_version import is_tested
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.result_ports import StartState
-from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.live import LiveService
 
 log = structlog.get_logger(__name__)

@@ -15,6 +15,7 @@ from valvemap.app.connections import (
 )
 from valvemap.app.limits import allow_descriptors, descriptors_needed
 from valvemap.app.warm_up import warm_up
+from valvemap.daemon_thread import in_daemon_thread, unless_stopped
 from valvemap.errors import BrokerAway, FleetError
 from valvemap.kafka.catalogue import groups_of, load_catalogue, site_of
 from valvemap.kafka.decoding import Decoder
@@ -25,7 +26,6 @@ from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.site_results import Show
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.runtime.backoff import backoff
-from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
 
 log = structlog.get_logger(__name__)
 

@@ -9,6 +9,7 @@ import numpy as np
 import structlog
 
 from valvemap.clock import Clock
+from valvemap.daemon_thread import in_daemon_thread
 from valvemap.errors import CommandRejected, SourceError, StorageError
 from valvemap.model.axis import AxisSamples
 from valvemap.model.samples import Times
@@ -25,7 +26,6 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import CheckpointStore, Piece
-from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.kept_position import resume_source

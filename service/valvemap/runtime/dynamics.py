@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import structlog
 
 from valvemap.clock import Clock, thread_seconds
+from valvemap.daemon_thread import in_daemon_thread
 from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.dynamics_reference import Outcome
 from valvemap.pipeline.dynamics_results import NOTHING_YET, DynamicsResults
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.valve_dynamics import DynamicsInTurn, Job
-from valvemap.runtime.daemon_thread import in_daemon_thread
 from valvemap.vocabulary.dynamics import DynamicsStatus
 
 log = structlog.get_logger(__name__)

@@ -6,13 +6,14 @@ import ssl
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from threading import Lock, Thread
+from threading import Lock
 from typing import Any, Final
 
 from paho.mqtt.client import MQTT_ERR_SUCCESS, Client, MQTTv311, topic_matches_sub
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.reasoncodes import ReasonCode
 
+from valvemap.daemon_thread import in_daemon_thread
 from valvemap.errors import SinkError, SinkLost, SinkRejected
 from valvemap.sparkplug.edge_node import Message
 from valvemap.sparkplug.guarded_client import GuardedClient
@@ -114,7 +115,7 @@ class PahoSession:
         """Connect, wait for CONNACK and subscribe."""
         settings = self._settings
         try:
-            await _in_thread(
+            await in_daemon_thread(
                 lambda: self._client.connect(settings.host, settings.port, settings.keep_alive_s)
             )
         except ssl.SSLError as error:
@@ -161,7 +162,7 @@ class PahoSession:
         if isinstance(connected, socket.socket):
             with suppress(OSError):
                 connected.shutdown(socket.SHUT_RDWR)
-        await _in_thread(self._client.loop_stop)
+        await in_daemon_thread(self._client.loop_stop)
         self._client._reset_sockets()  # noqa: SLF001 - else its own pair waits for the collector
 
     async def _subscribe(self, topic: str) -> None:
@@ -261,29 +262,3 @@ class PahoSession:
         """Run in the event loop's thread; paho's callbacks run in its own thread."""
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(call, *arguments)
-
-
-async def _in_thread(work: Callable[[], object]) -> None:
-    """Await blocking work in a daemon thread, which does not delay the end of the process."""
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[None] = loop.create_future()
-
-    def settle(error: BaseException | None) -> None:
-        if done.done():
-            return
-        if error is None:
-            done.set_result(None)
-        else:
-            done.set_exception(error)
-
-    def run() -> None:
-        failure: BaseException | None = None
-        try:
-            work()
-        except Exception as error:  # noqa: BLE001 - it is raised where it is waited for
-            failure = error
-        with suppress(RuntimeError):
-            loop.call_soon_threadsafe(settle, failure)
-
-    Thread(target=run, daemon=True).start()
-    await done

@@ -5,7 +5,7 @@ from threading import Event
 
 import pytest
 
-from valvemap.runtime.daemon_thread import in_daemon_thread, unless_stopped
+from valvemap.daemon_thread import in_daemon_thread, unless_stopped
 
 
 async def test_work_is_awaited_with_its_result_or_its_error():
