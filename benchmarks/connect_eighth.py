@@ -1,4 +1,4 @@
-"""Plants of other habits than the seven sets before, drawn before the tables were looked at.
+"""Plants of other habits than the seven sets before, drawn before the tables of names were read.
 
 Designations of KKS and IEC 81346, loops of one instrument each, units in a folder, a scale in a
 node beside, status words, pumps named P1 and P2, an idle circuit, reversed signs, dead bands.
@@ -46,7 +46,7 @@ def reference_designations(seed: int) -> Plant:
 
 
 def isa_loop(seed: int) -> Plant:
-    """Instruments of a loop each: the orifice law alone says which pressure is which."""
+    """Instruments of a loop each: only the orifice law distinguishes the pressures."""
     root = "Area7|"
     site = one_valve(
         seed, root, ("FCV-101.OUT", "U", "%"), ("PT-101.PV", "p1", "bar"),
@@ -77,7 +77,7 @@ def idle_circuit(seed: int) -> Plant:
 
 
 def idle_tags(seed: int) -> Plant:
-    """The same by tags: of the idle circuit's two pressures nothing says which one is before."""
+    """The same by tags: no name states which of the idle circuit's pressures is upstream."""
     site = Machine(seed)
     for loop, true in ((100, site.true), (200, _idle(site))):
         for tag, role, unit in (

@@ -90,7 +90,7 @@ def ignition(seed: int) -> Plant:
 
 
 def loops(seed: int) -> Plant:
-    """Each instrument has a loop of its own: nothing says which pressure is which."""
+    """One loop per instrument: nothing distinguishes the pressures."""
     site = one_valve(
         seed, "DCS|", ("FIC-310.OP", "U", "%"), ("PI-311.PV", "p1", "bar"),
         ("PI-312.PV", "p2", "bar"), ("FIC-310.PV", "Q", "l/min"),
@@ -188,7 +188,7 @@ def feedback_only(seed: int) -> Plant:
 
 
 def card(seed: int) -> Plant:
-    """Elements of one array: no name says which pressure is which, but the orifice law does."""
+    """Elements of one array: no name distinguishes the pressures, but the orifice law does."""
     site = Machine(seed)
     for name, role in (
         ("aPress[0]", "p1"),

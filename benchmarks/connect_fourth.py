@@ -1,6 +1,6 @@
 """Plants as integrators of other makes write them: data blocks, structures, counts, four ports.
 
-Invented before the tables of names were looked at. Each is a function of a seed: names are fixed,
+Invented before the tables of names were read. Each is a function of a seed: names are fixed,
 the machine's work is another each time. ``asks`` is set where no reader could know.
 """
 
@@ -47,7 +47,7 @@ class Machine(Site):
         }
 
     def means(self, path: str, role: str, values: Floats, valve: str = "V") -> None:
-        """Say what a variable that is there truly is."""
+        """Note the true role of an existing variable."""
         node = next(o.node for o in self._candidates if o.path == tuple(path.split("|")))
         self._truth.setdefault(valve, {})[role] = node, values
 

@@ -1,6 +1,6 @@
-"""Plants of further makes and languages, drawn before the tables were looked at; one table.
+"""Plants of further makes and languages, drawn before the tables of names were read; one table.
 
-Each row of a plant is a name, what it shows, and its unit: the role of a true signal, or how its
+Each row of a plant is a name, its values, and its unit: the role of a true signal, or how its
 values follow from the site. Columns that are usual have their defaults in :class:`Row`.
 """
 
@@ -17,7 +17,7 @@ from benchmarks.connect_plants import Floats, Plant
 
 @dataclass(frozen=True)
 class Row:
-    """One variable of a plant; ``role`` is what it truly is, ``shown`` its values if not that.
+    """One variable of a plant; ``role`` is its true role, ``shown`` its values if they differ.
 
     ``span`` makes counts of ``counts``, or 20 mA, for that many of our unit; ``stated``: the unit
     is a property.

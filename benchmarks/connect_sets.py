@@ -1,6 +1,6 @@
 """The sets of plants that vendors and integrators might have written, in the order of their making.
 
-Each set was drawn before the tables of names were looked at, once the one before had been mended.
+Each set was drawn before the tables of names were read, once the one before had been mended.
 """
 
 from collections.abc import Callable, Mapping

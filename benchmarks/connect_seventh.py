@@ -1,7 +1,7 @@
-"""Plants of other languages and shapes than those before, drawn before the tables were looked at.
+"""Plants of other languages and shapes than those before, drawn before the tables were read.
 
 Members of structures whose meaning stands in a parent's name, statistics beside each value, counts,
-shared signals, ranges that nobody set, two meters, sensors that stand still.
+shared signals, ranges left at their defaults, two meters, sensors that stand still.
 """
 
 from collections.abc import Callable
@@ -223,7 +223,7 @@ def main_and_drain(seed: int) -> Plant:
 
 
 def meters_disagree(seed: int) -> Plant:
-    """Two meters in one line that differ by 7 %: nobody can say which one is right."""
+    """Two meters in one line that differ by 7 %: neither is known to be right."""
     root = "Bench|Valve|"
     site = one_valve(
         seed, root, ("Command", "U", "%"), ("Inlet pressure", "p1", "bar"),

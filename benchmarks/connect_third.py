@@ -164,7 +164,7 @@ _FAULTS: Final[Mapping[str, Callable[..., dict[str, Floats]]]] = dict(
 
 
 def _plant(rng: np.random.Generator, shown: Mapping[str, Floats], kind: str) -> Plant:
-    """Name a valve's signals, and add what is beside it."""
+    """Name a valve's signals, and add the variables beside it."""
     language = str(rng.choice(list(NAMES)))
     names, loop = NAMES[language], int(rng.integers(101, 900))
     units = {role: str(rng.choice(choices)) for role, choices in UNITS.items()}

@@ -51,7 +51,7 @@ class Site:
         role: str = "",
         valve: str = "V",
     ) -> None:
-        """Add a variable with values in our unit; ``role`` is what it truly is at ``valve``.
+        """Add a variable with values in our unit; ``role`` is its true role at ``valve``.
 
         ``unit`` is the one of its numbers, in the property if ``stated``.
         """
@@ -80,7 +80,7 @@ class Site:
         self._values[one.node] = factor * self._values[one.node] + offset
 
     def plant(self, kind: str, *, asks: bool = False) -> Plant:
-        """Return what was collected."""
+        """Return the plant of the collected variables."""
         order = self.rng.permutation(len(self._candidates))
         candidates = tuple(self._candidates[i] for i in order)
         return Plant(kind, candidates, Record(self._values, STEP), self._truth, asks=asks)

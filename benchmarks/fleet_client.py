@@ -1,6 +1,6 @@
 """A bare client that learns as a worker does: ``python -m benchmarks.fleet_client FLEET.toml``.
 
-confluent-kafka alone: what is learnt, results and offsets in one transaction; memories go to the
+confluent-kafka alone: states, results and offsets in one transaction; memories go to the
 results' topic under separate keys, once in a transaction. It takes nothing over.
 """
 

@@ -1,8 +1,8 @@
 """A server to be attacked, ours or a plain one: ``python -m benchmarks.hostile_server ours PORT``.
 
-Both have the same nodes and the default settings of their makers; both write to stderr what they
-log. A counter goes up 10 times a second, and ours writes 200 other values each time and has ten of
-its hundred alarms change.
+Both have the same nodes and the default settings of their makers; both log to
+stderr. A counter goes up 10 times a second, and ours writes 200 other values each time and has ten
+of its hundred alarms change.
 """
 
 import asyncio

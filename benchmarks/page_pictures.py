@@ -1,6 +1,6 @@
 """The pictures of the page for README and docs: ``python -m benchmarks.page_pictures``.
 
-Starts a demo of three valves, breaks something of one and looks at every view. Needs Chromium
+Starts a demo of three valves, breaks something of one and draws every view. Needs Chromium
 (Debian: ``apt-get install chromium``). Five minutes.
 """
 

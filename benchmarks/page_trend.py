@@ -149,7 +149,7 @@ async def _until_checked() -> None:
 
 
 async def _pictures(page: Page, processes: tuple[int, int]) -> dict[str, float]:
-    """Time of each picture; what it costs both processes is printed, as it is on a busy machine."""
+    """Time of each picture; the processor time of both processes is printed too."""
     trend = f"#/trend/{VALVE}?span={_WEEK_S}"
     first = await page.evaluate(_OPENED, trend)
     print(f"{'span, h':>8} {'read, ms':>9} {'CPU of the service, of the page, ms':>36}")

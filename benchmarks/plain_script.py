@@ -1,7 +1,7 @@
 """A user's script: asyncua's client, padasip's filter, one sample at a time.
 
 ``python -m benchmarks.plain_script URL VALVE,… SECONDS`` prints how many notifications of the
-virtual rig's open endpoint it takes in per second.
+virtual rig's open endpoint it processes per second.
 """
 
 import asyncio
