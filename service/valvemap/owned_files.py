@@ -58,7 +58,7 @@ def written_aside(file: Path) -> Iterator[Path]:
 
 @contextmanager
 def naming(file: Path, failed: str = "") -> Iterator[None]:
-    """Raise an OSError as a StorageError that names the file, and says what ``failed``.
+    """Raise an OSError as a StorageError that names the file and the action that ``failed``.
 
     >>> with naming(Path("log.csv")):
     ...     raise OSError(28, "No space left on device")

@@ -71,9 +71,9 @@ class Command:
 
 
 def lead_of(command: Command, before: float, passed_s: float) -> float:
-    """Return what is added to the command of a machine's controller, %.
+    """Return the lead added to the command of a machine's controller, %.
 
-    ``before`` is the lead of so many seconds ago.
+    ``before`` is the lead ``passed_s`` seconds ago.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The nodes of one valve or machine: what it measures, and what operators write and call."""
+"""The nodes of one valve or machine: its signals, and the variables and methods of operators."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

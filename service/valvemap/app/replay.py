@@ -97,7 +97,7 @@ def replay(
     rating
         What the valve's name plate states; units that it contradicts are refused.
     note
-        Called with a line of what is left out of a recording.
+        Called with one line for each omitted part of a recording.
 
     Returns
     -------

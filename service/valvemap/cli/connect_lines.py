@@ -1,4 +1,4 @@
-"""What ``valvemap connect`` prints: the values seen, the sheet, what is left out, questions."""
+"""What ``valvemap connect`` prints: the values seen, the sheet, omitted variables, questions."""
 
 import shlex
 from typing import TYPE_CHECKING

@@ -22,7 +22,7 @@ class ClientStatistics:
     lag
         By topic and partition assigned to it, messages that it has not received yet.
     fetched
-        By topic and partition, messages received and not handed over.
+        By topic and partition, messages received and not yet returned to the caller.
     unsent
         Messages that wait for the broker.
     """

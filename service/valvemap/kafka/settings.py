@@ -169,7 +169,7 @@ def load_fleet(file: Path) -> FleetConfig:
     Raises
     ------
     ConfigurationError
-        naming file (or environment variable), field, value and what is allowed.
+        naming file (or environment variable), field, value and the allowed values.
     """
     if not file.is_file():
         raise ConfigurationError(f"{file}: no such file; docs/fleet.md shows its content")

@@ -17,7 +17,7 @@ class Change:
         Time of the last sample before it, UTC ns.
     size : float
         Change of the flow, l/min: of least squares the mean innovation until its detection, of
-        `Auto` the root mean square of what is off the former map within 10 s, with its sign.
+        `Auto` the root mean square of the distance from the former map within 10 s, with its sign.
     """
 
     count: int

@@ -17,7 +17,7 @@ from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.samples import Floats
 from valvemap.model.tensor_spline import TensorSpline
 
-FINEST: Final = (24, 48, 96)  # rectangles along an axis without knots, until what is left is small
+FINEST: Final = (24, 48, 96)  # rectangles along an axis without knots, until the remainder is small
 SMALL: Final = 1e-5  # of the largest flow: a smaller remainder needs no finer rectangles
 FINE: Final = 192  # rectangles along U, at least, where the least slopes matter
 SLIVER: Final = 0.01  # of a rectangle's width; edges that are closer to a knot are left out

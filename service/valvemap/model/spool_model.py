@@ -178,7 +178,7 @@ def response(p: Point, step: float, seconds: float) -> tuple[Floats, Floats]:
 def _bends() -> Floats:
     """Return the sum of squares of the coefficients' third differences along U, (COLUMNS, COLUMNS).
 
-    Where the spool was seldom or never, the map goes on as beside it.
+    Where the spool was seldom or never, the map is extrapolated smoothly from the range beside it.
     """
     third = np.diff(np.eye(PARTS + 2), 3, axis=0)
     return np.asarray(np.kron(np.eye(3), third.T @ third))

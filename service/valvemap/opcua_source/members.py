@@ -2,7 +2,7 @@
 
 The path of a member is the names of the fields from the outermost structure in, parted by points;
 ``[3]`` is an element of an array, counted from 0. A value is walked as its type's definition says
-(Part 6, 5.2.6) and must end where the definition ends: what was changed at the server without a new
+(Part 6, 5.2.6) and must end where the definition ends: a change at the server without a new
 definition gives no number. Nothing here does I/O.
 """
 

@@ -43,7 +43,7 @@ class DrawnMaps:
     async def draw_for_ever(
         self, wanted: Callable[[], Wanted], valves: Callable[[], Sequence[Valve]]
     ) -> None:
-        """Draw what is in view until cancelled.
+        """Draw the maps in view until cancelled.
 
         Raises
         ------

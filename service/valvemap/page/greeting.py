@@ -1,4 +1,4 @@
-"""What a new viewer is told first: the connection, the places, and the words of all codes. Pure."""
+"""First messages to a new viewer: the connection, the places, and the words of all codes. Pure."""
 
 from collections.abc import Iterator
 from typing import Any

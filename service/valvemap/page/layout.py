@@ -52,7 +52,7 @@ class Valve:
 
 
 class PartKind(StrEnum):
-    """What is shown by all variables of its nodes, instead of by estimators."""
+    """Kinds of parts shown by all variables of their nodes, instead of by estimators."""
 
     LINE = "line"
     AXIS = "axis"

@@ -81,7 +81,7 @@ class Client(Protocol):
 
 @dataclass
 class Wanted:
-    """What is in view, by number: valves, maps of estimators, lines and axes.
+    """Things in view, by number: valves, maps of estimators, lines and axes.
 
     Valves ``from_afar`` are shown once a second, which costs the service nothing: their frames are
     read anyway.

@@ -1,7 +1,7 @@
 """Trends: courses of a valve's variables from the service's history, in tiles that viewers share.
 
 A trend is mean, least and largest value of equal intervals whose starts are multiples of their
-length. So a panned or zoomed trend consists of the same intervals, and what is past is read once.
+length. So a panned or zoomed trend consists of the same intervals, and past ones are read once.
 Where the service keeps no history, the page answers with the values it has seen.
 """
 

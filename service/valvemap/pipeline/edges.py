@@ -97,7 +97,7 @@ class Splitter:
     Parameters
     ----------
     parts
-        What each of the V plans is of a valve with ports; None: it is a valve.
+        Part of a valve with ports that each of the V plans is; None: it is a valve.
     names
         Names of the plans.
     most

@@ -89,7 +89,7 @@ class Identification:
     journal : CallJournal or None
         The noted calls; None if this is no preview.
     results, maps, answers, armed
-        What is published: results, the tables in them, answers to standing demands, feed-forward.
+        Published: results, the tables in them, answers to standing demands, feed-forward.
     valves, failures
         The valves' own states, and the lanes that stopped.
     arrivals, stamping, plausibility

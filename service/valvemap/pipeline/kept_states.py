@@ -46,7 +46,7 @@ class KeptStates:
     maps
         Recomputed after a restore.
     splitter, meters
-        What is kept of the edges of valves with ports, and of valves behind a shared meter.
+        Kept states of the edges of valves with ports, and of valves behind a shared meter.
     references
         What the valves' dynamics are compared with.
     """

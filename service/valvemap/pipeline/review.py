@@ -145,7 +145,7 @@ class Change(Generic[P]):
 
 
 class Terms(Protocol[P]):
-    """What is particular to the states of valves, or of axes."""
+    """The rules that differ between states of valves and of axes."""
 
     def names(self, rows: Sequence[Checkpoint], plan: P) -> Mapping[str, str]:
         """Return the present names of stored states that were renamed."""

@@ -205,7 +205,7 @@ def _has_command(own: Sequence[Candidate]) -> bool:
 def _names_command(own: Sequence[Candidate]) -> bool:
     """Whether a name, and not the unit % alone, says that a variable is a command.
 
-    The load of a pump is in %, too: what is beside it elsewhere is not its own.
+    The load of a pump is in %, too: variables beside it in other folders are not its own.
     """
     commands = (one.label.concepts for one in own if one.label.role is Role.U)
     return any(_OF_COMMANDS.intersection(found) for found in commands)

@@ -39,8 +39,8 @@ LEAST_LEFT: Final = _LEAST_NOISE**2  # share of the variance of Q that each fit 
 class Fit:
     """Result of the test: variances (squared unit of Q), and the share of reversed samples.
 
-    ``residual`` is what is left without the least noise; ``freed`` the same where the pressures may
-    have an offset and other weights (``parts_freed``), as those of another place, or in another
+    ``residual`` is the remaining variance less the least noise; ``freed`` the same if the pressures
+    may have an offset and other weights (``parts_freed``), as those of another place, or in another
     scale, would. ``parts_beside`` is the number of parts that other valves add to the law and that
     move. A flow that ``falls`` while the valve opens is not explained.
     """

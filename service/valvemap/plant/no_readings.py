@@ -1,7 +1,7 @@
 """Numbers that stand for no reading: -999, 0 or 9999 in single samples of a signal.
 
 A logger or historian writes such a number where a value is missing. In the samples it is one exact
-value that a signal jumps to and back from, again and again, while the others go on as before.
+value that a signal jumps to and back from, again and again, while the others continue as before.
 """
 
 from collections.abc import Mapping

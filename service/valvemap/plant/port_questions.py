@@ -58,7 +58,7 @@ def question_of_ports(group: Group, record: Record, found: Edges, given: Given) 
 
 
 def corrected(group: Group, record: Record, found: Edges, given: Given) -> dict[str, Edges]:
-    """Return the readings that nothing contradicts once they are answered, by what they assume."""
+    """Return the readings that nothing contradicts once they are answered, by their assumption."""
     nodes, own = found.reading.nodes, found.reading.scales
     readings = {"as labelled": (nodes, own)}
     if Role.U not in given.scales:

@@ -30,9 +30,9 @@ _MOST_TRIED: Final = 6_000  # assignments of a place
 _MOST_TESTED: Final = 8  # of them, with lag and play
 _MOST_OPTIONS: Final = 3
 _ALL_TOLD: Final = 4  # signals; then a valve at rest is one, too
-_TELLS_DP: Final = 0.5  # of what is left without Δp, where Δp is one
+_TELLS_DP: Final = 0.5  # of the residual without Δp, where Δp is one
 _KNOTS: Final = (0.0, 0.3, 0.6)  # shares of the samples below each
-_ALIKE: Final = 0.01  # of its spread: what one variable leaves of its copy in other numbers
+_ALIKE: Final = 0.01  # of its spread: residual of a variable's copy in other numbers
 _LIKELY_OTHER: Final = 6.0  # nats by which a variable is rather another signal
 _OF_ONE_PLACE: Final = SIDES | {Concept.PRESSURE}  # in words: no pressure drop
 _PRESSURES: Final = (Role.P1, Role.P2, Role.PA, Role.PB)
@@ -110,7 +110,7 @@ def may_be_a_signal(one: Candidate) -> bool:
 
 
 def is_unnamed(one: Candidate) -> bool:
-    """Whether neither name nor unit says what a variable is."""
+    """Whether neither name nor unit identifies a variable."""
     label = one.label
     named = QUANTITIES.intersection(label.concepts)
     others = label.role not in LEARNT and label.evidence[label.role] > 0.0

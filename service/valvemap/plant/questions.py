@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Option:
-    """One reading of a question: what it is, its consequence, and the answers that choose it.
+    """One reading of a question: its sentence, its consequence, and the answers that choose it.
 
     ``explained`` is the share of Q that the orifice law explains in it; NaN if Q does not move.
     ``against`` names what contradicts it.

@@ -14,7 +14,7 @@ from valvemap.plant.roles import LEARNT, QUANTITY, Role
 from valvemap.plant.verdict import Verdict
 
 _MOST_NAMED: Final = 6  # variables of a line
-_MOST_KINDS: Final = 8  # of what is no signal of a valve
+_MOST_KINDS: Final = 8  # of variables that are no signal of a valve
 _NAME_ALL: Final = (
     "a command, but its pressures or its flow were not found; if it is a valve's, name all: "
     "--signal=NAME.U=… --signal=NAME.p1=… --signal=NAME.p2=… --signal=NAME.Q=…"

@@ -38,7 +38,7 @@ def write_page(
     folder
         Where it goes, as ``index.html``.
     title
-        What was replayed.
+        The replayed recordings.
     tables
         As they stand in the terminal.
     notes

@@ -41,7 +41,7 @@ def verification_table(
     Parameters
     ----------
     title
-        What was compared with what.
+        The compared quantities.
     scores
         Valve → estimator → its figures, shown in this order.
     again

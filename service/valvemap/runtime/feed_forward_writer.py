@@ -29,7 +29,7 @@ log = structlog.get_logger(__name__)
 
 
 class Led(Protocol):
-    """What is led: valves, or axes. Numbers are those of the source's rows."""
+    """The led valves, or axes. Numbers are those of the source's rows."""
 
     @property
     def settings(self) -> Mapping[int, FeedForward]:
@@ -54,7 +54,7 @@ class FeedForwardWriter:
     Parameters
     ----------
     led
-        What is led.
+        The led valves, or axes.
     rows
         How many rows the source has.
     source

@@ -134,7 +134,7 @@ class RegionSection(Section):
 class SupportSection(Section):
     """Region of the map's samples, see :class:`~valvemap.model.support.Support`.
 
-    ``boxes`` are rows: samples (255 at most), what they span of U, dp and T, low and high each, and
+    ``boxes`` are rows: samples (255 at most), their range of U, dp and T, low and high each, and
     the widest gap in T; null where no temperature was measured. ``fit`` holds the sums behind the
     question whether eq. (7) suffices.
     """

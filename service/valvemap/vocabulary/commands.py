@@ -51,7 +51,7 @@ class Action:
     method
         The OPC UA method, and its name in ``LastAction``.
     on
-        What it acts on.
+        Subject of the command.
     sentence
         For the operator.
     inputs
@@ -59,7 +59,7 @@ class Action:
     values
         Number of numbers in a fleet's message.
     effect
-        What is published at once.
+        Values published immediately.
     in_fleet
         Whether a fleet carries it out.
     variables

@@ -1,8 +1,8 @@
 """The ports, edges and lines of a valve with two directions, and the names that they give.
 
 An edge joins two ports and opens for one sign of U. A line is where a flow is measured: its two
-edges are told apart by the sign of U. Each edge and each line has its place among the valves under
-the name ``<Valve>.<Edge>`` or ``<Valve>.Line<A|B>``.
+edges are distinguished by the sign of U. Each edge and each line has its place among the valves
+under the name ``<Valve>.<Edge>`` or ``<Valve>.Line<A|B>``.
 """
 
 from enum import StrEnum
