@@ -22,6 +22,7 @@ from valvemap.model.kernels import flow_drift
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES
 
+FORCE_SIZE: Final = 20.0  # 1/t; prior of the part of the force, of the lightest piston: 50 kg
 _CORNER: Final = 0.015  # share of the third difference; tuned on simulated axes
 _ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 0.7 to 0.9 tried
 _PLACE: Final = 0.05  # share of 1/β, where the place is a range; 0.02 to 0.05 seen with long moves
@@ -113,7 +114,7 @@ def fit(regression: AxisRegression, state: AxisState) -> AxisFit:
     if regression.has_place:
         return best
     flows = _SCALE * best.theta
-    flows[COMMON + kernel.ZERO] = 0.0  # the zero is no flow
+    flows[[COMMON + kernel.ZERO, COMMON + kernel.FORCE]] = 0.0  # neither is a flow
     return replace(best, covariance=best.covariance + np.outer(flows, flows))
 
 
@@ -230,7 +231,9 @@ def _prior(slope: float) -> Floats:
         own = np.arange(at, at + KNOTS - 1)
         P[own, own] += _COEFFICIENT_SIZE**-2
         P[at + KNOTS - 1, at + KNOTS - 1] = _DEPARTURE_SIZE**-2
-    sizes = np.array([_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE, _ZERO_SIZE, _PLACE_SIZE])
+    sizes = np.array(
+        [_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE, _ZERO_SIZE, _PLACE_SIZE, FORCE_SIZE]
+    )
     common = np.arange(COMMON, SIZE)
     P[common, common] = sizes**-2.0
     return P

@@ -63,20 +63,39 @@ def shape_of(one: AxisRegression) -> dict[str, Any]:
     }
 
 
+def with_force(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Return arrays with the column of the force, 0, which earlier versions did not have.
+
+    >>> with_force({"theta": np.ones(SIZE - 1), "U": np.ones(3)})["theta"][-2:].tolist()
+    [1.0, 0.0]
+    """
+    last = SIZE - 1
+    found = dict(arrays)
+    for name in ("M", "scores", "of_shape", "precision"):
+        if np.shape(arrays.get(name)) == (last, last):
+            found[name] = np.pad(arrays[name], (0, 1))
+    for name in ("b", "theta", "score"):
+        if np.shape(arrays.get(name)) == (last,):
+            found[name] = np.pad(arrays[name], (0, 1))
+    if "filtered" in arrays:
+        found["filtered"] = np.insert(arrays["filtered"], last, 0.0, axis=-1)
+    return found
+
+
 @dataclass(frozen=True)
 class _Kept(KeptShape):
     """The stored form of an axis."""
 
-    state_version: ClassVar[int] = 4  # 3: offsets did not jump; 2: sensors had none
+    state_version: ClassVar[int] = 5  # 4: no column of the force; 3: offsets did not jump; 2: none
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the sensors' offsets."""
+        """Add the sensors' offsets, and the column of the force."""
         if version == "2":
             drift_states.upgrade(arrays, "drift_")
         elif version == "3":
             drift_states.add_jumps_of_offsets(arrays, "drift_")
-        return arrays if version in ("2", "3") else {}
+        return with_force(arrays) if version in ("2", "3", "4") else {}
 
     last: Any
     memory: Any

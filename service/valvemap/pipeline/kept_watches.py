@@ -2,19 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from valvemap.model.axis import AxisRegression
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import Condition, Reference
-from valvemap.model.axis_fit import with_theta
+from valvemap.model.axis_fit import FORCE_SIZE, with_theta
 from valvemap.model.axis_force import SUMS as FORCE_SUMS
 from valvemap.model.axis_force import ForceReference, ForceState
 from valvemap.model.contents import Contents
 from valvemap.pipeline.axis_watch import SUMS, AxisWatch, AxisWindowSums
-from valvemap.pipeline.kept_axes import KeptShape, shape_of
+from valvemap.pipeline.kept_axes import KeptShape, shape_of, with_force
 
 _OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
 
@@ -25,6 +25,17 @@ class _KeptWatch(KeptShape):
 
     Without a balance of forces, ``force_transition`` is 0.
     """
+
+    state_version: ClassVar[int] = 3  # 2: no column of the force
+
+    @classmethod
+    def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """Add the column of the force, of which nothing is known."""
+        if version != "2":
+            return {}
+        found = with_force(arrays)
+        found["precision"][-1, -1] = FORCE_SIZE**-2
+        return found
 
     theta: Any
     precision: Any

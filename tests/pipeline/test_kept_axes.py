@@ -1,0 +1,69 @@
+"""States of axes that earlier versions have stored: without the column of the force."""
+
+from dataclasses import make_dataclass
+
+import numpy as np
+import pytest
+
+from valvemap.model.axis import AxisGeometry, AxisRegression
+from valvemap.model.axis_basis import SIZE
+from valvemap.model.axis_condition import Condition, Reference
+from valvemap.model.axis_fit import FORCE_SIZE
+from valvemap.model.axis_force import ForceState
+from valvemap.model.estimator import State
+from valvemap.pipeline import kept_axes, kept_watches
+from valvemap.pipeline.axis_watch import AxisWatch, AxisWindowSums
+
+REGRESSION = AxisRegression(AxisGeometry(63, 45, 800, 1.2, 1.2), play_percent=2.0, spool_hz=40.0)
+KEY = "key"
+
+
+def as_before(kind, packed, version):
+    """The same state as a version without the column has stored it."""
+    arrays = {}
+    for name, array in vars(kind.from_bytes(packed, KEY)).items():
+        shape = np.shape(array)
+        if name == "filtered":
+            arrays[name] = np.delete(array, SIZE - 1, axis=-1)
+        else:
+            arrays[name] = array[tuple(slice(n - 1 if n == SIZE else n) for n in shape)]
+    older = make_dataclass(
+        kind.__name__, arrays, bases=(State,), frozen=True, namespace={"state_version": version}
+    )
+    return older(**arrays).to_bytes(KEY)
+
+
+@pytest.fixture
+def state():
+    rng, initial = np.random.default_rng(1), REGRESSION.initial_state()
+    for name in ("M", "b", "theta", "score", "scores", "filtered"):
+        array = getattr(initial, name)
+        array[...] = rng.uniform(size=array.shape)
+    for array in (initial.M, initial.scores):
+        array[-1], array[:, -1] = 0.0, 0.0
+    for array in (initial.b, initial.theta, initial.score):
+        array[-1] = 0.0
+    initial.filtered[..., SIZE - 1] = 0.0
+    return initial
+
+
+def test_an_axis_stored_without_the_column_continues(state):
+    learnt = kept_axes.Learnt(REGRESSION, state, np.zeros((SIZE, SIZE)))
+    before = as_before(kept_axes._Kept, kept_axes.pack(learnt, KEY), 4)
+    read = kept_axes.unpack(before, KEY, REGRESSION)
+    for name, array in vars(state).items():
+        np.testing.assert_array_equal(getattr(read.state, name), array, name)
+    assert read.of_shape.shape == (SIZE, SIZE)
+
+
+def test_a_watch_stored_without_the_column_knows_nothing_of_it(state):
+    square = np.zeros((SIZE, SIZE))
+    reference = Reference(state.theta, np.eye(SIZE), 1.0, 1.0)
+    sums = AxisWindowSums(state, ForceState.initial())
+    watch = AxisWatch(REGRESSION, 1800.0, square, reference, sums, sums, Condition.initial())
+    before = as_before(kept_watches._KeptWatch, kept_watches.pack_watch(watch, KEY), 2)
+    read = kept_watches.unpack_watch(before, KEY, REGRESSION)
+    np.testing.assert_array_equal(read.reference.theta, state.theta)
+    np.testing.assert_array_equal(read.sums.flow.M, state.M)
+    assert read.reference.precision[-1, -1] == pytest.approx(FORCE_SIZE**-2)
+    assert np.linalg.det(read.reference.precision) > 0.0
