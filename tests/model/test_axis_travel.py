@@ -39,15 +39,24 @@ def samples(block):
 
 
 def test_moves_exclude_places_until_the_position_is_known(block, samples):
-    x = placed(samples, 800.0).x
+    x = Travel.initial().update(samples, 800.0)[1].x
     off = np.abs(x - block.truth["x"])
     unused = 800.0 - np.ptp(block.truth["x"])
     assert x[0] == 400.0
     assert off[3_000:].max() < 0.5 * unused + 30.0
 
 
+def test_in_a_recording_the_moves_after_a_sample_exclude_places_too(block, samples):
+    x = placed(samples, 800.0).x
+    forward = Travel.initial().update(samples, 800.0)[1].x
+    off = x - block.truth["x"]
+    assert np.std(off) < 0.5 * np.std(forward - block.truth["x"])
+    assert np.ptp(off) < 60.0  # mm; the first sample's was 400 at any place
+
+
 def test_any_division_of_the_samples_gives_the_same_places(samples):
-    whole, travel, parts = placed(samples, 800.0).x, Travel.initial(), []
+    travel, parts = Travel.initial(), []
+    whole = travel.update(samples, 800.0)[1].x
     for start, end in ((0, 1), (1, 1), (1, 998), (998, 12_000)):
         travel, part = travel.update(samples[start:end], 800.0)
         parts.append(part.x)
@@ -57,7 +66,7 @@ def test_any_division_of_the_samples_gives_the_same_places(samples):
 def test_after_a_gap_every_place_is_possible_and_without_speed_there_is_none(samples):
     v = samples.v.copy()
     v[5_000:5_010], v[6_000:6_200] = np.nan, np.nan
-    x = placed(AxisSamples.of(samples.t, v=v), 800.0).x
+    x = Travel.initial().update(AxisSamples.of(samples.t, v=v), 800.0)[1].x
     assert np.array_equal(np.isnan(x), np.isnan(v))
     assert abs(x[5_010] - x[4_999]) < 20.0
     assert x[6_200] == 400.0

@@ -1,4 +1,4 @@
-"""States of axes that earlier versions have stored: without the column of the force."""
+"""States of axes that earlier versions have stored: without the columns of the force."""
 
 from dataclasses import make_dataclass
 
@@ -13,20 +13,22 @@ from valvemap.model.axis_force import ForceState
 from valvemap.model.estimator import State
 from valvemap.pipeline import kept_axes, kept_watches
 from valvemap.pipeline.axis_watch import AxisWatch, AxisWindowSums
+from valvemap.pipeline.kept_axes import FORCES
 
 REGRESSION = AxisRegression(AxisGeometry(63, 45, 800, 1.2, 1.2), play_percent=2.0, spool_hz=40.0)
 KEY = "key"
+FORCE = slice(SIZE - FORCES, SIZE)
 
 
 def as_before(kind, packed, version):
-    """The same state as a version without the column has stored it."""
+    """The same state as a version without the columns has stored it."""
     arrays = {}
     for name, array in vars(kind.from_bytes(packed, KEY)).items():
         shape = np.shape(array)
         if name == "filtered":
-            arrays[name] = np.delete(array, SIZE - 1, axis=-1)
+            arrays[name] = np.delete(array, FORCE, axis=-1)
         else:
-            arrays[name] = array[tuple(slice(n - 1 if n == SIZE else n) for n in shape)]
+            arrays[name] = array[tuple(slice(n - FORCES if n == SIZE else n) for n in shape)]
     older = make_dataclass(
         kind.__name__, arrays, bases=(State,), frozen=True, namespace={"state_version": version}
     )
@@ -40,14 +42,14 @@ def state():
         array = getattr(initial, name)
         array[...] = rng.uniform(size=array.shape)
     for array in (initial.M, initial.scores):
-        array[-1], array[:, -1] = 0.0, 0.0
+        array[FORCE], array[:, FORCE] = 0.0, 0.0
     for array in (initial.b, initial.theta, initial.score):
-        array[-1] = 0.0
-    initial.filtered[..., SIZE - 1] = 0.0
+        array[FORCE] = 0.0
+    initial.filtered[..., FORCE] = 0.0
     return initial
 
 
-def test_an_axis_stored_without_the_column_continues(state):
+def test_an_axis_stored_without_the_columns_continues(state):
     learnt = kept_axes.Learnt(REGRESSION, state, np.zeros((SIZE, SIZE)))
     before = as_before(kept_axes._Kept, kept_axes.pack(learnt, KEY), 4)
     read = kept_axes.unpack(before, KEY, REGRESSION)
@@ -56,7 +58,7 @@ def test_an_axis_stored_without_the_column_continues(state):
     assert read.of_shape.shape == (SIZE, SIZE)
 
 
-def test_a_watch_stored_without_the_column_knows_nothing_of_it(state):
+def test_a_watch_stored_without_the_columns_knows_nothing_of_them(state):
     square = np.zeros((SIZE, SIZE))
     reference = Reference(state.theta, np.eye(SIZE), 1.0, 1.0)
     sums = AxisWindowSums(state, ForceState.initial())
@@ -65,5 +67,5 @@ def test_a_watch_stored_without_the_column_knows_nothing_of_it(state):
     read = kept_watches.unpack_watch(before, KEY, REGRESSION)
     np.testing.assert_array_equal(read.reference.theta, state.theta)
     np.testing.assert_array_equal(read.sums.flow.M, state.M)
-    assert read.reference.precision[-1, -1] == pytest.approx(FORCE_SIZE**-2)
+    assert np.diag(read.reference.precision)[FORCE] == pytest.approx(FORCE_SIZE**-2)
     assert np.linalg.det(read.reference.precision) > 0.0

@@ -36,6 +36,7 @@ from valvemap.model.axis_force import ForceReference, ForceState
 from valvemap.model.kernels.axis_rows import (
     AIR,
     COMPLIANCE,
+    CREEP,
     FORCE,
     LEAKAGE,
     PER_LEAKAGE,
@@ -79,7 +80,7 @@ _DRIFT_GAIN, _DRIFT_LEAKAGE, _DRIFT_COMPLIANCE, _DRIFT_AIR = 0.005, 0.1, 0.02, 0
 """What a healthy axis may differ from its reference: 5 K of oil change the leakage by 15 %."""
 _DRIFT_ZERO: Final = 0.05  # mm/s; of a measured speed
 _DRIFT_PLACE: Final = 20.0  # mm/GPa; of a place that is a range
-_DRIFT_FORCE: Final = 1.0  # of the part of the force: what the piston carries may change
+_DRIFT_FORCE: Final = 1.0  # of both parts of the force: what the piston carries may change
 _PLACE_COMPLIANCE, _PLACE_AIR = 0.1, 4.0
 """The same where the position is a range (``axis_travel``): its middle moves with the work."""
 _CORNER: Final = 0.125  # of slope times distance: error of a parabola at a corner in its interval
@@ -134,6 +135,7 @@ class Reference:
             (ZERO, _DRIFT_ZERO),
             (PLACE, _DRIFT_PLACE),
             (FORCE, _DRIFT_FORCE * found.theta[COMMON + FORCE]),
+            (CREEP, _DRIFT_FORCE * found.theta[COMMON + CREEP]),
         ):
             common[COMMON + kind, kind] = size
         drift = np.column_stack([_DRIFT_GAIN * _gains(found.theta), common])
@@ -250,7 +252,7 @@ def _gains(theta: Floats) -> Floats:
 
 
 def _common(theta: Floats, leakage: float, least: float, compliance: float, air: float) -> Floats:
-    """Return the directions of leakage, 1/β and air, (n, 6), with these sizes; the last are 0."""
+    """Return the directions of leakage, 1/β and air, (n, 7), with these sizes; the last are 0."""
     found, k = np.zeros((SIZE, SIZE - COMMON)), COMMON
     found[k + LEAKAGE, 0] = math.hypot(leakage * theta[k + LEAKAGE], least)
     found[k + COMPLIANCE, 1] = compliance * theta[k + COMPLIANCE]

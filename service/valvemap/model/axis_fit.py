@@ -22,7 +22,7 @@ from valvemap.model.kernels import flow_drift
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.edges import EDGES
 
-FORCE_SIZE: Final = 20.0  # 1/t; prior of the part of the force, of the lightest piston: 50 kg
+FORCE_SIZE: Final = 20.0  # 1/t; prior of both parts of the force, of the lightest piston: 50 kg
 _CORNER: Final = 0.015  # share of the third difference; tuned on simulated axes
 _ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 0.7 to 0.9 tried
 _PLACE: Final = 0.05  # share of 1/β, where the place is a range; 0.02 to 0.05 seen with long moves
@@ -114,7 +114,7 @@ def fit(regression: AxisRegression, state: AxisState) -> AxisFit:
     if regression.has_place:
         return best
     flows = _SCALE * best.theta
-    flows[[COMMON + kernel.ZERO, COMMON + kernel.FORCE]] = 0.0  # neither is a flow
+    flows[[COMMON + k for k in (kernel.ZERO, kernel.FORCE, kernel.CREEP)]] = 0.0  # no flows
     return replace(best, covariance=best.covariance + np.outer(flows, flows))
 
 
@@ -161,7 +161,9 @@ def _fit(
     )
     if state.theta.any():
         scores = (state.scores + np.tril(state.scores, -1).T) / (together * sigma2) ** 2
-        middle = 0.5 * (scores + M / sigma2)  # halfway: blocks of few visits tell little
+        middle = scores  # the noise of a measured speed is in both lines at once
+        if regression.has_place:
+            middle = 0.5 * (scores + M / sigma2)  # halfway: blocks of few visits tell little
         covariance = covariance @ (middle + P) @ covariance
     return AxisFit(
         regression, theta, covariance, math.sqrt(loss / rows), together, loss, float(evidence)
@@ -232,7 +234,10 @@ def _prior(slope: float) -> Floats:
         P[own, own] += _COEFFICIENT_SIZE**-2
         P[at + KNOTS - 1, at + KNOTS - 1] = _DEPARTURE_SIZE**-2
     sizes = np.array(
-        [_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE, _ZERO_SIZE, _PLACE_SIZE, FORCE_SIZE]
+        [
+            *(_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE),
+            *(_ZERO_SIZE, _PLACE_SIZE, FORCE_SIZE, FORCE_SIZE),
+        ]
     )
     common = np.arange(COMMON, SIZE)
     P[common, common] = sizes**-2.0

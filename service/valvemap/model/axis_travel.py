@@ -2,7 +2,8 @@
 
 At first the piston can be anywhere in its stroke. Each move excludes the places from which it would
 have left the stroke, so that after the first long moves both ends of the range are known to the
-part of the stroke that the axis never uses. The middle of the range is the position.
+part of the stroke that the axis never uses. The middle of the range is the position. In a
+recording, moves after a sample exclude places as those before it do.
 """
 
 from dataclasses import dataclass, replace
@@ -40,11 +41,33 @@ class Travel:
         >>> Travel.initial().update(out, 800.0)[1].x[[0, -1]].round().tolist()
         [400.0, 749.0]
         """
-        after = Travel(self.last.copy(), self.memory.copy())
-        x = np.empty(len(samples))
+        after, places = self.places_after(samples.t, samples.v, stroke_mm)
+        return after, replace(samples, x=places.mean(axis=1))
+
+    def places_after(self, t: Times, v: Floats, stroke_mm: float) -> tuple["Travel", Floats]:
+        """Return the value after samples (N,), and the lowest and highest place at each (N, 2)."""
+        after, places = Travel(self.last.copy(), self.memory.copy()), np.empty((len(t), 2))
         settings = np.array([stroke_mm, ERROR_MM_S, _LONGEST_S])
-        kernel.places_of(samples.t, samples.v, after.last, after.memory, settings, x)
-        return after, replace(samples, x=x)
+        kernel.places_of(t, v, after.last, after.memory, settings, places)
+        return after, places
+
+    @classmethod
+    def both_ways(cls, samples: AxisSamples, stroke_mm: float) -> AxisSamples:
+        """Return samples with their position by the moves before and after each.
+
+        Examples
+        --------
+        >>> t = np.arange(1, 702) * 10_000_000
+        >>> out = AxisSamples.of(t, v=np.full(701, 100.0))
+        >>> Travel.both_ways(out, 800.0).x[[0, -1]].round().tolist()
+        [51.0, 749.0]
+        """
+        _, before = cls.initial().places_after(samples.t, samples.v, stroke_mm)
+        back = 1 + samples.t.max(initial=0) - samples.t[::-1]
+        _, behind = cls.initial().places_after(back, -samples.v[::-1], stroke_mm)
+        low = np.maximum(before[:, 0], behind[::-1, 0])
+        high = np.minimum(before[:, 1], behind[::-1, 1])
+        return replace(samples, x=0.5 * (low + high))
 
 
 def placed(samples: AxisSamples, stroke_mm: float) -> AxisSamples:
@@ -56,4 +79,4 @@ def placed(samples: AxisSamples, stroke_mm: float) -> AxisSamples:
     """
     if np.isfinite(samples.x).any() or not np.isfinite(samples.v).any():
         return samples
-    return Travel.initial().update(samples, stroke_mm)[1]
+    return Travel.both_ways(samples, stroke_mm)

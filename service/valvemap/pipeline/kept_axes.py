@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from valvemap.model.samples import Floats
 
 LEARNT, SEARCHES, WATCH, ALARMS = "Axis", "AxisSearches", "AxisWatch", "AxisAlarms"
 """Names of the stored parts."""
+FORCES: Final = 2  # last columns, of the force: `axis_rows.FORCE` and `CREEP`
 
 
 @dataclass(frozen=True)
@@ -64,21 +65,17 @@ def shape_of(one: AxisRegression) -> dict[str, Any]:
 
 
 def with_force(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Return arrays with the column of the force, 0, which earlier versions did not have.
+    """Return arrays with the columns of the force, 0, which earlier versions did not have.
 
-    >>> with_force({"theta": np.ones(SIZE - 1), "U": np.ones(3)})["theta"][-2:].tolist()
-    [1.0, 0.0]
+    >>> with_force({"theta": np.ones(SIZE - FORCES), "U": np.ones(3)})["theta"][-3:].tolist()
+    [1.0, 0.0, 0.0]
     """
-    last = SIZE - 1
-    found = dict(arrays)
-    for name in ("M", "scores", "of_shape", "precision"):
-        if np.shape(arrays.get(name)) == (last, last):
-            found[name] = np.pad(arrays[name], (0, 1))
-    for name in ("b", "theta", "score"):
-        if np.shape(arrays.get(name)) == (last,):
-            found[name] = np.pad(arrays[name], (0, 1))
+    before, found = SIZE - FORCES, dict(arrays)
+    for name in ("M", "scores", "of_shape", "precision", "b", "theta", "score"):
+        if name in arrays and set(np.shape(arrays[name])) == {before}:
+            found[name] = np.pad(arrays[name], (0, FORCES))
     if "filtered" in arrays:
-        found["filtered"] = np.insert(arrays["filtered"], last, 0.0, axis=-1)
+        found["filtered"] = np.insert(arrays["filtered"], [before] * FORCES, 0.0, axis=-1)
     return found
 
 
@@ -86,11 +83,11 @@ def with_force(arrays: dict[str, Any]) -> dict[str, Any]:
 class _Kept(KeptShape):
     """The stored form of an axis."""
 
-    state_version: ClassVar[int] = 5  # 4: no column of the force; 3: offsets did not jump; 2: none
+    state_version: ClassVar[int] = 5  # 4: no force; 3: offsets did not jump; 2: none
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the sensors' offsets, and the column of the force."""
+        """Add the sensors' offsets, and the columns of the force."""
         if version == "2":
             drift_states.upgrade(arrays, "drift_")
         elif version == "3":

@@ -14,7 +14,7 @@ from valvemap.model.axis_force import SUMS as FORCE_SUMS
 from valvemap.model.axis_force import ForceReference, ForceState
 from valvemap.model.contents import Contents
 from valvemap.pipeline.axis_watch import SUMS, AxisWatch, AxisWindowSums
-from valvemap.pipeline.kept_axes import KeptShape, shape_of, with_force
+from valvemap.pipeline.kept_axes import FORCES, KeptShape, shape_of, with_force
 
 _OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
 
@@ -26,15 +26,16 @@ class _KeptWatch(KeptShape):
     Without a balance of forces, ``force_transition`` is 0.
     """
 
-    state_version: ClassVar[int] = 3  # 2: no column of the force
+    state_version: ClassVar[int] = 3  # 2: no columns of the force
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the column of the force, of which nothing is known."""
+        """Add the columns of the force, of which nothing is known."""
         if version != "2":
             return {}
         found = with_force(arrays)
-        found["precision"][-1, -1] = FORCE_SIZE**-2
+        forces = np.arange(SIZE - FORCES, SIZE)
+        found["precision"][forces, forces] = FORCE_SIZE**-2
         return found
 
     theta: Any

@@ -9,15 +9,16 @@ it ends then stays in the filter, so that rows begin again once it has faded.
 
 Columns: for the edges PA, AT, PB, BT ``knots`` spline functions and one for the departure from √Δp,
 then 1/β, c at 40 °C and free air. Where the speed is measured: its zero, by how much the piston is
-not at its assumed place, over β, and the part of the force.
+not at its assumed place, over β, and two parts of the force.
 
 A measured speed v is known at the samples, and its mean over the interval h between them is
 (Euler-Maclaurin)::
 
     (v₀ + v₁)/2 - h/12·(v̇₁ - v̇₀)      v̇₁ - v̇₀ = μ·Δ(A_A·p_A - A_B·p_B)
 
-μ is 1/mass where load and friction stay the same within the interval, as where the load too changes
-at the samples, and less where they follow the pressures: it is found.
+μ is 1/mass where load and friction stay the same within the interval, as where the load changes at
+the samples, and less where they follow the pressures. Dry friction does so while the piston creeps:
+μ is one coefficient while it slides, and another while it creeps.
 """
 
 import math
@@ -36,12 +37,12 @@ from valvemap.model.kernels.compiled import Index, inner, kernel
 from valvemap.model.samples import Codes, Floats, Times
 
 PARTS: Final = 4  # parts of an interval; a spool of 100 Hz then moves by a quarter of its way
-COMMON: Final = 6  # columns after those of the edges:
-COMPLIANCE, LEAKAGE, AIR, ZERO, PLACE, FORCE = range(COMMON)
+COMMON: Final = 7  # columns after those of the edges:
+COMPLIANCE, LEAKAGE, AIR, ZERO, PLACE, FORCE, CREEP = range(COMMON)
 ATMOSPHERE_BAR: Final = 1.013
 PER_COMPLIANCE: Final = 1e-4  # 1/bar; unit of the coefficient 1/β: 1 is 1 GPa
 PER_LEAKAGE: Final = 1e-2  # l/min/bar; unit of the coefficient c
-PER_FORCE: Final = 10.0  # mm/s² of 1 t per cm²·bar; unit of the coefficient μ: 1 is 1/t
+PER_FORCE: Final = 10.0  # mm/s² of 1 t per cm²·bar; unit of the coefficients μ: 1 is 1/t
 PER_AIR: Final = 1e-2  # unit of the coefficient of the free air: 1 %
 
 USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
@@ -51,6 +52,7 @@ MEMORY: Final = (
     *("U", "x", "pA", "pB", "pS", "pT"),
     *("known", "settling", "withheld", "thinness", "upper", "v"),
 )
+CREEP_MM_S: Final = 5.0  # mm/s; where half of an interval's force counts as of a creeping piston
 PLAY_KNOWN: Final = 0.1  # %; up to this the place in the play is known
 _RENEWED: Final = 100  # rows; forgetting is applied at every hundredth one
 
@@ -101,7 +103,7 @@ def _speed_by_map(rows: Floats, theta: Floats, places: Times, A_A: float, A_B: f
         area = A_A if line == 0 else -A_B
         for p in range(places.shape[1]):
             column = places[line, p] - common
-            if column != ZERO and column != FORCE:
+            if column < ZERO or column == PLACE:
                 flow += area * theta[places[line, p]] * rows[line, places[line, p]]
     return flow / (6e-3 * (A_A * A_A + A_B * A_B))
 
@@ -253,8 +255,11 @@ def axis_rows(
                 rows[0, common + PLACE] = -per_mm * A_A * (now[2] - pA)
                 rows[1, common + PLACE] = per_mm * A_B * (now[3] - pB)
                 force = A_A * (now[2] - pA) - A_B * (now[3] - pB)
+                slides = v * v / (v * v + CREEP_MM_S * CREEP_MM_S)
                 bent = 6e-3 * PER_FORCE * dt / 12.0 * force
-                rows[0, common + FORCE], rows[1, common + FORCE] = A_A * bent, -A_B * bent
+                for column, part in ((FORCE, slides), (CREEP, 1.0 - slides)):
+                    rows[0, common + column] = A_A * part * bent
+                    rows[1, common + column] = -A_B * part * bent
             else:
                 v = (now[1] - memory[4]) / dt
             rows[0, n] = 6e-3 * A_A * v

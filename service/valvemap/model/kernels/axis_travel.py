@@ -11,7 +11,7 @@ MEMORY: Final = 3  # lowest and highest place, mm; speed of the last sample, mm/
 
 @kernel
 def places_of(
-    t: Times, v: Floats, last: Times, memory: Floats, settings: Floats, x: Floats
+    t: Times, v: Floats, last: Times, memory: Floats, settings: Floats, places: Floats
 ) -> None:
     """Advance the places that a piston can have by N samples of its speed.
 
@@ -23,12 +23,12 @@ def places_of(
         Time of the last speed (1,), 0 before the first; `MEMORY`. Both are advanced.
     settings
         Stroke (mm), error of the speed (mm/s), longest gap (s): after it every place is possible.
-    x
-        Out: the middle of the places, mm; NaN without a speed.
+    places
+        Out: the lowest and the highest of the places (N, 2), mm; NaN without a speed.
     """
     stroke, error = settings[0], settings[1]
     for i in range(len(t)):
-        x[i] = math.nan
+        places[i] = math.nan
         if not math.isfinite(v[i]):
             continue
         dt = 1e-9 * (t[i] - last[0])
@@ -39,4 +39,4 @@ def places_of(
             memory[0] = min(max(memory[0] + way - wider, 0.0), stroke)
             memory[1] = min(max(memory[1] + way + wider, 0.0), stroke)
         memory[2], last[0] = v[i], t[i]
-        x[i] = 0.5 * (memory[0] + memory[1])
+        places[i, 0], places[i, 1] = memory[0], memory[1]
