@@ -419,3 +419,17 @@ def test_models_can_be_compared_by_identity_and_kept_in_sets(model):
     assert model == model  # noqa: PLR0124 - what is tested
     assert model != copied
     assert len({model, copied}) == 2
+
+
+def test_columns_of_no_valve_are_named_as_by_replay():
+    table = rows() | {"X1": np.zeros(N), "X2": np.ones(N)}
+    line = "dict: columns not used: X1, X2"
+    said: dict[str, list[str]] = {"fit": [], "replay": [], "open_model": []}
+    valvemap.fit(table, estimator="RLS", note=said["fit"].append)
+    valvemap.open_model(table, estimator="RLS", note=said["open_model"].append)
+    valvemap.replay(table, estimators=["RLS"], note=said["replay"].append)
+    assert said == {"fit": [line], "replay": [line], "open_model": [line]}
+    for call in (lambda: valvemap.fit(table, estimator="RLS"), lambda: valvemap.replay(table)):
+        with pytest.warns(UserWarning, match=f"^{line}$") as caught:
+            call()
+        assert [one.filename for one in caught] == [__file__]

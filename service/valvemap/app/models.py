@@ -16,7 +16,7 @@ from valvemap.plant.evidence import RATED_DROP_BAR
 from valvemap.storage.models import is_model, load_model, save_model
 
 if TYPE_CHECKING:
-    from valvemap.app.recording_batches import Progress
+    from valvemap.app.recording_batches import Note, Progress
     from valvemap.app.replay_report import Report
     from valvemap.config.models import Config
 
@@ -38,6 +38,7 @@ def fit(
     config: "Config | str | os.PathLike[str] | None" = None,
     insist: bool = False,
     progress: "Progress" = lambda _file, _fraction: None,
+    note: "Note | None" = None,
 ) -> Model:
     """Identify one valve's map, as the service would from the same samples.
 
@@ -70,6 +71,8 @@ def fit(
         Process implausible signals, too.
     progress
         Called with a recording and the fraction done (0 to 1).
+    note
+        Called with a line of what is left out, as by :func:`valvemap.replay`; None: a warning.
 
     Raises
     ------
@@ -87,7 +90,10 @@ def fit(
     >>> fit(rows, estimator="RLS").predict(50.0, [25.0, 100.0]).round(6)
     array([25., 50.])
     """
-    from valvemap.app.replay import replay  # noqa: PLC0415 - a saved map needs none of it
+    from valvemap.app.recording_batches import (  # noqa: PLC0415 - a saved map needs none of it
+        as_warning,
+    )
+    from valvemap.app.replay import replay  # noqa: PLC0415
     from valvemap.app.replay_report import (  # noqa: PLC0415
         refuse_if_nothing_was_learnt,
     )
@@ -108,6 +114,7 @@ def fit(
         U_range=U_range,
         dp_range=dp_range,
         rating=rating_of(rated_flow, rated_drop),
+        note=note or as_warning,
     )
     where = given[0] if isinstance(given[0], Path) else type(given[0]).__name__
     valve = _chosen(where, "valve", valve, list(report))
@@ -144,6 +151,7 @@ def open_model(
     estimator: str | None = None,
     config: "Config | str | os.PathLike[str] | None" = None,
     progress: "Progress" = lambda _file, _fraction: None,
+    note: "Note | None" = None,
 ) -> Model:
     """Load a model (.json), or identify one from recordings, as :func:`fit` does.
 
@@ -156,8 +164,8 @@ def open_model(
         (else Auto or the first).
     config
         Configuration, or its path, for a recording: valves and estimators, columns and units.
-    progress
-        Called with a recording and the fraction done (0 to 1).
+    progress, note
+        As of :func:`fit`.
 
     Raises
     ------
@@ -167,7 +175,9 @@ def open_model(
         if there is no such valve or estimator, or the choice is ambiguous.
     """
     if not isinstance(file, str | os.PathLike) or not is_model(Path(file)):
-        return fit(file, valve=valve, estimator=estimator, config=config, progress=progress)
+        return fit(
+            file, valve=valve, estimator=estimator, config=config, progress=progress, note=note
+        )
     model = Model(**vars(load_model(Path(file))))
     for what, wanted, there in (
         ("valve", valve, model.valve),

@@ -1,5 +1,7 @@
 """Recordings as batches of samples, in memory of constant size, divided among edges and meters."""
 
+import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,8 +19,10 @@ from valvemap.storage.recordings import read_recording
 
 MOST_SPLIT: Final = 1 << 20  # samples of an edge that wait for the same rows of its line
 _MOST_NAMED: Final = 12  # columns of a line
+_LIBRARY: Final = __name__.partition(".")[0]
 T = TypeVar("T")
 Progress = Callable[[Path, float], None]
+Note = Callable[[str], None]
 UnitCheck = Callable[[Path, str, Samples, Part], None]
 
 
@@ -28,7 +32,7 @@ def read_batches(
     progress: Progress,
     turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
     check: UnitCheck = lambda _file, _valve, _samples, _part: None,
-    note: Callable[[str], None] = lambda _line: None,
+    note: Note = lambda _line: None,
 ) -> Iterator[tuple[str, Samples]]:
     """Yield name and samples of each batch; ``turn`` may read ahead.
 
@@ -48,6 +52,14 @@ def read_batches(
             progress(file, batches.fraction)
         if batches.ignored:
             note(f"{file.name}: columns not used: {_listed(batches.ignored)}")
+
+
+def as_warning(line: str) -> None:
+    """Warn a script of what is left out, at the line that called the library."""
+    frame, level = sys._getframe(), 1  # noqa: SLF001 - as `warnings` itself counts
+    while frame.f_back and str(frame.f_globals.get("__name__")).partition(".")[0] == _LIBRARY:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(line, stacklevel=level)
 
 
 def _listed(names: Sequence[str]) -> str:

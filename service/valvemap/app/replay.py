@@ -18,8 +18,10 @@ from valvemap.app.map_checks import check_maps, summed, verified_maps
 from valvemap.app.recorded_units import check_units
 from valvemap.app.recording_batches import (
     FlowSplitting,
+    Note,
     Progress,
     UnitCheck,
+    as_warning,
     one_ahead,
     read_batches,
 )
@@ -57,7 +59,7 @@ def replay(
     header: tuple[str, ...] | None = None,
     given: Mapping[str, Given] | None = None,
     rating: Rating | None = None,
-    note: Callable[[str], None] = lambda _line: None,
+    note: Note = as_warning,
 ) -> Report:
     """Run recordings through the pipeline, one after the other; files in constant memory.
 
@@ -97,7 +99,8 @@ def replay(
     rating
         What the valve's name plate states; units that it contradicts are refused.
     note
-        Called with one line for each omitted part of a recording.
+        Called with one line for each omitted part of a recording, as columns of no valve. By
+        default it is a warning.
 
     Returns
     -------

@@ -83,8 +83,11 @@ def invert(
     from valvemap.model.inverse_map import invert as run
 
     loaded = _configured(config)
+    left_out: list[str] = []
     with bars() as progress:
-        model = open_model(file, valve, estimator, loaded, of_files(progress))
+        model = open_model(file, valve, estimator, loaded, of_files(progress), left_out.append)
+    for line in left_out:
+        write_line(line)
     T = np.where(np.isnan(T), model.T if temperature is None else temperature, T)
     answer = run(model.estimator, model.state, Q, dp, T, support=model.support)
     if out is not None:
@@ -133,8 +136,11 @@ def export(
 
     lookup_tables.check_form(out)
     loaded = _configured(config)
+    left_out: list[str] = []
     with bars() as progress:
-        model = open_model(file, valve, estimator, loaded, of_files(progress))
+        model = open_model(file, valve, estimator, loaded, of_files(progress), left_out.append)
+    for line in left_out:
+        write_line(line)
     T = temperature if temperature is not None else model.T
     T = 40.0 if np.isnan(T) else T
     size = points_Q, points_dp

@@ -125,7 +125,14 @@ def learn(task: Task) -> list[str]:
 
     only = frozenset(task.valves)
     try:
-        report = replay(task.files, task.config, insist=task.insist, only=only, read_ahead=False)
+        report = replay(
+            task.files,
+            task.config,
+            insist=task.insist,
+            only=only,
+            read_ahead=False,
+            note=lambda _line: None,  # every worker would print the columns of the same files
+        )
     except RecordingError as error:
         if len(task.valves) == 1:
             return [str(error)]
