@@ -11,7 +11,7 @@ from valvemap.model.judged_sheet import Verdict, judge
 from valvemap.model.samples import Samples
 from valvemap.model.sheet import Figure, Measured, SheetError, make_sheet
 from valvemap.model.sheet_figures import KEYS
-from valvemap.model.sweep_equations import spool
+from valvemap.model.sweep_equations import Problem, spool
 
 NEAR = {
     "rated_flow": 0.5,
@@ -59,6 +59,18 @@ def test_figures_are_near_the_truth_and_their_intervals_hold_it():
             held.append(figure.lower <= true <= figure.upper)
     assert len(held) >= 22
     assert np.mean(held) >= 0.8
+
+
+def test_samples_at_other_pressure_drops_count_fully_where_the_equation_holds_there():
+    farthest = {}
+    for name in ("U of both signs, play 3 %", "compensator's knee"):
+        valve = VALVES[name]
+        samples = swept(valve, 7)
+        problem = Problem(samples, RATED_BAR, np.linspace(*valve.U_range, 101))
+        problem.weigh_drops(valve.play, 0.005)
+        farthest[name] = float(problem.weight[np.argmax(np.abs(samples.dp - RATED_BAR))])
+    assert farthest["U of both signs, play 3 %"] > 0.7
+    assert farthest["compensator's knee"] < 0.5
 
 
 @pytest.mark.soak

@@ -13,7 +13,7 @@ from valvemap.model.samples import Flags, Floats, Samples
 KNOT_K, KNOT_L = 1.0, 12.0  # % of U; distances of knots
 SMOOTH: Final = tuple(10.0**k for k in range(-4, 5))  # weights of bends, per sample and knot
 USUAL_LAG: Final = 0.02  # s; standard deviation of the lag before anything is known
-NEAR: Final = 0.35  # of √Δp; standard deviation of the weight about the rated one
+NEAR: Final = (0.35, 0.5, 0.7, 1.0, math.inf)  # of the rated √Δp; widths of the weight about it
 STUDENT: Final = 1.0  # degrees of freedom of the bends
 EXACT: Final = 1e-6  # l/min; least residual: a recording without flow or noise has none
 DRAWS: Final = 600
@@ -99,21 +99,39 @@ class Problem:
     def __init__(self, samples: Samples, dp_rated: float, U_grid: Floats) -> None:
         self.U, self.dt = samples.U, np.diff(samples.t, prepend=samples.t[0]) * 1e-9
         self.s = np.sign(samples.dp) * np.sqrt(np.abs(samples.dp))
-        self.s_rated = rated = math.sqrt(dp_rated)
-        self.weight = np.exp(-0.25 * ((self.s - rated) / (NEAR * rated)) ** 2)  # of a row
-        self.many = float(np.sum(self.weight**2))
-        self.Q = self.weight * samples.Q
+        self.s_rated = math.sqrt(dp_rated)
+        self.measured = samples.Q
         low = min(float(self.U.min()), float(U_grid[0]))
         high = max(float(self.U.max()), float(U_grid[-1]))
         self.knots = [_knots(low, high, step) for step in (KNOT_K, KNOT_L, KNOT_L)]
         sizes = [len(knots) for knots in self.knots]
         self.smooth = SMOOTH[1]
         self.D: Floats = linalg.block_diag(*(_bends(size) for size in sizes))
-        self.per_bend = np.concatenate(
-            [np.full(max(size - 2, 0), self.many / size) for size in sizes]
-        )
+        self.per_knot = np.concatenate([np.full(max(size - 2, 0), 1.0 / size) for size in sizes])
         self.share = np.ones(len(self.D))  # weight of each bend
         self.tiny = 1e-6 * np.eye(sum(sizes))
+        self._weigh_rows(NEAR[0])
+
+    def _weigh_rows(self, near: float) -> None:
+        """Let each row count the less, the further its pressure drop is from the rated one."""
+        exponents = -0.25 * ((self.s / self.s_rated - 1.0) / near) ** 2
+        self.weight, self.log_weight = np.exp(exponents), float(np.sum(exponents))
+        self.many = float(np.sum(self.weight**2))
+        self.Q = self.weight * self.measured
+        self.per_bend = self.many * self.per_knot
+
+    def weigh_drops(self, play: float, lag: float) -> None:
+        """Choose by the evidence how far from the rated pressure drop the equations hold.
+
+        A weight w stands for what they leave out there, as noise of the standard deviation σ/w.
+        """
+
+        def surprise(near: float) -> float:
+            self._weigh_rows(near)
+            _, squares = self._solved(self._equations(play, lag), self.smooth)
+            return len(self.s) * math.log(squares) - 2.0 * self.log_weight
+
+        self._weigh_rows(min(NEAR, key=surprise))
 
     def prior(self, weight: float) -> Floats:
         """Information of coefficients before anything is measured, (K, K)."""

@@ -7,8 +7,10 @@ $$Q = \frac{s}{s_r} K(x) + \delta L(x) + \delta^2 M(x), \qquad \delta = \frac{s 
 
 where K, a knot per 1 % of U, is the curve at the rated pressure drop s_r², and L and M, a knot per
 12 %, are what other pressure drops depart. Samples count the less, the further their Δp is from the
-rated one. All three are piecewise linear and smooth: the bends of each have a Student distribution,
-so that the edge of a dead band may bend sharply, of a scale that the marginal likelihood decides.
+rated one: how fast, the likelihood decides, so that all count alike where the equation holds at all
+pressure drops. All three are piecewise linear and smooth: the bends of each have a Student
+distribution, so that the edge of a dead band may bend sharply, of a scale that the marginal
+likelihood decides.
 
 Q is linear in the coefficients, which are eliminated at every step of the search for h and the lag
 (variable projection). Where U always moves at the same pace, play and lag look alike but for the
@@ -77,6 +79,7 @@ def fit_sweep(samples: Samples, dp_rated: float, U_grid: Floats, seed: int = 0) 
     at = min(((p, g) for p in PLAYS for g in LAGS), key=problem.cost)
     at = _searched(problem, at)
     for _ in range(ROUNDS):
+        problem.weigh_drops(*at)
         problem.weigh_bends(*at)
     return problem.posterior(*_searched(problem, at), dp_rated, U_grid, seed)
 
