@@ -2,7 +2,7 @@
 
 A line per seed: the error of each valve's map inside its data (cells of 5 % and 1 √bar with 20
 samples), in σ, from the common meter and from a meter each, and their ratio. ``--report`` takes
-seeds that nothing is tuned on.
+seeds that nothing is tuned on. ``--leak`` gives the first valve a leakage, the second half of it.
 """
 
 import argparse
@@ -27,6 +27,7 @@ RATE_HZ: Final = 100.0
 SECONDS: Final = 200.0
 ALONE: Final = 0.48  # planned share of one valve alone; moves apart, 0.4 of the time
 VALVES: Final = ("PA", "AT", "PB")  # their laws are those of a directional valve's edges
+LEAKS: Final = {"PA": 1.0, "AT": 0.5, "PB": 0.0}  # shares of the leakage
 _NODES: Final = ("U", "p1", "p2", "T")
 
 
@@ -44,13 +45,14 @@ def config_of(*, shared: bool, estimator: str = "Auto") -> Config:
         return load_config(file)
 
 
-def flow(name: str, U: Floats, dp: Floats) -> Floats:
-    """Return a valve's true flow, l/min."""
+def flow(name: str, U: Floats, dp: Floats, leak: float = 0.0) -> Floats:
+    """Return a valve's true flow, l/min; ``leak`` in l/min/√bar."""
     opening = np.clip((U - OVERLAPS[name]) / (100.0 - OVERLAPS[name]), 0.0, 1.0)
-    return np.asarray(GAINS[name](opening) * np.sign(dp) * np.sqrt(np.abs(dp)))
+    gain = GAINS[name](opening) + LEAKS[name] * leak
+    return np.asarray(gain * np.sign(dp) * np.sqrt(np.abs(dp)))
 
 
-def work(seed: int, seconds: float = SECONDS) -> dict[str, dict[str, Floats]]:
+def work(seed: int, seconds: float = SECONDS, leak: float = 0.0) -> dict[str, dict[str, Floats]]:
     """Return machine work of three valves on one pump: signals and true flow by valve."""
     rng = np.random.default_rng([38, seed])
     n = round(seconds * RATE_HZ)
@@ -74,7 +76,7 @@ def work(seed: int, seconds: float = SECONDS) -> dict[str, dict[str, Floats]]:
         noise = rng.normal(0.0, 0.1, (2, n))
         found[name] = {
             "U": own, "p1": supply + noise[0], "p2": load + noise[1], "T": np.full(n, 42.0),
-            "flow": flow(name, own, supply - load),
+            "flow": flow(name, own, supply - load, leak),
         }  # fmt: skip
     return found
 
@@ -107,7 +109,10 @@ def feed(
 
 
 def errors(
-    identification: Identification, rows: dict[str, dict[str, Floats]], estimator: str = "Auto"
+    identification: Identification,
+    rows: dict[str, dict[str, Floats]],
+    estimator: str = "Auto",
+    leak: float = 0.0,
 ) -> dict[str, tuple[float, float]]:
     """Return the RMSE of each valve's map inside its data, in σ, and the share held."""
     found = {}
@@ -120,21 +125,21 @@ def errors(
         at_U, at_dp = cells[:, 0] * 5.0 + 2.5, (cells[:, 1] + 0.5) ** 2
         lane = identification.valves.lane(name, estimator)
         Q, std, _ = lane_predictions.predicted(lane, at_U, at_dp, np.full(len(at_U), 42.0))
-        error = Q - flow(name, at_U, at_dp)
+        error = Q - flow(name, at_U, at_dp, leak)
         rmse = float(np.sqrt(np.mean(error**2)) / SIGMA)
         found[name] = rmse, float((np.abs(error) <= 1.96 * std).mean())
     return found
 
 
-def rows_of(seed: int) -> Iterator[str]:
+def rows_of(seed: int, leak: float = 0.0) -> Iterator[str]:
     """Compare the maps from one meter with those from a meter each."""
-    rows = work(seed)
+    rows = work(seed, leak=leak)
     alone = sum(own["U"] > 1.0 for own in rows.values()) == 1
     found = {}
     for shared in (True, False):
         identification = build_identification(config_of(shared=shared))
         feed(identification, rows, seed, shared=shared)
-        found[shared] = errors(identification, rows)
+        found[shared] = errors(identification, rows, leak=leak)
     ratio = [found[True][name][0] / found[False][name][0] for name in VALVES]
     said = ", ".join(
         f"{name} {found[True][name][0]:.3f} σ ({found[True][name][1]:.2f}) beside "
@@ -153,10 +158,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--report", action="store_true")
+    parser.add_argument("--first", type=int, help="first seed, in place of these")
+    parser.add_argument("--leak", type=float, default=0.0, help="l/min/√bar")
     given = parser.parse_args()
-    first = REPORT if given.report else 1
+    first = (REPORT if given.report else 1) if given.first is None else given.first
     for seed in range(first, first + given.seeds):
-        for said in rows_of(seed):
+        for said in rows_of(seed, given.leak):
             print(f"{seed}: {said}", flush=True)
 
 

@@ -11,6 +11,7 @@ from valvemap.model.estimator import State
 from valvemap.model.kernels import shared_meter as kernel
 from valvemap.model.samples import Floats
 
+LEAK_PRECISION: Final = (kernel.USUAL_NOISE / kernel.USUAL_LEAK) ** 2  # before the first sample
 MOST_VALVES: Final = 8  # behind one meter: a sample costs the square of their number
 
 
@@ -56,7 +57,8 @@ class SharedMeter:
 
     w_m is a broken line over the range of U_m. All w_m are learnt together by recursive least
     squares: where one valve is open alone, it is learnt; from then on its flow is known where
-    another one opens, too. At U = 0 a valve passes next to nothing, which makes the sum separable.
+    another one opens, too. At U = 0 a valve passes next to nothing, which makes the sum separable:
+    its leak is not negative, so it is no larger than the sum of all leaks, which is soon known.
 
     Parameters
     ----------
@@ -80,7 +82,7 @@ class SharedMeter:
     def initial_state(self) -> SharedMeterState:
         """State before the first sample."""
         n = kernel.KNOTS * len(self.ranges)
-        sums = np.array([kernel.USUAL_NOISE**2, 0.0])
+        sums = np.array([kernel.USUAL_NOISE**2, 0.0, (kernel.USUAL_NOISE / kernel.USUAL_LEAK) ** 2])
         return SharedMeterState(np.zeros(n), self._prior(), sums, np.zeros((len(self.ranges), 2)))
 
     def learn(
@@ -94,7 +96,7 @@ class SharedMeter:
         kernel.learn(
             np.ascontiguousarray(U), np.ascontiguousarray(dp), np.ascontiguousarray(Q), usable,
             low, high, state.weights, state.P, state.sums, state.held,
-            np.diag(self._prior()).copy(), others, std, told,
+            np.diag(self._prior()).copy(), self._shut(), others, std, told,
             np.zeros(2 * M, np.int64), np.zeros(2 * M), np.zeros(n), np.zeros((M, 2)),
         )  # fmt: skip
         return Divided(others, std, told)
@@ -102,6 +104,12 @@ class SharedMeter:
     def noise(self, state: SharedMeterState) -> float:
         """Return the standard deviation of the meter's noise, l/min."""
         return float(np.sqrt(max(state.sums[kernel.MEAN_SQUARE], kernel.LEAST_NOISE**2)))
+
+    def _shut(self) -> np.ndarray:
+        """Return the place of each valve's weight at U = 0, (M,)."""
+        K = kernel.KNOTS
+        at = [np.abs(np.linspace(low, high, K)).argmin() for low, high in self.ranges]
+        return np.arange(len(self.ranges)) * K + np.array(at, np.int64)
 
     def _prior(self) -> Floats:
         """Return the covariance (n, n) of the weights before the first sample, in noise variances.

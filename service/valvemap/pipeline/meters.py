@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Samples
-from valvemap.model.shared_meter import SharedMeter, SharedMeterState
+from valvemap.model.shared_meter import LEAK_PRECISION, SharedMeter, SharedMeterState
 from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.edges import NEVER_MET, UNKNOWN, gathered, matched
 from valvemap.vocabulary.signals import MEASURED
@@ -44,12 +44,14 @@ class _Kept(State):
     dropped: Any
     met: Any
 
-    state_version: ClassVar[int] = 3  # 2: neither losses nor the time of the last match
+    state_version: ClassVar[int] = 4  # 3: leaks had no bound; 2: neither losses nor last match
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the count of the samples that never met the others', and the last that did."""
-        return arrays | UNKNOWN if version == "2" else {}
+        """Add the bound of the leaks; what was lost, and the time of the last match."""
+        if len(arrays.get("sums", ())):  # of the first valve behind a meter
+            arrays["sums"] = np.append(arrays["sums"], LEAK_PRECISION)
+        return {"2": arrays | UNKNOWN, "3": arrays}.get(version, {})
 
     def contents(self) -> Mapping[str, Contents]:
         """Return the permitted content."""

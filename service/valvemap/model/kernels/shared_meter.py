@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from valvemap.model.kernels.compiled import lean_kernel
+from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.samples import Floats
 
 KNOTS = 81  # of a valve's gain over its range of U: every 1.25 %
@@ -24,25 +24,63 @@ KEPT = 20_000.0  # samples of one weight after which its variance has grown by i
 FEW = 50.0  # samples before residuals are clipped
 CLIPPED = 4.0  # standard deviations
 MEMORY = 5_000.0  # samples over which the noise is averaged
+TINY = 1e-12  # noise variances; least variance of the leaks' sum
 LEAST_WEIGHT = 0.02  # of a sample; less says next to nothing of a valve
 WHOLE = 0.999  # of a sample
-# Places in `sums`: mean square of the residuals, and their number.
-MEAN_SQUARE, COUNT = 0, 1
-SUMS = 2
+BOUNDED_EVERY = 256  # samples; then the leaks are bounded by their sum
+WORTH = 1.1  # times the precision; less of a bound changes nothing
+# Places in `sums`: mean square of the residuals, their number, and the precision of a shut valve's
+# gain before any sample, in that of the noise.
+MEAN_SQUARE, COUNT, SHUT = 0, 1, 2
+
+
+@inner
+def _bound_leaks(weights: Floats, P: Floats, sums: Floats, shut: np.ndarray, Px: Floats) -> None:
+    """Let no valve leak more than all together: ``shut`` (M,) are the weights of shut valves.
+
+    Valves that are seldom shut alone show the sum L of their leaks long before each one, and what
+    is uncertain of each remains in the flow of the others. No leak is negative, so E[l²] <= E[L²]
+    = E[L]² + var(L). A precision that exceeds the prior's is added as an observation l = 0.
+    """
+    n = len(weights)
+    total = variance = 0.0
+    for a in shut:
+        total += weights[a]
+        for b in shut:
+            variance += P[a, b]
+    noise = max(sums[MEAN_SQUARE], LEAST_NOISE**2)
+    precision = 1.0 / (total * total / noise + max(variance, TINY))
+    if precision <= WORTH * sums[SHUT]:
+        return
+    uncertain = 1.0 / (precision - sums[SHUT])
+    sums[SHUT] = precision
+    for k in shut:
+        spread = P[k, k] + uncertain
+        expected = weights[k]
+        for j in range(n):
+            Px[j] = P[k, j]
+        for j in range(n):
+            weights[j] -= Px[j] / spread * expected
+        for i in range(n):
+            gain = Px[i] / spread
+            if gain != 0.0:
+                for j in range(n):
+                    P[i, j] -= gain * Px[j]
 
 
 @lean_kernel
 def learn(
     U: Floats, dp: Floats, Q: Floats, usable: np.ndarray, low: Floats, high: Floats,
-    weights: Floats, P: Floats, sums: Floats, held: Floats, most: Floats, others: Floats,
-    std: Floats, told: np.ndarray, places: np.ndarray, x: Floats, Px: Floats, parts: Floats,
+    weights: Floats, P: Floats, sums: Floats, held: Floats, most: Floats, shut: np.ndarray,
+    others: Floats, std: Floats, told: np.ndarray, places: np.ndarray, x: Floats, Px: Floats,
+    parts: Floats,
 ) -> None:  # fmt: skip
     r"""Learn from N samples of M valves, U and dp (M, N); write what is not valve m's, (M, N).
 
     ``others`` is the flow of all other valves as predicted from the samples before, ``std`` its
     standard deviation in that of the noise; NaN of a sample that is not usable. ``most`` (n,) is
-    the largest variance of each weight; ``places``, ``x`` (2 M,), ``Px`` (n,) and ``parts`` (M, 2)
-    are scratch.
+    the largest variance of each weight, ``shut`` (M,) the place of each valve's weight at U = 0;
+    ``places``, ``x`` (2 M,), ``Px`` (n,) and ``parts`` (M, 2) are scratch.
 
     What a sample says of valve m: let A be the variance of its flow before, C the covariance with
     that of the others, S the variance of the measured sum, all in that of the noise. The update of
@@ -125,3 +163,5 @@ def learn(
         sums[COUNT] += 1.0
         share = 1.0 / min(sums[COUNT] + FEW, MEMORY)
         sums[MEAN_SQUARE] += share * (residual * residual / spread - sums[MEAN_SQUARE])
+        if M > 1 and sums[COUNT] % BOUNDED_EVERY == 0.0:
+            _bound_leaks(weights, P, sums, shut, Px)
