@@ -72,7 +72,7 @@ def fit(
     progress
         Called with a recording and the fraction done (0 to 1).
     note
-        Called with a line of what is left out, as by :func:`valvemap.replay`; None: a warning.
+        Called with one line for each omitted part, as by :func:`valvemap.replay`; None: a warning.
 
     Raises
     ------

@@ -55,7 +55,7 @@ def read_batches(
 
 
 def as_warning(line: str) -> None:
-    """Warn a script of what is left out, at the line that called the library."""
+    """Warn a script of an omitted part, at the line that called the library."""
     frame, level = sys._getframe(), 1  # noqa: SLF001 - as `warnings` itself counts
     while frame.f_back and str(frame.f_globals.get("__name__")).partition(".")[0] == _LIBRARY:
         frame, level = frame.f_back, level + 1

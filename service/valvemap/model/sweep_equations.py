@@ -123,7 +123,7 @@ class Problem:
     def weigh_drops(self, play: float, lag: float) -> None:
         """Choose by the evidence how far from the rated pressure drop the equations hold.
 
-        A weight w stands for what they leave out there, as noise of the standard deviation σ/w.
+        A weight w stands for their error there, as noise of the standard deviation σ/w.
         """
 
         def surprise(near: float) -> float:

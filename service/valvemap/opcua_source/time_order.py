@@ -38,7 +38,7 @@ def in_order_of_time(changes: DataChanges) -> DataChanges:
 
 
 def _newest_of_item(item: Times, t: Times) -> Times:
-    """Rank of the newest time so far of each change's item, (N,)."""
+    """Rank of the newest time of the same item up to each change, (N,)."""
     _, rank = np.unique(t, return_inverse=True)
     by_item = np.argsort(item, kind="stable")
     first = item[by_item] * len(t)

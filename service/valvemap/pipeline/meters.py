@@ -48,7 +48,7 @@ class _Kept(State):
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the bound of the leaks; what was lost, and the time of the last match."""
+        """Add the bound of the leaks, the count of losses and the time of the last match."""
         if len(arrays.get("sums", ())):  # of the first valve behind a meter
             arrays["sums"] = np.append(arrays["sums"], LEAK_PRECISION)
         return {"2": arrays | UNKNOWN, "3": arrays}.get(version, {})

@@ -20,7 +20,7 @@ WORKER_LAG: Final = Series(
 )
 WORKER_FETCHED: Final = Series(
     "valvemap_worker_fetched_messages",
-    "Messages of a partition that the worker's client has fetched and not handed over yet.",
+    "Messages of a partition that the worker's client has fetched and not returned yet.",
     ("topic", "partition"),
 )
 WORKER_UNSENT: Final = Series(
