@@ -89,8 +89,7 @@ WEAR_SETTLES: Final = 30.0  # s; after which wear of a part of an edge is estima
 WEAR_STAYS: Final = 256.0  # stays; after which it is at the latest
 WEAR_RECALLED: Final = 900.0  # s; how long ago a part of an edge was as it is, if it does not wear
 MOST_SAID: Final = 50.0  # log likelihood that one of these estimates tells at most
-MATURE: Final = 3000  # samples; before them a sudden change is found only where STAY_MEMORY stays
-# were compared with places known before; what has no name may be the map's own error
+MATURE: Final = 3000  # samples; from which on what contradicts a map is hardly its own error
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
 VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves
 SHARED: Final = 8.0  # samples that have the doubt about gain and edge in common, when they are

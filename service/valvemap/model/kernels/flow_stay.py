@@ -220,13 +220,18 @@ def _tell(
     axis_U: Axis, axis_s: Axis, drift: Drift, residual: float, by: Floats, variance: float,
     memory: Memory, room: Room,
 ) -> None:  # fmt: skip
-    """Let a stay tell what moves."""
+    """Let a stay tell what moves.
+
+    Before the samples were searched for operators, what seems to change may be one of them: a
+    sudden change is found then only where many stays were compared with places known before.
+    """
     counters, scalars = memory.counters, memory.scalars
     side, now = counters[STAY_SIDE], counters[STAY_TIME]
     last = counters[CLOCK + side]
     dt = min(max(1e-9 * float(now - last), 0.0), rules.OLDEST) if last != 0 else 0.0
     counters[CLOCK + side] = now
-    is_mature = counters[USED] - counters[BEGAN] >= rules.MATURE
+    age = 1e-9 * float(now - counters[BEGAN_TIME])
+    is_mature = counters[USED] - counters[BEGAN] >= rules.LOOKS[0] and age >= rules.SETTLED_FOR
     young = not is_mature and scalars[fits.STAYS_SEEN] < rules.STAY_MEMORY
     young = young or counters[USED] < counters[CALM]
     jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
