@@ -45,3 +45,14 @@ def test_no_offset_moves_where_a_valve_that_is_shut_has_any_pressure_drop():
     assert figures["found"] == set()
     assert figures["rmse"] < 0.5
     assert figures["held"] > 0.9
+
+
+def test_a_sensor_that_jumps_on_one_side_of_no_opening_is_expected_on_the_other():
+    """Each side has filters of its own, but there is one meter."""
+    row, words = drawn(17022)
+    assert words.startswith("17022 servo, moulding, 5 Hz")
+    figures = judged(row)[-1]
+    assert figures["found"] == {ZERO}
+    assert figures["rmse"] < 0.5
+    assert figures["held"] > 0.9
+    assert figures["wrong"] == 0.0

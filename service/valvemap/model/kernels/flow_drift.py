@@ -163,6 +163,22 @@ def learn_of_T(drift: Drift, residual: float, by: Floats, variance: float) -> No
 
 
 @inner
+def expect(drift: Drift, kind: int, size: float, variance: float) -> None:
+    """Take a sudden change of a sensor for as likely as none: the other side of U = 0 shows it."""
+    x, still, other = drift.x, drift.P[PLACES[STILL] :], drift.P[PLACES[kind] :]
+    for i in range(RATES):
+        x[kind, i] = x[STILL, i]
+        for j in range(i + 1):
+            other[pack(i, j)] = still[pack(i, j)]
+    level = kind - OTHER_GAIN
+    x[kind, level] += size
+    other[pack(level, level)] += variance
+    for m in range(NAMED):
+        drift.chance[m] *= 0.5
+    drift.chance[kind] += 0.5
+
+
+@inner
 def _as_at_first(drift: Drift, residual: float, by: Floats) -> float:
     """What a stay differs by from the map as it was at first."""
     for k in range(RATES):

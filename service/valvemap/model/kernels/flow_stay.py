@@ -242,12 +242,25 @@ def _tell(
     of_valve = off
     for k in range(drifts.OF_VALVE, drifts.LEVELS):
         of_valve -= by[k] * drift.now[0, k]
+    _expect_as_other_side(drift, side, last, memory)
     over = _over(drift, dt, now, counters)
     surprise = drifts.step(drift, dt, jumps, over, nameless, residual, by, variance)
     scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
     scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
     _note_change(drift, side, now, off, by, memory)
     _note_wear(axis_U, axis_s, drift, side, dt, of_valve, by, variance, young, memory, room)
+
+
+@inner
+def _expect_as_other_side(drift: Drift, side: int, last: int, memory: Memory) -> None:
+    """Expect the change of a sensor that the other side has shown since the last stay of this."""
+    counters, size = memory.counters, float(memory.stay[CHANGE_OF])
+    kind = counters[CHANGE_KIND] - (1 - side) * drifts.NAMED
+    if not (drifts.OTHER_ZERO <= kind <= drifts.OTHER_PRESSURE) or size == 0.0:
+        return
+    if last != 0 and counters[CHANGE_TIME] > last:
+        level = kind - drifts.OTHER_GAIN
+        drifts.expect(drift, kind, size, float(memory.now[1 - side, 1 + level, level]))
 
 
 @inner
