@@ -110,7 +110,7 @@ async def test_what_did_the_flow_do_in_the_last_hour(browser):
         await keys.open(page.locator("button[data-span='3600000']"))
         row = page.locator(".readout tr:has(td)").first
         await page.locator(".segments [aria-pressed=true]", has_text="1 h").wait_for()
-        await row.locator("td", has_text="99.0").wait_for()  # the courses count to 99
+        await row.locator("td", has_text="99.0").first.wait_for()  # the courses count to 99
         assert (await row.locator("td").all_inner_texts())[2] == "0.0"
 
 

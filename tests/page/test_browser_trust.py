@@ -223,8 +223,8 @@ async def test_a_valve_that_works_beyond_what_was_measured_is_not_called_ok(tabs
             missed(visits[view], lambda found: "extrapolating" in found["text"], "extrapolating")
             for view in ("valve/V1", "map/V1", "overview")
         )
-        badge = visits["valve/V1"].page.locator("main .head .badge")
-        assert await badge.inner_text() == "extrapolating"
+        badge = visits["valve/V1"].page.locator("main .head .badge", has_text="extrapolating")
+        await badge.wait_for()
     finally:
         shown.status = 0.0
 
