@@ -1,4 +1,4 @@
-"""The settings of a commissioning, from a valve's configuration, and what they mean in words."""
+"""The settings of a commissioning, from a valve's configuration, and their meaning in words."""
 
 import math
 import os
