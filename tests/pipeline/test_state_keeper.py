@@ -210,10 +210,19 @@ async def test_what_has_not_changed_is_packed_once_and_again_for_a_new_file():
     assert len({valve for valve, _ in disk.kept} - {POSITION[0]}) == VALVES
 
 
-async def test_an_alarm_judged_by_publishing_is_a_change():
-    known = valves()
+def test_an_alarm_that_begins_is_a_change_and_how_long_it_lasts_is_none():
+    known, every = valves(), np.arange(VALVES)
+    known.take(stream())
     before = known.version
     known.watch_service(1, 0.0, math.nan, 0.0)
-    assert known.version == before
     list(known.results.of(range(VALVES)))
-    assert known.version != before
+    assert known.version == before
+    newest = known.results.one(0).estimators["RLS"].t
+    assert known.say_overdue(every, np.full(VALVES, newest + 10**10)) == every.tolist()
+    silent = known.version
+    assert silent != before
+    assert known.say_overdue(every, np.full(VALVES, newest + 10**12)) == []
+    assert known.version == silent
+    fleet, _ = known.valves.at(0)
+    fleet.watch(every, lambda rows: fleet.alarms.note_answers(rows, np.ones(len(rows))))
+    assert known.version != silent  # its delay has begun

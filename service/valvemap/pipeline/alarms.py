@@ -69,6 +69,8 @@ class Alarms:
     ----------
     written : tuple of arrays
         All that a step writes, each (M, …).
+    judged : tuple of arrays
+        All that alarms write which are judged by a quantity alone, each (M, …).
     states : AlarmStates
         Which are active, acknowledged and confirmed, and operators' comments.
 
@@ -92,11 +94,18 @@ class Alarms:
         self._reasons = np.zeros(M, f"<U{MOST_OF_A_REASON}")
         self._of_source: dict[int, str] = {}
         self.written = *self._arrays().values(), self._patient
+        senses = self._senses
+        self.judged = *self._conditions, senses.memory, senses.times, self._patient
 
     @property
     def version(self) -> Times:
         """Number of changes of each valve's alarms (M,)."""
         return self._conditions.version
+
+    def begun(self, chosen: Times) -> tuple[int, int]:
+        """Return numbers that differ once an alarm of K valves, or its delay, begins or ends."""
+        conditions = self._conditions
+        return int(conditions.version[chosen].sum()), int(conditions.over[chosen].sum())
 
     def watch(self, samples: Samples, trace: Trace, segments: Segments) -> None:
         """Update with gated samples and the watched estimator's trace of them."""
@@ -175,6 +184,11 @@ class Alarms:
     def note_answers(self, chosen: Times, guessed: Floats) -> None:
         """Update with whether the answers to K valves' standing demands are extrapolated."""
         self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
+
+    def have_guessed(self, chosen: Times) -> bool:
+        """Whether one of K valves waits for `note_answers` that an answer is no guess any more."""
+        over = self._conditions.over[chosen, Alarm.EXTRAPOLATED]
+        return bool((over | self._conditions.active[chosen, Alarm.EXTRAPOLATED]).any())
 
     def note_source(self, m: int, words: str) -> None:
         """Note what the source says of a valve's nodes, for the texts of its alarms."""

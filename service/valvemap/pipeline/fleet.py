@@ -164,7 +164,7 @@ class Fleet:
 
     @property
     def changes(self) -> int:
-        """How often alarms were judged or a lane was stopped: publishing does so, too."""
+        """How often an alarm, or its delay, began or ended, or a lane was stopped."""
         return self._lane_alarms.changes + self.lanes.changes
 
     def _saved(self, members: Times) -> Restore:

@@ -152,7 +152,7 @@ class Identification:
 
     @property
     def version(self) -> tuple[int, ...]:
-        """Equal as long as no state that `states` packs has changed."""
+        """Equal as long as no state that `states` packs has changed, but for alarms that last."""
         of_fleets = sum(fleet.changes for fleet in self._valves.fleets)
         return self.changes, of_fleets, self._alarms.of_service.version
 
@@ -301,9 +301,12 @@ class Identification:
         """Note an outage of the service: silence until now is no loss of the sensors."""
         self._alarms.was_away()
 
-    @changes_state
+    @noted_call
     def say_overdue(self, valves: Times, now: Times) -> list[int]:
-        """Note that these valves are silent until ``now``; return those with a new alarm."""
+        """Note that these valves are silent until ``now``; return those with a new alarm.
+
+        How long they have been silent is no reason to save their states again.
+        """
         return self._alarms.say_overdue(valves, now)
 
     @noted_call

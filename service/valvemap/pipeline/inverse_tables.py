@@ -67,7 +67,8 @@ class InverseTables:
             if not self._valves.runs(int(valves[k]), inverses[k]):
                 quality[k] = Quality.BAD
         guessed = (_GUESSED[status] & demanded).astype(np.float64)
-        fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))
+        if guessed.any() or fleet.alarms.have_guessed(places):
+            fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))
         return InverseResults(
             t=t,
             quality=quality,

@@ -23,7 +23,10 @@ class KeptTogether(Protocol):
 
     @property
     def version(self) -> tuple[int, ...]:
-        """Equal as long as all states are; a state that is saved in this version is not again."""
+        """Equal as long as all states are; a state that is saved in this version is not again.
+
+        How long an alarm has lasted is no change.
+        """
 
     def kept(self, numbers: Sequence[int]) -> list[Checkpoint]:
         """Return all states of these owners."""

@@ -42,7 +42,7 @@ class LaneAlarms:
     finders : list of str
         Names of the estimators that find causes.
     changes : int
-        How often `judge` was called.
+        How often an alarm, or its delay, began or ended in `judge`.
     """
 
     def __init__(
@@ -73,17 +73,18 @@ class LaneAlarms:
         isolate_last(running.members, watch, restore, self._lanes.stop_at(Step.ALARMS))
 
     def judge(self, chosen: Times, do: Callable[[Rows], None], buffer: CopyBuffer) -> None:
-        """Judge the alarms of the given valves (K,); ``do`` is called with rows of the K."""
-        self.changes += 1
+        """Judge alarms of the given valves (K,) by a quantity; ``do`` gets rows of the K."""
         running = (~self._lanes.stopped()[chosen]).nonzero()[0]
 
         def save(members: Times) -> Restore:
             buffer.clear()
-            return self.saved(members, buffer)
+            return saved(self._alarms.judged, members, buffer)
 
+        before = self._alarms.begun(chosen)
         isolate(
             chosen[running], lambda rows: do(running[rows]), save, self._lanes.stop_at(Step.ALARMS)
         )
+        self.changes += self._alarms.begun(chosen) != before
 
     def saved(self, members: Times, buffer: CopyBuffer) -> Restore:
         """Copy the alarms of the given valves; the result writes the copies back."""
