@@ -141,6 +141,15 @@ def test_alarms_of_the_successor_count_as_new():
     assert (after != before).all()
 
 
+def test_no_version_of_a_preview_is_one_of_its_successor():
+    preview, successor = valves(waits=["Auto"]), valves()
+    live(preview)
+    before = preview.version
+    successor.repeat(preview.journal.take_new())
+    preview.take_over(successor)
+    assert preview.version[0] > before[0]
+
+
 def test_without_waiting_estimators_nothing_is_noted():
     assert valves().journal is None
 

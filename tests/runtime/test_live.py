@@ -12,6 +12,7 @@ from support.plant import as_changes, plant
 from valvemap.errors import CommandRejected, SourceLost, SourceRejected, StorageError
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.provenance import ALARMS, MEMORY, PLACES
@@ -225,6 +226,27 @@ async def test_an_answer_that_stays_is_written_once_and_the_heartbeat_goes_on(li
         await live.take(as_changes(now(plant(1, seed=3, first=first + k), clock)))
     assert len(source.written) == written
     assert len(source.heartbeats) == beats + 5
+
+
+async def test_between_two_samples_a_map_is_inverted_once(live, source, clock, monkeypatch):
+    asked, required = [], EstimatorCommands.required
+
+    def noted(self, valve):
+        asked.append(valve)
+        return required(self, valve)
+
+    first = await leading(live, source, clock)
+    monkeypatch.setattr(EstimatorCommands, "required", noted)
+    for _ in range(20):
+        clock.advance(0.05)
+        await live._feed_forward.write(np.array([0]))
+    assert len(asked) <= 1
+    before = len(asked)
+    live.identification.do(Command.of("demand", "Valvistor", 40.0, 100.0))
+    await live._feed_forward.write(np.array([0]))
+    assert len(asked) == before + 1
+    await live.take(as_changes(now(plant(1, seed=3, first=first), clock)))
+    assert len(asked) > before + 1
 
 
 async def test_a_refused_write_is_repeated_and_why_nothing_is_written_is_published(

@@ -164,7 +164,9 @@ class Identification:
 
     def take_over(self, successor: "Identification") -> None:
         """Replace the whole state by that of an object with the same plans."""
+        changes = self.changes + successor.changes
         vars(self).update(vars(successor))
+        self.changes = changes + 1  # no version of before comes again
         self._results.show_all_alarms_again()
 
     @changes_state

@@ -55,7 +55,7 @@ class Timing:
 
         If that raises at a valve, its timing is detected again, and ``stop`` is called.
         """
-        if not self._special.any() or not len(changes):
+        if not np.count_nonzero(self._special) or not len(changes):
             return changes
         valve = changes.item // PER_VALVE
         special = self._special[valve]
@@ -100,7 +100,7 @@ class Timing:
     @property
     def pending(self) -> Times:
         """Number of changes of each valve that are buffered for scans, (V,)."""
-        if not self._special.any():
+        if not np.count_nonzero(self._special):
             return np.zeros(len(self.valves), np.int64)
         return np.array([valve.pending for valve in self.valves], np.int64)
 
@@ -120,7 +120,7 @@ class Timing:
     def holds(self) -> NDArray[np.bool_]:
         """Mask (V,) of the valves with on-change signals: their silence is no loss."""
         held = np.zeros(len(self.valves), np.bool_)
-        if not self._special.any():
+        if not np.count_nonzero(self._special):
             return held
         for number in self._special.nonzero()[0].tolist():
             found = self.valves[number].found

@@ -44,7 +44,8 @@ class DoubtedValves:
         if len(silent):
             source_now = self._ages.source_now()[silent]
             self._publisher.note_new(self._identification.say_overdue(silent, source_now))
-        await self.lose(stale[~self._lost[stale]].tolist())
+        if len(stale):
+            await self.lose(stale[~self._lost[stale]].tolist())
         await self.doubt_old(ages)
 
     async def doubt_old(self, ages: Floats) -> None:

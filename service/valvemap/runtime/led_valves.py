@@ -6,8 +6,10 @@ from valvemap.model.samples import Floats
 from valvemap.pipeline.feedforward import FeedForward, Situation
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
+from valvemap.pipeline.required_signal import Required
 from valvemap.runtime.stale_samples import StaleSamples
 from valvemap.vocabulary.feed_forward import FeedForwardStatus
+from valvemap.vocabulary.statuses import Status
 
 
 class LedValves:
@@ -33,6 +35,7 @@ class LedValves:
         self._identification = identification
         self._stale, self._newest_U = stale, newest_U
         self._note_new = note_new
+        self._answers: dict[int, tuple[tuple[int, ...], Required, Status]] = {}  # by version
 
     @property
     def settings(self) -> Mapping[int, FeedForward]:
@@ -50,7 +53,7 @@ class LedValves:
         connected = bool(self._stale.connected[number])
         if not (armed and connected):
             return Situation(armed, connected)
-        answer, status = self._identification.answers.required(number)
+        answer, status = self._answer(number)
         return Situation(
             armed=armed,
             connected=True,
@@ -61,6 +64,16 @@ class LedValves:
             width=answer.width,
             answer=answer.status,
         )
+
+    def _answer(self, number: int) -> tuple[Required, Status]:
+        """Return the answer to the standing demand; between two samples it stays the same."""
+        version = self._identification.version
+        known = self._answers.get(number)
+        if known is None or known[0] != version:
+            known = version, *self._identification.answers.required(number)
+            self._answers[number] = known
+        _, answer, status = known
+        return answer, status
 
     def note_status(self, number: int, status: FeedForwardStatus) -> None:
         """Publish a new status."""

@@ -52,7 +52,8 @@ class Part:
         """Return the changes with items numbered among all valves; drop unknown items."""
         known = (changes.item >= 0) & (changes.item < len(self.items))
         changes = changes if known.all() else changes[known]
-        return replace(changes, item=self.items[changes.item])
+        item = self.items[changes.item]
+        return DataChanges(item, changes.value, changes.status, changes.source_time)
 
 
 class Sources:
@@ -63,6 +64,8 @@ class Sources:
         self.connected = [False] * len(parts)
         self.taken: list[Any] = [None] * len(parts)  # marks of changes passed to the consumer
         self.before: dict[str | None, bytes] = {}  # restored positions, until there is a mark
+        self._offsets_s: list[float | Floats] = []  # of the sources, behind `_offset_of`
+        self._offset_of: Floats = np.zeros(0)
         valves = sum(len(part.valves) for part in parts)
         self._part_of = np.zeros((valves, 2), np.int64)  # part, number there
         for k, part in enumerate(parts):
@@ -131,14 +134,19 @@ class Sources:
     def counters(self) -> SourceCounters:
         """Sum of the counters of all sources."""
         every = [part.source.counters for part in self.parts]
+        if len(every) == 1:
+            return every[0]
         names = field_names(SourceCounters)
         return SourceCounters(*(sum(getattr(one, name) for one in every) for name in names))
 
     @property
     def clock_offset_s(self) -> Floats:
-        """By valve, offset of the source's clock from ours, s."""
-        offsets = np.array([part.source.clock_offset_s for part in self.parts], np.float64)
-        return np.asarray(offsets[self._part_of[:, 0]])
+        """By valve, offset of the source's clock from ours, s; not to be written to."""
+        offsets_s = [part.source.clock_offset_s for part in self.parts]
+        if offsets_s != self._offsets_s:  # they are asked for often, and seldom change
+            self._offsets_s = offsets_s
+            self._offset_of = np.array(offsets_s, np.float64)[self._part_of[:, 0]]
+        return self._offset_of
 
     @property
     def remarks(self) -> Mapping[int, tuple[str, ...]]:

@@ -42,6 +42,7 @@ class StaleSamples:
         self._heard_at = np.full(M, now)  # last change of their source
         self._silent = WaitingTime(M, limit_s, now)
         self.connected = np.zeros(M, np.bool_)
+        self._every = np.ones(M, np.bool_)
 
     def note_source(self, valves: Times) -> float:
         """Note that the source of these valves has sent something; return the monotonic time, s."""
@@ -54,6 +55,8 @@ class StaleSamples:
 
         ``holds`` is the mask (M,) of valves with on-change signals.
         """
+        if not len(members):
+            return
         self._last_sample[members] = self._clock.monotonic()
         self._silent.heard(members)
         self._ages.note(members, newest)
@@ -70,8 +73,11 @@ class StaleSamples:
         at_rest = holds & self.connected  # on-change signals
         none_came = now - self._last_sample > self._limit_s
         stale = (none_came | (ages > OLD * self._limit_s)) & ~at_rest
+        due = self._silent.due(now, self._every, ~at_rest)
+        if not np.count_nonzero(stale):
+            return _NONE, _NONE
         listened = np.zeros_like(stale)
-        listened[self._silent.due(now, np.ones_like(stale), ~at_rest)] = True
+        listened[due] = True
         return stale.nonzero()[0], (stale & (listened | ~none_came)).nonzero()[0]
 
     def find_old(self, ages: Floats, holds: Flags) -> Times:
@@ -91,3 +97,6 @@ class StaleSamples:
         if silent_s > self._limit_s or not self.connected[valve]:
             return f"nothing has come from its source for {silent_s:.1f} s"
         return "; ".join(waited_for) or "nothing comes any more"
+
+
+_NONE: Times = np.zeros(0, np.int64)

@@ -44,7 +44,7 @@ class WaitingTime:
         all, e.g. with something in the reorder buffer.
         """
         passed, self._until = now - self._until, now
-        if not waits.any():
+        if not np.count_nonzero(waits):
             self._waited_s[:] = 0.0
             return _NONE
         self._waited_s[counts] += min(passed, LONGEST_TICK_S)
