@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,8 +18,11 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.edges import Part
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.kept_lanes import lane_to_bytes
 from valvemap.pipeline.kept_together import KeptValves
+from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import ValvePlan
 from valvemap.runtime.kept_position import POSITION
 from valvemap.runtime.state_keeper import StateKeeper
@@ -226,3 +230,34 @@ def test_an_alarm_that_begins_is_a_change_and_how_long_it_lasts_is_none():
     fleet, _ = known.valves.at(0)
     fleet.watch(every, lambda rows: fleet.alarms.note_answers(rows, np.ones(len(rows))))
     assert known.version != silent  # its delay has begun
+
+
+def test_states_that_are_packed_without_a_copy_have_the_bits_of_copies():
+    known = valves()
+    known.take(stream()[: -SIGNALS * VALVES - 2])  # some samples wait
+    known.do(Command.of("set_forgetting_factor", "V1", "RLS", 0.99))
+    fleet, _ = known.valves.at(0)
+    for m in range(VALVES):
+        copied, seen = fleet.state(m), fleet.view(m)
+        for name, lane in copied.lanes.items():
+            assert lane_to_bytes(lane, "key") == lane_to_bytes(seen.lanes[name], "key")
+            assert (lane.lam, lane.t, lane.status) == (
+                seen.lanes[name].lam,
+                seen.lanes[name].t,
+                seen.lanes[name].status,
+            )
+        assert _packed(copied, known._arrivals.of(m)) == _packed(seen, known._arrivals.view(m))
+
+
+def _packed(state, arrivals):
+    return ValveMemory.of(state, arrivals, dict.fromkeys(state.lanes, 0)).to_bytes("key")
+
+
+def test_rejections_are_counted_by_valve_in_any_order():
+    known, sent = valves(), stream()
+    sent = replace(sent, value=sent.value.copy())
+    sent.value[3 + SIGNALS :: SIGNALS * VALVES] = np.nan  # Q of V1
+    known.take(sent)
+    (found,) = known.results.of([2, 1])
+    column = found.counters[:, found.counter_names.index("not_finite")]
+    assert column.tolist() == [0, SAMPLES]

@@ -63,7 +63,7 @@ class LearntValve:
 
     def rejected(self) -> Mapping[str, int]:
         """Return the number of rejected samples by reason."""
-        counts = self._fleet.rejections()[0].tolist()
+        counts = self._fleet.rejections(np.zeros(1, np.int64))[0].tolist()
         return {name: n for name, n in zip(COUNTER_NAMES, counts, strict=True) if n}
 
     def learn(self, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:

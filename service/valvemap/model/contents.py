@@ -65,7 +65,7 @@ class Contents:
         if array.shape != like.shape or array.dtype != like.dtype:
             ours, other = (f"{a.shape} and {a.dtype}" for a in (like, array))
             return f"is of shape {other}, not of {ours}"
-        if array.dtype.kind not in f"{_INTEGERS}f":
+        if array.dtype.kind not in f"{_INTEGERS}f" or not array.size:
             return None
         with np.errstate(invalid="ignore"):
             right = (array >= self._low) & (array <= self._high)

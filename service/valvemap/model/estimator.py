@@ -97,7 +97,7 @@ class State:
         return True
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)  # 2 MB; each number of samples that wait has its own
 def _npy_head(
     header: tuple[str, ...],
     names: tuple[str, ...],

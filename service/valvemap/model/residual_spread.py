@@ -163,6 +163,10 @@ class SpreadOfMany:
             overall=self.overall[m].copy(),
         )
 
+    def view(self, m: int) -> ResidualSpread:
+        """Return map ``m``, not copied."""
+        return ResidualSpread(self.cells[m], self.stamps[m], self.ages[m], self.overall[m])
+
     def put(self, m: int, one: ResidualSpread) -> None:
         """Replace map ``m``."""
         self.cells[m], self.stamps[m] = one.cells, one.stamps

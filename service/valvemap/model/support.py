@@ -206,6 +206,10 @@ class SupportOfMany:
         """Return a copy of map ``m``."""
         return Support(self.cells[m].copy(), self.fit[m].copy(), self.ranges[m].copy())
 
+    def view(self, m: int) -> Support:
+        """Return map ``m``, not copied."""
+        return Support(self.cells[m], self.fit[m], self.ranges[m])
+
     def put(self, m: int, one: Support) -> None:
         """Replace map ``m``."""
         self.cells[m], self.fit[m], self.ranges[m] = one.cells, one.fit, one.ranges

@@ -104,6 +104,8 @@ class AlarmStates:
 
     def remarks_to_bytes(self, m: int) -> NDArray[np.uint8]:
         """Pack the comments on one valve's alarms."""
+        if not self._remarks:
+            return _NO_REMARKS
         said = {
             name: [remark.text, remark.by, remark.t]
             for a, name in enumerate(self._names)
@@ -189,6 +191,7 @@ class AlarmStates:
 
 
 _NOTHING_SAID = Remark("", "", 0)
+_NO_REMARKS = np.frombuffer(b"{}", np.uint8)
 
 
 def _nothing_wrong(M: int, A: int) -> Conditions:

@@ -212,9 +212,10 @@ class Alarms:
         """Whether the last error of one valve was raised in a step of the whole valve."""
         return bool(self._conditions.detail[m, Alarm.LANE_FAILED, 0])
 
-    def failures(self) -> Times:
-        """Number of lane failures (M,)."""
-        return self._conditions.detail[:, Alarm.LANE_FAILED, 1].astype(np.int64)
+    def failures(self, chosen: Times) -> Times:
+        """Number of lane failures of K valves (K,)."""
+        found: Times = self._conditions.detail[chosen, Alarm.LANE_FAILED, 1].astype(np.int64)
+        return found
 
     def overdue(self, chosen: Times, now: Times) -> None:
         """Update K valves that have sent no sample until ``now``, UTC ns by their sources."""
@@ -263,8 +264,10 @@ class Alarms:
 
     def to_bytes(self, m: int) -> bytes:
         """Pack one valve's alarms and their statistics, without the losses of the last minute."""
-        kept = {name: array[m].copy() for name, array in self._arrays().items()}
-        kept["memory"][LOSSES], kept["times"][layout.LOSS_TIME] = 0.0, layout.NEVER
+        kept = {name: array[m] for name, array in self._arrays().items()}
+        memory, times = kept["memory"].copy(), kept["times"].copy()
+        memory[LOSSES], times[layout.LOSS_TIME] = 0.0, layout.NEVER
+        kept |= {"memory": memory, "times": times}
         kept["reason"] = np.array(self._reasons[m])
         return _Kept(**kept, remarks=self.states.remarks_to_bytes(m)).to_bytes(_KEY)
 

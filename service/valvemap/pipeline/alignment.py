@@ -133,12 +133,17 @@ class Alignment:
     def waits(self, waiting: Waiting) -> NDArray[np.bool_]:
         """Mask (V,) of the valves with complete samples in the reorder buffer."""
         found = np.zeros(len(self.optional), np.bool_)
-        kernel.find_waiting(self._rules, waiting, found)
+        if np.count_nonzero(waiting.order[:, slots.SIZE]):
+            kernel.find_waiting(self._rules, waiting, found)
         return found
 
     def of(self, waiting: Waiting, valve: int) -> Waiting:
         """Return copies of one valve's state, (1, …), trimmed to the samples in use."""
-        one = Waiting._make(array[valve : valve + 1].copy() for array in waiting)
+        return Waiting._make([array.copy() for array in self.view(waiting, valve)])
+
+    def view(self, waiting: Waiting, valve: int) -> Waiting:
+        """As `of`, not copied."""
+        one = Waiting._make([array[valve : valve + 1] for array in waiting])
         size = int(one.order[0, slots.SIZE])
         return one._replace(
             slots=one.slots[:, :size], values=one.values[:, :size], status=one.status[:, :size]

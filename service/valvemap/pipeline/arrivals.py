@@ -101,16 +101,16 @@ class Arrivals:
         parts = self._taken(changes)
         if self.finds_timing:
             parts += self._held_commands(parts)
-        if self.failed.any():
+        if np.count_nonzero(self.failed):
             self._count_dropped(changes)
         return parts[0] if len(parts) == 1 else in_turn(parts)
 
     def _taken(self, changes: DataChanges) -> list[ByValve]:
         due, after, repeated = self._steps.next_part(changes)
-        if repeated.any():
+        if np.count_nonzero(repeated):
             self._count_duplicates(changes[repeated])
             changes, after = changes[~repeated], after[~repeated]
-        if self.failed.any():
+        if np.count_nonzero(self.failed):
             works = ~self.failed[changes.item // PER_VALVE]
             changes, after = changes[works], after[works]
         if not due:
@@ -229,7 +229,11 @@ class Arrivals:
 
     def of(self, valve: int) -> ArrivalsOfValve:
         """Return copies of one valve's state."""
-        waiting = self.alignment.of(self._waiting, valve)
+        return self.view(valve)._replace(waiting=self.alignment.of(self._waiting, valve))
+
+    def view(self, valve: int) -> ArrivalsOfValve:
+        """As `of`, not copied: the next changes change it."""
+        waiting = self.alignment.view(self._waiting, valve)
         started = int(self.source_started[valve])
         return ArrivalsOfValve(waiting, started, self._steps.known(valve))
 

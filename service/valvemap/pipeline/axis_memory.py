@@ -149,7 +149,7 @@ class AxisMemories:
         yield MEMORY, _Kept.of(memory).to_bytes(key)
         for line, unmet in enumerate(memory.unmet):
             row = LINES * number + line
-            own = arrays_of_arrivals(self._arrivals.of(row))
+            own = arrays_of_arrivals(self._arrivals.view(row))
             yield (
                 OF_LINES[line],
                 _KeptLine(**own, unmet_t=unmet.t, unmet_values=unmet.values).to_bytes(key),

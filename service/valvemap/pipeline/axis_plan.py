@@ -1,6 +1,7 @@
 """The configuration of an axis, and the hash that its stored states are bound to. Pure."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from valvemap.model.axis import AxisGeometry
 from valvemap.model.estimator import key_of
@@ -28,7 +29,7 @@ class AxisPlan:
     is_tracked: bool = False
     former_key: str = ""
 
-    @property
+    @cached_property
     def key(self) -> str:
         """The hash that a stored state is bound to: by geometry, and what measures the piston."""
         return key_of(_Bound(self.geometry, self.has_speed))

@@ -62,6 +62,9 @@ class Known(NamedTuple):
         return self._replace(digests=np.full_like(self.digests, ANY))
 
 
+_NOTHING_KNOWN: Final = Known.nothing()
+
+
 class Found(NamedTuple):
     """Steps in a batch, by ascending row, and the mask of rows from before a step that repeat."""
 
@@ -178,7 +181,7 @@ class ClockSteps:
     def known(self, v: int) -> Known:
         """Return the samples by which a restarted service finds repetitions."""
         if not (self._watched[v] and self._was_set_back(np.array([v]))[0]):
-            return Known.nothing()
+            return _NOTHING_KNOWN
         row = self._row[v]
         latest = np.arange(max(0, self._written[row] - MOST_KNOWN), self._written[row])
         latest %= MOST_KNOWN
@@ -228,9 +231,10 @@ class ClockSteps:
         A clock that was set back may show a time twice.
         """
         row = self._row[v]
+        n = min(int(self._written[row]), MOST_KNOWN)
         found: dict[int, set[int]] = {}
         for time, digest in zip(
-            self._times[row].tolist(), self._digests[row].tolist(), strict=True
+            self._times[row, :n].tolist(), self._digests[row, :n].tolist(), strict=True
         ):
             found.setdefault(time, set()).add(digest)
         return found

@@ -53,4 +53,5 @@ class DataChanges:
         return len(self.item)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
-        return type(self)(*[getattr(self, name)[rows] for name in field_names(type(self))])
+        item, value, status = self.item[rows], self.value[rows], self.status[rows]
+        return type(self)(item, value, status, self.source_time[rows])

@@ -48,6 +48,11 @@ class Stacked:
         one: State = copied_member(self._all, m)
         return one
 
+    def view(self, m: int) -> State:
+        """Return the state of valve ``m``, not copied."""
+        one: State = member(self._all, m)
+        return one
+
     def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
         """Return ``theta`` and its standard deviation of the given valves (K, n)."""
         return self._estimator.parameters_many(members(self._all, chosen))
@@ -93,11 +98,11 @@ class Stacked:
         """Return the diagnosis of the residuals of the given valves (K,)."""
         return self._estimator.adaptation_many(members(self._all, chosen))
 
-    def censored(self, M: int) -> Times:
-        """Number of samples not learnt as the meter does not show their flow (M,)."""
+    def censored(self, chosen: Times) -> Times:
+        """Number of samples not learnt as the meter does not show their flow (K,)."""
         if self._censor is not None:
-            return self._censor.censored(self._all)
-        return np.zeros(M, np.int64)
+            return self._censor.censored(self._all)[chosen]
+        return np.zeros(len(chosen), np.int64)
 
     def began(self) -> Times:
         """Sample count at the last restart of each map (M,)."""
@@ -158,6 +163,8 @@ class Listed:
         """Return the state of valve ``m``; updates replace it by a new one."""
         return self._all[m]
 
+    view = get
+
     def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
         """Return ``theta`` and its standard deviation of the given valves (K, n)."""
         found = [self._estimator.parameters(self._all[m]) for m in chosen]
@@ -188,9 +195,9 @@ class Listed:
         """Return the diagnosis of the residuals of the given valves (K,)."""
         return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
 
-    def censored(self, M: int) -> Times:
-        """Return zeros (M,)."""
-        return np.zeros(M, np.int64)
+    def censored(self, chosen: Times) -> Times:
+        """Return zeros (K,)."""
+        return np.zeros(len(chosen), np.int64)
 
     def began(self) -> Times:
         """Return zeros (M,)."""

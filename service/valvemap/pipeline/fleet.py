@@ -237,6 +237,17 @@ class Fleet:
             demand_dp=float(self._demand[m, 1]),
         )
 
+    def view(self, m: int) -> ValveState:
+        """As `state`, not copied and without errors of maps: the next samples change it."""
+        return ValveState(
+            gate=self._gate.view(slice(m, m + 1)),
+            lanes={name: lanes.view(m) for name, lanes in self._lanes.items()},
+            t=int(self._t[m]),
+            T=float(self._T[m]),
+            demand_Q=float(self._demand[m, 0]),
+            demand_dp=float(self._demand[m, 1]),
+        )
+
     def remember(self, m: int, gate: GateState, t: int, T: float) -> None:
         """Restore one valve's gate, last sample time and last temperature."""
         self._gate.put(m, gate)
@@ -246,8 +257,7 @@ class Fleet:
         """Return the estimators' results of the given valves, without surveys."""
         adaptations = self.maps.adaptations(chosen)
         return {
-            name: replace(lanes.results(chosen), adaptation=adaptations[name])
-            for name, lanes in self._lanes.items()
+            name: lanes.results(chosen, adaptations[name]) for name, lanes in self._lanes.items()
         }
 
     def unknown(self, m: int) -> Mapping[str, EstimatorResults]:
@@ -296,9 +306,10 @@ class Fleet:
         for m in range(len(self._t)):
             self.lanes.show_stopped(m)
 
-    def rejections(self) -> Times:
-        """Counts (M, reasons) since the start: rejections by gate and estimators, lane failures."""
-        beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
-        censored = np.max([lanes.censored() for lanes in self._lanes.values()], axis=0)
-        failed = self.alarms.failures()
-        return np.column_stack((self._gate.counts(), beyond, censored, failed))
+    def rejections(self, chosen: Times) -> Times:
+        """Counts (K, reasons) since the start: rejections by gate, estimators, lane failures."""
+        lanes = [*self._lanes.values()]
+        beyond = np.max([one.beyond[chosen] for one in lanes], axis=0)
+        censored = np.max([one.censored(chosen) for one in lanes], axis=0)
+        failed = self.alarms.failures(chosen)
+        return np.column_stack((self._gate.counts(chosen), beyond, censored, failed))

@@ -142,7 +142,7 @@ class KeptStates:
 
     def _as_kept(self, valve: int) -> ValveState:
         fleet, m = self._valves.at(valve)
-        return fleet.state(m)  # without systematic errors, which are not stored
+        return fleet.view(m)  # without systematic errors, which are not stored
 
     def _checkpoints_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
         keys = self._valves.estimator_keys(valve)
@@ -162,7 +162,7 @@ class KeptStates:
 
     def _memories_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
         fleet, m = self._valves.at(valve)
-        memory = ValveMemory.of(state, self._arrivals.of(valve), dict(fleet.lanes.beyond(m)))
+        memory = ValveMemory.of(state, self._arrivals.view(valve), dict(fleet.lanes.beyond(m)))
         key, name = self._keys.of_memory(valve), self._valves.plans[valve].name
         means = self._meanings[valve]
         found = [_beside(name, MEMORY, memory.to_bytes(key), state.t, key, means)]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from valvemap.model.residual_spread import noise_std
-from valvemap.model.samples import Floats, Times
+from valvemap.model.samples import Codes, Floats, Times
 from valvemap.pipeline.estimator_states import Listed, Stacked
 from valvemap.pipeline.kernels.lanes import NO_STATUS, Notes
 from valvemap.pipeline.results import EstimatorResults
@@ -26,7 +26,12 @@ for _status, _quality in {
 
 
 def results_of(
-    states: Stacked | Listed, notes: Notes, scores: Floats, overall: Floats, chosen: Times
+    states: Stacked | Listed,
+    notes: Notes,
+    scores: Floats,
+    overall: Floats,
+    chosen: Times,
+    adaptation: Codes,
 ) -> EstimatorResults:
     """Return the results of the given valves.
 
@@ -38,6 +43,8 @@ def results_of(
         Sums of the scores (K, …) and overall spread of the residuals (K, …) of the given valves.
     chosen
         Numbers of the given valves (K,).
+    adaptation
+        The diagnoses of their residuals (K,).
     """
     said = notes.status[chosen]
     theta, std = states.parameters(chosen)
@@ -57,7 +64,7 @@ def results_of(
         change=states.changes(chosen),
         structure=states.structures(chosen),
         lags=states.lags(chosen),
-        adaptation=states.adaptations(chosen),
+        adaptation=adaptation,
         systematic_std=np.full(len(chosen), np.nan),
     )
 

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.capabilities import Forgetful
-from valvemap.model.estimator import key_of
+from valvemap.model.estimator import State, key_of
 from valvemap.model.extrapolation import ABOUT_DP, ABOUT_U, within_ranges
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.model.sensor_accuracy import SensorAccuracy
+from valvemap.model.support import Support
 from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
@@ -171,9 +172,9 @@ class Lanes:
         """Return the root mean square of recent residuals of the given valves, l/min."""
         return recent_rmse(self._scores[chosen])
 
-    def censored(self) -> Times:
-        """Number of samples not learnt as the meter does not show their flow (M,)."""
-        return self.states.censored(len(self.beyond))
+    def censored(self, chosen: Times) -> Times:
+        """Number of samples of K valves not learnt as the meter does not show their flow (K,)."""
+        return self.states.censored(chosen)
 
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
         """Mask the samples (N,) whose U or Δp is beyond the estimator's ranges; count them."""
@@ -211,13 +212,30 @@ class Lanes:
 
     def get(self, m: int, errors: MapErrors | None = None) -> Lane:
         """Return a copy of the lane of valve ``m``, with these errors of its map."""
+        of_map = self._spread.one(m), self._rests.one(m)
+        return self._lane(m, self.states.get(m), Score(self._scores[m].copy()), *of_map, errors)
+
+    def view(self, m: int) -> Lane:
+        """Return the lane of valve ``m``, not copied: the next samples change it."""
+        of_map = self._spread.view(m), self._rests.view(m)
+        return self._lane(m, self.states.view(m), Score(self._scores[m]), *of_map)
+
+    def _lane(
+        self,
+        m: int,
+        state: State,
+        score: Score,
+        spread: ResidualSpread,
+        support: Support,
+        errors: MapErrors | None = None,
+    ) -> Lane:
         count, t, predicted, residual, status = (array[m] for array in self._notes)
         lane = Lane(
             estimator=self._estimator,
-            state=self.states.get(m),
-            score=Score(self._scores[m].copy()),
-            spread=self._spread.one(m),
-            support=self._rests.one(m),
+            state=state,
+            score=score,
+            spread=spread,
+            support=support,
             accuracy=self._accuracy,
             frozen=bool(self._frozen[m]),
             count=int(count),
@@ -230,10 +248,10 @@ class Lanes:
         lam = float(self._lam[m])
         return lane if np.isnan(lam) else with_forgetting(lane, lam)
 
-    def results(self, chosen: Times) -> EstimatorResults:
-        """Return the results of the given valves."""
+    def results(self, chosen: Times, adaptation: Codes) -> EstimatorResults:
+        """Return the results of the given valves (K,), with these diagnoses of their residuals."""
         scores, overall = self._scores[chosen], self._spread.overall[chosen]
-        return results_of(self.states, self._notes, scores, overall, chosen)
+        return results_of(self.states, self._notes, scores, overall, chosen, adaptation)
 
     def unknown(self, m: int) -> EstimatorResults:
         """Return Bad results of valve ``m``, for use when `results` raises."""

@@ -8,7 +8,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Final
 
 from valvemap.pipeline.units import Scaling
@@ -66,8 +66,13 @@ class Meaning:
 
     def to_text(self) -> str:
         """Return it as JSON with sorted keys; equal meanings have equal texts."""
+        return self._text
+
+    @cached_property
+    def _text(self) -> str:
         signals = {name: vars(one) for name, one in self.signals.items()}
-        return json.dumps({**vars(self), "signals": signals}, sort_keys=True)
+        whole = {"source": self.source, "signals": signals, "lam": self.lam}
+        return json.dumps(whole, sort_keys=True)
 
 
 def digest_of(text: str) -> str:

@@ -49,20 +49,26 @@ class GateState:
         memory = Memory._make(array[valves].copy() for array in self.memory)
         return GateState(memory, self.bad_status[valves].copy())
 
+    def view(self, valves: slice) -> "GateState":
+        """Return the state of the given valves, not copied."""
+        memory = Memory._make([array[valves] for array in self.memory])
+        return GateState(memory, self.bad_status[valves])
+
     def put(self, m: int, other: "GateState") -> None:
         """Replace the state of valve ``m`` by that of the first valve of ``other``."""
         for own, array in zip(self.memory, other.memory, strict=True):
             own[m] = array[0]
         self.bad_status[m] = other.bad_status[0]
 
-    def counts(self) -> Times:
-        """Rejections (M, reasons) since the start; a sample may count under several reasons."""
-        return np.column_stack((self.bad_status, self.memory.counters.sum(axis=1)))
+    def counts(self, chosen: Times) -> Times:
+        """Rejections of K valves since the start; a sample may count under several reasons."""
+        rejected = self.memory.counters[chosen].sum(axis=1)
+        return np.column_stack((self.bad_status[chosen], rejected))
 
     @property
     def counters(self) -> Mapping[str, int]:
         """Rejections of the first valve by reason."""
-        return dict(zip(COUNTER_NAMES, self.counts()[0].tolist(), strict=True))
+        return dict(zip(COUNTER_NAMES, self.counts(np.zeros(1, np.int64))[0].tolist(), strict=True))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Alarms of one owner that are driven by a quantity each: of the service, and of an axis. Pure."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
@@ -78,6 +79,8 @@ class QuantityAlarms(Generic[Kind]):
         """Update with the quantity of each alarm; NaN is unknown and changes nothing."""
         t, one, value, came = np.array([now]), np.zeros(1, np.int64), np.empty(1), np.empty(1, bool)
         for alarm, x in values.items():
+            if math.isnan(x):
+                continue
             value[0] = x
             move_on(one, t, t, value, self._numbers[alarm], self._limits, self._conditions, came)
 

@@ -236,7 +236,7 @@ class ResultTables:
         return found
 
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
-        rejected = fleet.rejections()[self._valves.places[valves]]
+        rejected = fleet.rejections(self._valves.places[valves])
         aligned = self._arrivals.counts(valves)
         aligned[:, _MISSING] += self._intake.splitter.dropped[valves]
         aligned[:, _MISSING] += self._intake.meters.dropped[valves]

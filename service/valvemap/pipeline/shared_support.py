@@ -106,6 +106,10 @@ class SharedSupport:
         """Return a copy of the support of one estimator's map."""
         return self._kept.one(self._of[e, m])
 
+    def view(self, e: int, m: int) -> Support:
+        """Return the support of one estimator's map, not copied."""
+        return self._kept.view(self._of[e, m])
+
     def put(self, e: int, m: int, support: Support) -> None:
         """Replace the support of one estimator's map."""
         others = np.delete(self._of[:, m], e)
@@ -194,6 +198,10 @@ class SharedRests:
     def one(self, m: int) -> Support:
         """Return a copy of the support of valve ``m``."""
         return self.shared.one(self.number, m)
+
+    def view(self, m: int) -> Support:
+        """Return the support of valve ``m``, not copied."""
+        return self.shared.view(self.number, m)
 
     def put(self, m: int, support: Support) -> None:
         """Replace the support of valve ``m``."""
