@@ -69,7 +69,7 @@ class Contents:
             return None
         with np.errstate(invalid="ignore"):
             right = (array >= self._low) & (array <= self._high)
-        if not self._counts:
+        if not self._counts and not (right.all() and np.isfinite(array).all()):
             right &= np.isfinite(array) | self._inf
             right |= self._nan & np.isnan(array)
         if right.all():

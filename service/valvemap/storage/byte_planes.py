@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 _CONSTANT, _PLAIN, _DEFLATED = range(3)
 _PLANES: Final = 8
+_BITS: Final = 8  # of a byte
+_ZEROS: Final = bytes([_CONSTANT, 0])  # a plane
 _MOST_BITS: Final = 7.7  # of a byte; a plane with more information is not deflated
 Integers = NDArray[np.int64]
 
@@ -16,13 +18,14 @@ Integers = NDArray[np.int64]
 def packed_integers(values: Integers) -> bytes:
     """Return integers (n,) as planes of bytes, those near zero with leading zeros."""
     folded = ((values << 1) ^ (values >> 63)).view(np.uint64).astype("<u8", copy=False)
-    planes = folded.view(np.uint8).reshape(len(values), _PLANES).T
-    return b"".join(_plane(np.ascontiguousarray(plane)) for plane in planes)
+    used = -(-int(folded.max(initial=0)).bit_length() // _BITS)  # planes that are not all zero
+    planes = np.ascontiguousarray(folded.view(np.uint8).reshape(len(values), _PLANES).T[:used])
+    return b"".join([_plane(plane) for plane in planes]) + _ZEROS * (_PLANES - used)
 
 
 def _plane(plane: NDArray[np.uint8]) -> bytes:
-    if not len(plane) or (plane == plane[0]).all():
-        return bytes([_CONSTANT, int(plane[0]) if len(plane) else 0])
+    if (plane == plane[0]).all():
+        return bytes([_CONSTANT, int(plane[0])])
     data = plane.tobytes()
     share = np.bincount(plane) / len(plane)
     share = share[share > 0]
