@@ -1,15 +1,19 @@
 """What must be true of a simulated world: each function reports the promises that are broken."""
 
+from unittest import mock
+
 from simulation import meeting, people
 from simulation.installation import ALSO, MOST_PENDING, OWN, RLS, fresh, reorder
 from valvemap.pipeline.alignment import COUNTER_NAMES
 from valvemap.pipeline.edges import LEAK
 from valvemap.pipeline.kernels import waiting as slots
+from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.provenance import MEMORY
 from valvemap.vocabulary.statuses import Quality
 
 SLACK_S = 1.0  # between two looks at what is shown
 CALM_S = 12.0  # after the last fault of a connection, until which its samples come again
+NO_TABLES = mock.patch.multiple(MapsAndSurveys, tabulate=mock.DEFAULT, refresh_surveys=mock.DEFAULT)
 _CLOSE = 1e-9  # relative to the largest parameter; of a map converted to another unit
 
 
@@ -239,8 +243,9 @@ def of_states(world):
 
     A state that was converted to another unit is as close to it as rounding permits.
     """
-    again, restored = fresh(world.case, world.plant), fresh(world.case, world.plant)
-    restored.restore(restored.states.review(world.states.load()).checkpoints)
+    with NO_TABLES:  # no state depends on them
+        again, restored = fresh(world.case, world.plant), fresh(world.case, world.plant)
+        restored.restore(restored.states.review(world.states.load()).checkpoints)
     for valve, one in enumerate(world.plant):
         n = meeting.learnt_samples(restored, valve)
         del world.learnt[valve][n:]
