@@ -9,6 +9,7 @@ from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
 from valvemap.model.axis_basis import leakage_share
 from valvemap.model.axis_fit import fit
 from valvemap.model.axis_search import fitted, identify
+from valvemap.model.kernels.axis_rows import USED
 from valvemap.vocabulary.edges import EDGES
 from valvemap.vocabulary.statuses import AxisStatus
 from valvemap_rig.directional import DirectionalValve, true_edge_flow
@@ -76,6 +77,20 @@ def test_any_division_of_the_samples_gives_the_same_bits(block):
     for name, array in vars(whole).items():
         assert array.tobytes() == getattr(state, name).tobytes(), name
     assert np.array_equal(np.concatenate(reasons), trace.reason)
+
+
+def test_intervals_that_the_caller_leaves_out_are_in_no_sum(block):
+    samples = of(block)[:3_000]
+    _, trace = KNOWN.update(KNOWN.initial_state(), samples)
+    chosen = np.zeros(len(samples), np.bool_)
+    chosen[1_000:1_200] = True
+    state, less = KNOWN.update(KNOWN.initial_state(), samples, chosen)
+    used = (trace.reason == USED) & ~chosen
+    assert np.array_equal(less.reason == USED, used)
+    assert state.rows == used.sum()
+    samples.x[1_000:1_199] += 50.0
+    again, _ = KNOWN.update(KNOWN.initial_state(), samples, chosen)
+    assert np.array_equal(again.M[:-7, :-7], state.M[:-7, :-7])
 
 
 def test_an_update_leaves_its_state_as_it_was(block):

@@ -239,8 +239,13 @@ class AxisRegression:
             known=np.zeros((n, KNOTS, KNOTS)),
         )
 
-    def update(self, state: AxisState, samples: AxisSamples) -> tuple[AxisState, AxisTrace]:
-        """Return the state after the samples; any division of them gives the same bits."""
+    def update(
+        self, state: AxisState, samples: AxisSamples, left_out: Flags | None = None
+    ) -> tuple[AxisState, AxisTrace]:
+        """Return the state after the samples; any division of them gives the same bits.
+
+        ``left_out`` (N,) are intervals, each by the sample at its end, that are not to be used.
+        """
         after = AxisState(**{name: array.copy() for name, array in vars(state).items()})
         n = len(samples)
         status, residual, speed = np.empty(n, np.uint8), np.empty((n, 2)), np.empty((n, 2))
@@ -249,6 +254,7 @@ class AxisRegression:
             np.ascontiguousarray(
                 np.stack([getattr(samples, s) for s in (*_SIGNALS, *_OTHERS)], axis=1)
             ),
+            np.zeros(n, np.bool_) if left_out is None else left_out,
             after.last,
             after.memory,
             after.filtered,

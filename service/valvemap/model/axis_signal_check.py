@@ -19,7 +19,7 @@ from valvemap.model.axis_basis import COMMON, columns, edge_regressors
 from valvemap.model.axis_fit import compared
 from valvemap.model.kernels import axis_rows as kernel
 from valvemap.model.kernels.axis_spool import limited
-from valvemap.model.samples import Floats
+from valvemap.model.samples import Flags, Floats
 from valvemap.vocabulary.edges import EDGES
 
 LATE_S: Final = 0.02  # s; step of a delay
@@ -89,29 +89,58 @@ class _Likeliest:
     mended: AxisSamples
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """Coefficients (n,) of samples, their residuals' root mean square (l/min), rows that count.
+
+    ``left_out`` (N,) are the intervals that were not used.
+    """
+
+    theta: Floats
+    rms: float
+    rows: float
+    left_out: Flags
+
+
 def _likeliest(
     regression: AxisRegression, samples: AxisSamples, together: float
 ) -> _Likeliest | None:
-    """Return the variant that fits best, or None: none is significantly better."""
+    """Return the variant that fits best, or None: none is significantly better.
 
-    def fitted(tried: AxisSamples) -> tuple[Floats, float, float]:
-        state, _ = regression.update(regression.initial_state(), tried)
-        return (*compared(state), 2.0 * float(state.squares[2]) / together)
+    Both are fitted to the same intervals. Another zero moves some below the lowest pressure, and
+    the residuals of other rows have another mean square, by chance: with 0.5 mm of noise in the
+    position by more than what is significant.
+    """
 
-    theta, rms, rows = fitted(samples)
+    def fitted(tried: AxisSamples, left_out: Flags | None = None) -> _Fit:
+        state, trace = regression.update(regression.initial_state(), tried, left_out)
+        rows = 2.0 * float(state.squares[2]) / together
+        return _Fit(*compared(state), rows, trace.reason != kernel.USED)
+
+    def alike(tried: AxisSamples) -> tuple[_Fit, _Fit]:
+        """Return the fits of the samples, and of these, to the same intervals."""
+        other = fitted(tried)
+        if np.array_equal(other.left_out, plain.left_out):
+            return plain, other
+        either = plain.left_out | other.left_out
+        return fitted(samples, either), fitted(tried, either)
+
+    plain = fitted(samples)
     best: _Likeliest | None = None
     for words, sizes, variant in _variants(regression.period_s):
-        least, last, changed, mended = rms, math.nan, theta, samples
+        most, found = 0.0, None
         for size in sizes:
-            tried = variant(samples, size)
-            other, left, _ = fitted(tried)
-            if 2.0 * rows * math.log(max(left, 1e-9) / max(least, 1e-9)) > SIGNIFICANT:
+            mended = variant(samples, size)
+            one, other = alike(mended)
+            gain = 2.0 * one.rows * math.log(max(one.rms, 1e-9) / max(other.rms, 1e-9))
+            if gain < most - SIGNIFICANT:
                 break
-            if left < least:
-                least, last, changed, mended = left, size, other, tried
-        gain = 2.0 * rows * math.log(rms / max(least, 1e-9))
-        if gain > max(SIGNIFICANT, best.gain if best else 0.0):
-            best = _Likeliest(words, words.format(last), theta, changed - theta, gain, mended)
+            if gain > most:
+                change = other.theta - one.theta
+                most = gain
+                found = _Likeliest(words, words.format(size), one.theta, change, gain, mended)
+        if found is not None and most > max(SIGNIFICANT, best.gain if best else 0.0):
+            best = found
     return best
 
 

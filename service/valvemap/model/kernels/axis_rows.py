@@ -34,7 +34,7 @@ from valvemap.model.kernels.axis_edges import add_edge
 from valvemap.model.kernels.axis_oil import thinness
 from valvemap.model.kernels.axis_spool import held
 from valvemap.model.kernels.compiled import Index, inner, kernel
-from valvemap.model.samples import Codes, Floats, Times
+from valvemap.model.samples import Codes, Flags, Floats, Times
 
 PARTS: Final = 4  # parts of an interval; a spool of 100 Hz then moves by a quarter of its way
 COMMON: Final = 7  # columns after those of the edges:
@@ -112,6 +112,7 @@ def _speed_by_map(rows: Floats, theta: Floats, places: Times, A_A: float, A_B: f
 def axis_rows(
     t: Times,
     signals: Floats,
+    left_out: Flags,
     last: Times,
     memory: Floats,
     filtered: Floats,
@@ -141,6 +142,8 @@ def axis_rows(
         UTC ns (N,), and U, x, pA, pB, pS, pT, T, v (N, 8) in %, mm, bar, °C and mm/s. Without T,
         that of the last sample with one holds; without any, 40 °C. Without v, the speed is that of
         the position.
+    left_out
+        Intervals to leave out beside those that cannot be used (N,); they count as gaps.
     last, memory, filtered
         Time of the last sample (1,); ``MEMORY``; the filter's two stages per line (2, 2, n + 3).
     M, b, squares, counts
@@ -244,6 +247,8 @@ def axis_rows(
                 reason = END_STOP
             elif min(pA, pB, now[2], now[3]) < settings[10]:
                 reason = LOW_PRESSURE
+            elif left_out[i]:
+                reason = GAP
         memory[11] = max(memory[11] - 1.0, 0.0) if reason == USED else settings[16]
         if reason == USED:
             x = 0.5 * (memory[4] + now[1])
