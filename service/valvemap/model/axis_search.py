@@ -8,8 +8,9 @@ import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
 from valvemap.model.axis_fit import AxisFit, compared, fit, with_theta
+from valvemap.model.axis_misfit import misfit
 from valvemap.model.axis_rest import Rest
-from valvemap.model.axis_signal_check import PRESSURES, inconsistency
+from valvemap.model.axis_signal_check import MOST_FLOW, NAMELESS, PRESSURES, inconsistency
 from valvemap.model.axis_travel import placed
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
@@ -94,10 +95,13 @@ def identify(
     )
     if wrong is not None:
         of_shape = of_shape + np.outer(wrong.change, wrong.change)
+    left = misfit(regression, state, samples) if searched else 0.0
     found = replace(found, covariance=found.covariance + of_shape)
     status, details = AxisStatus.OK, []
     if wrong is not None and wrong.is_large:
         status, details = AxisStatus.SIGNAL_INCONSISTENT, [wrong.words]
+    elif left > MOST_FLOW:
+        status, details = AxisStatus.SIGNAL_INCONSISTENT, [NAMELESS]
     if not _MODULUS_GPa[0] <= found.bulk_modulus[0] <= _MODULUS_GPa[1]:
         status, details = AxisStatus.BULK_MODULUS, [f"{found.bulk_modulus[0]:.2f} GPa", *details]
     sentence = f"{status.sentence} ({'; '.join(details)})" if details else status.sentence
