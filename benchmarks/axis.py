@@ -1,15 +1,16 @@
 """Four edges, bulk modulus and leakage from a cylinder's position and pressures, on the rig.
 
-``python -m benchmarks.axis [--seeds 3] [--first 100] [--speed]``: one table. Each seed is another
-valve (edges, overlaps, play, spool), mass, bulk modulus, leakage and work; positions with noise of
-5 µm, 0.1 mm and 0.5 mm. Errors are in σ = 0.4 l/min over the cells of 5 % and 10 bar that were
-visited for half a second. ``metered`` is a fit of the same edges to a meter in each line without
-play and spool, as in the trials. ``--speed``: the speed is measured in place of the position, with
-noise of 0.5, 2 and 5 mm/s, a zero that is off by 0.2 mm/s at most, and a scale that is off by
-0.1 %.
+``python -m benchmarks.axis [--seeds 3] [--first 100] [--speed] [--wrong]``: one table. Each seed
+is another valve (edges, overlaps, play, spool), mass, bulk modulus, leakage and work; positions
+with noise of 5 µm, 0.1 mm and 0.5 mm. Errors are in σ = 0.4 l/min over the cells of 5 % and 10 bar
+that were visited for half a second. ``metered`` is a fit of the same edges to a meter in each line
+without play and spool, as in the trials. ``--speed``: the speed is measured in place of the
+position, with noise of 0.5, 2 and 5 mm/s, a zero that is off by 0.2 mm/s at most, and a scale that
+is off by 0.1 %. ``--wrong``: answers to signals and areas that are wrong, in place of the table.
 """
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -157,13 +158,43 @@ def refusals(seed: int) -> list[tuple[str, AxisResult]]:
     ]
 
 
+def wrong(seed: int) -> Iterator[tuple[str, AxisResult]]:
+    """Yield the answers to wrong signs, units, names, zeros, delays and areas."""
+    shown = samples(played(machine(seed, NOISES_MM[seed % 3]), seed))
+    stroke, late = GEOMETRY.stroke_mm, np.roll(shown.x, 6)
+    signals = {
+        "as it is": {},
+        "U with the wrong sign": {"U": -shown.U},
+        "x with the wrong sign": {"x": stroke - shown.x},
+        "x in cm": {"x": 0.1 * shown.x},
+        "pA in psi": {"pA": 14.5 * shown.pA},
+        "pA and pB exchanged": {"pA": shown.pB, "pB": shown.pA},
+        "pS and pT exchanged": {"pS": shown.pT, "pT": shown.pS},
+        "pA 6 bar high": {"pA": shown.pA + 6.0},
+        "x 60 ms late": {"x": late},
+    }
+    for words, changed in signals.items():
+        yield words, identify(replace(shown, **changed), GEOMETRY)
+    for words, geometry in (
+        ("piston 70 mm", replace(GEOMETRY, piston_mm=70)),
+        ("rod 32 mm", replace(GEOMETRY, rod_mm=32)),
+    ):
+        yield words, identify(shown, geometry)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=100)
     parser.add_argument("--speed", action="store_true")
+    parser.add_argument("--wrong", action="store_true")
     options = parser.parse_args()
+    if options.wrong:
+        for seed in range(options.first, options.first + options.seeds):
+            for words, result in wrong(seed):
+                print(f"{seed} {words}: {result.status.name}: {result.sentence}", flush=True)
+        return
     print(
         "seed  noise   metered static searched coverage   beta (true)  off/std   c (true)  off/std"
     )
