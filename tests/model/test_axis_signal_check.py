@@ -57,7 +57,9 @@ def test_noise_of_the_position_is_no_zero_of_a_pressure_where_low_ones_are_left_
     left_out = known.update(known.initial_state(), samples)[0].reasons()
     assert left_out["low pressure"] > 500
     assert inconsistency(known, samples, 1.0) is None
-    assert inconsistency(known, replace(samples, pA=samples.pA + 6.0), 1.0).words.startswith("pA")
+    wrong = inconsistency(known, replace(samples, pA=samples.pA + 6.0), 1.0)
+    assert wrong.words == "pA 6 bar too high"
+    assert wrong.is_large
 
 
 def test_a_late_position_is_named_with_its_delay(samples):

@@ -117,30 +117,30 @@ def _likeliest(
         rows = 2.0 * float(state.squares[2]) / together
         return _Fit(*compared(state), rows, trace.reason != kernel.USED)
 
-    def alike(tried: AxisSamples) -> tuple[_Fit, _Fit]:
-        """Return the fits of the samples, and of these, to the same intervals."""
-        other = fitted(tried)
-        if np.array_equal(other.left_out, plain.left_out):
-            return plain, other
-        either = plain.left_out | other.left_out
-        return fitted(samples, either), fitted(tried, either)
+    def alike(one: AxisSamples, other: AxisSamples) -> tuple[_Fit, _Fit, float]:
+        """Return the fits of both to the same intervals, and the gain by the other."""
+        A, B = fitted(one), fitted(other)
+        if not np.array_equal(A.left_out, B.left_out):
+            either = A.left_out | B.left_out
+            A, B = fitted(one, either), fitted(other, either)
+        return A, B, 2.0 * A.rows * math.log(max(A.rms, 1e-9) / max(B.rms, 1e-9))
 
-    plain = fitted(samples)
     best: _Likeliest | None = None
     for words, sizes, variant in _variants(regression.period_s):
-        most, found = 0.0, None
+        mended, last = samples, math.nan
         for size in sizes:
-            mended = variant(samples, size)
-            one, other = alike(mended)
-            gain = 2.0 * one.rows * math.log(max(one.rms, 1e-9) / max(other.rms, 1e-9))
-            if gain < most - SIGNIFICANT:
+            tried = variant(samples, size)
+            step = alike(mended, tried)[2]
+            if step < -SIGNIFICANT:
                 break
-            if gain > most:
-                change = other.theta - one.theta
-                most = gain
-                found = _Likeliest(words, words.format(size), one.theta, change, gain, mended)
-        if found is not None and most > max(SIGNIFICANT, best.gain if best else 0.0):
-            best = found
+            if step > 0.0:
+                mended, last = tried, size
+        if mended is samples:
+            continue
+        one, other, gain = alike(samples, mended)
+        if gain > max(SIGNIFICANT, best.gain if best else 0.0):
+            change = other.theta - one.theta
+            best = _Likeliest(words, words.format(last), one.theta, change, gain, mended)
     return best
 
 
