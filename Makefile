@@ -19,7 +19,9 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: install demo test works waits peers conformance hardened lint format soak bench report simulate reference figures docs sbom wheel release verify-release lock clean
 
+# Kernels are compiled here, in place of the first start: two minutes, once.
 install: $(RUNTIME)
+	@$(BIN)/valvemap warm-up
 
 demo: $(RUNTIME)
 	@$(BIN)/valvemap demo

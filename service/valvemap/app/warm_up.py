@@ -37,10 +37,10 @@ def warm_up(
 ) -> None:
     """Compile every kernel that this configuration needs.
 
-    The first run on a machine compiles for 40 s and caches the result on disk; later runs load it.
-    Two processes share the parts, each taking the next free one. ``progress`` is called
-    periodically with the number of parts done. No further part is started once ``is_over``
-    returns True.
+    The first run on a machine compiles for some two minutes and caches the result on disk; later
+    runs load it. Two processes share the parts, each taking the next free one. ``progress`` is
+    called periodically with the number of parts done. No further part is started once
+    ``is_over`` returns True.
     """
     config = _one_of_each_kind(config)
     if not was_warmed_up():
