@@ -5,7 +5,8 @@ A seed draws a valve, a working cycle, a sample rate and up to three circumstanc
 visited, the share of true flows inside the 95 % interval there and the least such share of a
 quarter of U or Δp, the share of answers at status OK that are more than 3 σ off, sudden changes,
 findings. σ is the root mean square of the meter's error without its offset and dead time. The last
-line sums up the last moment of all plants; a change is false where no offset jumps.
+line sums up the last moment of all plants; a change is false where no offset jumps. ``--only
+WORD``: of these seeds the plants in whose description the word is.
 """
 
 import argparse
@@ -65,10 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--only", default="")
     wanted = parser.parse_args(arguments)
     last = []
     for seed in range(wanted.first, wanted.first + wanted.seeds):
         row, words = drawn(seed)
+        if wanted.only not in words:
+            continue
         print(words)
         figures = judged(row)
         for end, one in zip(row.ends, figures, strict=True):

@@ -83,7 +83,9 @@ def test_a_command_that_moves_in_steps_is_not_held(name):
 def joined(x, period):
     rows = rows_of(np.array(x, float), *np.zeros((2, len(x))))
     out = rows.copy()
-    kernel.joined(rows, period, 0.0, out)
+    given = np.zeros(paths.PARAMETERS)
+    given[paths.HELD_U] = period
+    kernel.as_they_were(rows, given, out)
     return out[:, paths.LEFT_U]
 
 

@@ -74,7 +74,7 @@ def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
         beam = [at] if evidence.explains(at) else [at, np.zeros_like(at)]
     for _ in range(rules.MOST_OPERATORS):
         beam = _grown(evidence, beam)
-        if not beam or evidence.gain_if_white(beam[0], at) < rules.CLEAR:
+        if not beam or evidence.gain_if_white(beam[0], at) < rules.STILL_CLEAR:
             break
         at = beam[0]
     if np.count_nonzero(at):
@@ -180,14 +180,25 @@ def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
 
 
 def _without(evidence: Evidence, at: Floats, k: int) -> Floats:
-    """The likeliest parameters without operator k: a lag that is there may take over its age."""
+    """The likeliest parameters without operator k.
+
+    A lag that is there may take over its age; noise of U, that of which a hysteresis made it free.
+    """
     without = with_value(at, k, 0.0)
     taken = [
         limited(without, int(other), at[other] + at[k] * AGE[k] / AGE[int(other)])
         for other in np.flatnonzero(without)
         if k in AGE and int(other) in AGE
     ]
+    if _may_be_noise(evidence, at, k):
+        taken.append(with_value(without, paths.NOISE_U, evidence.of_signals[paths.NOISE_U]))
     return min([without, *taken], key=lambda at: evidence.of(at).square)
+
+
+def _may_be_noise(evidence: Evidence, at: Floats, k: int) -> bool:
+    """Whether operator k, a hysteresis, may only keep the noise of U from the spool."""
+    is_noisy = evidence.of_signals[paths.NOISE_U] > 0.0 and not at[paths.NOISE_U]
+    return bool(k in RIVALS[0] and is_noisy)
 
 
 def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
@@ -197,7 +208,11 @@ def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
     """
     without = _without(evidence, at, k)
     gain = evidence.gain(at, without)
-    if k == paths.NEWS:  # each controller moves the next U by the noise of this Q, which is no harm
+    if _may_be_noise(evidence, at, k):  # whether it is needed beside noise of U, too
+        noisy = with_value(at, paths.NOISE_U, evidence.of_signals[paths.NOISE_U])
+        gain = max(gain, evidence.gain(noisy, with_value(noisy, k, 0.0)))
+    if k == paths.NEWS and not at[paths.NOISE_U]:
+        # each controller moves the next U by the noise of this Q, which is no harm
         gain = min(gain, evidence.gain(with_value(at, k, paths.PAST), without))
     if given[k] == 0.0:
         return gain - rules.CLEAR
@@ -219,19 +234,21 @@ def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
                     rest = at[other] - value * AGE[k] / AGE[other]
                     if at[other] and rest > 0.0:
                         yield with_value(tried, other, rest)
-    yield from _held(evidence, at)
+    yield from _of_signals(evidence, at)
     if not at[paths.TOP]:
         for share in rules.SHARES_TOP:
             yield with_value(at, paths.TOP, float(np.quantile(evidence.Q, share)))
 
 
-def _held(evidence: Evidence, at: Floats) -> Iterator[Floats]:
-    """Return the parameters with a signal that is held more; what is held is old by itself."""
-    for k, period in evidence.periods.items():
-        if period and not at[k]:
-            tried = with_value(at, k, period)
+def _of_signals(evidence: Evidence, at: Floats) -> Iterator[Floats]:
+    """Return the parameters with a signal more that is held, which is old by itself, or noisy."""
+    for k, found in evidence.of_signals.items():
+        if found and not at[k]:
+            tried = with_value(at, k, found)
             yield tried
-            older = 0.5 * period if k != paths.HELD_Q else -0.5 * period
+            if k == paths.NOISE_U:
+                continue
+            older = 0.5 * found if k != paths.HELD_Q else -0.5 * found
             for lag in AGE:
                 if at[lag]:
                     yield with_value(tried, lag, max(at[lag] + older / AGE[lag], 0.0))

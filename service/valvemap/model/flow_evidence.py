@@ -22,7 +22,8 @@ SLOWEST: Final = dict.fromkeys(
     (0.0, 2.0 * rules.LONGEST_LAG),
 )
 ABRUPT: Final = (paths.STICK, paths.TOP)  # the residual is no smooth function of these
-FIXED: Final = (paths.NEWS, paths.LEAST, paths.HELD_U, paths.HELD_P, paths.HELD_Q)
+OF_SIGNALS: Final = (paths.HELD_U, paths.HELD_P, paths.HELD_Q, paths.NOISE_U)
+FIXED: Final = (paths.NEWS, paths.LEAST, *OF_SIGNALS)
 DAMPED: Final = (0.0, 0.1, 10.0)  # of JᵀJ's diagonal; tried in turn until a step helps
 
 
@@ -52,17 +53,19 @@ class Evidence:
 
     def __init__(self, axis_U: Axis, axis_s: Axis, rows: Floats) -> None:
         self.rows, self.Q, self._top = rows, rows[:, paths.LEFT_Q], float(axis_s.breaks[-1])
+        rows[:, paths.MEASURED_U] = rows[:, paths.LEFT_U]
         self._axis = coarse(axis_U.breaks[0], axis_U.breaks[-1])
         self._used = np.zeros(len(rows), np.bool_)
         flow_evidence.counted(rows, self._used)
         square = float(np.einsum("i,i->", self.Q, self.Q)) / max(len(rows), 1)
         self._floor = rules.MISFIT**2 * square  # no coarse map is nearer to a valve
-        self.periods = {
+        self.of_signals = {
             paths.HELD_U: period(rows[:, paths.STEP], rows[:, paths.LEFT_U]),
             paths.HELD_P: period(rows[:, paths.STEP], rows[:, paths.LEFT_DP]),
             paths.HELD_Q: period(rows[:, paths.STEP], rows[:, paths.LEFT_Q]),
+            paths.NOISE_U: noise_where_calm(rows[:, paths.LEFT_U]),
         }
-        self._joined: dict[tuple[float, float], Floats] = {(0.0, 0.0): rows}
+        self._as_they_were = {(0.0,) * len(OF_SIGNALS): rows}
         self._known: dict[tuple[float, ...], Left] = {}
         self._noises: dict[tuple[float, ...], Noise] = {}
         self._in_phase = True  # where no operator is needed, none has a phase to be searched for
@@ -101,12 +104,12 @@ class Evidence:
         return b, Left(square, many, phase, residual)
 
     def _rows(self, given: Floats) -> Floats:
-        """Rows with the signals as they were, where some are held."""
-        held = float(given[paths.HELD_U]), float(given[paths.HELD_P])
-        if held not in self._joined:
-            self._joined[held] = self.rows.copy()
-            flow_evidence.joined(self.rows, *held, self._joined[held])
-        return self._joined[held]
+        """Rows with the signals as they were, where some are held or noisy."""
+        key = tuple(float(given[k]) for k in OF_SIGNALS)
+        if key not in self._as_they_were:
+            self._as_they_were[key] = self.rows.copy()
+            flow_evidence.as_they_were(self.rows, given, self._as_they_were[key])
+        return self._as_they_were[key]
 
     def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Singles) -> None:
         """Fill the map's coefficients with those of the coarse map."""
@@ -159,6 +162,18 @@ def period(steps: Floats, x: Floats) -> float:
     held = float(np.mean(short))
     is_longer = held > rules.HELD_STEPS * float(np.median(steps))
     return held if is_longer and held <= rules.LONGEST_HELD else 0.0
+
+
+def noise_where_calm(x: Floats) -> float:
+    """Standard deviation of a signal's noise about straight lines, where it is calmest."""
+    size = rules.CALM_STRETCH
+    parts = x[: len(x) // size * size].reshape(-1, size)
+    if not len(parts):
+        return 0.0
+    line = np.vander(np.linspace(-1.0, 1.0, size), 2)
+    off = parts - parts @ np.linalg.pinv(line).T @ line.T
+    calmest = np.quantile(np.sum(off**2, axis=1), rules.CALMEST) / rules.OF_CALMEST
+    return math.sqrt(calmest) if calmest > rules.NO_NOISE**2 else 0.0
 
 
 def new_readings(rows: Floats) -> NDArray[np.bool_]:

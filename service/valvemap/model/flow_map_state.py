@@ -63,7 +63,7 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 11  # 10: noise alike everywhere; 9: stays without LOOSE
+    state_version: ClassVar[int] = 12  # 11: no noise of U; 10: of Q, alike everywhere
 
     cells: NDArray[np.float32]
     theta: NDArray[np.float32]
@@ -88,15 +88,18 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 10: noise was alike everywhere; 9: stays did not know signals on their way
-        between two values; 8: cells did not know the oil's temperature, and offsets of sensors did
-        not jump; 7: sensors had none; 6: no signal was held; 5: edges wore as a whole; 4: noise was
-        AR(1), without a white part; 3: nothing nameless was looked for.
+        Version 11: U had no noise; 10: that of Q was alike everywhere; 9: stays did not know
+        signals on their way between two values; 8: cells did not know the oil's temperature, and
+        offsets of sensors did not jump; 7: sensors had none; 6: no signal was held; 5: edges wore
+        as a whole; 4: noise was AR(1), without a white part; 3: nothing nameless was looked for.
         """
-        if version not in ("3", "4", "5", "6", "7", "8", "9", "10"):
+        if version not in ("3", "4", "5", "6", "7", "8", "9", "10", "11"):
             return {}
-        if version not in ("9", "10"):
+        if version not in ("9", "10", "11"):
             cls._add_former(version, arrays)
+        if version not in ("3", "4", "5", "6"):
+            noise = flow_path.NOISE_U
+            arrays["path"] = np.insert(arrays["path"], [noise, 2 * noise], 0.0)
         for name, size in (("stay", flow_memory.STAY), ("scalars", flow_fit.SCALARS)):
             arrays[name] = np.pad(arrays[name], (0, max(size - len(arrays[name]), 0)))
         return arrays

@@ -34,6 +34,7 @@ OPERATORS: Final = {
     paths.HELD_U: "U comes every {:.2g} s",
     paths.HELD_P: "pressures come every {:.2g} s",
     paths.HELD_Q: "Q comes every {:.2g} s",
+    paths.NOISE_U: "U has noise of {:.2g} %",
 }
 LEVELS: Final = "gain", "edge", "zero of Q", "zero of Δp"
 

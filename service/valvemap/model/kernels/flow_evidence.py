@@ -68,11 +68,12 @@ def counted(rows: Floats, used: np.ndarray) -> None:
 
 
 @kernel
-def joined(rows: Floats, held_U: float, held_p: float, out: Floats) -> None:
-    """Fill ``out``, a copy of the rows, with U and pressures on their way from value to value."""
+def as_they_were(rows: Floats, given: Floats, out: Floats) -> None:
+    """Fill ``out``, a copy of the rows, with U and pressures as the parameters say they were."""
+    held_p = given[paths.HELD_P]
     for i in range(len(rows)):
         known, ahead = i + 1, len(rows) - 1 - i
-        out[i, paths.LEFT_U] = paths.between(rows, i, known, ahead, paths.LEFT_U, held_U)[0]
+        out[i, paths.LEFT_U] = paths.commanded(rows, i, known, ahead, given)[0]
         out[i, paths.LEFT_DP] = paths.between(rows, i, known, ahead, paths.LEFT_DP, held_p)[0]
         out[i, paths.LEFT_P1] = paths.between(rows, i, known, ahead, paths.LEFT_P1, held_p)[0]
 
@@ -166,11 +167,13 @@ def _regressors(
         )
         ways[i, between.SPOOL], ways[i, between.SHARE] = u, s / top
         _row(axis, u, s / top, X[i], work)
-        if given[paths.NEWS] > paths.PAST and 0 < i < len(rows) - 1:
-            around = rows[i - 1, paths.LEFT_U] + rows[i + 1, paths.LEFT_U]
-            X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - 0.5 * around
+        if given[paths.NEWS] > 0.0 and given[paths.NOISE_U] > 0.0:
+            X[i, len(X[i]) - 1] = rows[i, paths.MEASURED_U] - rows[i, paths.LEFT_U]
+        elif given[paths.NEWS] > paths.PAST and 0 < i < len(rows) - 1:
+            around = rows[i - 1, paths.MEASURED_U] + rows[i + 1, paths.MEASURED_U]
+            X[i, len(X[i]) - 1] = rows[i, paths.MEASURED_U] - 0.5 * around
         elif given[paths.NEWS] > 0.0 and i >= base[i] + rules.BEFORE_NEWS:
-            X[i, len(X[i]) - 1] = rows[i, paths.LEFT_U] - _expected(rows, i)
+            X[i, len(X[i]) - 1] = rows[i, paths.MEASURED_U] - _expected(rows, i)
 
 
 @inner
@@ -191,7 +194,7 @@ def _expected(rows: Floats, i: int) -> float:
     """U of row i by the straight line through the rows before."""
     m, U = rules.BEFORE_NEWS, 0.0
     for j in range(1, m + 1):
-        U += (2.0 * (2 * m + 1) - 6.0 * j) / (m * (m - 1)) * rows[i - j, paths.LEFT_U]
+        U += (2.0 * (2 * m + 1) - 6.0 * j) / (m * (m - 1)) * rows[i - j, paths.MEASURED_U]
     return U
 
 

@@ -8,10 +8,13 @@ Each operator has one parameter, 0 where there is none. Which are there is decid
 
 A signal may be published more rarely than others, and held between. U or Δp is then on its way from
 one value to the next, along a straight line: a sample waits for the next value (`between`). Of Q a
-new reading counts only.
+new reading counts only. The measured U may have noise that the spool knows nothing of: a sample
+waits for those behind it, which tell what U was (`calmed`).
 """
 
 import math
+
+import numpy as np
 
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
@@ -28,7 +31,8 @@ NEWS = 12  # 1 where Q goes with the news in U from sample to sample: U reacts t
 PAST = 0.5  # of NEWS where the news is what the samples before did not tell, without those behind
 OF_MAP = 13  # parameters up to here belong to a map; the others to the signals it is learnt from
 HELD_U, HELD_P, HELD_Q = 13, 14, 15  # s; period of a signal that is published more rarely
-PARAMETERS = 16
+NOISE_U = 16  # %; standard deviation of white noise of the measured U
+PARAMETERS = 17
 
 # Places in `path` behind the parameters.
 GAINS = PARAMETERS  # log likelihood by which each is needed
@@ -45,6 +49,7 @@ PLACES = PHASE + 1
 # Columns of the last samples.
 STEP, LEFT_U, LEFT_DP, LEFT_P1, LEFT_Q = 0, 1, 2, 3, 4  # s since the row before, as measured
 SPOOL = 5  # %; behind the operators
+MEASURED_U = 5  # %; in the rows of `flow_evidence`, where LEFT_U may be what it was without noise
 COLUMNS = 6
 
 
@@ -52,6 +57,51 @@ COLUMNS = 6
 def waits(path: Floats) -> float:
     """How long a sample waits for the next values of signals that are held, s."""
     return float(rules.LATEST_VALUE * max(path[HELD_U], path[HELD_P]))
+
+
+@inner
+def looks_ahead(path: Floats) -> bool:
+    """Whether later samples tell what the signals of one were."""
+    return bool(waits(path) > 0.0 or path[NOISE_U] > 0.0)
+
+
+@inner
+def commanded(
+    rows: Singles | Floats, row: int, known: int, ahead: int, path: Floats
+) -> tuple[float, float]:
+    """U at ``row`` as it was, and its standard deviation; see `between` and `calmed`."""
+    if path[NOISE_U] > 0.0:
+        return calmed(rows, row, known, ahead, LEFT_U, path[NOISE_U])
+    return between(rows, row, known, ahead, LEFT_U, path[HELD_U])
+
+
+@inner
+def calmed(
+    rows: Singles | Floats, row: int, known: int, ahead: int, column: int, noise: float
+) -> tuple[float, float]:
+    """A signal at ``row`` without its white noise, and its standard deviation.
+
+    The mean of the rows beside it, of as many before as behind: on a straight line it is right. Of
+    how many, the rows decide: means of more and more rows are taken as long as all their intervals
+    have a value in common (Goldenshluger and Nemirovski 1997; Katkovnik 1999). ``known`` rows up
+    to ``row`` and ``ahead`` behind it are known; ``rows`` is a ring.
+    """
+    mean, many, before, after = np.float64(rows[row, column]), 1.0, row, row
+    low, high = mean - rules.APART_MEANS * noise, mean + rules.APART_MEANS * noise
+    for _ in range(min(rules.BESIDE, known - 1, ahead)):
+        is_after_gap = rows[before, STEP] >= rules.GAP
+        before = before - 1 if before > 0 else len(rows) - 1
+        after = after + 1 if after + 1 < len(rows) else 0
+        if is_after_gap or rows[after, STEP] >= rules.GAP:
+            break
+        pair = 0.5 * (np.float64(rows[before, column]) + np.float64(rows[after, column]))
+        wider = mean + 2.0 / (many + 2.0) * (pair - mean)
+        width = rules.APART_MEANS * noise / math.sqrt(many + 2.0)
+        low, high = max(low, wider - width), min(high, wider + width)
+        if low > high:
+            break
+        mean, many = wider, many + 2.0
+    return mean, noise / math.sqrt(many)
 
 
 @inner
@@ -140,12 +190,12 @@ def late(recent: Singles, newest: int, known: int, ahead: int, path: Floats) -> 
     The oldest one where the rows do not reach so far.
     """
     back, _, share, _ = _ago(recent, newest, known, path[DEAD_U])
-    row, held = _row_before(recent, newest, back), path[HELD_U]
-    U, _ = between(recent, row, known - back, ahead + back, LEFT_U, held)
+    row = _row_before(recent, newest, back)
+    U, _ = commanded(recent, row, known - back, ahead + back, path)
     if share == 0.0:
         return U, 0.0
     older, back = _row_before(recent, row, 1), back + 1
-    U_older, _ = between(recent, older, known - back, ahead + back, LEFT_U, held)
+    U_older, _ = commanded(recent, older, known - back, ahead + back, path)
     before = _row_before(recent, older, 1) if back + 1 < known else older
     at_older = abs(U - 2.0 * U_older + float(recent[before, LEFT_U]))
     at_newer = at_older

@@ -6,6 +6,8 @@ Cells hold samples as they would have been with gain and edge as they were at fi
 
 import math
 
+import numpy as np
+
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_noise as noises
@@ -111,15 +113,15 @@ def _learn(
         _predict(i, memory.play[plays.SPOOL], s, batch, axis_U, axis_s, memory, room)
         return _EXTRAPOLATING
     row, step = _keep(i, batch, memory)
-    if paths.waits(path) == 0.0:
+    if not paths.looks_ahead(path):
         U, dp, p1, Q = batch.U[i], batch.dp[i], batch.p1[i], batch.Q[i]
         return _learn_row(i, row, U, dp, p1, Q, step, batch, axis_U, axis_s, memory, room)
     while _is_due(memory):
         row = counters[LEARNT] % len(recent)
-        U, _ = _between(row, paths.LEFT_U, path[paths.HELD_U], memory)
+        U, _ = _commanded(row, memory)
         dp, _ = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
         p1, _ = _between(row, paths.LEFT_P1, path[paths.HELD_P], memory)
-        Q, step = float(recent[row, paths.LEFT_Q]), float(recent[row, paths.STEP])
+        Q, step = np.float64(recent[row, paths.LEFT_Q]), np.float64(recent[row, paths.STEP])
         _learn_row(i, row, U, dp, p1, Q, step, batch, axis_U, axis_s, memory, room)
         counters[LEARNT] += 1
     return _predict(i, batch.U[i], s, batch, axis_U, axis_s, memory, room)
@@ -145,6 +147,14 @@ def _predict(
 
 
 @inner
+def _commanded(row: int, memory: Memory) -> tuple[float, float]:
+    """U at a row that is kept, and its standard deviation."""
+    recent, ahead = memory.recent, _ahead(row, memory)
+    known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
+    return paths.commanded(recent, row, known, ahead, memory.path)
+
+
+@inner
 def _between(row: int, column: int, period: float, memory: Memory) -> tuple[float, float]:
     """A signal at a row that is kept, and its standard deviation."""
     recent, ahead = memory.recent, _ahead(row, memory)
@@ -163,6 +173,7 @@ def _ahead(row: int, memory: Memory) -> int:
 def _is_due(memory: Memory) -> bool:
     """Whether the oldest row that is not learnt has waited long enough, or must not wait longer."""
     counters, recent, age = memory.counters, memory.recent, 0.0
+    behind, needed = 0, rules.BESIDE if memory.path[paths.NOISE_U] > 0.0 else 1
     if counters[LEARNT] >= counters[ROWS_SEEN]:
         return False
     at = counters[LEARNT] % len(recent)
@@ -170,8 +181,10 @@ def _is_due(memory: Memory) -> bool:
         return True
     for _ in range(_ahead(at, memory)):
         at = at + 1 if at + 1 < len(recent) else 0
-        age += float(recent[at, paths.STEP])
-        if age >= paths.waits(memory.path):
+        age, behind = age + np.float64(recent[at, paths.STEP]), behind + 1
+        if recent[at, paths.STEP] >= rules.GAP:
+            return True
+        if behind >= needed and age >= paths.waits(memory.path):
             return True
     return False
 
@@ -208,7 +221,7 @@ def _learn_row(
         look(axis_U, axis_s, memory, side, u, oil.viscosity(memory, batch.T[i]), room, True)  # noqa: FBT003
         bent = min(room.means[3], at[SURE]) if beyond != 0.0 else 0.0
         bent += (rules.BENT_BY_LAGS * beyond) ** 2
-        if paths.waits(path) + room.means[6] + room.means[7] > 0.0:
+        if paths.looks_ahead(path) or room.means[6] + room.means[7] > 0.0:
             loose = _loose(row, dp, p1, axis_U, axis_s, memory, room)
         at[SURE] += bent + loose
         at[TOTAL] += bent + loose
@@ -393,8 +406,8 @@ def _loose(
 ) -> float:  # fmt: skip
     """Variance of the flow by that of signals on the way from one value to the next."""
     path, of_u, of_s = memory.path, room.means[6], room.means[7]
-    if paths.waits(path) > 0.0:
-        _, of_U = _between(row, paths.LEFT_U, path[paths.HELD_U], memory)
+    if paths.looks_ahead(path):
+        _, of_U = _commanded(row, memory)
         _, of_dp = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
         beside = paths.effective(dp + math.copysign(of_dp, dp), p1, path)
         of_u, of_s = of_u + of_U, of_s + abs(beside - paths.effective(dp, p1, path))
