@@ -70,8 +70,16 @@ class Searches:
         return replace(self, left_s=AGAIN_S)
 
     def over_new_samples(self) -> Self:
-        """Return them after the samples so far were dropped, as by a sudden change."""
-        return replace(self, left_s=SEARCHES_S[0])
+        """Return them after the samples so far were dropped, as by a sudden change.
+
+        The next search has as many samples as the last one: fewer tell less of play and spool, and
+        its sums would know fewer places than those it replaces.
+
+        >>> Searches(found=3).over_new_samples().left_s
+        210.0
+        """
+        last = min(max(self.found, 1), len(SEARCHES_S)) - 1
+        return replace(self, left_s=SEARCHES_S[last])
 
     def resumed(self) -> Self:
         """Return them after a restart, which drops the samples of the window.
