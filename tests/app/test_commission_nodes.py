@@ -138,6 +138,7 @@ async def test_a_run_is_started_watched_and_ends_with_a_map(tmp_path):
         await call(seen, "Inverse", "Arm")
 
 
+@pytest.mark.alone  # a bound on time
 async def test_abort_reaches_the_safe_u_within_half_a_second(tmp_path):
     async with staged(tmp_path) as (seen, heard):
         async with asyncio.timeout(60), present(seen):

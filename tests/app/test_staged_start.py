@@ -62,7 +62,7 @@ async def test_quick_estimators_publish_while_the_others_wait_and_sigterm_ends_a
         assert await read("Service.Start.Compiled") < 100.0
     started = descendants(process.pid)
     process.send_signal(signal.SIGTERM)
-    assert await asyncio.to_thread(process.wait, 30) == 0
+    assert await asyncio.to_thread(process.wait, 90) == 0
     async with asyncio.timeout(5):
         while any(map(runs, started)):  # noqa: ASYNC110 - those of another process
             await asyncio.sleep(0.05)
