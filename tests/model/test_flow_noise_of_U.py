@@ -10,6 +10,7 @@ from benchmarks.one_model_rows import behind
 from model.test_flow_held import BOTH, after, rows_of
 from valvemap.model import flow_causes, flow_evidence
 from valvemap.model.flow_map import FlowMap
+from valvemap.model.kernels import flow_between as between
 from valvemap.model.kernels import flow_evidence as kernel
 from valvemap.model.kernels import flow_path as paths
 
@@ -94,3 +95,10 @@ def test_the_map_behind_a_noisy_U_is_that_of_the_valve_however_samples_are_cut()
     pieces, _ = after(FlowMap().initial_state(), samples, cuts=(1, 7, 1_500, 1_504, 2_900))
     for field in fields(whole):
         np.testing.assert_array_equal(getattr(pieces, field.name), getattr(whole, field.name))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 11, 40, 1278])
+def test_the_tenth_quantile_is_numpys(size):
+    rng = np.random.default_rng(size)
+    for x in (rng.normal(size=size), rng.integers(0, 4, size).astype(float), np.zeros(size)):
+        assert between.tenth.py_func(x.copy()) == pytest.approx(np.quantile(x, 0.1), abs=1e-12)

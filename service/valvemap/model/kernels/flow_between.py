@@ -96,7 +96,7 @@ def usual_bend(x: Floats) -> float:
         step = abs(x[i + 1] - x[i])
         least = step if 0.0 < step < least else least
     least = least if least < math.inf else 0.0
-    return float(max(rules.MOST_STAY * rules.TENTH_TO_STD * np.quantile(bends, 0.1), 2.0 * least))
+    return max(rules.MOST_STAY * rules.TENTH_TO_STD * tenth(bends), 2.0 * least)
 
 
 @maker
@@ -105,7 +105,37 @@ def noise_of(x: Floats) -> float:
     bends = np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])
     if len(bends) == 0:
         return 0.0
-    return float(rules.TENTH_TO_STD * np.quantile(bends, 0.1) / math.sqrt(6.0))
+    return rules.TENTH_TO_STD * tenth(bends) / math.sqrt(6.0)
+
+
+@inner
+def tenth(x: Floats) -> float:
+    """The tenth quantile of values, which are reordered (Hoare 1961: FIND).
+
+    That of numpy compiles for 8 s.
+    """
+    rank = 0.1 * (len(x) - 1)
+    k, low, high = int(rank), 0, len(x) - 1
+    while low < high:
+        pivot, i, j = x[(low + high) // 2], low, high
+        while i <= j:
+            while x[i] < pivot:
+                i += 1
+            while x[j] > pivot:
+                j -= 1
+            if i <= j:
+                x[i], x[j] = x[j], x[i]
+                i, j = i + 1, j - 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    after = x[k]
+    for i in range(k + 1, len(x)):
+        after = x[i] if i == k + 1 else min(after, x[i])
+    return float(x[k] + (rank - k) * (after - x[k]))
 
 
 @inner
