@@ -39,11 +39,9 @@ simulated = lru_cache(simulate)
 def rare_collection():
     """Else a twentieth of the time is spent on what stays anyway."""
     before = gc.get_threshold()
-    gc.freeze()
     gc.set_threshold(100_000)
     yield
     gc.set_threshold(*before)
-    gc.unfreeze()
 
 
 @pytest.mark.parametrize(
