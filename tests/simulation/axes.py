@@ -31,7 +31,7 @@ _SWING_S = 9.0  # a move there and back
 
 
 def _no_job(_axis):
-    """A mock in its place would take a tenth of the time of an axis."""
+    """A mock would take a tenth of the time of an axis."""
 
 
 NO_JOB = mock.patch.object(Axis, "job", new=_no_job)

@@ -70,7 +70,7 @@ class Searches:
         return replace(self, left_s=AGAIN_S)
 
     def over_new_samples(self) -> Self:
-        """Return them after the samples so far were dropped, as by a sudden change.
+        """Return them after the earlier samples were dropped, as by a sudden change.
 
         The next search has as many samples as the last one: fewer tell less of play and spool, and
         its sums would know fewer places than those it replaces.

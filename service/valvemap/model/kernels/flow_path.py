@@ -49,7 +49,7 @@ PLACES = PHASE + 1
 # Columns of the last samples.
 STEP, LEFT_U, LEFT_DP, LEFT_P1, LEFT_Q = 0, 1, 2, 3, 4  # s since the row before, as measured
 SPOOL = 5  # %; behind the operators
-MEASURED_U = 5  # %; in the rows of `flow_evidence`, where LEFT_U may be what it was without noise
+MEASURED_U = 5  # %; in the rows of `flow_evidence`, whose LEFT_U may be without noise
 COLUMNS = 6
 
 
