@@ -84,7 +84,7 @@ async def test_a_kill_costs_what_is_counted_and_with_history_nothing(
                     await lived(served, store, 1.7)
             playing.cancel()
             with CheckpointFile(tmp_path / "state.sqlite") as store:
-                last = await lived(served, store, 3.0)
+                last = await lived(served, store, 1.0, plant.newest())
         finally:
             playing.cancel()
             with suppress(asyncio.CancelledError):

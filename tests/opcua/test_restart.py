@@ -39,7 +39,7 @@ async def test_kills_lose_nothing_learn_nothing_twice_and_change_no_bit(served, 
                 assert store.damaged == []
         playing.cancel()
         with CheckpointFile(tmp_path / "state.sqlite") as store:
-            last = await lived(served, store, 3.0)
+            last = await lived(served, store, 1.0, plant.newest())
     finally:
         playing.cancel()
         with suppress(asyncio.CancelledError):

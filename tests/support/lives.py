@@ -3,7 +3,7 @@
 import asyncio
 from contextlib import suppress
 
-from support.stream import NODES
+from support.stream import NODES, until
 from valvemap.clock import SystemClock
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.opcua_client.source_settings import SourceSettings
@@ -39,8 +39,11 @@ def fresh():
     return Identification([plan], Alignment(AlignmentSettings(), (("T",),), (True,)))
 
 
-async def lived(served, store, seconds):
-    """A service that is killed after some time; returns what it was when it was killed."""
+async def lived(served, store, seconds, through=0):
+    """A service that is killed after some time, and not before it took the sample of ``through``.
+
+    Returns what it was when it was killed.
+    """
     plant, password = served
     settings = SourceSettings(
         f"opc.tcp://127.0.0.1:{plant.port}/plant/", user="operator", password=password
@@ -53,6 +56,7 @@ async def lived(served, store, seconds):
         supervise_all(sources, live, clock, asyncio.Event(), SupervisorSettings())
     )
     await asyncio.sleep(seconds)
+    await until(lambda: live.identification.results.one(0).estimators["RLS"].t >= through)
     await live.keeper.settle()
     source.close = source.drop  # it says no good-bye
     running.cancel()

@@ -103,6 +103,10 @@ class NumberedServer:
                 self.publish(paced if self.pace_ns else time.time_ns())
             await asyncio.sleep(0.01)
 
+    def newest(self):
+        """The source time of the newest sample, as OPC UA keeps it: in steps of 100 ns."""
+        return self.sent[self.written - 1][0] // 100 * 100
+
     def sent_from(self, first, valve=0):
         """All samples of one valve from one on, as changes of the only valve there is."""
         return self.sent_between(first, self.written, valve)
