@@ -335,7 +335,7 @@ def test_low_and_high_pressures_are_covered_alike():
 def test_an_edge_that_wore_leaves_the_rest_of_the_map_as_it_was():
     """1.3 σ off on average in the minute after, were all that was known as faint as at the edge."""
     worn, end = 20_000, 26_000
-    errors = []
+    errors, found = [], 0
     for seed in range(1, 5):
         U, dp = honest.cycle(seed, end)
         wear = 0.7 * honest.worn_edge(U, dp) * (np.arange(end) >= worn)
@@ -349,5 +349,6 @@ def test_an_edge_that_wore_leaves_the_rest_of_the_map_as_it_was():
             state, _ = auto.update(state, samples[k : k + 1_000])
             said, _ = auto.predict(state, *at, known.T[far])
             errors.append(honest.rms(said - honest.s_shape(*at)) / honest.SIGMA)
-        assert auto.last_change(state) is not None
-    assert np.mean(errors) < 1.0
+        found += auto.last_change(state) is not None
+    assert np.mean(errors) < 0.8
+    assert found >= 3  # of four; where little flows, some are learnt without being found

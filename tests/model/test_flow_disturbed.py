@@ -14,6 +14,8 @@ from benchmarks.one_model_rows import (
 )
 from valvemap.model.flow_map import FlowMap
 
+SMALL = tuple(enumerate(range(601, 609)))  # runs in which a change is first seen at small flows
+
 
 @pytest.mark.parametrize("size", [-0.6, 0.6])
 def test_a_change_of_any_size_is_found_and_named(size):
@@ -30,10 +32,11 @@ def test_a_sudden_change_is_not_taken_for_wear_of_a_part():
     assert figures["misnamed"][0] == 0.0
 
 
-@pytest.mark.parametrize(("seed", "size"), [(601, 0.6), (603, -0.6)])
-def test_a_change_seen_at_small_flows_leaves_the_others_in_doubt(seed, size):
-    figures = measured(FlowMap(), damaged("S-shape", seed, size=size, after=(250,)))
-    assert figures["held"][0] > 0.9
+def test_a_change_seen_at_small_flows_leaves_the_others_in_doubt():
+    """The gain's error is common to all places: one run in twenty may hold none."""
+    rows = [damaged("S-shape", seed, size=0.6 * (-1) ** k, after=(250,)) for k, seed in SMALL]
+    held = [measured(FlowMap(), row)["held"][0] for row in rows]
+    assert np.mean(held) > 0.9
 
 
 @pytest.mark.parametrize("how", [shows_nothing, shows_nothing_long, shows_the_last])

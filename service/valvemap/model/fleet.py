@@ -24,7 +24,7 @@ from valvemap.model.samples import (
 )
 
 UNREAD = frozenset(  # arrays of a state that no result depends on
-    {"flows", "places", "visits", "window", "cells", "slots", "recent"}
+    {"flows", "places", "visits", "window", "cells", "slopes", "slots", "recent"}
 )
 
 S = TypeVar("S", bound=State)

@@ -19,6 +19,7 @@ from valvemap.model.kernels import (
     flow_path,
     flow_play,
     flow_run,
+    flow_slopes,
     flow_stay,
 )
 from valvemap.model.kernels import flow_rules as rules
@@ -27,6 +28,7 @@ from valvemap.model.samples import Codes, Floats, Times
 
 NANOSECONDS: Final = 1e9
 NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
+NO_SLOPES: Final = np.zeros((0, flow_slopes.COLUMNS), np.float32)
 NO_ROWS: Final = np.zeros((0, flow_path.COLUMNS), np.float32)
 Both = tuple[Axis, Axis]
 
@@ -86,7 +88,7 @@ def invert(
 
 def bare_memory(state: FlowMapState) -> flow_memory.Memory:
     """`memory_of` without cells and rows: results are published without them."""
-    return memory_of(state)._replace(cells=NO_CELLS, recent=NO_ROWS)
+    return memory_of(state)._replace(cells=NO_CELLS, slopes=NO_SLOPES, recent=NO_ROWS)
 
 
 def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
@@ -146,6 +148,7 @@ def _refine(
     by = np.einsum("k,ki->i", moved[ks], slopes)
     state.theta[:] += by
     flow_cells.shift(*both, by, state.cells, new_room().work)
+    flow_slopes.shift(*both, by, state.cells, state.slopes, new_room().work)
     state.path[: flow_path.PARAMETERS] += moved
 
 
@@ -334,7 +337,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
 
 def fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
     """Fit the map, written in place; 0 where it could not be done."""
-    cells = state.cells.copy()
-    flow_oil.all_at_first(axis_s, memory_of(state), cells, new_room())
-    arrays = cells, state.scalars, state.w, state.v, state.theta, state.std
+    cells, slopes = state.cells.copy(), state.slopes.copy()
+    flow_oil.all_at_first(axis_s, memory_of(state), cells, slopes, new_room())
+    arrays = cells, slopes, state.scalars, state.w, state.v, state.theta, state.std
     return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

@@ -18,6 +18,7 @@ from valvemap.model.kernels import (
     flow_memory,
     flow_path,
     flow_play,
+    flow_slopes,
     flow_wear,
 )
 from valvemap.model.kernels import flow_prior as prior
@@ -37,6 +38,8 @@ class FlowMapState(State):
     ----------
     cells : (cells of U · cells of s, 10) float32
         See :mod:`kernels.flow_cells`.
+    slopes : (61, 4) float32
+        How the flow goes with s within some of them, see :mod:`kernels.flow_slopes`.
     theta : (n_U·n_s,) float32
         Coefficients of the map.
     std : (n_U·n_s,) float32
@@ -63,9 +66,10 @@ class FlowMapState(State):
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 12  # 11: no noise of U; 10: of Q, alike everywhere
+    state_version: ClassVar[int] = 13  # 12: no slopes within cells; 11: no noise of U
 
     cells: NDArray[np.float32]
+    slopes: NDArray[np.float32]
     theta: NDArray[np.float32]
     std: NDArray[np.float32]
     doubt: NDArray[np.float32]
@@ -88,13 +92,17 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 11: U had no noise; 10: that of Q was alike everywhere; 9: stays did not know
-        signals on their way between two values; 8: cells did not know the oil's temperature, and
-        offsets of sensors did not jump; 7: sensors had none; 6: no signal was held; 5: edges wore
-        as a whole; 4: noise was AR(1), without a white part; 3: nothing nameless was looked for.
+        Version 12: cells knew no slopes; 11: U had no noise; 10: that of Q was alike everywhere;
+        9: stays did not know signals on their way between two values; 8: cells did not know the
+        oil's temperature, and offsets of sensors did not jump; 7: sensors had none; 6: no signal
+        was held; 5: edges wore as a whole; 4: noise was AR(1), without a white part; 3: nothing
+        nameless was looked for.
         """
-        if version not in ("3", "4", "5", "6", "7", "8", "9", "10", "11"):
+        if version not in ("3", "4", "5", "6", "7", "8", "9", "10", "11", "12"):
             return {}
+        arrays["slopes"] = np.zeros((flow_slopes.PLACES, flow_slopes.COLUMNS), np.float32)
+        if version == "12":
+            return arrays
         if version not in ("9", "10", "11"):
             cls._add_former(version, arrays)
         if version not in ("3", "4", "5", "6"):
@@ -156,6 +164,7 @@ class FlowMapState(State):
     def contents(self) -> Mapping[str, Contents]:
         """What may stand in them."""
         every = slice(None)
+        owners = every, flow_slopes.OWNER
         positive = [flow_cells.COUNT, flow_cells.WORTH, flow_cells.VAR_U, flow_cells.VAR_S]
         positive += [flow_cells.REFUSALS]
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
@@ -181,6 +190,7 @@ class FlowMapState(State):
         counters.within(0, flow_memory.A_GUESS, [flow_memory.DOUBTED])
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
+            "slopes": Contents(self.slopes).within(0.0, len(self.cells), owners),
             "std": Contents(self.std).within(0.0),
             "doubt": Contents(self.doubt).within(0.0),
             "precision": Contents(self.precision),
@@ -243,6 +253,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
     counters[flow_memory.NEXT_LOOK] = rules.LOOKS[0]
     state = FlowMapState(
         cells=cells,
+        slopes=np.zeros((flow_slopes.PLACES, flow_slopes.COLUMNS), np.float32),
         theta=np.zeros(n_U * n_s, np.float32),
         std=np.zeros(n_U * n_s, np.float32),
         doubt=np.zeros(n_U * n_s, np.float32),

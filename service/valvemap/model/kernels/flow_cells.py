@@ -34,9 +34,7 @@ def deposit(
     """Add a sample of some weight (1: regular, 0: an outlier), worth ``worth`` white ones."""
     if weight <= 0.0:
         return
-    before = cell[COUNT]
-    kept = 1.0 if before + weight <= memory else max(1.0 - weight / memory, 0.0)
-    total = kept * before + weight
+    kept, total = _remembered(cell, weight, memory)
     share = weight / total
     du, ds = u - cell[MEAN_U], s - cell[MEAN_S]
     rest = 1.0 - share
@@ -49,6 +47,20 @@ def deposit(
     cell[MEAN_U] += share * du
     cell[MEAN_S] += share * ds
     cell[MEAN_Q] += share * (Q - cell[MEAN_Q])
+
+
+@inner
+def share_of(cell: Cells, weight: float, memory: float) -> float:
+    """Share that a sample will have in the means of its cell."""
+    return weight / _remembered(cell, weight, memory)[1]
+
+
+@inner
+def _remembered(cell: Cells, weight: float, memory: float) -> tuple[float, float]:
+    """Share of what a cell knows that it keeps, and what it then knows in samples."""
+    before = float(cell[COUNT])
+    kept = 1.0 if before + weight <= memory else max(1.0 - weight / memory, 0.0)
+    return kept, kept * before + weight
 
 
 @lean_kernel

@@ -20,6 +20,7 @@ from valvemap.model.kernels.banded import factorise, invert_band
 from valvemap.model.kernels.compiled import inner, kernel, maker
 from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.kernels.flow_cells import COUNT, MEAN_Q, MEAN_S, MEAN_U, Cells
+from valvemap.model.kernels.flow_slopes import Slopes, owns
 from valvemap.model.kernels.flow_solve import Design, Solution
 from valvemap.model.kernels.flow_spread import spread
 from valvemap.model.samples import Floats, Singles
@@ -63,18 +64,18 @@ def outlier_weight(square: float, variance: float, width: float) -> float:
 
 @kernel
 def fit(
-    axis_U: Axis, axis_s: Axis, cells: Cells, scalars: Floats, w: Floats, v: Floats,
+    axis_U: Axis, axis_s: Axis, cells: Cells, known: Slopes, scalars: Floats, w: Floats, v: Floats,
     theta: Singles, std: Singles, rounds: int, fresh: bool,  # noqa: FBT001 - numba knows no keyword
 ) -> bool:  # fmt: skip
     """Fit the map; everything but the cells is written in place. False: it could not be done.
 
     ``fresh``: hyper-parameters start from the first guess. There are ``rounds`` at most.
     """
-    n_s, known, scale = len(axis_s.sites), 0, scalars[SCALE]
+    n_s, rows, scale = len(axis_s.sites), 0, scalars[SCALE]
     for c in range(len(cells)):
         if cells[c, COUNT] > 0.0:
-            known += 1
-    if known == 0 or not scale > 0.0:
+            rows += 2 if owns(known, c) else 1
+    if rows == 0 or not scale > 0.0:
         return False
     alike = 1.0 + scalars[SLOW] * (2.0 * scalars[COLOUR] ** 2 / (1.0 - scalars[COLOUR] ** 2))
     readings.estimate(scalars[READING:], scalars[WITHIN_WEIGHT], alike)
@@ -88,9 +89,9 @@ def fit(
         for f in range(prior.FAMILIES):
             lam[f] *= scalars[SCALE_BEFORE] / scale
     scalars[SCALE_BEFORE] = scale
-    of, to = _room(len(axis_U.sites) * n_s, 2 * n_s + 3, known)
+    of, to = _room(len(axis_U.sites) * n_s, 2 * n_s + 3, rows)
     work = np.empty((4, 3))
-    solved.gather(axis_U, axis_s, cells, scalars[READING:], work, of)
+    solved.gather(axis_U, axis_s, cells, known, scalars[READING:], work, of)
     ridge, done = 1.0 / (rules.ANYTHING**2 * scale), False
     square = 1.0 / (rules.SQUARE**2 * scale)
     for k_round in range(rounds + 1):
@@ -150,11 +151,11 @@ def _first_guess(axis_s: Axis, scale: float, lam: Floats) -> None:
 
 
 @maker
-def _room(n: int, band: int, known: int) -> tuple[Design, Solution]:
-    """Arrays for n parameters and ``known`` cells."""
+def _room(n: int, band: int, rows: int) -> tuple[Design, Solution]:
+    """Arrays for n parameters and ``rows`` of the design."""
     of = Design(
-        np.empty(known, np.int64), np.empty((known, 9)), np.empty(known), np.empty(known),
-        np.empty(known), np.empty(known), np.empty(known),
+        np.empty(rows, np.int64), np.empty((rows, 9)), np.empty(rows), np.empty(rows),
+        np.empty(rows), np.empty(rows), np.empty(rows),
     )  # fmt: skip
     to = Solution(
         np.empty(n * band), np.empty(n * band), np.empty(n * (2 * band - 1)),

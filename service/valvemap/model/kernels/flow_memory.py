@@ -6,6 +6,7 @@ import numpy as np
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels.flow_cells import Cells
+from valvemap.model.kernels.flow_slopes import Slopes
 from valvemap.model.samples import Floats, Singles, Times
 
 # Places in `counters`.
@@ -46,6 +47,7 @@ class Memory(NamedTuple):
     """One valve's arrays; see `FlowMapState`."""
 
     cells: Cells
+    slopes: Slopes
     theta: Singles
     std: Singles
     doubt: Singles

@@ -25,6 +25,7 @@ from valvemap.model.kernels.flow_cells import (
     Cells,
 )
 from valvemap.model.kernels.flow_memory import FLOWS, Memory, Room
+from valvemap.model.kernels.flow_slopes import PLACES, WITH_Q, Slopes, owns
 from valvemap.model.samples import Floats, Singles
 
 EFFECTS = drifts.RATES - drifts.LEVELS
@@ -82,17 +83,30 @@ def warm(memory: Memory, side: int, z: Floats) -> float:
 @inner
 def at_first(axis_s: Axis, memory: Memory, cell: Singles, room: Room) -> float:
     """Mean flow of a cell, had the oil always been as it was at first."""
+    leakage, factor = _since_first(axis_s, memory, cell, room)
+    return float((cell[MEAN_Q] - leakage) / factor)
+
+
+@inner
+def _since_first(
+    axis_s: Axis, memory: Memory, cell: Singles, room: Room
+) -> tuple[float, float]:  # fmt: skip
+    """What leaks since, and what all other flow is times that at first."""
     z, side = room.at[FLOWS : FLOWS + EFFECTS], 0 if cell[MEAN_U] >= 0.0 else 1
     effects_of(axis_s, memory, 0.0, cell, z)
     leakage = warm(memory, side, z)
     effects_of(axis_s, memory, 1.0, cell, z)
-    factor = max(1.0 + warm(memory, side, z) - leakage, rules.LEAST_WARM)
-    return float((cell[MEAN_Q] - leakage) / factor)
+    return leakage, max(1.0 + warm(memory, side, z) - leakage, rules.LEAST_WARM)
 
 
 @lean_kernel
-def all_at_first(axis_s: Axis, memory: Memory, cells: Cells, room: Room) -> None:
-    """Write `at_first` of the memory's cells as the flow of ``cells``."""
+def all_at_first(
+    axis_s: Axis, memory: Memory, cells: Cells, slopes: Slopes, room: Room
+) -> None:  # fmt: skip
+    """Write `at_first` of the memory's cells as the flow of ``cells`` and ``slopes``."""
     for c in range(len(cells)):
         if cells[c, COUNT] > 0.0:
-            cells[c, MEAN_Q] = at_first(axis_s, memory, memory.cells[c], room)
+            leakage, factor = _since_first(axis_s, memory, memory.cells[c], room)
+            cells[c, MEAN_Q] = (memory.cells[c, MEAN_Q] - leakage) / factor
+            if owns(slopes, c):
+                slopes[c % PLACES, WITH_Q] = memory.slopes[c % PLACES, WITH_Q] / factor

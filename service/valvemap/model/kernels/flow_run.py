@@ -15,6 +15,7 @@ from valvemap.model.kernels import flow_oil as oil
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels import flow_slopes as slopes
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, interval, surface
 from valvemap.model.kernels.flow_cells import (
@@ -26,6 +27,7 @@ from valvemap.model.kernels.flow_cells import (
     Cells,
     cell_of,
     deposit,
+    share_of,
 )
 from valvemap.model.kernels.flow_look import clipped, look, place
 from valvemap.model.kernels.flow_memory import (
@@ -301,6 +303,10 @@ def _learn_row(
     cell, y, longest = memory.cells[number], oil.bend(x), batch.longest
     if stays:
         longest *= max(rules.APART / max(step, 1e-9), 1.0)
+    if weight > 0.0 and not paths.filters(path):
+        before = np.float64(scalars[fits.LAST_S]) if stays else math.nan
+        share = share_of(cell, weight, longest)
+        slopes.note(memory.slopes, memory.cells, number, at[PLACE_U], r, Q, share, before)
     deposit(cell, at[PLACE_U], r, x, y, Q, weight, worth, longest)
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1

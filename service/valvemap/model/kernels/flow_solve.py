@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from valvemap.model.kernels import flow_reading as readings
+from valvemap.model.kernels import flow_slopes as slopes
 from valvemap.model.kernels.banded import factorise, invert_band, substitute
 from valvemap.model.kernels.compiled import inner, maker
 from valvemap.model.kernels.flow_basis import Axis
@@ -18,14 +19,14 @@ SOLVED = 9
 
 
 class Design(NamedTuple):
-    """The cells that hold samples, K of them.
+    """What the cells that hold samples say, K rows: their means, and of some the slope along s.
 
     Attributes
     ----------
     firsts : (K,)
         The first parameter of each row.
     rows : (K, 9)
-        See `flow_cells.design`.
+        See `flow_cells.design` and `flow_slopes.design`.
     squares : (K,)
         Mean of s·|s|.
     y, worth : (K,)
@@ -73,22 +74,32 @@ class Solution(NamedTuple):
 
 @inner
 def gather(
-    axis_U: Axis, axis_s: Axis, cells: Cells, reading: Floats, work: Floats,
+    axis_U: Axis, axis_s: Axis, cells: Cells, known: slopes.Slopes, reading: Floats, work: Floats,
     of: Design,
 ) -> None:  # fmt: skip
     """Fill the rows of all cells that hold samples; ``reading`` as in `flow_reading`."""
-    n_s, k = len(axis_s.sites), 0
+    k = 0
     for c in range(len(cells)):
         if cells[c, COUNT] > 0.0:
             first = design(axis_U, axis_s, cells[c], c, work, of.rows[k])
-            of.firsts[k], of.y[k] = first, cells[c, MEAN_Q]
-            of.worth[k] = cells[c, WORTH] / readings.ratio(reading, of.y[k])
-            of.regular[k], square = 1.0, 0.0
-            for a in range(3):
-                for b in range(3):
-                    square += of.rows[k, 3 * a + b] * axis_s.squares[first % n_s + b]
-            of.squares[k] = square
+            worth = cells[c, WORTH] / readings.ratio(reading, cells[c, MEAN_Q])
+            _complete(axis_s, k, first, cells[c, MEAN_Q], worth, of)
             k += 1
+            if slopes.owns(known, c):
+                y = slopes.design(axis_U, axis_s, cells[c], c, known, work, of.rows[k])
+                _complete(axis_s, k, first, y, worth, of)
+                k += 1
+
+
+@inner
+def _complete(axis_s: Axis, k: int, first: int, y: float, worth: float, of: Design) -> None:
+    """Fill what belongs to a row of the design."""
+    n_s, square = len(axis_s.sites), 0.0
+    for a in range(3):
+        for b in range(3):
+            square += of.rows[k, 3 * a + b] * axis_s.squares[first % n_s + b]
+    of.firsts[k], of.y[k], of.worth[k] = first, y, worth
+    of.regular[k], of.squares[k] = 1.0, square
 
 
 @inner

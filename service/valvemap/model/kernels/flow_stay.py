@@ -73,7 +73,7 @@ from valvemap.model.samples import Floats, Singles, Times
 @inner
 def begin_again(memory: Memory) -> None:
     """Forget the cells, as their U was that of another play; scales stay."""
-    memory.cells[:] = 0.0
+    memory.cells[:] = memory.slopes[:] = 0.0
     memory.counters[FITTED] = 0
     memory.counters[NEXT_FIT] = memory.counters[USED] + rules.FIRST_FIT
     memory.counters[BEGAN] = memory.counters[USED]
@@ -192,7 +192,8 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
     if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
         side = counters[STAY_SIDE]
         of_cell, off = variance / stay[KNOWN_COUNT], stay[KNOWN_OFF]
-        of_cell += stay[APART] / many * stay[OF_MAP] / many
+        # Where a cell's mean is known, the map errs oppositely at its ends, half a cell away.
+        of_cell += 4.0 * stay[APART] / many * stay[OF_MAP] / many
         of_map = max(stay[OF_MAP] / many, off * off - of_cell)  # a map that the cell refutes
         share = of_map / (of_map + of_cell)
         residual = stay[RESIDUAL] / many - share * off
