@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from valvemap.errors import StorageError
 from valvemap.pipeline.alarm_results import AlarmChange, AlarmReport
 from valvemap.pipeline.store_ports import Piece
-from valvemap.storage import alarm_changes
+from valvemap.storage import alarm_changes, history_series
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.history_blocks import unpack
 from valvemap.storage.history_cells import width_of
@@ -193,6 +193,22 @@ def test_nothing_is_known_of_what_was_never_kept(path):
     with HistoryFile(path) as store:
         store.save([piece(0, 3)])
         assert len(whole(store, "V9.Signals").t) == len(whole(store, column="p9").t) == 0
+
+
+def test_blocks_are_unpacked_once_while_the_file_is_unchanged(path, monkeypatch):
+    examined, real = [], history_series.examine
+    monkeypatch.setattr(
+        history_series, "examine", lambda *given: examined.append(given) or real(*given)
+    )
+    with HistoryFile(path) as store:
+        store.save([piece(0, BLOCK), piece(0, 5, "V2.Signals")])
+        store.save([piece(BLOCK, 10)])
+        examined.clear()
+        for _ in range(3):
+            assert len(whole(store).t) == len(whole(store, backwards=True).t) == BLOCK + 10
+        assert len(examined) == 2
+        store.save([piece(BLOCK + 10, 10)])
+        assert len(whole(store).t) == BLOCK + 20
 
 
 def test_what_is_old_is_forgotten(path):

@@ -1,6 +1,8 @@
 """Reads the rows of a history in order of time, from blocks that may overlap."""
 
 import sqlite3
+from collections import OrderedDict
+from typing import Final
 
 import numpy as np
 
@@ -10,9 +12,15 @@ from valvemap.storage.history_cells import codes_of
 from valvemap.storage.history_order import in_order, joined, nothing
 from valvemap.storage.history_series import SeriesWriter
 
+MOST_REMEMBERED: Final = 80  # columns of blocks: the loose ones of a series, and some sealed ones
+
 
 class RowReader:
     """Rows of one open file, within the caller's snapshot.
+
+    Blocks that were read last are remembered while the file is unchanged: an aggregate reads the
+    same ones for what is before, inside and behind its intervals, and three aggregates of a
+    variable do so in turn.
 
     Parameters
     ----------
@@ -25,6 +33,8 @@ class RowReader:
     def __init__(self, connection: sqlite3.Connection, rows: SeriesWriter) -> None:
         self._reader = connection
         self._rows = rows
+        self._remembered: OrderedDict[tuple[int, str], Past] = OrderedDict()
+        self._state: object = None
 
     def rows(
         self,
@@ -35,8 +45,15 @@ class RowReader:
         backwards: bool,
         skip: int,
         most: int,
+        state: object,
     ) -> Past:
-        """Return rows in a span (UTC ns, both ends included) after ``skip`` others."""
+        """Return rows in a span (UTC ns, both ends included) after ``skip`` others.
+
+        ``state`` identifies the content of the file.
+        """
+        if state != self._state:
+            self._remembered.clear()
+            self._state = state
         if not self._rows.names.keys() >= {column, T, CODES}:
             return nothing()
         low, high = span
@@ -65,9 +82,19 @@ class RowReader:
         return self._reader.execute(select, (*numbers, high, low)).fetchall()
 
     def _rows_between(self, block: int, series: str, column: str, low: int, high: int) -> Past:
-        found = self._rows.examined(self._reader, series, block, (T, CODES, column))
-        if column not in found.parts:  # the series had no such column then, or it is damaged
-            return nothing()
-        past = Past(found.t, found.columns[column], codes_of(column, found.columns[CODES]))
+        past = self._whole(block, series, column)
         first, behind = np.searchsorted(past.t, low), np.searchsorted(past.t, high, side="right")
         return past[slice(int(first), int(behind))]  # high + 1 may be beyond int64
+
+    def _whole(self, block: int, series: str, column: str) -> Past:
+        key = block, column
+        if key not in self._remembered:
+            found = self._rows.examined(self._reader, series, block, (T, CODES, column))
+            if column not in found.parts:  # the series had no such column then, or it is damaged
+                return nothing()
+            codes = codes_of(column, found.columns[CODES])
+            self._remembered[key] = Past(found.t, found.columns[column], codes)
+            while len(self._remembered) > MOST_REMEMBERED:
+                self._remembered.popitem(last=False)
+        self._remembered.move_to_end(key)
+        return self._remembered[key]
