@@ -151,9 +151,10 @@ def child(parent: int, command: str) -> int:
     raise RuntimeError(f"no {command} below {parent}")
 
 
-def cpu_s(pid: int) -> float:
-    """Seconds of a core that a process has used."""
-    stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+def cpu_s(pid: int, thread: str | None = None) -> float:
+    """Seconds of a core that a process has used, or one of its threads."""
+    whose = f"{pid}" if thread is None else f"{pid}/task/{thread}"
+    stat = Path(f"/proc/{whose}/stat").read_text().rpartition(")")[2].split()
     return (int(stat[11]) + int(stat[12])) / os.sysconf("SC_CLK_TCK")
 
 
