@@ -11,7 +11,8 @@ import { addNewest, codeSpans, doubtSpans, emptyRows, joined, pointsOf, tabled }
 import { told } from "../trust.js";
 import { decimals, inUnits, shown } from "../units.js";
 
-const REFRESH_MS = 30000; // what is live is read again so often, from the history
+const REFRESH_MS = 30000; // what is live is read again so often, from the history,
+const PER_INTERVAL = 10; // and no more often than so many times an interval
 const ASK_MS = 250; // between two reads while zooming
 const CURSOR_STEPS = 60; // over a span
 const DAY_MS = 86400e3;
@@ -255,7 +256,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   live.addEventListener("standing", onStanding);
   const pace = () => Math.min(Math.max(stepOf(state.span) / 2, 250), 5000);
   let tick = setTimeout(function again() {
-    if (state.end === null) { draw(); if (performance.now() - readAt > REFRESH_MS && !live.old) read(); }
+    if (state.end === null) { draw(); if (performance.now() - readAt > Math.max(REFRESH_MS, stepOf(state.span) / PER_INTERVAL) && !live.old) read(); }
     tick = setTimeout(again, pace());
   }, 250);
   closers.push(() => clearTimeout(tick), () => clearTimeout(timer), () => document.removeEventListener("keydown", onKey),
