@@ -3,6 +3,7 @@
 import { writer } from "./controls.js";
 import { h, mark, say } from "./dom.js";
 import { fixed, INVERSE_STATUS } from "./format.js";
+import { inUnits } from "./units.js";
 
 const ASK_MS = 150; // between two questions while a slider moves
 const AGAIN_MS = 1000; // the map moves on
@@ -18,7 +19,7 @@ export function inverseCard({ live, ask, user, name, title, quantity, sliders, q
   const written = h("p.words", { role: "status" }), standing = h("p.words");
   const element = h("section.card.inverse", {}, h("header", {}, h("h2", {}, title)), sliders.map((one) => one.element), beside,
     h("div.answer", {}, h("span.muted", {}, "U ="), answer, interval, verdict), h("div.answer.writes", {}, write.button, end?.button), written, standing);
-  let isAsking = false, timer = 0;
+  let isAsking = false, timer = 0, outcome = ""; // of the last command
 
   const values = () => sliders.map((one) => one.value);
 
@@ -44,7 +45,7 @@ export function inverseCard({ live, ask, user, name, title, quantity, sliders, q
     const wanted = values(), found = await ask("U", question(wanted)), old = live.oldOf(name);
     isAsking = false;
     if (!found) return;
-    if (found.error) unknown(found.error);
+    if (found.error) unknown(inUnits(found.error));
     else {
       const [severity, sentence] = verdicts[found.status] ?? [1, ""];
       say(answer, `${fixed(found.U ?? NaN, 2)} %`); // as finely as its interval
@@ -59,13 +60,14 @@ export function inverseCard({ live, ask, user, name, title, quantity, sliders, q
 
   async function act(command, done) {
     const refused = await ask(command, user.command(command));
-    if (refused !== undefined) say(written, refused ?? done);
+    if (refused === undefined) return;
+    outcome = refused ?? done;
+    show();
   }
 
   function show() {
     const why = write.why();
-    if (why) say(written, user.name || live.oldOf(name) ? why : `Asking writes nothing. To write ${quantity}, log in as an operator.`);
-    else if (!/Written|withdrawn/.test(written.textContent)) say(written, "");
+    say(written, !why ? outcome : user.name || live.oldOf(name) ? why : `Asking writes nothing. To write ${quantity}, log in as an operator.`);
     const demanded = inForce();
     say(standing, live.old ? "" : Number.isFinite(demanded[0]) ? `In force: ${quantity} ${words(demanded)}, RequiredU ${fixed(live.number("Inverse.RequiredU"), 1)} %.` : `No ${quantity} is in force.`);
   }

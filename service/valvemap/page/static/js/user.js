@@ -1,5 +1,7 @@
 // Who is logged in, and what may be done in that name.
 
+import { inUnits } from "./units.js";
+
 const AGAIN_MS = 1000; // until a right is asked for again that the service did not tell
 const BESIDE = ["comment", "event"]; // of a command: they change nothing of who may
 
@@ -50,7 +52,7 @@ class User extends EventTarget {
   async command(command) {
     const turn = this.#turn, answer = await post("command", command);
     if (answer.status === 401 && turn === this.#turn) this.#take({ user: null });
-    return answer.error ?? null;
+    return answer.error ? inUnits(answer.error) : null;
   }
 
   /** Why the user may not carry out a command; "" where the service would let them. */
