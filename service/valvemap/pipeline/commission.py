@@ -134,7 +134,7 @@ def in_words(settings: Settings, state: CommissionState, seen: Seen) -> str:
     if not state.phase.is_over:
         parts.append(f"{state.elapsed:.0f} s, at most {left:.0f} s left")
     if not math.isnan(seen.error):
-        wanted = f" (wanted {settings.accuracy:.2g})" if settings.accuracy else ""
+        wanted = f" (wanted {settings.accuracy:.2g} l/min)" if settings.accuracy else ""
         parts.append(f"map ± {1.96 * seen.error:.2g} l/min{wanted}")
     if state.is_led:
         parts.append(f"U {state.at.U:.1f} %")

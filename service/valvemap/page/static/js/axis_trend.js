@@ -7,8 +7,9 @@ import { merged } from "./intervals.js";
 import { readSpan, SPANS, stepOf, writeSpan } from "./spans.js";
 import { trendLanes } from "./trend_lanes.js";
 import { codeSpans, emptyRows, tabled } from "./trend_rows.js";
+import { shown } from "./units.js";
 
-const SERIES = [["Leakage", "Leakage in (l/min)/bar", "", "--line-1"], ["BulkModulus", "Bulk modulus in GPa", "", "--line-2"], ["Air", "Free air in %", "", "--line-3"]]; // name, title, unit, colour
+const SERIES = [["Leakage", "Leakage", "(l/min)/bar", "--line-1"], ["BulkModulus", "Bulk modulus", "GPa", "--line-2"], ["Air", "Free air", "%", "--line-3"]]; // name, title, unit, colour
 const CODED = ["Status", "Inverse.RequiredUStatus"]; // of the axis, of the answer to the demand
 const REFRESH_MS = 10e3, DAY_MS = 86400e3;
 
@@ -26,7 +27,7 @@ export function axisTrendCard({ live, ask, name, query, keep }) {
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", onclick: () => go({ span: ms }) }, text)));
   const now = h("button.quiet", { type: "button", onclick: () => go({ end: null, at: null }) }, "Now");
   const element = h("section.card.stack.axis-trend", {}, h("header", {}, h("h2", {}, "What the axis did"), h("span.fill"), spans, now), lanes.canvas,
-    SERIES.map(([, title], k) => h("div.lane", {}, h("h3", {}, title), bodies[k])), note);
+    SERIES.map(([, title, unit], k) => h("div.lane", {}, h("h3", {}, `${title} in ${shown(unit)}`), bodies[k])), note);
   const atLine = (chart) => { if (state.at !== null) shadeSpans(chart, [[state.at / 1000, state.at / 1000]], css("--ink")); };
   const drawn = SERIES.map(([label, , , colour], k) => timeChart(bodies[k], null, [{ label, colour, width: 1.5, spanGaps: true }],
     { unit: "", span: () => [from() / 1000, to() / 1000], right: 64, hooks: { drawClear: [lanes.shade, atLine], draw: k ? [lanes.mark] : [lanes.mark, lanes.draw] } }));

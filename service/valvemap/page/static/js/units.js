@@ -8,7 +8,11 @@ const CHOICES = {
   temperature: { of: "°C", units: { "°C": [1, 0], "°F": [1.8, 32] } },
 };
 const KIND = Object.fromEntries(Object.entries(CHOICES).map(([kind, { of }]) => [of, kind]));
-const IN_TEXT = /([+\-−]?\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?)( ?)(l\/min|bar|°C)(?![\w/])/g;
+const PART = /(\/?)(√?)(\(?)(?<!\w)(l\/min|bar|°C)(?!\w)\)?/g; // of a unit such as (l/min)/√bar
+const NUMBER = String.raw`[+\-−]?\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?`, BETWEEN = " (?:to|…|±) "; // numbers that share a unit
+const IN_TEXT = new RegExp(String.raw`(?<![\w.,:])(?<spread>± ?)?(?<numbers>(?:${NUMBER}${BETWEEN})*${NUMBER})(?<space> ?)(?<unit>(?:l\/min|\(l\/min\)(?=\/))(?:\/√?bar)?|bar(?:\/s)?|°C)(?![\w/])`, "g");
+const ASCII_MINUS = /(?<![\w.,:)\]-])-(?=\d)/g;
+const EACH = new RegExp(`(?<before>± ?)?(?<digits>${NUMBER})`, "g");
 
 let chosen = {};
 try { chosen = JSON.parse(localStorage.getItem("units")) ?? {}; } catch { /* what is kept there is not ours */ }
@@ -24,10 +28,21 @@ export function choose(kind, unit) {
   dispatchEvent(new Event("units"));
 }
 
-/** The unit in which a quantity of the service's `unit` is shown. */
-export const shown = (unit) => (KIND[unit] ? known(KIND[unit]) : unit);
+/** The unit in which a quantity of the service's `unit` is shown, also of one made of several. */
+export function shown(unit) {
+  if (KIND[unit]) return known(KIND[unit]);
+  return unit.replace(PART, (whole, over, root, open, of) => {
+    const own = shown(of);
+    return own === of ? whole : `${over}${root}${open && own.includes("/") ? `(${own})` : own}`;
+  });
+}
 
-const scale = (unit) => (KIND[unit] ? CHOICES[KIND[unit]].units[known(KIND[unit])] : [1, 0]);
+function scale(unit) {
+  if (KIND[unit]) return CHOICES[KIND[unit]].units[known(KIND[unit])];
+  let factor = 1;
+  for (const [, over, root, , of] of unit.matchAll(PART)) factor *= scale(of)[0] ** ((over ? -1 : 1) * (root ? 0.5 : 1));
+  return [factor, 0];
+}
 
 export function toShown(value, unit) {
   const [factor, offset] = scale(unit);
@@ -49,11 +64,14 @@ export function decimals(unit, usual) {
 
 /** A sentence of the service, with its numbers in the units in use, and its times in the browser's zone. */
 export function inUnits(text) {
-  return inLocalTime(text).replace(IN_TEXT, (whole, digits, space, unit) => {
+  return inLocalTime(text).replace(ASCII_MINUS, "−").replace(IN_TEXT, (whole, ...found) => {
+    const { spread, numbers, space, unit } = found.at(-1);
     if (shown(unit) === unit) return whole;
-    const value = Number(digits.replace("−", "-").replaceAll(",", ""));
-    const isSpread = /^[+]/.test(digits) || unit !== "°C" ? spreadShown(value, unit) : toShown(value, unit);
-    const sign = /^\+/.test(digits) && isSpread >= 0 ? "+" : "";
-    return `${sign}${Number(isSpread.toPrecision(3))}${space}${shown(unit)}`.replace("-", "−");
+    const each = `${spread ?? ""}${numbers}`.replace(EACH, (_, ...parts) => {
+      const { before = "", digits } = parts.at(-1), isSpread = before || digits.startsWith("+");
+      const value = Number(digits.replace("−", "-").replaceAll(",", "")), own = (isSpread ? spreadShown : toShown)(value, unit);
+      return `${before}${digits.startsWith("+") && own >= 0 ? "+" : ""}${String(Number(own.toPrecision(3))).replace("-", "−")}`;
+    });
+    return `${each}${space}${shown(unit)}`;
   });
 }

@@ -3,7 +3,7 @@
 import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, inUnit, span, spreadInUnit } from "../format.js";
 import { told } from "../trust.js";
-import { shown } from "../units.js";
+import { inUnits, shown } from "../units.js";
 import { guidedRun } from "./guided_run.js";
 import { sheetCard } from "./sheet_card.js";
 
@@ -80,8 +80,8 @@ export function commissioningView(root, { live, ask, valve, estimator, choose })
     const old = live.oldOf(valve.name);
     mark(root, "stale", old !== null);
     const missing = waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "");
-    const lines = old ? [[false, `${told(old)} Nothing else is known now.`], ...(missing && !live.old && !old.isStart ? [[false, `No samples: ${missing}`]] : [])] : [
-      [arriving, arriving ? "Signals arrive and are aligned." : `No samples: ${missing || "a signal is missing."}`],
+    const lines = old ? [[false, `${told(old)} Nothing else is known now.`], ...(missing && !live.old && !old.isStart ? [[false, inUnits(`No samples: ${missing}`)]] : [])] : [
+      [arriving, arriving ? "Signals arrive and are aligned." : inUnits(`No samples: ${missing || "a signal is missing."}`)],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map needs 1 000.`],
@@ -105,7 +105,7 @@ export function commissioningView(root, { live, ask, valve, estimator, choose })
     const said = timing().length ? timing() : ["–"];
     while (coming.children.length < said.length) coming.append(h("li"));
     while (coming.children.length > said.length) coming.lastChild.remove();
-    said.forEach((text, k) => say(coming.children[k], text));
+    said.forEach((text, k) => say(coming.children[k], inUnits(text)));
   }
 
   function drawHeat(of) {

@@ -13,7 +13,9 @@ import { inUnits, shown, spreadShown, toShown } from "../units.js";
 
 const REFRESH_MS = 1000;
 const HALF = 1.96; // of a 95 % interval, in standard deviations
+const RATED_BAR = 70; // drop over an edge
 const FASTEST = 500; // mm/s of the slider
+const UNIT_IN_WORDS = /(?<=, in )\S+(?=\.$)/; // of a variable whose unit has no code, as (l/min)/bar
 const BESIDE = /(Std|Lower|Upper)$/; // shown with the value that they are of
 
 export function partView(root, { live, ask, part, user, query, keep }) {
@@ -49,9 +51,10 @@ export function partView(root, { live, ask, part, user, query, keep }) {
       const row = table.rows[k] ?? table.appendChild(h("tr", {}, h("td", {}, h("span"), h("small.muted")), h("td.number.value"), h("td.number")));
       const value = live.number(name), std = live.number(`${name}Std`), [title, words] = row.cells[0].children;
       say(title, spaced(name.replace(/^.*\./, "")));
-      say(words, inUnits(about));
-      say(row.cells[1], unit ? `${inUnit(value, unit, 1)} ${shown(unit)}` : short(value));
-      say(row.cells[2], Number.isFinite(std) ? (unit ? spreadInUnit(HALF * std, unit, 2) : short(HALF * std)) : "");
+      const said = about.match(UNIT_IN_WORDS)?.[0] ?? "";
+      say(words, inUnits(about).replace(UNIT_IN_WORDS, shown));
+      say(row.cells[1], unit ? `${inUnit(value, unit, 1)} ${shown(unit)}` : short(toShown(value, said)));
+      say(row.cells[2], Number.isFinite(std) ? (unit ? spreadInUnit(HALF * std, unit, 2) : short(spreadShown(HALF * std, said))) : "");
     });
   }
 
@@ -105,10 +108,10 @@ function flowCard(live, ask, user, name) {
   return { ...made, close: () => { live.removeEventListener("values", showEdge); made.close(); } };
 }
 
-/** The maps of an axis' edges at 70 bar over each, with 95 % intervals, as far as they are known. */
+/** The maps of an axis' edges at the rated drop over each, with 95 % intervals, as far as they are known. */
 function edgesOfAxis(live) {
   const body = h("div.chart.fit"), legend = h("div.legend"), words = h("p.words");
-  const element = h("section.card.stack.tall", {}, h("header", {}, h("h2", {}, "Flow of the edges at a drop of 70 bar"), h("span.fill"), legend), body, words);
+  const element = h("section.card.stack.tall", {}, h("header", {}, h("h2", {}, `Flow of the edges at a drop of ${inUnit(RATED_BAR, "bar", 0)} ${shown("bar")}`), h("span.fill"), legend), body, words);
   let chart = null, key = "";
 
   function update() {

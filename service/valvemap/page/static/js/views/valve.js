@@ -203,7 +203,7 @@ export function valveView(root, { live, ask, valve, estimator, isChosen, choose 
     const adaptation = of("Adaptation");
     if (ADAPTATION[adaptation]) lines.push(["Adaptation", ADAPTATION[adaptation].join(": ")]);
     const structure = live.get(`${selected}.Structure`)?.value;
-    if (structure) lines.push(["Structure", structure]);
+    if (structure) lines.push(["Structure", inUnits(structure)]);
     const share = of("CoverageShare");
     if (Number.isFinite(share)) lines.push(["Coverage", `${fixed(100 * share, 0)} % of the range measured recently`]);
     const changes = of("ChangeCount");
@@ -216,9 +216,9 @@ export function valveView(root, { live, ask, valve, estimator, isChosen, choose 
     const dynamics = live.get("Dynamics.Reason")?.value;
     if (dynamics) lines.push(["Dynamics", inUnits(dynamics)]);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
-    if (waiting) lines.push(["Waiting for", String(waiting)]);
+    if (waiting) lines.push(["Waiting for", inUnits(String(waiting))]);
     const action = live.get("Diagnostics.LastAction")?.value;
-    if (action) lines.push(["Last action", action]);
+    if (action) lines.push(["Last action", inUnits(action)]);
     lines.forEach(([name, text], k) => {
       const dt = facts.children[2 * k] ?? facts.appendChild(h("dt")), dd = facts.children[2 * k + 1] ?? facts.appendChild(h("dd"));
       say(dt, name);
