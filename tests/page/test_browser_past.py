@@ -280,6 +280,22 @@ async def test_a_long_trend_follows_nothing_and_still_goes_on(browser):
         assert visitor.problems == []
 
 
+_BEHIND = """async () => {
+    const { addNewest, tabled } = await import('./js/trend_rows.js');
+    const series = [['Signals.Q', 'Q', 'l/min']];
+    const start = Math.floor(Date.now() / 1000) * 1000 - 60000;
+    const rows = tabled(series, { start, step: 1000, courses: [Array(3).fill(Array(40).fill(5))] });
+    addNewest(rows, series, [7], Date.now());
+    return [rows.of[0][0].slice(-3), rows.isTorn];
+}"""
+
+
+async def test_no_line_is_drawn_from_a_history_that_is_behind_to_the_newest_value(browser):
+    async with visit(browser, ShownService()) as (visitor, _):
+        await visitor.open("overview")
+        assert await visitor.page.evaluate(_BEHIND) == [[5, None, 7], True]
+
+
 async def test_without_a_history_the_trend_says_so(browser):
     async with visit(browser, ShownService(keeps_history=False)) as (visitor, _):
         await visitor.open("trend/V1")

@@ -6,21 +6,22 @@ import { spreadShown, toShown } from "./units.js";
 const GAP_STEPS = 3, GAP_MS = 3000; // no line is drawn over a longer silence
 const LATEST_MS = 3600e3; // a live value of another time is not of this trend
 
+const gapOf = (step) => Math.max(GAP_STEPS * step, GAP_MS) / 1000;
+
 const shownOf = (value, [, , unit, , isSpread]) => (isSpread ? spreadShown(value, unit) : toShown(value, unit));
 
 /** No intervals yet, of `series` [name, caption, unit, colour, spread]. */
-export const emptyRows = (series, span) => ({ t: [], of: series.map(() => [[], [], []]), step: stepOf(span), newest: 0, count: 0, silences: [] });
+export const emptyRows = (series, span) => ({ t: [], of: series.map(() => [[], [], []]), step: stepOf(span), newest: 0, count: 0, silences: [], isTorn: false });
 
 /** What was read: intervals without any value are left out; a long silence is a gap, and kept as [from, to] in ms. */
 export function tabled(series, found, shift = 0) {
-  const made = { ...emptyRows(series, 0), step: found.step }, n = found.courses[0]?.[0].length ?? 0, gap = Math.max(GAP_STEPS * found.step, GAP_MS) / 1000;
+  const made = { ...emptyRows(series, 0), step: found.step }, n = found.courses[0]?.[0].length ?? 0, gap = gapOf(found.step);
   for (let k = 0; k < n; k++) {
     if (!found.courses.some(([mean]) => Number.isFinite(mean[k]))) continue;
     const t = (found.start + shift + (k + 0.5) * found.step) / 1000, last = made.t.at(-1);
     if (last !== undefined && t - last > gap) {
       made.silences.push([1000 * last + found.step / 2, 1000 * t - found.step / 2]);
-      made.t.push((last + t) / 2);
-      made.of.forEach((columns) => columns.forEach((column) => column.push(null)));
+      addEmpty(made, (last + t) / 2);
     }
     made.t.push(t);
     series.forEach((one, c) => found.courses[c].forEach((of, j) => made.of[c][j].push(Number.isFinite(of[k]) ? shownOf(of[k], one) : null)));
@@ -66,16 +67,24 @@ export function pointsOf(rows, [U, dp], doubts, [from, to]) {
   return points;
 }
 
-/** Add the newest values (in the service's units), of time `at` in ms. */
+function addEmpty(rows, t) {
+  rows.t.push(t);
+  rows.of.forEach((columns) => columns.forEach((column) => column.push(null)));
+}
+
+/** Add the newest values (in the service's units), of time `at` in ms. What lies between these and what was read is not known yet. */
 export function addNewest(rows, series, values, at) {
   if (!at || at <= rows.newest || Math.abs(Date.now() - at) > LATEST_MS || !values.some(Number.isFinite)) return;
   rows.newest = at;
   const place = (Math.floor(Date.now() / rows.step) * rows.step + rows.step / 2) / 1000, last = rows.t.length - 1;
   if (rows.t[last] > place) return;
   if (rows.t[last] !== place) {
-    rows.t.push(place);
+    if (place - rows.t[last] > gapOf(rows.step)) {
+      addEmpty(rows, (rows.t[last] + place) / 2);
+      rows.isTorn = true;
+    }
+    addEmpty(rows, place);
     rows.count = 0;
-    rows.of.forEach((columns) => columns.forEach((column) => column.push(null)));
   }
   rows.count = (rows.count ?? 1) + 1;
   const k = rows.t.length - 1;

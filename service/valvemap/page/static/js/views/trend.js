@@ -12,7 +12,8 @@ import { told } from "../trust.js";
 import { decimals, inUnits, shown } from "../units.js";
 
 const REFRESH_MS = 30000; // what is live is read again so often, from the history,
-const PER_INTERVAL = 10; // and no more often than so many times an interval
+const PER_INTERVAL = 10; // and no more often than so many times an interval;
+const TORN_MS = 5000; // sooner where the history was behind
 const ASK_MS = 250; // between two reads while zooming
 const CURSOR_STEPS = 60; // over a span
 const DAY_MS = 86400e3;
@@ -254,9 +255,10 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   let wasOld = live.old;
   const onStanding = () => { if (wasOld && !live.old) read(); wasOld = live.old; draw(); };
   live.addEventListener("standing", onStanding);
+  const refreshMs = () => (rows.isTorn ? TORN_MS : Math.max(REFRESH_MS, stepOf(state.span) / PER_INTERVAL));
   const pace = () => Math.min(Math.max(stepOf(state.span) / 2, 250), 5000);
   let tick = setTimeout(function again() {
-    if (state.end === null) { draw(); if (performance.now() - readAt > Math.max(REFRESH_MS, stepOf(state.span) / PER_INTERVAL) && !live.old) read(); }
+    if (state.end === null) { draw(); if (performance.now() - readAt > refreshMs() && !live.old) read(); }
     tick = setTimeout(again, pace());
   }, 250);
   closers.push(() => clearTimeout(tick), () => clearTimeout(timer), () => document.removeEventListener("keydown", onKey),
