@@ -50,10 +50,15 @@ function views() {
   return VIEWS.filter(({ onlyWithRig, of }) => (!onlyWithRig || user.hasRig) && (!of || itemsOf(of).length || (isEmpty && of === "valve")));
 }
 
+/** A part of a URL, which a person may have cut. */
+function decoded(text) {
+  try { return decodeURIComponent(text); } catch { return text; }
+}
+
 /** #/view/valve?what=is&seen=there */
 function place() {
   const [path, query = ""] = location.hash.replace(/^#\//, "").split("?");
-  const [key, name] = path.split("/").map(decodeURIComponent);
+  const [key, name] = path.split("/").map(decoded);
   const view = views().find((known) => known.key === key) ?? views().find(({ of }) => of) ?? VIEWS[0];
   const items = itemsOf(view.of ?? "valve"), of = (wanted) => items.find((known) => known.name === wanted);
   const item = of(name) ?? of(chosen[view.of]) ?? of(chosen.valve) ?? items[0];
