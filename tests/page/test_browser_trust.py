@@ -1,6 +1,7 @@
 """Nothing pretends: in every view, whatever is lost, old, refused or not permitted is said.
 
-Twelve tabs show all views while a trouble begins and ends; another one opens each view meanwhile.
+Twelve tabs show all views while a trouble begins and ends; another one opens each view meanwhile,
+and loads it anew.
 """
 
 import asyncio
@@ -189,14 +190,15 @@ async def test_no_view_pretends_and_each_recovers(tabs, name):
     trouble = TROUBLES[name]
     before = {view: await seen(visits[view]) for view in trouble.views}
     trouble.begin(shown)
-    drawn = "drawn meanwhile"
     try:
         await hold(
             missed(visits[view], pretends_nothing(view, trouble), name) for view in trouble.views
         )
         for view in trouble.views:
             await other.open(view)
-            await hold([missed(other, pretends_nothing(view, trouble), drawn)])
+            await hold([missed(other, pretends_nothing(view, trouble), "drawn meanwhile")])
+            await other.page.reload()
+            await hold([missed(other, pretends_nothing(view, trouble), "loaded meanwhile")])
     finally:
         end(shown)
     await hold(missed(visits[view], as_before(before[view]), "over") for view in trouble.views)
