@@ -3,26 +3,17 @@
 import math
 import re
 import time
-from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import pytest
 
-from support.browser import axe, serious, tab
-from support.readings import Read
-from support.served_page import served
+from support.page_visits import SIZES, alarmed, visit
 from support.shown_service import Alarm, ShownService
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
 S = 1_000_000_000
-VIEWS = (
-    *("valve/V1", "trend/V1", "map/V1", "alarms", "overview", "commissioning/V1", "timeline"),
-    *("rig/V1", "axis/Press", "line/Boom.LineA", "valve/Boom.PA"),
-)
-SIZES = {"desk": (1280, 800), "large": (1920, 1080), "tablet": (820, 1180)}
-RIG = "opc.tcp://127.0.0.1:1/rig/"
 _PLANT = tuple(f"V{k}" for k in range(1, 13))
 _FILLED = (
     *("valve/V1", "map/V1", "alarms", "overview", "trend/V1", "rig/V1"),
@@ -61,34 +52,6 @@ _USED = """() => { // share of the height of each column that texts, charts and 
 
 
 NO_DATA = 0x809B_0000
-
-
-@asynccontextmanager
-async def visit(browser, shown, **given):
-    async with served(shown, RIG) as (page, url), tab(browser, url, **given) as visitor:
-        await visitor.page.add_init_script("localStorage.setItem('tour', 'closed')")
-        yield visitor, page
-
-
-def alarmed():
-    now = time.time_ns()
-    frozen = Alarm(
-        name="SensorFrozen",
-        severity=700,
-        t=now - 600 * S,
-        text="p2 was constant to the last digit for 34.0 s while other signals varied (limit 10 s),"
-        " since 2026-11-25 22:20:10 UTC. It may be: a dead sensor; a coarse resolution.",
-    )
-    shown = ShownService(
-        names=("V1", "V2", "Boom.PA", "Boom.AT"),
-        lines=("Boom.LineA",),
-        axes=("Press",),
-        more=("Commission",),
-        alarms=[frozen],
-        past=[frozen],
-    )
-    shown.values["V1.DeviceHealth"] = Read(1)
-    return shown, frozen
 
 
 async def test_a_trend_is_there_after_a_change_of_view_a_reload_and_in_another_browser(browser):
@@ -372,6 +335,7 @@ async def test_the_height_of_a_screen_is_used(browser, size):
             await visitor.page.wait_for_timeout(1_500)
             used = await visitor.page.evaluate(_USED)
             assert len(used) == (1 if view in one_column else 2), view
+            print(view, size, [round(share, 2) for share in used])  # noqa: T201 - the figures
             assert min(used) >= 0.75, (view, used)
 
 
@@ -409,22 +373,3 @@ async def test_the_worst_valve_is_first_with_its_health_and_alarms_beside(browse
         await rows.nth(0).and_(visitor.page.locator("tr", has_text="failure")).wait_for()
         assert "V1" in await rows.nth(0).inner_text()
         await visitor.page.locator(".needs a", has_text="Sensor frozen").wait_for()
-
-
-@pytest.mark.parametrize("view", [*VIEWS, "alarms?show=past"])
-async def test_axe_finds_nothing_serious_in_any_theme_and_size(browser, view, request):
-    script = axe(request.config.cache.mkdir("axe"))
-    shown, _ = alarmed()
-    async with visit(browser, shown, color_scheme="dark") as (visitor, _):
-        page = visitor.page
-        await visitor.open(view)
-        await page.wait_for_timeout(1_000)
-        for theme in ("dark", "light"):
-            await page.locator(f"html[data-theme={theme}]").wait_for()
-            for size, (width, height) in SIZES.items():
-                await page.set_viewport_size({"width": width, "height": height})
-                await page.wait_for_timeout(100)
-                assert await serious(visitor, script) == [], (theme, size)
-            await page.locator("button.theme").click()
-            await page.wait_for_timeout(400)  # a lamp's colour changes in 300 ms
-        assert visitor.problems == []

@@ -13,6 +13,7 @@ import pytest
 import pytest_asyncio
 
 from support.browser import Visit, tab
+from support.processes import free_port
 from support.readings import Read
 from support.served_page import served
 from support.shown_service import Alarm, ShownService
@@ -202,6 +203,28 @@ async def test_no_view_pretends_and_each_recovers(tabs, name):
     finally:
         end(shown)
     await hold(missed(visits[view], as_before(before[view]), "over") for view in trouble.views)
+
+
+async def test_no_view_pretends_once_the_page_s_own_server_is_gone_and_each_recovers(browser):
+    shown, port = plant(), free_port()
+    gone = Trouble(None, "page's server does not answer")
+    url = f"http://127.0.0.1:{port}"
+    async with tab(browser, url, "any") as first:
+        context = first.page.context
+        await context.add_init_script("localStorage.setItem('tour', 'closed')")
+        async with served(shown, RIG, port=port, request_burst=2_000):
+            await first.open("overview")
+            await first.log_in()
+            visits = {view: Visit(await context.new_page(), url) for view in VIEWS}
+            for view, visitor in visits.items():
+                await visitor.open(view)
+                await visitor.page.locator("main h1").wait_for()
+            await visits["map/V1"].page.locator("button[data-writes]:enabled").first.wait_for()
+        await hold(missed(visits[view], pretends_nothing(view, gone), "gone") for view in VIEWS)
+        async with served(shown, RIG, port=port, request_burst=2_000):
+            await hold(
+                missed(visits[view], lambda found: not found["stale"], "over") for view in VIEWS
+            )
 
 
 async def test_a_user_without_the_right_finds_no_button_active_and_reads_why(tabs):

@@ -1,16 +1,12 @@
 """What visitors do that nobody planned: long names, broken links, small and odd screens."""
 
-from contextlib import asynccontextmanager
-
 import pytest
 
-from support.browser import tab
-from support.served_page import served
+from support.page_visits import SIZES, visit
 from support.shown_service import Alarm, ShownService
 
 pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 
-RIG = "opc.tcp://127.0.0.1:1/rig/"
 LONG = "W" * 64  # the longest that a configuration may have
 FAMILY = "V" * 61
 VIEWS = (
@@ -18,21 +14,13 @@ VIEWS = (
     *("alarms", "alarms?show=past", "overview", "timeline"),
 )
 PARTS = (f"line/{FAMILY}.LineA", f"axis/{LONG}X", f"valve/{FAMILY}.PA")
-SIZES = {"desk": (1280, 800), "large": (1920, 1080), "tablet": (820, 1180), "phone": (390, 844)}
+_SCREENS = {**SIZES, "phone": (390, 844)}
 _BEYOND = """() => { // what reaches beyond the window, unless it scrolls within its own box
     const scrolls = (one) => one.closest('.scroll, .rows, .views, pre, code, nav');
     return [...document.querySelectorAll('body *')].filter((one) => one.checkVisibility()
         && !scrolls(one) && one.getBoundingClientRect().right > innerWidth + 1)
         .map((one) => one.outerHTML.slice(0, 120));
 }"""
-
-
-@asynccontextmanager
-async def visit(browser, shown, **given):
-    async with served(shown, RIG) as (page, url), tab(browser, url, **given) as visitor:
-        await visitor.page.add_init_script("localStorage.setItem('tour', 'closed')")
-        yield visitor, page
-        assert visitor.problems == []
 
 
 def long_names():
@@ -47,7 +35,7 @@ def long_names():
     )
 
 
-@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+@pytest.mark.parametrize("size", _SCREENS.values(), ids=_SCREENS)
 async def test_the_longest_names_push_nothing_out_of_the_window(browser, size):
     async with visit(browser, long_names(), size=size) as (visitor, _):
         found = {}
@@ -57,6 +45,7 @@ async def test_the_longest_names_push_nothing_out_of_the_window(browser, size):
             await visitor.page.wait_for_timeout(800)
             found[view] = await visitor.page.evaluate(_BEYOND)
         assert {view: one for view, one in found.items() if one} == {}
+        assert visitor.problems == []
 
 
 @pytest.mark.parametrize(
@@ -73,3 +62,4 @@ async def test_a_broken_link_leads_to_a_view(browser, link):
         await visitor.page.wait_for_timeout(300)
         await visitor.page.keyboard.press("5")
         await visitor.page.locator("h1", has_text="Time line").wait_for()
+        assert visitor.problems == []
