@@ -1,10 +1,10 @@
-"""A fault, and an hour later: service, history and page are real, the hour is simulated time."""
+"""Faults, and an hour later: service, history and page are real, the hour is simulated time."""
 
 import asyncio
 import re
 import time
 from contextlib import asynccontextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -27,9 +27,20 @@ pytestmark = [pytest.mark.chromium, pytest.mark.asyncio(loop_scope="session")]
 S = 1_000_000_000
 HZ = 10
 AT_ONCE_S = 10  # s of samples between two publications
-FAULT_S = range(300, 360)  # s since the begin; p2 is frozen
 LATER_S = 3_600
-NAMED = "Sensor frozen"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """When it is, s since the begin; what the page names it, and says of it."""
+
+    during: range
+    named: str
+    measured: str
+
+
+LOST = Fault(range(180, 240), "Sensor lost", "No usable sample for")  # Q is no number
+FROZEN = Fault(range(300, 360), "Sensor frozen", "p2 was constant to the last digit")
 
 
 class Hour:
@@ -38,7 +49,7 @@ class Hour:
     def __init__(self, store):
         self.live = identification()
         self.past = PastKeeper(store, ["Valvistor"])
-        self.began = time.time_ns() // S * S - (FAULT_S.stop + LATER_S) * S
+        self.began = time.time_ns() // S * S - (FROZEN.during.stop + LATER_S) * S
         self._taken = 0
         users = results_settings(users=UserStore(), none_on_loopback=True)
         history = {"past": store, "on_alarm": self.past.note_alarm}
@@ -62,13 +73,14 @@ class Hour:
         at = self._taken / HZ
         self._taken += n
         t = self.began + (self._taken - n + np.arange(n)) * S // HZ
-        p2 = np.full(n, 77.25) if int(at) in FAULT_S else samples.p2
-        return replace(samples, t=t, p2=p2)
+        p2 = np.full(n, 77.25) if int(at) in FROZEN.during else samples.p2
+        Q = np.full(n, np.nan) if int(at) in LOST.during else samples.Q
+        return replace(samples, t=t, p2=p2, Q=Q)
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="session")
 async def later(tmp_path_factory):
-    """The page's URL and the time of the fault, UTC ns, an hour after it; the service runs on."""
+    """The page's URL and when the service began, UTC ns, an hour after faults; it runs on."""
     with HistoryFile(tmp_path_factory.mktemp("history") / "history.sqlite") as store:
         hour = Hour(store)
         async with hour.server:
@@ -82,7 +94,7 @@ async def later(tmp_path_factory):
             running = asyncio.create_task(run_on())
             client = ResultsClient(SourceSettings(url=hour.server.url), NAMESPACE)
             async with served(client) as (_, url):
-                yield url, hour.began + FAULT_S.start * S
+                yield url, hour.began
             running.cancel()
             with suppress(asyncio.CancelledError):
                 await running
@@ -95,17 +107,17 @@ async def visit(browser, url):
         yield visitor
 
 
-async def seen_in_the_trend(visitor, fault):
+async def seen_in_the_trend(visitor, began, fault):
     """Wait until the trend's bands show when the fault was."""
-    expected = [  # s after the fault's begin
+    begun, ended = [  # s after the fault's begin
         await visitor.page.evaluate(
             "ms => ms.map(ms => new Date(ms).toLocaleTimeString('en-GB'))",
-            [(fault + s * S) / 1e6 for s in between],
+            [(began + (fault.during.start + s) * S) / 1e6 for s in between],
         )
-        for between in (range(30), range(55, 75))
+        for between in (range(-1, 30), range(55, 75))  # from the last good sample on
     ]
-    begun, ended = ("|".join(times) for times in expected)
-    wanted = re.compile(f"{NAMED} from ({begun}) to ({ended}).*Estimate of RLS: .*ok from")
+    named = f"{fault.named} from ({'|'.join(begun)}) to ({'|'.join(ended)})"
+    wanted = re.compile(f"{named}.*Estimate of RLS: .*ok from")
     lanes = visitor.page.locator("canvas.lanes")
     for _ in range(200):
         told = await lanes.get_attribute("aria-label")
@@ -115,27 +127,28 @@ async def seen_in_the_trend(visitor, fault):
     raise AssertionError(told)
 
 
-async def test_a_fault_is_in_trend_alarm_list_and_map_an_hour_later(browser, later):
+@pytest.mark.parametrize("fault", [FROZEN, LOST], ids=lambda fault: fault.named)
+async def test_a_fault_is_in_trend_alarm_list_and_map_an_hour_later(browser, later, fault):
     """After any navigation, a reload, and in another browser."""
-    url, fault = later
-    assert time.time_ns() - fault > 3_600 * S
+    url, began = later
+    assert time.time_ns() - began - fault.during.start * S >= LATER_S * S
     async with visit(browser, url) as visitor:
         page = visitor.page
         await visitor.open("trend/Valvistor?span=7200")
-        await seen_in_the_trend(visitor, fault)
+        await seen_in_the_trend(visitor, began, fault)
         for view in ("overview", "valve/Valvistor", "timeline"):
             await visitor.open(view)
             await page.locator("main h1").wait_for()
-        await page.locator(".events li", has_text=NAMED).first.wait_for()
+        await page.locator(".events li", has_text=fault.named).first.wait_for()
         await visitor.open("trend/Valvistor?span=7200")
         await page.reload()
-        await seen_in_the_trend(visitor, fault)
+        await seen_in_the_trend(visitor, began, fault)
         assert visitor.problems == []
     async with visit(browser, url) as visitor:
         page = visitor.page
         await visitor.open("alarms?show=past")
-        await page.locator(".alarm-list button", has_text=NAMED).first.click()
-        await page.locator(".measured", has_text="p2 was constant to the last digit").wait_for()
+        await page.locator(".alarm-list button", has_text=fault.named).first.click()
+        await page.locator(".measured", has_text=fault.measured).wait_for()
         await page.locator(".links a", has_text="Place in the map").click()
         place = page.locator("text=/At .* the valve worked at U .* \\(marked\\)/")
         await place.wait_for()
@@ -145,5 +158,5 @@ async def test_a_fault_is_in_trend_alarm_list_and_map_an_hour_later(browser, lat
         )
         await page.go_back()
         await page.locator(".links a", has_text="Trend at that time").click()
-        await seen_in_the_trend(visitor, fault)
+        await seen_in_the_trend(visitor, began, fault)
         assert visitor.problems == []
