@@ -117,3 +117,18 @@ async def test_a_refusal_stays_to_be_read_in_the_units_in_use(browser):
         assert await told.is_visible()
         assert all("409" in problem for problem in visitor.problems)
         visitor.problems.clear()
+
+
+async def test_the_size_of_a_fault_is_in_the_units_in_use(browser):
+    shown = ShownService()
+    async with visit(browser, shown, US) as (visitor, _):
+        page = visitor.page
+        await visitor.open("rig/V1")
+        await visitor.log_in()
+        await page.locator("select[name=kind]").select_option("offset.p1")
+        assert "Size in psi" in await page.locator(".pair").inner_text()
+        assert await page.locator("input[name=size]").input_value() == "72.5"
+        await page.get_by_role("button", name="Inject").click()
+        await page.locator("[role=status]", has_text="Offset of p1, 72.5 psi for 10 s").wait_for()
+        (injected,) = [one for one in shown.calls if one[1] == "InjectFault"]
+        assert pytest.approx(5.0, abs=0.01) in [value for row in injected[2] for value in row]

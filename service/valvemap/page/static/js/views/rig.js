@@ -4,7 +4,7 @@ import { writer } from "../controls.js";
 import { h, say } from "../dom.js";
 import { clock, KINDS } from "../format.js";
 import { liveCard } from "../live_card.js";
-import { inUnits, shown, toShown } from "../units.js";
+import { fromShown, inUnits, shown, spreadShown, toShown } from "../units.js";
 
 const MOST_REPORTS = 12;
 const USUAL_S = 10;
@@ -30,7 +30,7 @@ export function rigView(root, { live, ask, valve, user }) {
   const reports = h("ol.events"), done = h("p.words.rig-words", { role: "status" }), hint = h("p.muted");
   const start = writer("Start", { command: () => ({ scenario: scenario.value }), does: (command) => act(command, `Scenario ${scenario.value} runs.`) });
   const stop = writer("Stop", { look: ".quiet", command: () => ({ scenario: "" }), does: (command) => act(command, "The scenario is stopped.") });
-  const inject = writer("Inject", { type: "submit", command: () => ({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }), does: (command) => act(command, `Injected: ${kind.selectedOptions[0].text.split(":")[0]}, ${size.value} ${unitOf()} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`) });
+  const inject = writer("Inject", { type: "submit", command: () => ({ fault: kind.value, valve: valve.name, size: fromShown(Number(size.value), unitOf()), duration: Number(duration.value) }), does: (command) => act(command, `Injected: ${kind.selectedOptions[0].text.split(":")[0]}, ${size.value} ${shown(unitOf())} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. What the service reports appears below within seconds.`) });
 
   const best = () => live.get("Recommended")?.value || valve.primary;
   const banded = (predicted, missed, noise) => [predicted + 1.96 * noise, predicted - 1.96 * noise, predicted, predicted + missed].map((value) => toShown(value, "l/min"));
@@ -61,7 +61,7 @@ export function rigView(root, { live, ask, valve, user }) {
         h("form.form", { onsubmit: (event) => {
           event.preventDefault();
           inject.act();
-        } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject.button)), done),
+        } }, h("label", {}, "What goes wrong", kind), h("div.pair", {}, h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration)), h("div.buttons", {}, inject.button)), done),
     ),
     h("section.card.reports", {}, h("header", {}, h("h2", {}, `What the service reports of ${valve.name}`), h("span.fill"), h("a", { href: "#/alarms" }, "All alarms")), reports), course.element),
   );
@@ -76,8 +76,8 @@ export function rigView(root, { live, ask, valve, user }) {
 
   function choose() {
     const [, , of, usual, seconds = USUAL_S] = FAULTS.find(([name]) => name === kind.value);
-    say(unit, of ? `in ${of}` : "(not used)");
-    size.value = usual;
+    say(unit, of ? `in ${shown(of)}` : "(not used)");
+    size.value = Number(spreadShown(usual, of).toPrecision(3));
     duration.value = seconds;
   }
 
