@@ -272,6 +272,45 @@ async def test_are_samples_lost_or_rejected_and_why(browser):
         await row.locator("td", has_text="7").wait_for()
 
 
+async def test_which_valve_follows_worst(browser):
+    shown = plant()
+    shown.values["Boom.AT.Frame"] = Read(
+        [1.0, 10.0, 0.1, 7.25, 0.3, 1.0, 0.0, 1.5, 30.0, 0.0, 1, 1, 1]
+    )
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("3")
+        await keys.open(page.locator("th button", has_text="RMSE"))
+        first = page.locator(".rows tbody tr:has(a)").first
+        await first.locator("a", has_text="Boom.AT").wait_for()
+        assert "7.25" in await first.inner_text()
+
+
+async def test_how_did_it_run_a_day_before(browser):
+    async with asked(browser, plant()) as (page, keys, _):
+        await keys.press("t")
+        await page.get_by_label("Compare with time").focus()
+        await keys.type("a day")
+        await page.locator("main[data-compared=before]").wait_for()
+        assert "before=86400" in page.url
+        assert "a day before" in await page.locator(".lane .legend").first.inner_text()
+
+
+async def test_is_the_service_itself_in_trouble(browser):
+    shown = plant()
+    load = Alarm(
+        source="Service",
+        name="Load",
+        event=b"l",
+        text=f"The service works 97 %, since {SINCE} UTC.",
+    )
+    shown.alarms.append(load)
+    async with asked(browser, shown) as (page, keys, _):
+        await keys.press("3")
+        await page.locator(".service", has_text="The service itself: 1 active alarm.").wait_for()
+        listed = page.locator(".needs li", has_text="Service")
+        assert "The service works 97 %" in await listed.inner_text()
+
+
 async def frozen_alarm(page, keys):
     """Open the alarms by keyboard; the one of p2 is chosen."""
     await keys.press("a")

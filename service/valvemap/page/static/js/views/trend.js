@@ -30,6 +30,7 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   const CODES = [`${estimator}.Status`, "Inverse.RequiredUStatus"]; // of the estimate, of the answer to the demand
   const names = SERIES.map(([name]) => name), PREDICTED = 1, U = 4, DP = 8;
   let rows = emptyRows(SERIES, state.span), doubts = [], codes = CODES.map(() => []), others = null, changes = [], timer = 0, readAt = -Infinity, isReading = false, isBehind = false, pastFrom = Infinity, isPastKnown = false, failed = "", source = null, hover = null;
+  const comparedWith = []; // what the dashed line is, in each legend
 
   const title = h("h1", {}, `${valve.name}: trend`), badge = h("span.badge"), note = h("span.muted.sentence", { role: "status" });
   const spans = h("span.segments", { role: "group", "aria-label": "Span" }, SPANS.map(([ms, text]) => h("button", { type: "button", "data-span": ms, onclick: () => go({ span: ms }) }, text)));
@@ -66,7 +67,9 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   SERIES.forEach(([, caption, unit, colour]) => readout.append(h("tr", {}, h("td", {}, h("i.swatch", { style: { "--c": `var(${colour})` } }), caption, h("small.muted", {}, ` ${shown(unit)}`)), h("td.number.value"), h("td.number"), h("td.number"))));
 
   function legend(of) {
-    return h("div.legend", {}, of.map((k) => h("span", {}, h("i", { style: { "--c": `var(${SERIES[k][3]})` } }), SERIES[k][1])), others || state.other || state.before ? h("span", {}, h("i.dashed", { style: { "--c": "var(--line-5)" } }), state.other || "before") : null);
+    const words = h("span"), entry = h("span", {}, h("i.dashed", { style: { "--c": "var(--line-5)" } }), words);
+    comparedWith.push([entry, words]);
+    return h("div.legend", {}, of.map((k) => h("span", {}, h("i", { style: { "--c": `var(${SERIES[k][3]})` } }), SERIES[k][1])), entry);
   }
 
   const range = () => [from() / 1000, to() / 1000];
@@ -176,6 +179,10 @@ export function trendView(root, { live, ask, valve, query, keep }) {
   function draw() {
     for (const one of spans.children) one.setAttribute("aria-pressed", String(Number(one.dataset.span) === state.span));
     now.setAttribute("aria-pressed", String(state.end === null));
+    for (const [entry, words] of comparedWith) {
+      entry.hidden = !state.other && !state.before;
+      say(words, [state.other, state.before && BEFORE.find(([ms]) => ms === state.before)?.[1]].filter(Boolean).join(", "));
+    }
     const noise = rows.of[3][0], zero = rows.of[2][0].map((value) => (value === null ? null : 0));
     const data = [
       [...wide(0), off(rows.of[1][0], noise, 1, 1.96), off(rows.of[1][0], noise, -1, 1.96), rows.of[1][0]],
