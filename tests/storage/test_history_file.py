@@ -195,7 +195,7 @@ def test_nothing_is_known_of_what_was_never_kept(path):
         assert len(whole(store, "V9.Signals").t) == len(whole(store, column="p9").t) == 0
 
 
-def test_blocks_are_unpacked_once_while_the_file_is_unchanged(path, monkeypatch):
+def test_a_block_is_unpacked_once_also_while_others_are_written(path, monkeypatch):
     examined, real = [], history_series.examine
     monkeypatch.setattr(
         history_series, "examine", lambda *given: examined.append(given) or real(*given)
@@ -209,6 +209,7 @@ def test_blocks_are_unpacked_once_while_the_file_is_unchanged(path, monkeypatch)
         assert len(examined) == 2
         store.save([piece(BLOCK + 10, 10)])
         assert len(whole(store).t) == BLOCK + 20
+        assert len(examined) == 3
 
 
 def test_what_is_old_is_forgotten(path):

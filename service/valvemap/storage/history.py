@@ -109,17 +109,9 @@ class HistoryFile(Closing):
         most: int,
     ) -> Past:
         """Return rows from ``low`` to ``high`` (UTC ns, both included) after ``skip`` others."""
-        database = self._database
-        state = database.state
-        return database.ask(
-            lambda: database.past.rows(
-                series,
-                column,
-                (low, high),
-                backwards=backwards,
-                skip=skip,
-                most=most,
-                state=state,
+        return self._database.ask(
+            lambda: self._database.past.rows(
+                series, column, (low, high), backwards=backwards, skip=skip, most=most
             )
         )
 

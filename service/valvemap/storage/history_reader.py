@@ -18,9 +18,9 @@ MOST_REMEMBERED: Final = 80  # columns of blocks: the loose ones of a series, an
 class RowReader:
     """Rows of one open file, within the caller's snapshot.
 
-    Blocks that were read last are remembered while the file is unchanged: an aggregate reads the
-    same ones for what is before, inside and behind its intervals, and three aggregates of a
-    variable do so in turn.
+    Blocks that were read last are remembered, as a block's number is not used for other rows: an
+    aggregate reads the same ones for what is before, inside and behind its intervals, and three
+    aggregates of a variable do so in turn.
 
     Parameters
     ----------
@@ -34,7 +34,6 @@ class RowReader:
         self._reader = connection
         self._rows = rows
         self._remembered: OrderedDict[tuple[int, str], Past] = OrderedDict()
-        self._state: object = None
 
     def rows(
         self,
@@ -45,15 +44,8 @@ class RowReader:
         backwards: bool,
         skip: int,
         most: int,
-        state: object,
     ) -> Past:
-        """Return rows in a span (UTC ns, both ends included) after ``skip`` others.
-
-        ``state`` identifies the content of the file.
-        """
-        if state != self._state:
-            self._remembered.clear()
-            self._state = state
+        """Return rows in a span (UTC ns, both ends included) after ``skip`` others."""
         if not self._rows.names.keys() >= {column, T, CODES}:
             return nothing()
         low, high = span
