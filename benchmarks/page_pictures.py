@@ -1,7 +1,7 @@
 """The pictures of the page for README and docs: ``python -m benchmarks.page_pictures``.
 
 Starts a demo of three valves, breaks something of one and draws every view. Needs Chromium
-(Debian: ``apt-get install chromium``). Five minutes.
+(Debian: ``apt-get install chromium``). Nine minutes.
 """
 
 import asyncio
@@ -50,12 +50,12 @@ _ANSWERED = r"95 %: [\d.]+ to"
 _MISSING = "Red: the map.*samples learnt from"
 PICTURES = (
     # the maps settle before a part is broken
-    Picture("commissioning", "commissioning/Boom", _MISSING, look_s=120.0),
-    Picture("rig", "rig/Arm", "Injected"),
+    Picture("commissioning", "commissioning/Boom", _MISSING, look_s=300.0),
+    Picture("rig", "rig/Arm", "Injected", look_s=12.0),
     Picture("overview", "overview", "valve changed"),
     Picture("timeline", "timeline", "found an abrupt change"),
     Picture("alarms", "alarms?alarm=Arm%2FChanged", "What to do", look_s=20.0),
-    Picture("trend", "trend/Arm?span=600", "from the service's history", look_s=15.0),
+    Picture("trend", "trend/Arm?span=300", "from the service's history", look_s=15.0),
     Picture("map", "map/Boom", _ANSWERED, look_s=10.0),
     Picture("map", "map/Boom", _ANSWERED, look_s=10.0, theme="dark"),
     Picture("valve_tablet", "valve/Boom", _RESIDUALS, look_s=40.0, theme="dark", size=_TABLET),
