@@ -237,7 +237,7 @@ def test_at_an_end_stop_and_below_three_bar_nothing_is_learnt(block):
 
 
 def test_a_recording_of_rest_is_refused_before_a_search(block, monkeypatch):
-    monkeypatch.setattr(axis_search, "_searched", None)
+    monkeypatch.setattr(axis_search, "with_spool", None)
     still = of(block)
     still.x[:], still.U[:] = 400.0, 0.0
     result = identify(still, GEOMETRY)

@@ -68,6 +68,37 @@ def test_a_late_position_is_named_with_its_delay(samples):
     assert found.is_large
 
 
+@pytest.fixture(scope="module")
+def coarse():
+    """An axis whose position has 0.5 mm of noise, and its samples."""
+    of = axis.machine(1406, noise_mm=0.5)
+    return of, axis.samples(axis.played(of, 1406, seconds=120.0))
+
+
+def test_a_late_position_is_no_slow_spool(coarse):
+    """With so much noise, a search takes it for a spool of 5 Hz."""
+    _, samples = coarse
+    slow = AxisRegression(GEOMETRY, play_percent=3.6, spool_hz=5.0)
+    found = inconsistency(slow, late(samples, "x", 6), 2.0)
+    assert found.words == "position or speed 60 ms too late"
+    assert found.is_large
+
+
+def test_a_slow_spool_is_no_late_position(coarse):
+    of, _ = coarse
+    valve = of.valve.model_copy(update={"natural_frequency_hz": 8.0, "damping": 0.8})
+    slow = of.model_copy(update={"valve": valve})
+    samples = axis.samples(axis.played(slow, 1406, seconds=120.0))
+    known = AxisRegression(GEOMETRY, play_percent=valve.play_percent, spool_hz=8.0)
+    assert inconsistency(known, samples, 2.0) is None
+
+
+def test_a_late_command_is_named(samples):
+    found = inconsistency(replace(KNOWN, spool_hz=np.inf), late(samples, "U", 6), 10.0)
+    assert re.fullmatch("U [67]0 ms too late", found.words)  # 10 ms are as well the spool's
+    assert found.is_large
+
+
 def test_a_wrong_zero_is_named(samples):
     found = inconsistency(KNOWN, replace(samples, pA=samples.pA + 6.0), 10.0)
     assert found.words == "pA 6 bar too high"

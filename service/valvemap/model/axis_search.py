@@ -1,4 +1,4 @@
-"""Identification of an axis from a recording: refusals in words, play and spool by the residual."""
+"""Identification of an axis from a recording: refusals in words, an answer otherwise."""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,10 +7,11 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples, AxisState
-from valvemap.model.axis_fit import AxisFit, compared, fit, with_theta
+from valvemap.model.axis_fit import AxisFit, fit, with_theta
 from valvemap.model.axis_misfit import misfit
 from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_signal_check import MOST_FLOW, NAMELESS, PRESSURES, inconsistency
+from valvemap.model.axis_spool import of_spool, with_spool
 from valvemap.model.axis_travel import placed
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
@@ -25,11 +26,6 @@ _LEAST_BEYOND_MM: Final = 5.0  # mm; the same of a short stroke
 _LEAST_TRAVEL: Final = 0.002  # of the stroke; positions in m move by less
 _MODULUS_GPa: Final = (0.1, 2.0)
 _LEAST_SWING: Final = 10.0  # %; U must reach it in both directions
-_PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 13.0)  # %
-_LAGS_S: Final = (0.0, 0.012, 0.025, 0.04, 0.06, 0.09, 0.13, 0.18)  # s; 1/f of the spool
-_PLAY_STEPS: Final = (0.5, 0.125, 0.03)  # %
-_LAG_STEPS_S: Final = (0.006, 0.003, 0.0015, 0.0008)  # s
-_MOST_PLAY, _MOST_LAG_S = 20.0, 0.2
 _SEARCHED: Final = 20_000  # samples; more do not move the minimum
 
 
@@ -87,9 +83,9 @@ def identify(
     if refused is not None:
         return refused
     if searched:
-        regression = _searched(regression, samples[:_SEARCHED])
+        regression = with_spool(regression, samples[:_SEARCHED])
     state, found = fitted(replace(regression, memory_s=memory_s), samples)
-    of_shape = _of_shape(found, state, samples) if searched else np.zeros_like(found.covariance)
+    of_shape = of_spool(found, state, samples) if searched else np.zeros_like(found.covariance)
     wrong = (
         inconsistency(found.regression, samples[:_SEARCHED], found.together) if searched else None
     )
@@ -202,76 +198,3 @@ def _is_still(samples: AxisSamples, name: str) -> bool:
     """Whether a signal shows one number all the time, which no transmitter does."""
     shown = getattr(samples, name)
     return bool(np.nanmin(shown) == np.nanmax(shown))
-
-
-def _searched(regression: AxisRegression, samples: AxisSamples) -> AxisRegression:
-    """Return the regression with the play and spool of the least residual.
-
-    Both delay the spool, so that the valley of the loss is oblique: each lag is judged with its own
-    best play.
-    """
-    losses: dict[tuple[float, float], float] = {}
-
-    def loss(at: tuple[float, float]) -> float:
-        if at not in losses:
-            tried = _with(regression, at)
-            state, _ = tried.update(tried.initial_state(), samples)
-            losses[at] = compared(state)[1]
-        return losses[at]
-
-    def with_best_play(lag_s: float, play: float) -> tuple[float, float]:
-        best = play, lag_s
-        for step in _PLAY_STEPS:
-            while True:
-                beside = [(min(max(best[0] + d, 0.0), _MOST_PLAY), lag_s) for d in (step, -step)]
-                better = min(beside, key=loss)
-                if loss(better) >= loss(best):
-                    break
-                best = better
-        return best
-
-    first = min(((play, _LAGS_S[1]) for play in _PLAYS), key=loss)
-    best = min((with_best_play(lag_s, first[0]) for lag_s in _LAGS_S), key=loss)
-    for step in _LAG_STEPS_S:
-        while True:
-            beside = [
-                with_best_play(min(max(best[1] + d, 0.0), _MOST_LAG_S), best[0])
-                for d in (step, -step)
-            ]
-            better = min(beside, key=loss)
-            if loss(better) >= loss(best):
-                break
-            best = better
-    return _with(regression, best)
-
-
-def _of_shape(found: AxisFit, state: AxisState, samples: AxisSamples) -> Floats:
-    """Return the covariance (n, n) of the coefficients that is due to play and spool.
-
-    The coefficients' slopes over play and lag come from fits beside the best; how well both are
-    known, from the loss there and from the smallest step of the search.
-    """
-    regression, least = found.regression, np.array([_PLAY_STEPS[-1], _LAG_STEPS_S[-1]])
-    play, lag_s = regression.play_percent, 1.0 / regression.spool_hz
-    steps = 2.0 * least  # a step within the search's own would find nothing but its grain
-    rows = 2.0 * state.squares[2] / found.together
-
-    def tried(i: int, j: int) -> tuple[Floats, float]:
-        at = play + i * steps[0], lag_s + j * steps[1]
-        other = _with(regression, at)
-        return compared(other.update(other.initial_state(), samples)[0])
-
-    here, ahead = compared(state), (tried(1, 0), tried(0, 1))
-    slopes = np.stack(
-        [(theta - here[0]) / step for (theta, _), step in zip(ahead, steps, strict=True)], axis=1
-    )
-    scale = rows / max(here[1] ** 2, 1e-12)
-    rises = np.array([scale * (rms**2 - here[1] ** 2) for _, rms in ahead])
-    known = steps**2 / np.maximum(rises, 1e-3)  # where the loss, in its units, has risen by 1
-    spread = np.minimum(known, (4.0 * steps) ** 2) + least**2 / 3.0
-    return np.asarray((slopes * spread) @ slopes.T)
-
-
-def _with(regression: AxisRegression, at: tuple[float, float]) -> AxisRegression:
-    play, lag_s = at
-    return replace(regression, play_percent=play, spool_hz=1.0 / lag_s if lag_s > 0.0 else math.inf)

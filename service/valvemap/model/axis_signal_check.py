@@ -1,31 +1,34 @@
 """Whether one signal of an axis does not fit the others: what a better one would leave. Pure.
 
 Each signal is tried a little later or earlier, with another zero, or smoothed, U with a limited
-speed of the spool. Where the samples are much likelier so, the signal is inconsistent: the
-coefficients' difference is part of their uncertainty, and if it is large the answer must not be
-used. If samples stay inconsistent with three signals mended, the axis is not as assumed, and no
-signal is named.
+speed of the spool. A late position looks like a slow spool, and a late U like a quick one: wherever
+their delays are tried, so is the spool's. Where the samples are much likelier so, the signal is
+inconsistent: the coefficients' difference is part of their uncertainty, and if it is large the
+answer must not be used. If samples stay inconsistent with three signals mended, the axis is not as
+assumed, and no signal is named.
 """
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from valvemap.model.axis import AxisRegression, AxisSamples
 from valvemap.model.axis_basis import COMMON, columns, edge_regressors
 from valvemap.model.axis_fit import compared
+from valvemap.model.axis_spool import with_spool_near
 from valvemap.model.kernels import axis_rows as kernel
 from valvemap.model.kernels.axis_spool import limited
 from valvemap.model.samples import Flags, Floats
 from valvemap.vocabulary.edges import EDGES
 
 LATE_S: Final = 0.02  # s; step of a delay
+MOST_LATE_S: Final = 0.16  # s
 ZERO_BAR: Final = 2.0  # bar; step of a zero
 SMOOTHED: Final = 5  # samples whose mean stands for one
-MOST: Final = 8  # steps
+MOST: Final = 8  # steps of a zero
 SLEWS: Final = tuple(float(round(2000.0 * 0.8**k, -1)) for k in range(16))  # %/s; of a spool
 SIGNIFICANT: Final = 30.0  # twice the log likelihood ratio that makes a signal inconsistent
 MOST_WRONG: Final = 3  # signals that are named at once
@@ -34,7 +37,19 @@ NAMELESS: Final = "several signals, or something in a line, as another valve: no
 MOST_COMPLIANCE, MOST_FLOW = 0.1, 0.02  # shares of 1/β and flow, by which an answer may be off
 PRESSURES: Final = ("pA", "pB", "pS", "pT")
 
-_Variant = Callable[[AxisSamples, float], AxisSamples]  # by a size
+
+class _Assumed(NamedTuple):
+    """Samples, and a regression with their play and spool."""
+
+    regression: AxisRegression
+    samples: AxisSamples
+
+    def showing(self, **signals: Floats) -> "_Assumed":
+        """Return these with other values of signals."""
+        return self._replace(samples=replace(self.samples, **signals))
+
+
+_Variant = Callable[[_Assumed, float], _Assumed]  # by a size
 
 
 @dataclass(frozen=True)
@@ -60,13 +75,13 @@ def inconsistency(
 
     ``together`` is the number of rows that count as one.
     """
-    found = _likeliest(regression, samples, together)
+    found = _likeliest(_Assumed(regression, samples), together)
     if found is None:
         return None
-    wrong, rest = [found], _likeliest(regression, found.mended, together)
+    wrong, rest = [found], _likeliest(found.mended, together)
     while rest and len(wrong) < MOST_WRONG and all(rest.kind != one.kind for one in wrong):
         wrong.append(rest)
-        rest = _likeliest(regression, rest.mended, together)
+        rest = _likeliest(rest.mended, together)
     is_small = rest is None or rest.gain < UNEXPLAINED * found.gain
     is_more = rest is not None and rest.kind == wrong[-1].kind  # of the same
     words = ", ".join(one.words for one in wrong) if is_small or is_more else NAMELESS
@@ -86,7 +101,7 @@ class _Likeliest:
     theta: Floats
     change: Floats
     gain: float
-    mended: AxisSamples
+    mended: _Assumed
 
 
 @dataclass(frozen=True)
@@ -102,22 +117,22 @@ class _Fit:
     left_out: Flags
 
 
-def _likeliest(
-    regression: AxisRegression, samples: AxisSamples, together: float
-) -> _Likeliest | None:
+def _likeliest(shown: _Assumed, together: float) -> _Likeliest | None:
     """Return the variant that fits best, or None: none is significantly better.
 
-    Both are fitted to the same intervals. Another zero moves some below the lowest pressure, and
+    Play and spool are searched for the samples as shown, too: what they explain is no gain of a
+    delay. Both are fitted to the same intervals. Another zero moves some below the lowest, and
     the residuals of other rows have another mean square, by chance: with 0.5 mm of noise in the
     position by more than what is significant.
     """
 
-    def fitted(tried: AxisSamples, left_out: Flags | None = None) -> _Fit:
-        state, trace = regression.update(regression.initial_state(), tried, left_out)
+    def fitted(tried: _Assumed, left_out: Flags | None = None) -> _Fit:
+        regression, samples = tried
+        state, trace = regression.update(regression.initial_state(), samples, left_out)
         rows = 2.0 * float(state.squares[2]) / together
         return _Fit(*compared(state), rows, trace.reason != kernel.USED)
 
-    def alike(one: AxisSamples, other: AxisSamples) -> tuple[_Fit, _Fit, float]:
+    def alike(one: _Assumed, other: _Assumed) -> tuple[_Fit, _Fit, float]:
         """Return the fits of both to the same intervals, and the gain by the other."""
         A, B = fitted(one), fitted(other)
         if not np.array_equal(A.left_out, B.left_out):
@@ -125,19 +140,20 @@ def _likeliest(
             A, B = fitted(one, either), fitted(other, either)
         return A, B, 2.0 * A.rows * math.log(max(A.rms, 1e-9) / max(B.rms, 1e-9))
 
+    shown = shown._replace(regression=with_spool_near(*shown))
     best: _Likeliest | None = None
-    for words, sizes, variant in _variants(regression.period_s):
-        mended, last = samples, math.nan
+    for words, sizes, variant in _variants(shown.regression.period_s):
+        mended, last = shown, math.nan
         for size in sizes:
-            tried = variant(samples, size)
+            tried = variant(_Assumed(mended.regression, shown.samples), size)
             step = alike(mended, tried)[2]
             if step < -SIGNIFICANT:
                 break
             if step > 0.0:
                 mended, last = tried, size
-        if mended is samples:
+        if mended is shown:
             continue
-        one, other, gain = alike(samples, mended)
+        one, other, gain = alike(shown, mended)
         if gain > max(SIGNIFICANT, best.gain if best else 0.0):
             change = other.theta - one.theta
             best = _Likeliest(words, words.format(last), one.theta, change, gain, mended)
@@ -145,13 +161,20 @@ def _likeliest(
 
 
 def _variants(period_s: float) -> Iterator[tuple[str, tuple[float, ...], _Variant]]:
-    """Yield variants: words with a place for the size, sizes away from none, function."""
+    """Yield variants: words with a place for the size, sizes away from none, function.
+
+    U is tried late alone: what is early is a slow spool.
+    """
     n = max(round(LATE_S / period_s), 1)
-    late_ms = tuple(1e3 * n * period_s * k for k in range(1, MOST + 1))
+    step_ms = 1e3 * n * period_s
+    late_ms = tuple(step_ms * k for k in range(1, round(1e3 * MOST_LATE_S / step_ms) + 1))
     zeros = tuple(ZERO_BAR * k for k in range(1, MOST + 1))
-    for names, what in ((("x", "v"), "position or speed"), (PRESSURES, "the pressures")):
-        for sign, how in ((-1, "late"), (1, "early")):
-            yield f"{what} {{:.0f}} ms too {how}", late_ms, _moved(names, sign, period_s)
+    for sign, how in ((-1, "late"), (1, "early")):
+        of_piston = _with_its_spool(_moved(("x", "v"), sign, period_s), -sign * n * period_s)
+        yield f"position or speed {{:.0f}} ms too {how}", late_ms, of_piston
+        yield f"the pressures {{:.0f}} ms too {how}", late_ms, _moved(PRESSURES, sign, period_s)
+    of_U = _with_its_spool(_moved(("U",), -1, period_s), -n * period_s)
+    yield "U {:.0f} ms too late", late_ms, of_U
     for name in PRESSURES:
         for sign, how in ((-1, "high"), (1, "low")):
             yield f"{name} {{:.0f}} bar too {how}", zeros, _raised(name, sign)
@@ -159,34 +182,49 @@ def _variants(period_s: float) -> Iterator[tuple[str, tuple[float, ...], _Varian
     yield "U faster than the spool, which moves by {:.0f} %/s at most", SLEWS, _slewed(period_s)
 
 
+def _with_its_spool(variant: _Variant, less_s: float) -> _Variant:
+    """Return the variant, with the spool searched again whose delay is less by so much."""
+
+    def searched(shown: _Assumed, size: float) -> _Assumed:
+        regression, samples = variant(shown, size)
+        return _Assumed(with_spool_near(regression, samples, less_s), samples)
+
+    return searched
+
+
 def _moved(names: tuple[str, ...], sign: int, period_s: float) -> _Variant:
-    def variant(samples: AxisSamples, ms: float) -> AxisSamples:
-        by = sign * round(1e-3 * ms / period_s)
-        at = np.clip(np.arange(len(samples)) - by, 0, len(samples) - 1)
-        return replace(samples, **{name: getattr(samples, name)[at] for name in names})
+    """Return a variant with signals at another time; beyond the recording they are missing."""
+
+    def variant(shown: _Assumed, ms: float) -> _Assumed:
+        by, N = sign * round(1e-3 * ms / period_s), len(shown.samples)
+        at = np.arange(N) - by
+        there, at = (at >= 0) & (at < N), np.clip(at, 0, N - 1)
+        return shown.showing(
+            **{name: np.where(there, getattr(shown.samples, name)[at], np.nan) for name in names}
+        )
 
     return variant
 
 
 def _raised(name: str, sign: int) -> _Variant:
-    return lambda samples, bar: replace(samples, **{name: getattr(samples, name) + sign * bar})
+    return lambda shown, bar: shown.showing(**{name: getattr(shown.samples, name) + sign * bar})
 
 
 def _smoothed(name: str) -> _Variant:
-    def variant(samples: AxisSamples, _: float) -> AxisSamples:
+    def variant(shown: _Assumed, _: float) -> _Assumed:
         half = SMOOTHED // 2
-        beside = np.pad(getattr(samples, name), half, mode="edge")
+        beside = np.pad(getattr(shown.samples, name), half, mode="edge")
         mean = np.convolve(beside, np.full(SMOOTHED, 1.0 / SMOOTHED), "valid")
-        return replace(samples, **{name: mean})
+        return shown.showing(**{name: mean})
 
     return variant
 
 
 def _slewed(period_s: float) -> _Variant:
-    def variant(samples: AxisSamples, slew: float) -> AxisSamples:
-        U = np.empty_like(samples.U)
-        limited(samples.U, slew * period_s, U)
-        return replace(samples, U=U)
+    def variant(shown: _Assumed, slew: float) -> _Assumed:
+        U = np.empty_like(shown.samples.U)
+        limited(shown.samples.U, slew * period_s, U)
+        return shown.showing(U=U)
 
     return variant
 
