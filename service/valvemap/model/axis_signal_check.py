@@ -11,7 +11,7 @@ assumed, and no signal is named.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,8 @@ class _Assumed(NamedTuple):
 
     def showing(self, **signals: Floats) -> "_Assumed":
         """Return these with other values of signals."""
-        return self._replace(samples=replace(self.samples, **signals))
+        changed: dict[str, Any] = dict(signals)
+        return self._replace(samples=replace(self.samples, **changed))
 
 
 _Variant = Callable[[_Assumed, float], _Assumed]  # by a size
