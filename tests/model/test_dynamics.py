@@ -53,6 +53,24 @@ def test_frequency_damping_and_meter_lag_are_found_within_their_intervals(found)
         assert abs(one.value - truth) < 4.0 * one.std + 0.01 * truth
 
 
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda dp: np.sqrt(dp + 2.25) - 1.5,
+        lambda dp: np.sqrt(dp) * (1.0 - 4e-4 * dp),
+        lambda dp: 8.0 * np.ones_like(dp),
+    ],
+    ids=["laminar gap", "flow forces", "compensator"],
+)
+def test_the_map_follows_other_laws_of_the_pressure_drop_within_a_tenth_of_the_noise(law):
+    rng = np.random.default_rng(4)
+    U, dp = rng.uniform(0.0, 100.0, 4_000), rng.uniform(20.0, 160.0, 4_000)
+    s = np.sqrt(dp)
+    X = spool.static_columns(U, s / s.max(), (-20.0, 3.5, s.max()))
+    left, _, _ = spool._left(X, 14.0 * (U / 100.0) ** 1.3 * law(dp))
+    assert np.sqrt(np.mean(left**2)) < 0.04
+
+
 @pytest.mark.soak
 def test_a_slow_meter_is_not_taken_for_another_spool():
     found = fit_dynamics(stepped(10.0, lag=0.3))

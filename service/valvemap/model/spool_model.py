@@ -20,10 +20,14 @@ from valvemap.model.samples import Floats
 FREE: Final = 6  # numbers of a point
 STEP_S: Final = 2.5e-4  # s; of the integration
 PARTS: Final = 40  # intervals of the map's B-splines along U
-COLUMNS: Final = 3 * (PARTS + 2)  # of the map: B-splines times s, s·|s| and s³
+OF_DROP: Final = 4  # functions of s in the map: s, s·|s|, and two that bend
+COLUMNS: Final = OF_DROP * (PARTS + 2)  # B-splines times these
 BEYOND: Final = 0.2  # share of the range of U by which the spool may overshoot it
 RIDGE: Final = 1e-9  # of the largest diagonal: columns without samples
-BEND: Final = 1e-5  # of the largest diagonal: weight of the map's third differences along U
+BEND: Final = (
+    1e-5  # of the largest diagonal: weight of third differences along U, of what goes with s
+)
+APART: Final = 1e-3  # the same of second differences of what departs from that
 SLOWEST, FASTEST = 0.5, 200.0  # Hz; bounds of f
 TINY: Final = 1e-300  # instead of a variance of 0
 NO_SLEW: Final = 1e6  # %/s; no limit
@@ -140,7 +144,7 @@ def residual(grid: Grid, p: Point) -> tuple[Floats, float, Floats]:
 def _left(X: Floats, Q: Floats) -> tuple[Floats, float, Floats]:
     G = X.T @ X
     most = G.diagonal().max()
-    G += BEND * most * _BENDS
+    G += most * _BENDS
     G[np.diag_indices_from(G)] += RIDGE * most + 1e-30
     theta: Floats = np.asarray(np.linalg.solve(G, X.T @ Q), np.float64)
     r = Q - X @ theta
@@ -155,9 +159,11 @@ def static_columns(U: Floats, s: Floats, axis: tuple[float, float, float]) -> Fl
     z = place - j
     first, last = 0.5 * (1.0 - z) ** 2, 0.5 * z * z
     X, rows = np.zeros((len(U), COLUMNS)), np.arange(len(U))
+    size = np.abs(s)
+    of_drop = s, s * size, s / (size + kernels.SHARP), s / (size + kernels.SOFT)
     for i, spline in enumerate((first, 1.0 - first - last, last)):
-        for p, power in enumerate((s, s * np.abs(s), s**3)):
-            X[rows, p * (PARTS + 2) + j + i] = spline * power
+        for p, value in enumerate(of_drop):
+            X[rows, p * (PARTS + 2) + j + i] = spline * value
     return X
 
 
@@ -176,12 +182,14 @@ def response(p: Point, step: float, seconds: float) -> tuple[Floats, Floats]:
 
 
 def _bends() -> Floats:
-    """Return the sum of squares of the coefficients' third differences along U, (COLUMNS, COLUMNS).
+    """Return the weights of the coefficients' differences along U, (COLUMNS, COLUMNS).
 
     Where the spool was seldom or never, the map is extrapolated smoothly from the range beside it.
     """
-    third = np.diff(np.eye(PARTS + 2), 3, axis=0)
-    return np.asarray(np.kron(np.eye(3), third.T @ third))
+    third, second = (np.diff(np.eye(PARTS + 2), order, axis=0) for order in (3, 2))
+    proportional = np.eye(OF_DROP)[0]
+    of_s, of_others = np.diag(BEND * proportional), np.diag(APART * (1.0 - proportional))
+    return np.asarray(np.kron(of_s, third.T @ third) + np.kron(of_others, second.T @ second))
 
 
 _BENDS: Final = _bends()

@@ -12,22 +12,26 @@ import math
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.samples import Floats
 
+SHARP, SOFT = 0.05, 0.25  # of the largest √Δp; where two of its functions bend
+
 
 @inner
 def _add(
     X: Floats, k: int, x: float, s: float, weight: float, low: float, width: float, parts: int
 ) -> None:
-    """Add the products of the B-splines of x with s, s·|s| and s³, which belong to one step."""
+    """Add the products of the B-splines of x with the functions of s, which belong to one step."""
     place = min(max((x - low) / width, 0.0), parts - 1e-9)
     j = int(place)
     z = place - j
-    many = parts + 2
+    many, size = parts + 2, abs(s)
     first, last = 0.5 * (1.0 - z) ** 2, 0.5 * z * z
+    sharp, soft = s / (size + SHARP), s / (size + SOFT)
     for i, b in enumerate((first, 1.0 - first - last, last)):
-        share = weight * b * s
-        X[k, j + i] += share
-        X[k, many + j + i] += share * abs(s)
-        X[k, 2 * many + j + i] += share * s * s
+        share = weight * b
+        X[k, j + i] += share * s
+        X[k, many + j + i] += share * s * size
+        X[k, 2 * many + j + i] += share * sharp
+        X[k, 3 * many + j + i] += share * soft
 
 
 @lean_kernel
@@ -43,7 +47,7 @@ def regressors(
     steps: int,
     X: Floats,
 ) -> None:
-    """Write the meter's columns at N samples into ``X`` (N, 3·(parts + 2)).
+    """Write the meter's columns at N samples into ``X`` (N, 4·(parts + 2)).
 
     Parameters
     ----------
@@ -60,13 +64,13 @@ def regressors(
     low, width
         First knot of the quadratic B-splines in x, and their distance, %.
     """
-    many = parts + 2
+    columns = X.shape[1]
     x, v = U[0], 0.0
     for k in range(len(s)):
         if k == 0:  # at rest before the first sample
             _add(X, 0, x, s[0], 1.0, low, width, parts)
             continue
-        for j in range(3 * many):
+        for j in range(columns):
             X[k, j] = X[k - 1, j] * left**steps
         for i in range(steps):
             u = U[(k - 1) * steps + i]
