@@ -76,9 +76,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.sheet")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--report", action="store_true")
+    parser.add_argument("--first", type=int, help="first seed, in place of these")
     parser.add_argument("--valve", default="", help="valves whose names begin so")
     chosen = parser.parse_args()
-    first = REPORT if chosen.report else 0
+    first = (REPORT if chosen.report else 0) if chosen.first is None else chosen.first
     spread: dict[tuple[str, bool], list[float]] = defaultdict(list)
     errors: dict[tuple[str, bool], list[float]] = defaultdict(list)
     held: dict[tuple[str, bool], list[bool]] = defaultdict(list)

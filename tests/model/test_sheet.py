@@ -73,6 +73,15 @@ def test_samples_at_other_pressure_drops_count_fully_where_the_equation_holds_th
     assert farthest["compensator's knee"] < 0.5
 
 
+@pytest.mark.parametrize("name", ["S-shape, play 4 %", "compensator's knee"])
+def test_another_law_of_the_pressure_drop_does_not_shift_the_curve(name):
+    sheet, truth = sheet_of(name, 5)
+    for key, near in (("rated_flow", 0.15), ("leakage", 0.15)):
+        figure = next(one for one in sheet.figures if one.key == key)
+        assert figure.value == pytest.approx(truth[key, ""], abs=near)
+        assert figure.lower <= truth[key, ""] <= figure.upper
+
+
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 def test_intervals_hold_and_the_spread_is_at_most_twice_that_of_a_classic_sweep():

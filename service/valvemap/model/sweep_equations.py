@@ -2,20 +2,21 @@
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy import linalg, sparse
 
 from valvemap.model.samples import Flags, Floats, Samples
+from valvemap.model.sweep_curves import EXACT, bends_of, hats_of, knots_of
+from valvemap.model.sweep_law import DropLaw
 
 KNOT_K, KNOT_L = 1.0, 12.0  # % of U; distances of knots
 SMOOTH: Final = tuple(10.0**k for k in range(-4, 5))  # weights of bends, per sample and knot
+DEPARTS: Final = tuple(10.0**k for k in range(-6, 2))  # noise variances over those of L and M
 USUAL_LAG: Final = 0.02  # s; standard deviation of the lag before anything is known
 NEAR: Final = (0.35, 0.5, 0.7, 1.0, math.inf)  # of the rated √Δp; widths of the weight about it
 STUDENT: Final = 1.0  # degrees of freedom of the bends
-EXACT: Final = 1e-6  # l/min; least residual: a recording without flow or noise has none
 DRAWS: Final = 600
 COMMON_LAGS: Final = 200  # samples; over which residuals may have something in common
 
@@ -103,13 +104,15 @@ class Problem:
         self.measured = samples.Q
         low = min(float(self.U.min()), float(U_grid[0]))
         high = max(float(self.U.max()), float(U_grid[-1]))
-        self.knots = [_knots(low, high, step) for step in (KNOT_K, KNOT_L, KNOT_L)]
+        self.knots = [knots_of(low, high, step) for step in (KNOT_K, KNOT_L, KNOT_L)]
         sizes = [len(knots) for knots in self.knots]
         self.smooth = SMOOTH[1]
-        self.D: Floats = linalg.block_diag(*(_bends(size) for size in sizes))
+        self.D: Floats = linalg.block_diag(*(bends_of(size) for size in sizes))
         self.per_knot = np.concatenate([np.full(max(size - 2, 0), 1.0 / size) for size in sizes])
         self.share = np.ones(len(self.D))  # weight of each bend
-        self.tiny = 1e-6 * np.eye(sum(sizes))
+        self.departs = DEPARTS[0]
+        self.of_rated = np.arange(sum(sizes)) < sizes[0]
+        self.law = DropLaw(self.s, self.s_rated)
         self._weigh_rows(NEAR[0])
 
     def _weigh_rows(self, near: float) -> None:
@@ -128,80 +131,97 @@ class Problem:
 
         def surprise(near: float) -> float:
             self._weigh_rows(near)
-            _, squares = self._solved(self._equations(play, lag), self.smooth)
+            _, squares = self._solved(self._equations(play, lag))
             return len(self.s) * math.log(squares) - 2.0 * self.log_weight
 
         self._weigh_rows(min(NEAR, key=surprise))
 
-    def prior(self, weight: float) -> Floats:
+    def prior(self) -> Floats:
         """Information of coefficients before anything is measured, (K, K)."""
-        by_bend = weight * self.per_bend * self.share
-        return np.add((self.D.T * by_bend) @ self.D, self.tiny)
+        by_bend = self.smooth * self.per_bend * self.share
+        sizes = np.where(self.of_rated, DEPARTS[0], self.departs)
+        return np.asarray((self.D.T * by_bend) @ self.D + np.diag(sizes))
 
     def weigh_bends(self, play: float, lag: float) -> None:
-        """Choose the scale of bends by the evidence, then weigh each bend by its size."""
+        """Choose scales of departures and bends by the evidence, weigh each bend by its size."""
         equations = self._equations(play, lag)
-        self.smooth = min(SMOOTH, key=lambda weight: self._evidence(equations, weight))
-        theta, squares = self._solved(equations, self.smooth)
+        self.departs = min(DEPARTS, key=lambda one: self._evidence(equations, self.smooth, one))
+        self.smooth = min(SMOOTH, key=lambda one: self._evidence(equations, one, self.departs))
+        theta, squares = self._solved(equations)
         size = self.smooth * self.per_bend * (self.D @ theta) ** 2 * self.many / squares
         self.share = (STUDENT + 1.0) / (STUDENT + size)
 
-    def _evidence(self, equations: "Equations", weight: float) -> float:
-        """Minus twice the log marginal likelihood of a weight of bends."""
-        theta, squares = self._solved(equations, weight)
-        left = squares + float(theta @ self.prior(weight) @ theta)
-        determinant = float(np.linalg.slogdet(equations.AA + self.prior(weight))[1])
-        return self.many * math.log(left) + determinant - len(self.D) * math.log(weight)
+    def _evidence(self, equations: "Equations", smooth: float, departs: float) -> float:
+        """Minus twice the log marginal likelihood of a weight of bends and one of departures."""
+        self.smooth, self.departs = smooth, departs
+        theta, squares = self._solved(equations)
+        prior = self.prior()
+        left = squares + float(theta @ prior @ theta)
+        determinant, before = (np.linalg.slogdet(one)[1] for one in (equations.AA + prior, prior))
+        return self.many * math.log(left) + float(determinant - before)
 
     def cost(self, at: Floats | tuple[float, float]) -> float:
         """Minus twice the log posterior of play and lag, with the best coefficients."""
-        theta, squares = self._solved(self._equations(float(at[0]), float(at[1])), self.smooth)
-        left = squares + float(theta @ self.prior(self.smooth) @ theta)
+        theta, squares = self._solved(self._equations(float(at[0]), float(at[1])))
+        left = squares + float(theta @ self.prior() @ theta)
         return self.many * math.log(left / self.many) + float(at[1] / USUAL_LAG) ** 2
 
     def _equations(self, play: float, lag: float) -> "Equations":
         A = self._weighted(play, lag)
         return Equations(A, np.asarray((A.T @ A).todense()), np.asarray(A.T @ self.Q))
 
-    def _solved(self, equations: "Equations", weight: float) -> tuple[Floats, float]:
+    def _solved(self, equations: "Equations") -> tuple[Floats, float]:
         """Return the best coefficients (K,), and the sum of squared residuals, never 0."""
         theta: Floats = np.asarray(
-            np.linalg.solve(equations.AA + self.prior(weight), equations.AQ), np.float64
+            np.linalg.solve(equations.AA + self.prior(), equations.AQ), np.float64
         )
         return theta, float(np.sum((self.Q - equations.A @ theta) ** 2)) + self.many * EXACT**2
 
     def _weighted(self, play: float, lag: float) -> sparse.csr_matrix:
-        rows = self.rows(spool(self.U, self.dt, play, lag), self.s)
+        x = spool(self.U, self.dt, play, lag)
+        rows = self.rows(x, self.law.factor, self.s / self.s_rated - 1.0)
         return sparse.csr_matrix(sparse.diags(self.weight) @ rows)
 
-    def rows(self, x: Floats, s: Floats) -> sparse.csr_matrix:
-        """Regressors at positions and pressures, sparse (N, K)."""
-        apart = s / self.s_rated - 1.0
-        by = s / self.s_rated, apart, apart**2
+    def _by_law(self, play: float, lag: float, K: Floats) -> Floats:
+        """Derivatives of the weighted flow by the law's values, (N, J)."""
+        flow = hats_of(self.knots[0], spool(self.U, self.dt, play, lag)) @ K
+        return np.asarray(self.law.columns * (self.weight * flow)[:, None])
+
+    def fit_law(self, play: float, lag: float) -> None:
+        """Fit what all openings share of the departure from √Δp, without L and M."""
+        hats, own = hats_of(self.knots[0], spool(self.U, self.dt, play, lag)), self.of_rated
+        self.law.fit(hats, self.weight, self.Q, self.prior()[np.ix_(own, own)], self.many)
+
+    def rows(self, x: Floats, factor: Floats, apart: Floats) -> sparse.csr_matrix:
+        """Regressors at positions, the law's factors and departures δ, sparse (N, K)."""
+        by = factor, apart, apart**2
         parts = [
-            sparse.diags(each) @ _hats(knots, x) for each, knots in zip(by, self.knots, strict=True)
+            sparse.diags(each) @ hats_of(knots, x)
+            for each, knots in zip(by, self.knots, strict=True)
         ]
         return sparse.csr_matrix(sparse.hstack(parts))
 
-    def posterior(
-        self, play: float, lag: float, dp_rated: float, U_grid: Floats, seed: int
-    ) -> SweepFit | None:
+    def posterior(self, play: float, lag: float, U_grid: Floats, seed: int) -> SweepFit | None:
         """Evaluate the fit at its optimum."""
         moved = np.maximum.accumulate(self.U) - np.minimum.accumulate(self.U) > play
         if not moved.any():
             return None
         equations = self._equations(play, lag)
         A = equations.A
-        theta, _ = self._solved(equations, self.smooth)
+        theta, _ = self._solved(equations)
         left = self.Q - A @ theta
         by = [
             (self._weighted(play + d, lag + g) @ theta - A @ theta) / (d + g)
             for d, g in ((0.05, 0.0), (0.0, 0.002))
         ]
-        columns = np.column_stack([np.asarray(A.todense()), *by])
-        size = len(theta)
-        known = np.zeros((size + 2, size + 2))  # of the prior
-        known[:size, :size] = self.prior(self.smooth)
+        columns = np.column_stack(
+            [np.asarray(A.todense()), *by, self._by_law(play, lag, theta[self.of_rated])]
+        )
+        size, every = len(theta), columns.shape[1]
+        known = DEPARTS[0] * np.eye(every)  # of the prior
+        known[size : size + 2] = 0.0
+        known[size + 2 :, size + 2 :] = self.law.prior()
+        known[:size, :size] = self.prior()
         variance = (
             max(float(left @ left), self.many * EXACT**2)
             / max(self.many - size, 1.0)
@@ -215,13 +235,12 @@ class Problem:
         except np.linalg.LinAlgError:
             return None
         rng = np.random.default_rng(seed)
-        draws = linalg.cho_solve(factor, spread @ rng.standard_normal((size + 2, DRAWS)))
+        draws = linalg.cho_solve(factor, spread @ rng.standard_normal((every, DRAWS)))
         apart = math.sqrt(variance) * draws.T
         been = spool(self.U, self.dt, play, lag)[
             moved
         ]  # before that it is not known where in its play the spool began
-        s = np.full(len(U_grid), math.sqrt(dp_rated))
-        at_grid = self.rows(U_grid, s)
+        at_grid = self.rows(U_grid, np.ones(len(U_grid)), np.zeros(len(U_grid)))
         Q = at_grid @ theta
         return SweepFit(
             x=U_grid,
@@ -233,31 +252,6 @@ class Problem:
             play_draws=play + apart[:, size],
             noise=math.sqrt(float(left @ left) / self.many),
         )
-
-
-def _knots(low: float, high: float, step: float) -> Floats:
-    """Knots about ``step`` apart, with 0 among them where it lies between."""
-    inside = sorted({low, high, 0.0} if low < 0.0 < high else {low, high})
-    found: list[float] = []
-    for a, b in pairwise(inside):
-        found += np.linspace(a, b, max(math.ceil((b - a) / step), 1) + 1)[:-1].tolist()
-    return np.array([*found, inside[-1]])
-
-
-def _hats(knots: Floats, x: Floats) -> sparse.csr_matrix:
-    """Piecewise linear functions, 1 at a knot and 0 at the others, sparse (N, K)."""
-    n = len(x)
-    right = np.clip(np.searchsorted(knots, x, side="right"), 1, len(knots) - 1)
-    share = np.clip((x - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
-    rows = np.tile(np.arange(n), 2)
-    columns = np.concatenate([right - 1, right])
-    values = np.concatenate([1.0 - share, share])
-    return sparse.csr_matrix((values, (rows, columns)), shape=(n, len(knots)))
-
-
-def _bends(size: int) -> Floats:
-    """Second differences of coefficients, (size - 2, size)."""
-    return np.asarray(np.diff(np.eye(size), n=2, axis=0)) if size > 2 else np.zeros((0, size))
 
 
 def _in_common(left: Floats) -> float:

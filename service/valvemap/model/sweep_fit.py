@@ -2,15 +2,16 @@ r"""The flow curve of a valve from a sweep of its signal: map, hysteresis and la
 
 The spool's position x follows U through a play of width h and a lag of first order, and
 
-$$Q = \frac{s}{s_r} K(x) + \delta L(x) + \delta^2 M(x), \qquad \delta = \frac{s - s_r}{s_r},
+$$Q = \frac{h(s)}{h(s_r)} K(x) + \delta L(x) + \delta^2 M(x), \qquad \delta = \frac{s - s_r}{s_r},
 \qquad s = \operatorname{sign}(\Delta p)\sqrt{|\Delta p|},$$
 
-where K, a knot per 1 % of U, is the curve at the rated pressure drop s_r², and L and M, a knot per
-12 %, are what other pressure drops depart. Samples count the less, the further their Δp is from the
+where K, a knot per 1 % of U, is the curve at the rated pressure drop s_r², h the law of the
+pressure drop that all openings share (`sweep_law`), and L and M, a knot per 12 %, are what single
+openings depart from it. Samples count the less, the further their Δp is from the
 rated one: how fast, the likelihood decides, so that all count alike where the equation holds at all
 pressure drops. All three are piecewise linear and smooth: the bends of each have a Student
 distribution, so that the edge of a dead band may bend sharply, of a scale that the marginal
-likelihood decides.
+likelihood decides; so are the sizes of L and M, which vanish where all openings share the law.
 
 Q is linear in the coefficients, which are eliminated at every step of the search for h and the lag
 (variable projection). Where U always moves at the same pace, play and lag look alike but for the
@@ -79,9 +80,10 @@ def fit_sweep(samples: Samples, dp_rated: float, U_grid: Floats, seed: int = 0) 
     at = min(((p, g) for p in PLAYS for g in LAGS), key=problem.cost)
     at = _searched(problem, at)
     for _ in range(ROUNDS):
+        problem.fit_law(*at)
         problem.weigh_drops(*at)
         problem.weigh_bends(*at)
-    return problem.posterior(*_searched(problem, at), dp_rated, U_grid, seed)
+    return problem.posterior(*_searched(problem, at), U_grid, seed)
 
 
 def _searched(problem: Problem, start: tuple[float, float]) -> tuple[float, float]:
