@@ -75,7 +75,7 @@ def test_a_sheet_is_printed_written_and_judged(folder, capsys):
 
 def guided(folder, name, ended):
     """A recording with four traverses, then moves within the range, and its audit record."""
-    whole = swept(VALVES["dead band 8 %, play 2 %"], 5)
+    whole = swept(VALVES["dead band 8 %, play 2 %"], 5, guided_s=(24.0, 24.0, 24.0))
     within = (np.abs(whole.U - 50.0) < 35.0) | (np.arange(len(whole)) < 0.82 * len(whole))
     with RunFiles(folder / f"{name}.csv", "V1") as files:
         files.append(whole[within])
@@ -135,7 +135,7 @@ def test_recorded_steps_add_dynamics_step_response_and_bode_plot(folder, capsys)
 def test_the_sheet_stands_beside_the_approved_map_of_the_service(folder, capsys):
     (folder / "v.toml").write_text(CONFIG, encoding="utf-8")
     identification = build_identification(load_config(folder / "v.toml"))
-    quick = swept(VALVES["dead band 8 %, play 2 %"], 5, period_s=4.0)
+    quick = swept(VALVES["dead band 8 %, play 2 %"], 5, guided_s=(4.0,) * 15)
     identification.take_samples(0, quick)
     identification.do(Command.of("approve", "V1"))
     with CheckpointFile(folder / "state.sqlite") as store:
