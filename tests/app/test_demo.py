@@ -149,7 +149,7 @@ async def test_an_operator_demands_a_flow_and_gets_a_voltage(operator):
     await (await node(operator, "Valvistor.Inverse.FlowDemand")).write_value(50.0)
     await (await node(operator, "Valvistor.Inverse.PressureDrop")).write_value(100.0)
     required = await node(operator, "Valvistor.Inverse.RequiredU")
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(30):
         while True:
             data = await required.read_data_value(raise_on_bad_status=False)
             if data.StatusCode.is_good() and 0 < data.Value.Value < 100:

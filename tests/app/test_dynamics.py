@@ -1,6 +1,7 @@
 """Dynamics over OPC UA: a spool is found, and its slowing down is a finding."""
 
 import dataclasses
+import re
 
 import pytest
 from asyncua import ua
@@ -74,7 +75,9 @@ async def test_a_spool_is_found_and_its_slowing_down_is_named(
             (sentence,) = [
                 one for one in await seen.value("Diagnostics.Findings") if "frequency" in one
             ]
-            assert "went from 8" in sentence
+            before = re.search(r"went from ([\d.]+) to", sentence)
+            assert before is not None
+            assert float(before[1]) == pytest.approx(8.0, rel=0.01)
 
 
 async def check_values(seen, f):

@@ -114,7 +114,7 @@ def test_a_run_without_samples_is_passed_over(tmp_path, capsys, monkeypatch):
 def test_the_sheet_stands_beside_a_saved_map(capsys):
     assert run(["replay", "one.csv", "--save", "one.model.json"]) == 0
     assert run(["sheet", "V1", "--from", "one.csv", "--against", "one.model.json"]) == 0
-    assert "Curve less one.model.json (Auto): " in capsys.readouterr().out
+    assert re.search(r"Curve less one\.model\.json \(\w+\): \+", capsys.readouterr().out)
 
 
 def test_recorded_steps_add_dynamics_step_response_and_bode_plot(folder, capsys):
