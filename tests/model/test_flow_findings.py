@@ -223,7 +223,7 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
     state.now[:, 0, EFFECTS] = state.x[..., EFFECTS] = effects
     state.scalars[[flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.LEARNT_T]] = 30.0
     arrays = {field.name: getattr(state, field.name) for field in fields(state)}
-    del arrays["slopes"]
+    del arrays["slopes"], arrays["begun"]
     if version < 12:
         state.scalars[flow_fit.READING :] = state.stay[flow_memory.NOISY] = 0.0  # not known then
         arrays["scalars"] = arrays["scalars"][: flow_fit.READING]

@@ -12,6 +12,7 @@ from valvemap.model import drift_states
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.kernels import (
+    flow_begun,
     flow_cells,
     flow_drift,
     flow_fit,
@@ -40,6 +41,8 @@ class FlowMapState(State):
         See :mod:`kernels.flow_cells`.
     slopes : (61, 4) float32
         How the flow goes with s within some of them, see :mod:`kernels.flow_slopes`.
+    begun : (2, 25) int32
+        Cells of either side that a change may have come before, see :mod:`kernels.flow_begun`.
     theta : (n_U·n_s,) float32
         Coefficients of the map.
     std : (n_U·n_s,) float32
@@ -70,6 +73,7 @@ class FlowMapState(State):
 
     cells: NDArray[np.float32]
     slopes: NDArray[np.float32]
+    begun: NDArray[np.int32]
     theta: NDArray[np.float32]
     std: NDArray[np.float32]
     doubt: NDArray[np.float32]
@@ -101,11 +105,10 @@ class FlowMapState(State):
         if version not in ("3", "4", "5", "6", "7", "8", "9", "10", "11", "12"):
             return {}
         arrays["slopes"] = np.zeros((flow_slopes.PLACES, flow_slopes.COLUMNS), np.float32)
-        if version == "12":
-            return arrays
-        if version not in ("9", "10", "11"):
+        arrays["begun"] = np.zeros((2, flow_begun.COLUMNS), np.int32)
+        if version not in ("9", "10", "11", "12"):
             cls._add_former(version, arrays)
-        if version not in ("3", "4", "5", "6"):
+        if version not in ("3", "4", "5", "6", "12"):
             noise = flow_path.NOISE_U
             arrays["path"] = np.insert(arrays["path"], [noise, 2 * noise], 0.0)
         for name, size in (("stay", flow_memory.STAY), ("scalars", flow_fit.SCALARS)):
@@ -191,6 +194,7 @@ class FlowMapState(State):
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
             "slopes": Contents(self.slopes).within(0.0, len(self.cells), owners),
+            "begun": Contents(self.begun).within(0, len(self.cells) - 1, (every, slice(1, None))),
             "std": Contents(self.std).within(0.0),
             "doubt": Contents(self.doubt).within(0.0),
             "precision": Contents(self.precision),
@@ -254,6 +258,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
     state = FlowMapState(
         cells=cells,
         slopes=np.zeros((flow_slopes.PLACES, flow_slopes.COLUMNS), np.float32),
+        begun=np.zeros((2, flow_begun.COLUMNS), np.int32),
         theta=np.zeros(n_U * n_s, np.float32),
         std=np.zeros(n_U * n_s, np.float32),
         doubt=np.zeros(n_U * n_s, np.float32),

@@ -51,7 +51,9 @@ REFUTED = 35  # log likelihood against the map by the first samples of cells
 LEARNT_T = 36  # °C; mean over what the cells know
 ZERO_SCALE = 37  # l/min; root mean square of the flow by which the meter's offset is counted
 READING = 38  # numbers of `flow_reading`
-SCALARS = READING + readings.NUMBERS
+MAY_HAVE_CHANGED = READING + readings.NUMBERS  # probability of a sudden change, before samples,
+# since the first of the cells of `flow_begun` began; of either side
+SCALARS = MAY_HAVE_CHANGED + 2
 
 
 @inner

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels.flow_begun import Begun
 from valvemap.model.kernels.flow_cells import Cells
 from valvemap.model.kernels.flow_slopes import Slopes
 from valvemap.model.samples import Floats, Singles, Times
@@ -48,6 +49,7 @@ class Memory(NamedTuple):
 
     cells: Cells
     slopes: Slopes
+    begun: Begun
     theta: Singles
     std: Singles
     doubt: Singles

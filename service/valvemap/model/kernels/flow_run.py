@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from valvemap.model.kernels import flow_begun as begins
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_noise as noises
@@ -303,6 +304,8 @@ def _learn_row(
     cell, y, longest = memory.cells[number], oil.bend(x), batch.longest
     if stays:
         longest *= max(rules.APART / max(step, 1e-9), 1.0)
+    if weight > 0.0 and cell[COUNT] == 0.0:
+        begins.note(memory.begun[side], number)
     if weight > 0.0 and not paths.filters(path):
         before = np.float64(scalars[fits.LAST_S]) if stays else math.nan
         share = share_of(cell, weight, longest)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from valvemap.model.kernels import flow_begun as begins
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_noise as noises
@@ -74,6 +75,7 @@ from valvemap.model.samples import Floats, Singles, Times
 def begin_again(memory: Memory) -> None:
     """Forget the cells, as their U was that of another play; scales stay."""
     memory.cells[:] = memory.slopes[:] = 0.0
+    memory.begun[:] = 0
     memory.counters[FITTED] = 0
     memory.counters[NEXT_FIT] = memory.counters[USED] + rules.FIRST_FIT
     memory.counters[BEGAN] = memory.counters[USED]
@@ -246,10 +248,21 @@ def _tell(
     _expect_as_other_side(drift, side, last, memory)
     over = _over(drift, dt, now, counters)
     surprise = drifts.step(drift, dt, jumps, over, nameless, residual, by, variance)
+    _trust_begun(drift, side, jumps, memory)
     scalars[fits.STAYS_SEEN] = min(scalars[fits.STAYS_SEEN] + 1.0, rules.STAY_MEMORY)
     scalars[fits.SURPRISE] += (surprise - scalars[fits.SURPRISE]) / scalars[fits.STAYS_SEEN]
     _note_change(drift, side, now, off, by, memory)
     _note_wear(axis_U, axis_s, drift, side, dt, of_valve, by, variance, young, memory, room)
+
+
+@inner
+def _trust_begun(drift: Drift, side: int, jumps: float, memory: Memory) -> None:
+    """Trust the cells that began, once stays exclude that a sudden change came before them."""
+    begun, expected = memory.begun[side], memory.scalars[fits.MAY_HAVE_CHANGED :]
+    expected[side] = expected[side] + jumps if begun[begins.MANY] > 0 else 0.0
+    is_excluded = drifts.jumped(drift.chance) <= rules.OVER * expected[side]
+    if is_excluded and not memory.counters[ALARMED]:
+        begins.confirm(begun, memory.counters[STAY_CELL])
 
 
 @inner
@@ -362,6 +375,7 @@ def _note_change(
     if moved > rules.CERTAIN and not counters[ALARMED]:
         counters[ALARMED] = 1
         counters[CHANGES] += 1
+        begins.forget(memory.begun[side], memory.cells)
         counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
         counters[CHANGE_KIND], changed_s = drifts.OTHER_GAIN + side * drifts.NAMED, 0.0
         stay[CHANGE_SIZE], stay[CHANGE_OF] = 0.0, 0.0
