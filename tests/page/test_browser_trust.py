@@ -123,16 +123,21 @@ async def tabs(browser):
             served(shown, RIG, request_burst=2_000) as (_, url),
             tab(browser, url, "any") as first,
         ):
-            context = first.page.context
-            await context.add_init_script("localStorage.setItem('tour', 'closed')")
-            await first.open("overview")
-            await first.log_in()
-            visits = {view: Visit(await context.new_page(), url) for view in VIEWS}
-            for view, visitor in visits.items():
-                await visitor.open(view)
-                await visitor.page.locator("main h1").wait_for()
-            yield shown, visits, first
+            yield shown, (visits := await opened(first, url)), first
             assert [problem for v in (*visits.values(), first) for problem in v.problems] == []
+
+
+async def opened(first, url):
+    """Log in, and open each view in a tab of its own."""
+    context = first.page.context
+    await context.add_init_script("localStorage.setItem('tour', 'closed')")
+    await first.open("overview")
+    await first.log_in()
+    visits = {view: Visit(await context.new_page(), url) for view in VIEWS}
+    for view, visitor in visits.items():
+        await visitor.open(view)
+        await visitor.page.locator("main h1").wait_for()
+    return visits
 
 
 async def seen(visitor):
@@ -216,15 +221,8 @@ async def test_no_view_pretends_once_the_page_s_own_server_is_gone_and_each_reco
     gone = Trouble(None, "page's server does not answer")
     url = f"http://127.0.0.1:{port}"
     async with tab(browser, url, "any") as first:
-        context = first.page.context
-        await context.add_init_script("localStorage.setItem('tour', 'closed')")
         async with served(shown, RIG, port=port, request_burst=2_000):
-            await first.open("overview")
-            await first.log_in()
-            visits = {view: Visit(await context.new_page(), url) for view in VIEWS}
-            for view, visitor in visits.items():
-                await visitor.open(view)
-                await visitor.page.locator("main h1").wait_for()
+            visits = await opened(first, url)
             await visits["map/V1"].page.locator("button[data-writes]:enabled").first.wait_for()
         await hold(missed(visits[view], pretends_nothing(view, gone), "gone") for view in VIEWS)
         async with served(shown, RIG, port=port, request_burst=2_000):
