@@ -121,10 +121,10 @@ class _Fit:
 def _likeliest(shown: _Assumed, together: float) -> _Likeliest | None:
     """Return the variant that fits best, or None: none is significantly better.
 
-    Play and spool are searched for the samples as shown, too: what they explain is no gain of a
-    delay. Both are fitted to the same intervals. Another zero moves some below the lowest, and
-    the residuals of other rows have another mean square, by chance: with 0.5 mm of noise in the
-    position by more than what is significant.
+    Play and spool are searched for the samples as shown, too: a delay gains nothing that a spool
+    explains. Both are fitted to the same intervals. Another zero moves some below the lowest
+    pressure, and the residuals of other rows have another mean square, by chance: with 0.5 mm of
+    noise in the position by more than what is significant.
     """
 
     def fitted(tried: _Assumed, left_out: Flags | None = None) -> _Fit:
