@@ -7,12 +7,11 @@ from typing import Any, Protocol, TypeVar
 
 from asyncua import ua
 from asyncua.common.connection import TransportLimits
-from asyncua.common.utils import Buffer, ServiceError
+from asyncua.common.utils import ServiceError
 from asyncua.crypto.uacrypto import InvalidSignature
 from asyncua.ua import ua_binary
 
 from guarded_opcua.allowance import Allowance
-from guarded_opcua.binary.bounded_decoding import Reader, decode
 from guarded_opcua.binary.encoding import encode_publish_response, ticks_of_ns
 from guarded_opcua.logs import bound_asyncua, bounded_logger
 from guarded_opcua.subscriptions.publish_queue import PublishRequest
@@ -20,9 +19,9 @@ from guarded_opcua.subscriptions.subscription import Message
 from guarded_opcua.transport.answering import Answers
 from guarded_opcua.transport.channel import Channel
 from guarded_opcua.transport.fair_turns import Cost
-from guarded_opcua.transport.frames import CLOSE, HELLO, MESSAGE, OPEN, Frames
-from guarded_opcua.transport.greeting import PeerLimits, acknowledged, check
+from guarded_opcua.transport.frames import CLOSE, MESSAGE, Frames
 from guarded_opcua.transport.handshake import Handshake
+from guarded_opcua.transport.reception import Reception
 from guarded_opcua.transport.shared import Shared
 
 _log = bounded_logger(__name__)
@@ -63,15 +62,14 @@ class Connection(asyncio.BufferedProtocol):
         self._arrived = asyncio.Event()
         self._writable_again = asyncio.Event()
         self._paused = False
-        self._greeted = False
         self._before_session = 0
         self._allowance = Allowance(
             shared.clock, self._limits.allowed_requests_per_second, self._limits.request_burst
         )
-        self._peer_limits = PeerLimits()
         self._task: asyncio.Task[None] | None = None
         self._handshake = Handshake(shared, self)
         self._answers = Answers(shared, self._handshake, self)
+        self._reception = Reception(self, self._handshake, self._answers.budget, self._limits)
 
     @property
     def peer_certificate(self) -> bytes | None:
@@ -86,7 +84,7 @@ class Connection(asyncio.BufferedProtocol):
     @property
     def progress(self) -> int:
         """Progress of the handshake: 0 connected, 1 Hello received, 2 secure channel open."""
-        return self._greeted + self.channel.is_open()
+        return self._reception.greeted + self.channel.is_open()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Start serving, unless the connection is not admitted."""
@@ -163,7 +161,7 @@ class Connection(asyncio.BufferedProtocol):
         if self.transport.is_closing():
             return
         _log.warning("%s: disconnected: %s", self.host, reason)
-        if self._greeted and self.writable:
+        if self._reception.greeted and self.writable:
             error = ua.ErrorMessage(ua.StatusCode(code), None)
             self.transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Error, error))
             self.transport.close()
@@ -201,7 +199,8 @@ class Connection(asyncio.BufferedProtocol):
             response.ResponseHeader.RequestHandle = handle
             response = ua_binary.struct_to_binary(response)
         size, buffer = len(response), self.channel.limits.max_send_buffer
-        if size > self._limits.response_bytes or not self._peer_limits.permit(size, buffer):
+        permitted = self._reception.peer_limits.permit(size, buffer)
+        if size > self._limits.response_bytes or not permitted:
             self.refuse(request_id, handle, _Codes.BadResponseTooLarge)
         else:
             self._allowance.spend(size / _BYTES_PER_REQUEST)
@@ -221,6 +220,10 @@ class Connection(asyncio.BufferedProtocol):
             return await slow
         finally:
             await self._shared.turns.take(self.cost)
+
+    def acknowledge(self, answer: ua.Acknowledge) -> None:
+        """Answer a Hello."""
+        self.transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, answer))
 
     def send_open(self, request_id: int, response: ua.OpenSecureChannelResponse) -> None:
         """Answer an OpenSecureChannel."""
@@ -256,7 +259,7 @@ class Connection(asyncio.BufferedProtocol):
 
     async def _process(self, frame: bytes) -> bool:
         try:
-            message = self._receive(frame)
+            message = self._reception.read(frame)
             if message is None:
                 return True
             if isinstance(message, ua.Message) and frame[:3] == MESSAGE:
@@ -270,34 +273,6 @@ class Connection(asyncio.BufferedProtocol):
             reason = f"cannot be understood: {type(error).__name__}"
             self.fail(_Codes.BadSecurityChecksFailed, reason)
         return True
-
-    def _receive(self, frame: bytes) -> Any:  # noqa: ANN401 - asyncua's messages
-        body = Buffer(frame)
-        header = ua_binary.header_from_binary(body)
-        if header.MessageType == HELLO:
-            shown = Reader(frame[header.header_size :], self._answers.budget())
-            self._greet(decode(ua.Hello, shown))
-            return None
-        if not self._greeted:
-            raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
-        if header.MessageType == OPEN:
-            shown = Reader(frame[header.header_size :], self._answers.budget())
-            self.channel.check_open_frame(decode(ua.AsymmetricAlgorithmHeader, shown), shown.left)
-        elif not self.channel.is_open():
-            raise ServiceError(_Codes.BadTcpSecureChannelUnknown)
-        message = self.channel.receive_from_header_and_body(header, body)
-        if message is not None and header.MessageType == OPEN:
-            self._handshake.open_channel(message, self._answers.budget())
-        return message
-
-    def _greet(self, hello: ua.Hello) -> None:
-        if self._greeted:
-            raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
-        self._greeted = True  # so that the peer receives the reason of a refusal
-        check(hello)
-        self._peer_limits = PeerLimits(hello.MaxMessageSize, hello.MaxChunkCount)
-        answer = acknowledged(hello, self.channel.limits, self._limits)
-        self.transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, answer))
 
     def _send(self, request_id: int, response: bytes) -> None:
         if self.transport.is_closing():
