@@ -81,7 +81,7 @@ class OpcUaSource(SubscribedSource):
             if not self._filled.parts:
                 if self._subscription is None:
                     raise SourceLost(f"{self._settings.url}: not connected")
-                self._filled.parts += await self._subscription.receive()
+                self._filled.parts += await self._subscription.buffer.receive()
             changes = await self._filled.next(self.started, self._tally)
         return self._scales(changes)
 

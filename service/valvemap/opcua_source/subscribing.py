@@ -7,12 +7,12 @@ from asyncua import ua
 
 from valvemap.clock import Clock
 from valvemap.opcua_client.connection import Connection
+from valvemap.opcua_source.change_buffer import LOST_KEEP_ALIVES
 from valvemap.opcua_source.checked_nodes import MonitoredNode
 from valvemap.opcua_source.item_table import ItemTable
 from valvemap.opcua_source.monitored_items import create_items
 from valvemap.opcua_source.received import Left, Tally
 from valvemap.opcua_source.subscription import (
-    LOST_KEEP_ALIVES,
     NOTIFICATIONS_PER_PUBLISH,
     Subscription,
 )

@@ -17,6 +17,7 @@ from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.responses import Senseless
 from valvemap.opcua_client.source_errors import status_name
 from valvemap.opcua_source.acknowledgements import Acknowledgements
+from valvemap.opcua_source.change_buffer import LOST_KEEP_ALIVES, ChangeBuffer
 from valvemap.opcua_source.decoding import (
     Message,
     PublishResponse,
@@ -31,8 +32,6 @@ from valvemap.opcua_source.wire import DecodeError
 
 _log = bounded_logger(__name__)
 
-_STALL_S = 1.0  # a wait longer than its timeout by this: our process was stalled
-LOST_KEEP_ALIVES = 3
 _LONGEST_ANSWER_S = 1.5  # added to the missing keep-alives
 _MAX_REPUBLISH = 100
 NOTIFICATIONS_PER_PUBLISH = 100_000
@@ -41,7 +40,15 @@ _GOOD_TRANSFERRED = 0x002D0000
 
 
 class Subscription:
-    """A running subscription; created by :mod:`valvemap.opcua_source.subscribing`."""
+    """A running subscription; created by :mod:`valvemap.opcua_source.subscribing`.
+
+    Attributes
+    ----------
+    buffer : ChangeBuffer
+        Its received changes.
+    watched, acknowledgements
+        Its monitored items, and what is acknowledged with the next publish request.
+    """
 
     def __init__(
         self,
@@ -62,30 +69,21 @@ class Subscription:
         self._id = created.SubscriptionId
         self._interval_s = created.RevisedPublishingInterval * 1e-3
         self._tally = tally
-        self._clock = clock
         silent_s = LOST_KEEP_ALIVES * created.RevisedMaxKeepAliveCount * self._interval_s
-        self._silence = silent_s + min(connection.settings.timeout_s, _LONGEST_ANSWER_S)
-        self._heard = clock.monotonic()
+        silent_s += min(connection.settings.timeout_s, _LONGEST_ANSWER_S)
+        settings = connection.settings
+        self.buffer = ChangeBuffer(settings.url, settings.buffer_limit, silent_s, clock)
         self._next: int | None = None
         self._in_turn = asyncio.Lock()
-        self._buffer: list[Part] = []
-        self._buffered = 0
-        self._arrived = asyncio.Event()
-        self._room = asyncio.Event()
-        self._room.set()
-        self._failure: SourceError | None = None
         self._publishers: set[asyncio.Task[None]] = set()
 
     def left(self) -> Left:
         """Return the state needed to resume over another connection; empties the buffer."""
-        buffer = tuple(self._buffer)
-        self._buffer.clear()
-        self._buffered = 0
         return Left(
             self._created,
             self._next,
             tuple(self.acknowledgements.unsent),
-            buffer,
+            self.buffer.take_rest(),
             self.watched.items,
             self.acknowledgements.kept_back,
             self._behind_gap,
@@ -107,7 +105,7 @@ class Subscription:
     @property
     def waits(self) -> bool:
         """Whether publish requests are withheld because our buffer is full."""
-        return not self._room.is_set()
+        return self.buffer.is_full
 
     async def catch_up(self, available: Sequence[int] = ()) -> bool:
         """Request all unread messages of the previous connection again (Republish).
@@ -140,34 +138,6 @@ class Subscription:
         for _ in range(self._settings.publish_requests):
             self._publishers.add(asyncio.create_task(self._publish_until_it_fails()))
 
-    async def receive(self) -> list[Part]:
-        """Wait for changes and return all; a failure is raised when the buffer is empty."""
-        listening = self._clock.monotonic()  # silence before this call does not count
-        while not self._buffer:
-            if self._failure is not None:
-                raise self._failure
-            now = self._clock.monotonic()
-            patience = max(self._heard, listening) + self._silence - now
-            if patience <= 0.0:
-                raise SourceLost(
-                    f"{self._settings.url}: silent for {self._silence:.1f} s, "
-                    f"{LOST_KEEP_ALIVES} keep-alives are missing"
-                )
-            try:
-                async with asyncio.timeout(patience):
-                    await self._arrived.wait()
-            except TimeoutError:
-                if self._clock.monotonic() - now > patience + _STALL_S:
-                    listening = self._clock.monotonic()
-                continue
-            self._arrived.clear()
-        parts, self._buffer = self._buffer, []
-        self._buffered = 0
-        if not self._room.is_set():
-            self._heard = self._clock.monotonic()  # no publish requests: not the server's silence
-            self._room.set()
-        return parts
-
     async def stop(self) -> None:
         """Cancel publishing; closing the session deletes the subscription."""
         for publisher in self._publishers:
@@ -179,11 +149,11 @@ class Subscription:
             with self._connection.errors("publishing"):
                 await self._publish_for_ever()
         except SourceError as error:
-            self._fail(error)
+            self.buffer.fail(error)
 
     async def _publish_for_ever(self) -> None:
         while True:
-            await self._room.wait()
+            await self.buffer.wait_for_room()
             request = ua.PublishRequest()
             sent = request.Parameters.SubscriptionAcknowledgements = self.acknowledgements.take()
             try:
@@ -204,7 +174,7 @@ class Subscription:
                 await self._take_response(data)
 
     async def _take_response(self, data: bytes) -> None:
-        self._heard = self._clock.monotonic()
+        self.buffer.note_response()
         self._tally.publish_responses += 1
         try:
             response = decode_publish_response(data)
@@ -226,7 +196,7 @@ class Subscription:
             message.status_change >> 30 or message.status_change == _GOOD_TRANSFERRED
         ):
             name = status_name(message.status_change)
-            self._fail(SourceLost(f"{self._settings.url}: the subscription ended: {name}"))
+            self.buffer.fail(SourceLost(f"{self._settings.url}: the subscription ended: {name}"))
 
     def _tidy(self, response: PublishResponse) -> None:
         """Acknowledge received messages that the previous connection did not acknowledge."""
@@ -309,15 +279,7 @@ class Subscription:
         number = message.sequence_number
         part = Part(changes, self._id, number, self._behind_gap, message.overflows)
         self._behind_gap = False
-        self._buffer.append(part)
-        self._buffered += len(changes)
-        if self._buffered >= self._settings.buffer_limit:
-            self._room.clear()
-        self._arrived.set()
-
-    def _fail(self, error: SourceError) -> None:
-        self._failure = self._failure or error
-        self._arrived.set()
+        self.buffer.add(part)
 
 
 def _after(number: int) -> int:
