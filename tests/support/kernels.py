@@ -1,7 +1,7 @@
 """Compiles once what two processes of tests would compile twice: ``python -m support.kernels``.
 
 `valvemap warm-up` compiles what a service of one valve needs; tests also use axes, ports, shared
-meters, every estimator and the rig. Nothing is done where a warm-up was completed before.
+meters, every estimator and the rig. Nothing is done where all that was done before.
 """
 
 import sys
@@ -26,7 +26,7 @@ from valvemap.model.axis_travel import placed
 from valvemap.model.capabilities import Invertible
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import invert
-from valvemap.model.kernels.warmed_up import was_warmed_up
+from valvemap.model.kernels import warmed_up
 from valvemap.model.least_squares_of_arrays import recursive_least_squares
 from valvemap.model.model_structures import Polynomial
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
@@ -95,10 +95,25 @@ PARTS = (every_estimator, axis, valves_with_ports, shared_meter, rig, rig_of_com
 
 
 def main():
-    if was_warmed_up():
+    if is_done():
         return
     sys.stderr.write("compiling kernels: some minutes, once\n")
     warm_up(Config())
+    compile_parts()
+    note().write_text(warmed_up._stamp_of_all(), encoding="utf-8")
+
+
+def is_done():
+    return warmed_up.was_warmed_up() and warmed_up._read(note()) == warmed_up._stamp_of_all()
+
+
+def note():
+    """Beside that of a warm-up, which an installation also leaves: it has compiled no part."""
+    of_warm_up = warmed_up._note()
+    return of_warm_up.with_name(f"tests-{of_warm_up.name}")
+
+
+def compile_parts():
     with get_context("spawn").Pool(PROCESSES, maxtasksperchild=1) as pool:
         for part in [pool.apply_async(part) for part in PARTS]:
             part.get()

@@ -16,6 +16,7 @@ from valvemap_rig.circuit import (
     true_flow,
 )
 from valvemap_rig.oil import density
+from valvemap_rig.records import Setting
 from valvemap_rig.valvistor import pilot_opening, poppet_state
 
 BENCH = Bench()
@@ -167,11 +168,11 @@ def test_the_supply_pressure_is_the_root_that_scipy_finds():
     y, T, edge = rng.uniform(0, 1, n), rng.uniform(20, 80, n), rng.uniform(0.5, 1.1, n)
     columns = (y, rng.uniform(0, 200, n), T, edge, rng.choice([0.0, 1.0], n))
     of_bench = (valvistor.numbers(BENCH.valve), oil.numbers(BENCH.oil), numbers(CIRCUIT))
-    p1, p2 = kernels.settled(*of_bench, *columns)
+    p1, p2 = kernels.settled(*of_bench, Setting(*columns))
     shut = CIRCUIT.p0_bar - CIRCUIT.relief_override_bar
     roots = []
-    for sample in zip(*(column.tolist() for column in columns), strict=True):
-        args = (*of_bench, *sample)
+    for point in zip(*(column.tolist() for column in columns), strict=True):
+        args = (*of_bench, Setting(*point))
         low, high = (0.0, shut) if kernels.excess(shut, *args) > 0 else (shut, CIRCUIT.p0_bar)
         roots.append(brentq(kernels.excess, low, high, args=args, xtol=kernels.ROOT_BAR))
     np.testing.assert_allclose(p1, roots, rtol=0.0, atol=2 * kernels.ROOT_BAR)

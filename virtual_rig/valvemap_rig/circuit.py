@@ -26,7 +26,7 @@ from valvemap_rig.condition import AS_NEW, Condition
 from valvemap_rig.oil import Oil, density, throttling_heat
 from valvemap_rig.oil import numbers as oil_numbers
 from valvemap_rig.parameters import Parameters, parameter
-from valvemap_rig.records import CIRCUIT, Floats, Numbers
+from valvemap_rig.records import CIRCUIT, Floats, Numbers, Setting
 from valvemap_rig.valvistor import Valvistor, pilot_opening, poppet_state
 from valvemap_rig.valvistor import numbers as valve_numbers
 
@@ -135,11 +135,12 @@ def operating_point(
     (array([198.,  78.]), array([102., 200.]))
     """
     gap = np.broadcast_to(np.asarray(gap, np.float64), y.shape)
+    columns = (np.ascontiguousarray(column, np.float64) for column in (y, p2_set, T, edge, gap))
     p1, p2 = kernels.settled(
         valve_numbers(bench.valve),
         oil_numbers(bench.oil),
         numbers(bench.circuit),
-        *(np.ascontiguousarray(column, np.float64) for column in (y, p2_set, T, edge, gap)),
+        Setting(*columns),
     )
     state = poppet_state(bench.valve, bench.oil, y, p1, p2, T, edge, gap)
     T2 = T + throttling_heat(bench.oil, p1 - p2, density(bench.oil, p1, T))

@@ -1,8 +1,8 @@
 """The rig's equations as compiled loops; symbols and sources: ``oil``, ``valvistor``, ``circuit``.
 
-They are in one file because numba's cache does not detect changes of other files. Every value
-depends only on its arguments, by operations in fixed order, so the result is the same bit for bit
-in any block.
+They are in one file because numba's cache does not detect changes of kernels in other files. Every
+value depends only on its arguments, by operations in fixed order, so the result is the same bit for
+bit in any block.
 """
 
 import math
@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from valvemap_rig.records import Floats, N, Numbers, Record
+from valvemap_rig.records import Floats, N, Numbers, Point, Record, Setting
 
 RHO_K = 860.0  # kg/m³, the density to which the flow coefficients K belong
 NU_LEAKAGE = 46.0  # mm²/s, the viscosity to which the leakages belong
@@ -43,63 +43,48 @@ def balance(
 
 
 @numba.njit(cache=True)
-def excess(
-    p1: N,
-    valve: Numbers,
-    oil: Numbers,
-    circuit: Numbers,
-    y: N,
-    p2_set: N,
-    T: N,
-    edge: N,
-    gap: N,
-) -> N:
+def excess(p1: N, valve: Numbers, oil: Numbers, circuit: Numbers, at: Setting) -> N:
     """Return the valve's flow minus the supply's flow at p1, l/min at tank pressure.
 
     It increases with p1, from -Q_pump at 0 bar to the valve's flow at p0.
     """
     o, c = oil[0], circuit[0]
-    Q, _, _, _ = _valve(valve[0], o, y, p1, load_pressure(circuit, p1, p2_set), T, edge, gap)
+    p2 = load_pressure(circuit, p1, at.p2_set)
+    Q, _, _, _ = _valve(valve[0], o, at.y, p1, p2, at.T, at.edge, at.gap)
     return Q * compression(p1) - c.Q_pump * supply_share(circuit, p1)
 
 
 @numba.njit(cache=True)
 def settled(
-    valve: Numbers,
-    oil: Numbers,
-    circuit: Numbers,
-    y: Floats,
-    p2_set: Floats,
-    T: Floats,
-    edge: Floats,
-    gap: Floats,
+    valve: Numbers, oil: Numbers, circuit: Numbers, points: Setting
 ) -> tuple[Floats, Floats]:
     """Return p1 and p2 (bar) at which the valve's flow equals the supply's, at N points."""
-    n, c = y.size, circuit[0]
+    n, c = points.y.size, circuit[0]
     p1, p2 = np.empty(n), np.empty(n)
     shut = c.p0 - c.override
     for i in range(n):
-        sample = (y[i], p2_set[i], T[i], edge[i], gap[i])
+        y, p2_set, T = points.y[i], points.p2_set[i], points.T[i]
+        at = Setting(y, p2_set, T, points.edge[i], points.gap[i])
         # If the valve takes more than the pump's flow with the relief valve closed, p1 is lower.
-        if excess(shut, valve, oil, circuit, *sample) > 0:
-            p1[i] = _supply_pressure(0.0, shut, valve, oil, circuit, sample)
+        if excess(shut, valve, oil, circuit, at) > 0:
+            p1[i] = _supply_pressure(0.0, shut, valve, oil, circuit, at)
         else:
-            p1[i] = _supply_pressure(shut, c.p0, valve, oil, circuit, sample)
-        p2[i] = load_pressure(circuit, p1[i], p2_set[i])
+            p1[i] = _supply_pressure(shut, c.p0, valve, oil, circuit, at)
+        p2[i] = load_pressure(circuit, p1[i], p2_set)
     return p1, p2
 
 
 @numba.njit(cache=True)
 def _supply_pressure(
-    low: N, high: N, valve: Numbers, oil: Numbers, circuit: Numbers, sample: tuple[N, N, N, N, N]
+    low: N, high: N, valve: Numbers, oil: Numbers, circuit: Numbers, at: Setting
 ) -> N:
     """Return the root of `excess` between two pressures by Brent's method (1973, ch. 4), or NaN.
 
     ``b`` is the best point, ``a`` the one before it, ``c`` the other end of the bracket.
     """
     a, b, c = low, high, 0.0
-    f_a = excess(a, valve, oil, circuit, *sample)
-    f_b = excess(b, valve, oil, circuit, *sample)
+    f_a = excess(a, valve, oil, circuit, at)
+    f_b = excess(b, valve, oil, circuit, at)
     f_c = 0.0
     if f_a == 0.0:
         return a
@@ -126,7 +111,7 @@ def _supply_pressure(
             before = step = half
         a, f_a = b, f_b
         b += step if abs(step) > delta else math.copysign(delta, half)
-        f_b = excess(b, valve, oil, circuit, *sample)
+        f_b = excess(b, valve, oil, circuit, at)
     return math.nan
 
 
@@ -189,70 +174,48 @@ def _valve(v: Record, o: Record, y: N, p1: N, p2: N, T: N, edge: N, gap: N) -> t
     nu = viscosity(o.A, o.B, T)
     T_gap = T + 0.5 * throttling_heat(o.heat_capacity, dp, rho)
     nu_gap = viscosity(o.A, o.B, T_gap)
-    w = _position(v, y, p1, p2, rho, nu, nu_gap, edge)
+    at = Point(y, p1, p2, rho, nu, nu_gap, edge)
+    w = _position(v, at)
     x_MP = min(max(w, 0.0), v.stroke)
-    p_c = _control_pressure(v, w, p1, p2, rho, nu, edge)
-    Q_PV = _pilot_flow(v, y, p_c - p2, rho, nu, nu_gap)
+    p_c = _control_pressure(v, w, at)
+    Q_PV = _pilot_flow(v, p_c, at)
     seat = v.seat_leakage * dp * NU_LEAKAGE / nu_gap
     worn = gap * math.sqrt(dp * RHO_K / rho)  # turbulent, and open at any stroke
-    Q = _main_flow(v, x_MP, dp, rho, nu, edge) + Q_PV + seat + worn  # eq. (6)
+    Q = _main_flow(v, x_MP, at) + Q_PV + seat + worn  # eq. (6)
     return Q, Q_PV, x_MP, p_c
 
 
 @numba.njit(cache=True)
-def _position(
-    v: Record,
-    y: N,
-    p1: N,
-    p2: N,
-    rho: N,
-    nu: N,
-    nu_gap: N,
-    edge: N,
-) -> N:
+def _position(v: Record, at: Point) -> N:
     """Return the unique root of ``_surplus``, in the region of the three where its sign changes."""
-    f_seat = _surplus(v, 0.0, y, p1, p2, rho, nu, nu_gap, edge)
-    f_stop = _surplus(v, v.stroke, y, p1, p2, rho, nu, nu_gap, edge)
+    f_seat, f_stop = _surplus(v, 0.0, at), _surplus(v, v.stroke, at)
     if f_seat <= 0.0:  # the pilot flow is too small to lift the poppet off its seat
         low, high, f_high = -1.0, 0.0, f_seat
-        f_low = _surplus(v, low, y, p1, p2, rho, nu, nu_gap, edge)
+        f_low = _surplus(v, low, at)
     elif f_stop >= 0.0:  # the pilot flow holds the poppet at its stop
         low, high, f_low = v.stroke, v.stroke + 1.0, f_stop
-        f_high = _surplus(v, high, y, p1, p2, rho, nu, nu_gap, edge)
+        f_high = _surplus(v, high, at)
     else:
         low, high, f_low, f_high = 0.0, v.stroke, f_seat, f_stop
     if f_low <= 0.0:
         return low
     if f_high >= 0.0:
         return high
-    return _root(v, low, high, f_low, f_high, y, p1, p2, rho, nu, nu_gap, edge)
+    return _root(v, low, high, f_low, f_high, at)
 
 
 @numba.njit(cache=True)
-def _root(
-    v: Record,
-    low: N,
-    high: N,
-    f_low: N,
-    f_high: N,
-    y: N,
-    p1: N,
-    p2: N,
-    rho: N,
-    nu: N,
-    nu_gap: N,
-    edge: N,
-) -> N:
+def _root(v: Record, low: N, high: N, f_low: N, f_high: N, at: Point) -> N:
     """Return a root by Ridders' method, from a bracket with a change of sign."""
     w = low
     for _ in range(100):
         middle = 0.5 * (low + high)
-        f_middle = _surplus(v, middle, y, p1, p2, rho, nu, nu_gap, edge)
+        f_middle = _surplus(v, middle, at)
         if f_middle == 0.0:
             return middle
         previous = w
         w = middle + (middle - low) * f_middle / math.sqrt(f_middle * f_middle - f_low * f_high)
-        f_w = _surplus(v, w, y, p1, p2, rho, nu, nu_gap, edge)
+        f_w = _surplus(v, w, at)
         if f_w == 0.0 or abs(w - previous) < 1e-13:
             return w
         if f_middle > 0.0:
@@ -267,56 +230,48 @@ def _root(
 
 
 @numba.njit(cache=True)
-def _surplus(
-    v: Record,
-    w: N,
-    y: N,
-    p1: N,
-    p2: N,
-    rho: N,
-    nu: N,
-    nu_gap: N,
-    edge: N,
-) -> N:
+def _surplus(v: Record, w: N, at: Point) -> N:
     """Return Q_PV - Q_c, eq. (2); it decreases from w = -1 to w = stroke + 1."""
-    p_c = _control_pressure(v, w, p1, p2, rho, nu, edge)
+    p_c = _control_pressure(v, w, at)
     opening = v.x_0 + min(max(w, 0.0), v.stroke)
-    into_chamber = _slot(v, v.K_c, v.slot_width, opening, p1 - p_c, rho, nu)
-    return _pilot_flow(v, y, p_c - p2, rho, nu, nu_gap) - into_chamber
+    into_chamber = _slot(v, v.K_c, v.slot_width, opening, at.p1 - p_c, at.rho, at.nu)
+    return _pilot_flow(v, p_c, at) - into_chamber
 
 
 @numba.njit(cache=True)
-def _control_pressure(v: Record, w: N, p1: N, p2: N, rho: N, nu: N, edge: N) -> N:
+def _control_pressure(v: Record, w: N, at: Point) -> N:
     """Return p_c at w: poppet on its seat (w < 0), floating, or at its stop (w > stroke).
 
     Floating, p_c follows from the balance of forces, eq. (1). On the seat it is higher, up to p1 at
     w = -1; at the stop it is lower, down to p2 at w = stroke + 1.
     """
     x = min(max(w, 0.0), v.stroke)
-    dp = p1 - p2
-    jet = v.cos_jet * _main_flow(v, x, dp, rho, nu, edge) / 6e4 * math.sqrt(2e5 * rho * dp)
+    dp = at.p1 - at.p2
+    jet = v.cos_jet * _main_flow(v, x, at) / 6e4 * math.sqrt(2e5 * at.rho * dp)
     force = v.preload + v.rate * x + jet
-    floating = max(p2 + dp / v.phi - force * v.bar_per_N, p2)
+    floating = max(at.p2 + dp / v.phi - force * v.bar_per_N, at.p2)
     if w < 0.0:
-        return floating - w * (p1 - floating)
+        return floating - w * (at.p1 - floating)
     if w > v.stroke:
-        return floating - (w - v.stroke) * (floating - p2)
+        return floating - (w - v.stroke) * (floating - at.p2)
     return floating
 
 
 @numba.njit(cache=True)
-def _main_flow(v: Record, x: N, dp: N, rho: N, nu: N, edge: N) -> N:
-    """Return Q_MP, eq. (4)."""
-    return _orifice(v.K_MP * x * edge, 2.0 * x * SEAT_SINE, v.poppet_re, v.C_d, dp, rho, nu)
+def _main_flow(v: Record, x: N, at: Point) -> N:
+    """Return Q_MP at a stroke x (mm), eq. (4)."""
+    K, D_h, dp = v.K_MP * x * at.edge, 2.0 * x * SEAT_SINE, at.p1 - at.p2
+    return _orifice(K, D_h, v.poppet_re, v.C_d, dp, at.rho, at.nu)
 
 
 @numba.njit(cache=True)
-def _pilot_flow(v: Record, y: N, dp: N, rho: N, nu: N, nu_gap: N) -> N:
-    """Return Q_PV through the pilot and its gap."""
-    x_PV = v.pilot_stroke * y / (1.0 + v.pilot_jet * dp)
+def _pilot_flow(v: Record, p_c: N, at: Point) -> N:
+    """Return Q_PV through the pilot and its gap, from p_c to p2."""
+    dp = p_c - at.p2
+    x_PV = v.pilot_stroke * at.y / (1.0 + v.pilot_jet * dp)
     return (
-        _slot(v, v.K_PV, v.pilot_width, x_PV, dp, rho, nu)
-        + v.pilot_leakage * dp * NU_LEAKAGE / nu_gap
+        _slot(v, v.K_PV, v.pilot_width, x_PV, dp, at.rho, at.nu)
+        + v.pilot_leakage * dp * NU_LEAKAGE / at.nu_gap
     )
 
 

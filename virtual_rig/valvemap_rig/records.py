@@ -1,6 +1,6 @@
 """Types of the kernels' arguments: arrays, numbers, and the records of parameters."""
 
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,3 +40,32 @@ VALVE = np.dtype(
 CIRCUIT = np.dtype(
     [(name, np.float64) for name in ("p0", "Q_pump", "override", "load_minimum", "load_resistance")]
 )
+
+
+class Setting(NamedTuple):
+    """What a bench is set to at one point, or arrays (N,) of N points.
+
+    ``y`` opening of the pilot, 0 … 1; ``p2_set`` set point of the load, bar; ``T`` at the inlet,
+    °C; ``edge`` share of the new valve's K_MP; ``gap`` worn into the edge, l/min per √bar.
+    """
+
+    y: N
+    p2_set: N
+    T: N
+    edge: N
+    gap: N
+
+
+class Point(NamedTuple):
+    """A valve's pilot opening, pressures (bar), oil, and ``edge`` as in `Setting`.
+
+    ``rho`` in kg/m³; ``nu`` in mm²/s, and ``nu_gap`` behind half of the heat of throttling.
+    """
+
+    y: float
+    p1: float
+    p2: float
+    rho: float
+    nu: float
+    nu_gap: float
+    edge: float

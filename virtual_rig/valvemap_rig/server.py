@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-from collections.abc import Callable
 from typing import Self
 
 from guarded_opcua import (
@@ -14,62 +13,31 @@ from guarded_opcua import (
     Startable,
     SystemClock,
 )
-from valvemap_rig.blocks import RigBlock
 from valvemap_rig.commands_in_force import CommandsInForce
 from valvemap_rig.condition import Condition, condition
-from valvemap_rig.excitation import External
 from valvemap_rig.fault_words import fault_effect
-from valvemap_rig.faults import Fault, FaultError, commanded_fault
+from valvemap_rig.faults import FaultError, commanded_fault
 from valvemap_rig.history import RigHistory
 from valvemap_rig.information_model import GOOD, RigNodes, add_rig, playable
-from valvemap_rig.publication import NOTHING, Columns, columns_of, part, publish
+from valvemap_rig.player import Advance, OnBlock, Player
 from valvemap_rig.scenario import Scenario, faultable
-from valvemap_rig.simulation import MOST_FAULTS, Commands, RigState, advance, initial, is_over
+from valvemap_rig.simulation import MOST_FAULTS, advance
 from valvemap_rig.unit_nodes import Actions
 
 _log = logging.getLogger(__name__)
 
-_TICK_S = 0.02
-_AHEAD_S = 0.1  # s; the cost of a block hardly depends on its length
-_COMMANDED_AHEAD_S = 0.02  # s; external commands take effect in the next block
-_LATE_S = 0.1
-_REPORT_S = 1.0
-_SAMPLES_PER_TURN = 200
 _UNCERTAIN_LAST_USABLE_VALUE = 0x40900000
-
-OnBlock = Callable[[RigBlock], None]
 
 
 class RigServer(Startable):
     """A server with a rig that clients can monitor and operate; created by :meth:`create`."""
 
-    def __init__(
-        self,
-        server: HardenedServer,
-        scenario: Scenario,
-        on_block: OnBlock | None,
-        clock: Clock,
-    ) -> None:
-        self._server = server
-        self._base = scenario
-        self._on_block = on_block
-        self._clock = clock
+    def __init__(self, server: HardenedServer, scenario: Scenario, clock: Clock) -> None:
+        self._server, self._base, self._clock = server, scenario, clock
         self._nodes: RigNodes
-        self._history: RigHistory | None = None
-        self._scenario: Scenario | None = None
-        self._state: RigState
-        self._started_at = 0.0
-        self._block = NOTHING
-        self._columns: Columns
-        self._taken = 0  # published samples of the block
-        self._played = 0  # published samples of the scenario
-        self._sequence_offset = 0
-        self._samples = 0
-        self._late_ticks = 0
-        self._report_due = 0.0
+        self._player: Player
         self._commands = CommandsInForce([unit.name for unit in scenario.units])
         self._units = {unit.name: unit for unit in scenario.units}
-        self._faults: list[tuple[str, Fault]] = []
         self._changed = asyncio.Event()
 
     @classmethod
@@ -80,6 +48,7 @@ class RigServer(Startable):
         *,
         on_block: OnBlock | None = None,
         clock: Clock | None = None,
+        advance: Advance = advance,
     ) -> Self:
         """Create the server and its nodes; it does not listen yet.
 
@@ -93,10 +62,12 @@ class RigServer(Startable):
             Called with each block of samples, e.g. to record it.
         clock
             Clock; None: the system clock.
+        advance
+            Computes the samples; another valve's physics can be played in place of the rig's.
         """
         clock = clock or SystemClock()
         server = await HardenedServer.create(settings, clock)
-        rig = cls(server, scenario, on_block, clock)
+        rig = cls(server, scenario, clock)
         actions = Actions(
             rig.start_scenario,
             rig.stop_scenario,
@@ -105,11 +76,13 @@ class RigServer(Startable):
             rig.command_load,
             rig.heartbeat,
         )
-        rig._nodes = await add_rig(server, scenario, actions)
+        rig._nodes = nodes = await add_rig(server, scenario, actions)
+        history = None
         if scenario.history_s > 0.0:
             rate = scenario.sample_rate_hz * scenario.time_factor
-            rig._history = RigHistory(rig._nodes, scenario.history_s, rate)
-            server.add_history(rig._history.variables, rig._history)
+            history = RigHistory(nodes, scenario.history_s, rate)
+            server.add_history(history.variables, history)
+        rig._player = Player(server, nodes, clock, rig._commands, advance, on_block, history)
         return rig
 
     @property
@@ -120,22 +93,22 @@ class RigServer(Startable):
     @property
     def scenario(self) -> Scenario | None:
         """The running scenario, or None."""
-        return self._scenario
+        return self._player.scenario
 
     @property
     def start_ns(self) -> int:
         """Source time of the running scenario's first sample, UTC ns; 0: none runs."""
-        return 0 if self._scenario is None else self._state.start_ns
+        return 0 if self._player.scenario is None else self._player.state.start_ns
 
     @property
     def samples(self) -> int:
         """Number of samples published since the start."""
-        return self._samples
+        return self._player.samples
 
     @property
     def late_ticks(self) -> int:
         """Number of times that samples were published more than 0.1 s late."""
-        return self._late_ticks
+        return self._player.late_ticks
 
     async def start(self) -> None:
         """Start listening.
@@ -163,11 +136,15 @@ class RigServer(Startable):
         """
         self.start_scenario(self._base.name)
         while True:
-            if self._scenario is None:
+            scenario = self._player.scenario
+            if scenario is None:
                 self._changed.clear()
                 await self._changed.wait()
                 continue
-            await asyncio.sleep(self._play(self._scenario))
+            ahead_s = self._player.play(scenario)
+            if ahead_s is None:
+                self.stop_scenario()
+            await asyncio.sleep(ahead_s or 0.0)
 
     def start_scenario(self, name: str) -> None:
         """Start a scenario from its beginning.
@@ -182,11 +159,7 @@ class RigServer(Startable):
             raise InvalidArgument(0, f"scenario {name!r}: allowed are {', '.join(known)}")
         kept = ("valves", "machines", "sensors", "sample_rate_hz", "time_factor", "seed")
         scenario = known[name].model_copy(update={key: getattr(self._base, key) for key in kept})
-        self._leave()
-        self._state = initial(scenario, self._clock.now())
-        self._started_at = self._clock.monotonic()
-        self._faults.clear()
-        self._scenario = scenario
+        self._player.begin(scenario)
         self._server.write([(self._nodes.scenario, name, GOOD, self._clock.now())])
         self._changed.set()
         _log.info("scenario %s started", name)
@@ -199,10 +172,10 @@ class RigServer(Startable):
         CommandRejected
             if no scenario is running.
         """
-        if self._scenario is None:
+        if self._player.scenario is None:
             raise CommandRejected("no scenario is running")
-        _log.info("scenario %s stopped", self._scenario.name)
-        self._leave()
+        _log.info("scenario %s stopped", self._player.scenario.name)
+        self._player.end()
         now = self._clock.now()
         self._server.write([(self._nodes.scenario, "", GOOD, now)])
         self._server.mark_block(self._nodes.signals, _UNCERTAIN_LAST_USABLE_VALUE)
@@ -217,28 +190,28 @@ class RigServer(Startable):
         CommandRejected
             if no scenario runs, or there are too many faults.
         """
-        if self._scenario is None:
+        if self._player.scenario is None:
             raise CommandRejected("no scenario is running")
         try:
             fault = commanded_fault(kind, size, duration_s, faultable(self._units[valve]))
         except FaultError as error:
             raise InvalidArgument(0 if str(error).startswith("kind") else 1, str(error)) from error
-        waiting = sum(name == valve for name, _ in self._faults)
-        if len(self._state.faults_of(valve)) + waiting >= MOST_FAULTS:
+        waiting = sum(name == valve for name, _ in self._player.faults)
+        if len(self._player.state.faults_of(valve)) + waiting >= MOST_FAULTS:
             raise CommandRejected(f"{valve}: {MOST_FAULTS} faults at once are enough")
-        self._faults.append((valve, fault))
+        self._player.faults.append((valve, fault))
         effect = fault_effect(fault, self._units[valve], self._base.sensors)
         _log.info("%s: fault %s: %s", valve, kind, effect)
         return effect
 
     def conditions(self) -> dict[str, Condition]:
         """Return the condition of every valve at the newest computed sample."""
-        if self._scenario is None:
+        if self._player.scenario is None:
             return {}
-        index = max(self._state.index - 1, 0)
+        index = max(self._player.state.index - 1, 0)
         return {
-            name: condition(valve.faults, index, self._scenario.sample_rate_hz)
-            for name, valve in self._state.valves.items()
+            name: condition(valve.faults, index, self._player.scenario.sample_rate_hz)
+            for name, valve in self._player.state.valves.items()
         }
 
     def command_U(self, valve: str, U: float) -> None:
@@ -252,62 +225,3 @@ class RigServer(Startable):
     def heartbeat(self, valve: str, count: int) -> None:
         """Set the heartbeat of the client that commands; see :mod:`valvemap_rig.command`."""
         self._commands.beat(valve, count, self._clock.monotonic())
-
-    def _leave(self) -> None:
-        self._sequence_offset += self._played
-        self._block, self._taken, self._played = NOTHING, 0, 0
-        self._scenario = None
-
-    def _play(self, scenario: Scenario) -> float:
-        """Publish the due samples; return the time until the next samples, s."""
-        rate = scenario.sample_rate_hz * scenario.time_factor
-        elapsed = self._clock.monotonic() - self._started_at
-        due = min(int(elapsed * rate) + 1 - self._played, _SAMPLES_PER_TURN)
-        while due > 0 and self._scenario is scenario:
-            if self._taken == len(self._block):
-                if is_over(scenario, self._state):
-                    self.stop_scenario()
-                    return 0.0
-                self._compute(scenario, rate)
-            n = min(due, len(self._block) - self._taken)
-            self._publish(n, elapsed - self._played / rate)
-            due -= n
-        ahead = self._played / rate - elapsed
-        return max(ahead, min(_TICK_S, 1 / rate)) if ahead > 0 else 0.0
-
-    def _compute(self, scenario: Scenario, rate: float) -> None:
-        commands = Commands(
-            U=self._commands.U(scenario, self._clock.monotonic()),
-            load=self._commands.loads(self._state.valves),
-            faults=tuple(self._faults),
-        )
-        self._faults.clear()
-        commanded = isinstance(scenario.excitation, External) or any(
-            machine.takes_commands for machine in scenario.machines
-        )
-        ahead_s = _COMMANDED_AHEAD_S if commanded else _AHEAD_S
-        n = min(max(round(rate * ahead_s), 1), _SAMPLES_PER_TURN)
-        self._state, self._block = advance(scenario, self._state, n, commands)
-        self._columns = columns_of(self._block, self._sequence_offset)
-        self._taken = 0
-
-    def _publish(self, n: int, lag_s: float) -> None:
-        first, self._taken = self._taken, self._taken + n
-        rows = slice(first, self._taken)
-        publish(self._server, self._nodes, self._columns, rows)
-        if self._history is not None:
-            self._history.keep(self._columns, rows, self._clock.now())
-        self._played += n
-        self._samples += n
-        self._late_ticks += lag_s > _LATE_S
-        if self._clock.monotonic() >= self._report_due:
-            self._report(lag_s)
-        if self._on_block is not None:
-            self._on_block(part(self._block, first, self._taken))
-
-    def _report(self, lag_s: float) -> None:
-        self._report_due = self._clock.monotonic() + _REPORT_S
-        status, lost = self._nodes.status, self._server.counters.lost_notifications
-        self._server.write(
-            status.updates(self._samples, self._late_ticks, lag_s, lost, self._clock.now())
-        )
