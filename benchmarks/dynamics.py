@@ -6,6 +6,7 @@ not. ``--report`` takes the seeds that nothing is tuned on.
 """
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -13,11 +14,12 @@ from typing import Any, Final
 
 import numba
 import numpy as np
+from scipy.linalg import expm
 
 from benchmarks import circumstances as c
 from benchmarks.one_model_rows import behind
 from valvemap.model.dynamics import Dynamics, fit_dynamics
-from valvemap.model.samples import Samples
+from valvemap.model.samples import Floats, Samples
 from valvemap.pipeline.dynamics_reference import DynamicsReferences
 from valvemap.vocabulary.dynamics import DynamicsStatus
 from valvemap.vocabulary.statuses import Status
@@ -28,27 +30,39 @@ SECONDS: Final = 60.0
 NEVER: Final = 1e9
 
 
+def spool_of(U: Floats, f: float, zeta: float, slew: float, h: float) -> Floats:
+    """Return the spool's position at the ends of N steps of h s, within which U stands.
+
+    Second order, exact; a limited speed is cut off at the end of a step.
+    """
+    w, x = 2.0 * np.pi * f, np.empty(len(U))
+    _moved(U, expm(h * np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])), slew, h, x)
+    return x
+
+
 @numba.njit
-def spool_of(U, f, zeta, slew, h):
-    """Second order with a limited speed, semi-implicit Euler."""
-    w, x, v = 2 * np.pi * f, U[0], 0.0
-    out = np.empty(len(U))
+def _moved(U, E, slew, h, out):
+    x, v = U[0], 0.0
     for k in range(len(U)):
-        u = U[k]
-        v = min(max(v + h * (w * w * (u - x) - 2 * zeta * w * v), -slew), slew)
-        x += h * v
+        e = x - U[k]
+        x, new = U[k] + E[0, 0] * e + E[0, 1] * v, E[1, 0] * e + E[1, 1] * v
+        if abs(new) > slew:
+            new = math.copysign(slew, new)
+            x = U[k] + e + 0.5 * h * (v + new)
+        v = new
         out[k] = x
-    return out
 
 
 @numba.njit
 def metered(Q, lag, many):
-    """A meter of first order, sampled before U changes."""
-    share, y, out = 1.0 - np.exp(-1.0 / (FINE_HZ * lag)), Q[0], np.empty(len(Q) // many)
+    """A meter of first order; ``Q`` is the flow at the ends of steps, U changes at the samples."""
+    share, y, before = 1.0 - np.exp(-1.0 / (FINE_HZ * lag)), Q[0], Q[0]
+    out = np.empty(len(Q) // many)
     for k in range(len(Q)):
         if k % many == 0:
             out[k // many] = y
-        y += share * (Q[k] - y)
+        y += share * (0.5 * (before + Q[k]) - y)
+        before = Q[k]
     return out
 
 
@@ -129,6 +143,7 @@ def row(seed: int, rate: float, *, limited: bool, play: float = 0.0) -> dict[str
     for name, one in quantities.items():
         out[name] = one.value - truth[name]
         out[f"{name} rel"] = one.value / truth[name] - 1.0
+        out[f"{name} off/std"] = (one.value - truth[name]) / one.std
         out[f"{name} held"] = float(abs(one.value - truth[name]) <= 1.96 * one.std)
         out[f"{name} unexcited"] = float(one.status is Status.UNEXCITED)
     return out
@@ -174,6 +189,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
     parser.add_argument("--first", type=int, help="first seed, in place of these")
     parser.add_argument("--rate", type=float, help="of the samples, Hz, in place of 100 and 1,000")
+    parser.add_argument("--slew", choices=("reached", "not"), help="one of both alone")
     parser.add_argument("--play", type=float, default=0.0, help="of the spool, %%")
     parser.add_argument("--each", action="store_true", help="print every seed")
     parser.add_argument("--changes", action="store_true", help="how often a change is found")
@@ -188,6 +204,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     for rate in (100.0, 1000.0) if wanted.rate is None else (wanted.rate,):
         for limited in (True, False):
+            if wanted.slew is not None and limited != (wanted.slew == "reached"):
+                continue
             rows = []
             for seed in range(first, first + wanted.seeds):
                 rows.append(row(seed, rate, limited=limited, play=wanted.play))

@@ -11,6 +11,7 @@ from guarded_opcua.security.users import UserStore
 from support.processes import free_port, rig_url
 from support.served import PASSWORD, patient, serving
 from valvemap.app.serve import serve
+from valvemap.config.estimators import RlsConfig
 from valvemap.vocabulary.dynamics import DYNAMIC_QUANTITIES, DynamicsStatus
 from valvemap.vocabulary.findings import FindingCode
 from valvemap.vocabulary.statuses import Status
@@ -55,10 +56,13 @@ async def test_a_spool_is_found_and_its_slowing_down_is_named(
     scenario = tmp_path / "steps.toml"
     scenario.write_text(SCENARIO)
     port = free_port()
+    valve = config.valves[0].model_copy(update={"estimators": (RlsConfig(),)})  # fits use no map
+    dynamics = {"window_s": 25.0}
     config = config.model_copy(
         update={
             "source": config.source.model_copy(update={"url": rig_url(port)}),
-            "dynamics": config.dynamics.model_copy(update={"window_s": 25.0}),
+            "dynamics": config.dynamics.model_copy(update=dynamics),
+            "valves": (valve,),
         }
     )
     with start_rig(port, "--scenario", str(scenario)):

@@ -157,3 +157,16 @@ def test_a_flow_that_does_not_move_tells_nothing(flow):
     found = fit_dynamics(constant)
     for one in (found.natural_frequency, found.damping, found.slew, found.T90):
         assert one.status is Status.UNEXCITED
+
+
+@pytest.mark.parametrize(("f", "share"), [(60.0, 0.15), (60.0, 0.3), (30.0, 0.15), (20.0, 0.3)])
+def test_a_step_to_the_slew_limit_is_as_late_as_in_much_shorter_steps(f, share):
+    h, step, slew = spool.STEP_S, 50.0, share * 240.0 * f
+    n = round((step / slew + 3.0 / f) / h)
+    x = {}
+    for parts in (1, 64):
+        P = spool._transition(spool.Point(f, 0.6, slew, 0.0, 0.0), h / parts)
+        fine = np.empty(n * parts)
+        kernels.spool(np.full(n * parts, step), P, slew * h / parts, fine)
+        x[parts] = fine[parts - 1 :: parts]
+    assert abs(np.sum(x[64] - x[1])) * h / step < 2e-6  # s; 19e-6 if it is cut off in the first

@@ -3,8 +3,8 @@
     x'' = ω²·(U(t - d) - x) - 2ζω·x',  |x'| ≤ slew        spool
     τ·y' + y = φ(x)·ψ(Δp)                                  meter, one column per product
 
-A step of length h is exact for the spool without its limit, and for the meter; at the limit the
-speed is cut off.
+A step of length h is exact for the spool without its limit, and for the meter. Where the limit is
+reached within a step, the speed is a line up to it, then constant.
 """
 
 import math
@@ -32,6 +32,16 @@ def _add(
         X[k, many + j + i] += share * s * size
         X[k, 2 * many + j + i] += share * sharp
         X[k, 3 * many + j + i] += share * soft
+
+
+@inner
+def _ahead(moved: float, v: float, speed: float, slew: float) -> float:
+    """Return the way of one step: without a limit ``moved``, from speed ``v`` to ``speed``."""
+    if abs(speed) <= slew:
+        return moved
+    most = math.copysign(slew, speed)
+    share = (most - v) / (speed - v)  # of the step, below the limit: |v| is within it
+    return share * 0.5 * (v + most) + (1.0 - share) * most
 
 
 @lean_kernel
@@ -76,13 +86,9 @@ def regressors(
             u = U[(k - 1) * steps + i]
             e = x - u
             before = x
-            moved = P[0] * e + P[1] * v
             speed = P[2] * e + P[3] * v
-            x = u + moved
-            if abs(speed) > slew:
-                speed = math.copysign(slew, speed)
-                x = before + 0.5 * (v + speed)
-            v = speed
+            x = before + _ahead(P[0] * e + P[1] * v - e, v, speed, slew)
+            v = min(max(speed, -slew), slew)
             share = (i + 0.5) / steps
             drop = s[k - 1] + share * (s[k] - s[k - 1])
             weight = (1.0 - left) * left ** (steps - 1 - i)
@@ -105,11 +111,7 @@ def spool(U: Floats, P: Floats, slew: float, x: Floats) -> None:
     at, v = 0.0, 0.0
     for k in range(len(U)):
         e = at - U[k]
-        before = at
-        at = U[k] + P[0] * e + P[1] * v
         speed = P[2] * e + P[3] * v
-        if abs(speed) > slew:
-            speed = math.copysign(slew, speed)
-            at = before + 0.5 * (v + speed)
-        v = speed
+        at += _ahead(P[0] * e + P[1] * v - e, v, speed, slew)
+        v = min(max(speed, -slew), slew)
         x[k] = at
