@@ -6,7 +6,8 @@ with noise of 5 µm, 0.1 mm and 0.5 mm. Errors are in σ = 0.4 l/min over the ce
 that were visited for half a second. ``metered`` is a fit of the same edges to a meter in each line
 without play and spool, as in the trials. ``--speed``: the speed is measured in place of the
 position, with noise of 0.5, 2 and 5 mm/s, a zero that is off by 0.2 mm/s at most, and a scale that
-is off by 0.1 %. ``--wrong``: answers to signals and areas that are wrong, in place of the table.
+is off by 0.1 %. ``--late v=20``: a signal is shown 20 ms late. ``--noise``: of all seeds, in place
+of these. ``--wrong``: answers to signals and areas that are wrong, in place of the table.
 """
 
 import argparse
@@ -17,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from valvemap.model.axis import AxisGeometry, AxisSamples
-from valvemap.model.axis_basis import edge_regressors
+from valvemap.model.axis_basis import COMMON, edge_regressors
 from valvemap.model.axis_fit import AxisFit
 from valvemap.model.axis_search import AxisResult, identify
+from valvemap.model.kernels.axis_rows import COMMAND, PER_DELAY, PISTON
 from valvemap.vocabulary.edges import EDGES
 from valvemap_rig.directional import OPENS, DirectionalValve, EdgeCurve, true_edge_flow
 from valvemap_rig.machine import Cylinder, Machine, MachineSensors
@@ -86,15 +88,22 @@ def samples(block: MachineBlock, *without: str) -> AxisSamples:
     return AxisSamples.of(block.t, **shown)
 
 
-def with_speed(block: MachineBlock, seed: int) -> MachineBlock:
+def with_speed(block: MachineBlock, seed: int, noise_mm_s: float | None = None) -> MachineBlock:
     """Return the recording with the speed in place of the position."""
     rng = np.random.default_rng(seed)
-    v, noise = block.truth["v"], NOISES_MM_S[seed % 3]
+    v, noise = block.truth["v"], NOISES_MM_S[seed % 3] if noise_mm_s is None else noise_mm_s
     off, scale = rng.uniform(-0.2, 0.2), 1.0 + 0.001 * rng.standard_normal()
     shown = {name: values for name, values in block.shown.items() if name != "x"}
     return replace(
         block, shown={**shown, "v": scale * v + off + noise * rng.standard_normal(len(v))}
     )
+
+
+def late(block: MachineBlock, name: str, by_s: float, rate: float = 100.0) -> MachineBlock:
+    """Return the recording with a signal that is shown later."""
+    n, values = round(by_s * rate), block.shown[name]
+    shown = np.concatenate([np.repeat(values[:1], n), values[: len(values) - n]])
+    return replace(block, shown={**block.shown, name: shown})
 
 
 def cells(block: MachineBlock) -> dict[str, tuple[Any, Any]]:
@@ -182,12 +191,29 @@ def wrong(seed: int) -> Iterator[tuple[str, AxisResult]]:
         yield words, identify(shown, geometry)
 
 
+def drawn(seed: int, options: argparse.Namespace) -> tuple[float, Machine, MachineBlock]:
+    """Return the noise of a seed's position or speed, its axis and its recording."""
+    noise = (NOISES_MM_S if options.speed else NOISES_MM)[seed % 3]
+    if options.noise is not None:
+        noise = options.noise
+    axis = machine(seed, NOISES_MM[seed % 3] if options.speed else noise)
+    block = played(axis, seed)
+    if options.speed:
+        block = with_speed(block, seed, noise)
+    if options.late:
+        name, ms = options.late.split("=")
+        block = late(block, name, 1e-3 * float(ms))
+    return noise, axis, block
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=100)
     parser.add_argument("--speed", action="store_true")
+    parser.add_argument("--noise", type=float, help="of position or speed, mm or mm/s")
+    parser.add_argument("--late", default="", help="signal=ms")
     parser.add_argument("--wrong", action="store_true")
     options = parser.parse_args()
     if options.wrong:
@@ -200,42 +226,40 @@ def main() -> None:
     )
     rows = []
     for seed in range(options.first, options.first + options.seeds):
-        for noise in ((NOISES_MM_S if options.speed else NOISES_MM)[seed % 3],):
-            axis = machine(seed, NOISES_MM[seed % 3])
-            block = played(axis, seed)
-            if options.speed:
-                block = with_speed(block, seed)
-            plain = identify(samples(block), GEOMETRY, searched=False)
-            found = identify(samples(block), GEOMETRY)
-            if plain.fit is None or found.fit is None:
-                print(f"{seed:4d} {found.sentence}")
-                continue
-            off, std = errors(axis, block, found.fit)
-            static, _ = errors(axis, block, plain.fit)
-            beta, c = found.fit.bulk_modulus, found.fit.leakage
-            true_beta = axis.cylinder.bulk_modulus_GPa
-            true_c = axis.cylinder.leakage_l_min_bar
-            row = (
-                metered(axis, block),
-                float(np.sqrt(np.mean(static**2)) / SIGMA),
-                float(np.sqrt(np.mean(off**2)) / SIGMA),
-                float(np.mean(np.abs(off) <= 1.96 * std)),
-                beta[0] / true_beta - 1,
-                abs(beta[0] - true_beta) <= 1.96 * beta[1],
-                c[0] / true_c - 1,
-                abs(c[0] - true_c) <= 1.96 * c[1],
-            )
-            rows.append(row)
-            regression = found.fit.regression
-            print(
-                f"{seed:4d} {noise:6.3f} {row[0]:8.2f} {row[1]:6.2f} {row[2]:8.3f} {row[3]:7.2f}"
-                f"    {beta[0]:.3f} ({true_beta:.3f}) {(beta[0] - true_beta) / beta[1]:6.1f}"
-                f"    {c[0]:.4f} ({true_c:.4f}) {(c[0] - true_c) / c[1]:6.1f}"
-                f"   play {regression.play_percent:.2f} ({axis.valve.play_percent:.2f})"
-                f" {regression.spool_hz:.0f} Hz ({axis.valve.natural_frequency_hz:.0f})"
-                f" {found.status.label}",
-                flush=True,
-            )
+        noise, axis, block = drawn(seed, options)
+        plain = identify(samples(block), GEOMETRY, searched=False)
+        found = identify(samples(block), GEOMETRY)
+        if plain.fit is None or found.fit is None:
+            print(f"{seed:4d} {found.sentence}")
+            continue
+        off, std = errors(axis, block, found.fit)
+        static, _ = errors(axis, block, plain.fit)
+        beta, c = found.fit.bulk_modulus, found.fit.leakage
+        true_beta = axis.cylinder.bulk_modulus_GPa
+        true_c = axis.cylinder.leakage_l_min_bar
+        row = (
+            metered(axis, block),
+            float(np.sqrt(np.mean(static**2)) / SIGMA),
+            float(np.sqrt(np.mean(off**2)) / SIGMA),
+            float(np.mean(np.abs(off) <= 1.96 * std)),
+            beta[0] / true_beta - 1,
+            abs(beta[0] - true_beta) <= 1.96 * beta[1],
+            c[0] / true_c - 1,
+            abs(c[0] - true_c) <= 1.96 * c[1],
+        )
+        rows.append(row)
+        regression = found.fit.regression
+        delays = 1e3 * PER_DELAY * found.fit.theta[[COMMON + PISTON, COMMON + COMMAND]]
+        print(
+            f"{seed:4d} {noise:6.3f} {row[0]:8.2f} {row[1]:6.2f} {row[2]:8.3f} {row[3]:7.2f}"
+            f"    {beta[0]:.3f} ({true_beta:.3f}) {(beta[0] - true_beta) / beta[1]:6.1f}"
+            f"    {c[0]:.4f} ({true_c:.4f}) {(c[0] - true_c) / c[1]:6.1f}"
+            f"   play {regression.play_percent:.2f} ({axis.valve.play_percent:.2f})"
+            f" {regression.spool_hz:.0f} Hz ({axis.valve.natural_frequency_hz:.0f})"
+            f" late by {delays[0]:.1f} ms, U by {delays[1]:.1f} ms"
+            f" {found.status.label}",
+            flush=True,
+        )
     table = np.array(rows, dtype=float)
     mean = table.mean(axis=0)
     print(
@@ -245,7 +269,7 @@ def main() -> None:
     for words, off, within, held in (("beta", 4, 0.2, 5), ("leakage", 6, 0.3, 7)):
         share = np.mean(np.abs(table[:, off]) < within)
         print(f"{words}: within {100 * within:.0f} % {share:.2f}, interval holds {mean[held]:.2f}")
-    for words, result in [] if options.speed else refusals(options.first):
+    for words, result in [] if options.speed or options.late else refusals(options.first):
         print(f"{words}: {result.status.name}: {result.sentence}")
 
 

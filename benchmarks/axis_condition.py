@@ -1,15 +1,17 @@
 """Causes of changes of an axis: edges, leakage, air, on the rig.
 
-``python -m benchmarks.axis_condition [--seeds 3] [--first 700] [--hours 1] [--speed]``: one row a
-seed. Each
+``python -m benchmarks.axis_condition [--seeds 3] [--first 700] [--hours 1]``: one row a seed. Each
 seed is another valve, cylinder and sensor (`benchmarks.axis`). After 300 s of identification, and
 130 s with nothing, each fault begins at a random moment; what is likeliest 60 s later counts. Then
 comes healthy work for ``--hours``, in which each listed finding is false. ``--speed``: the speed is
-measured in place of the position, as in ``benchmarks.axis``.
+measured in place of the position, as in ``benchmarks.axis``. ``--away``: until the faults the axis
+uses the lowest third of its stroke alone, in the healthy work all of it, then the highest third.
+``--healthy``: without the faults.
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import cycle, islice
 
 import numpy as np
 
@@ -26,6 +28,8 @@ from valvemap_rig.simulation import Commands, RigState, advance, initial
 
 MEMORY_S = 1_800.0
 BATCH = 50  # samples
+LOWEST, ALL, HIGHEST = (0.08, 0.36), (0.08, 0.92), (0.64, 0.92)
+"""Shares of the stroke between which the places are."""
 FAULTS = {
     **{
         f"{edge} -10 %": (Fault(kind="damage", edge=edge, size=-10), code)
@@ -52,17 +56,38 @@ TWO = ("PA and BT -30 %", ("PA", "BT"), (FindingCode.PA_CHANGE, FindingCode.BT_C
 class Run:
     """A seed's rig and its watch."""
 
-    def __init__(self, seed: int, *, speed: bool = False) -> None:
+    def __init__(self, seed: int, *, speed: bool = False, away: bool = False) -> None:
         self.travel = Travel.initial() if speed else None
         self.noise_mm = NOISES_MM[seed % 3]
         axis = machine(seed, self.noise_mm)
         self.scenario = Scenario(seed=seed, valves=(), machines=(axis,), sample_rate_hz=100.0)
+        if away:
+            self.within(LOWEST)
         self.rig, block = self.played(initial(self.scenario, 0), 300.0)
         found = identify(block, GEOMETRY)
         if found.status or found.fit is None or found.state is None or found.of_shape is None:
             raise SystemExit(f"seed {seed}: {found.sentence}")
         forces = balance(found.fit, block)
         self.watch = AxisWatch.begin(found.state, found.fit, MEMORY_S, found.of_shape, forces)
+
+    def within(self, shares: Sequence[float]) -> None:
+        """Let the axis work between these shares of its stroke from now on."""
+        (axis,) = self.scenario.machines
+        low, high = shares
+        programme = axis.programme.model_copy(update={"low": low, "high": high})
+        machines = (axis.model_copy(update={"programme": programme}),)
+        self.scenario = self.scenario.model_copy(update={"machines": machines})
+
+    def healthy(self, rig: RigState, *, away: bool) -> Iterator[AxisSamples]:
+        """Yield healthy work without end; ``away`` continues in other parts of the stroke."""
+        before = np.array(LOWEST)
+        for after in cycle((ALL, HIGHEST, LOWEST)):
+            for k in range(100):  # of 6 s, two moves each
+                if away and k <= 20:
+                    self.within(before + k / 20.0 * (after - before))
+                rig, work = self.played(rig, 6.0)
+                yield work
+            before = np.array(after)
 
     def played(self, rig: RigState, seconds: float, *faults: Fault) -> tuple[RigState, AxisSamples]:
         """Return rig and samples of so many seconds more."""
@@ -99,6 +124,12 @@ def ranked(watch: AxisWatch) -> list[FindingCode | None]:
     return [codes[k] for k in np.argsort(-watch.condition.of_causes)]
 
 
+def said(watch: AxisWatch) -> str:
+    """Return the findings with their probabilities."""
+    found = watch.condition.findings()
+    return "; ".join(f"{one.probability:.2f} {one.sentence}" for one in found) or "nothing"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -106,50 +137,51 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=700)
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--speed", action="store_true")
+    parser.add_argument("--away", action="store_true")
+    parser.add_argument("--healthy", action="store_true")
     options = parser.parse_args()
-    exact: dict[str, list[bool]] = {name: [] for name in FAULTS}
-    within: dict[str, list[bool]] = {name: [] for name in FAULTS}
+    exact: dict[str, list[bool]] = {name: [] for name in (*FAULTS, TWO[0])}
+    within: dict[str, list[bool]] = {name: [] for name in (*FAULTS, TWO[0])}
     false, windows = 0, 0
     for seed in range(options.first, options.first + options.seeds):
-        run = Run(seed, speed=options.speed)
+        run = Run(seed, speed=options.speed, away=options.away)
         moment_s = 130.0 + np.random.default_rng(seed).uniform(0.0, 10.0)
         rig, work = run.played(run.rig, moment_s)
         watch = last(run.watch, work)
-        answers = []
-        there = run.travel
-        for name, (fault, right) in FAULTS.items():
+        there, answers = run.travel, []
+        for name, (fault, right) in ({} if options.healthy else FAULTS).items():
             run.travel = there
             _, work = run.played(rig, 60.0, fault)
             after = last(watch, work)
             order = ranked(after)
             exact[name].append(order[0] is right)
             within[name].append(right in order[:2])
-            size = [f"{one.probability:.2f} {one.sentence}" for one in after.condition.findings()]
-            answers.append(f"    {name}: {'; '.join(size) or 'nothing'}")
-        name, edges, rights = TWO
-        run.travel = there
-        both = (Fault(kind="damage", edge=edge, size=-30) for edge in edges)
-        _, work = run.played(rig, 60.0, *both)
-        after = last(watch, work)
-        order = ranked(after)
-        exact.setdefault(name, []).append(set(order[:2]) == set(rights))
-        within.setdefault(name, []).append(set(rights) <= set(order[:3]))
-        size = [f"{one.probability:.2f} {one.sentence}" for one in after.condition.findings()]
-        answers.append(f"    {name}: {'; '.join(size) or 'nothing'}")
+            answers.append(f"    {name}: {said(after)}")
+        for name, edges, rights in () if options.healthy else (TWO,):
+            run.travel = there
+            both = (Fault(kind="damage", edge=edge, size=-30) for edge in edges)
+            _, work = run.played(rig, 60.0, *both)
+            after = last(watch, work)
+            order = ranked(after)
+            exact[name].append(set(order[:2]) == set(rights))
+            within[name].append(set(rights) <= set(order[:3]))
+            answers.append(f"    {name}: {said(after)}")
         worst, run.travel = 1.0, there
-        for _ in range(round(36 * options.hours)):
-            rig, work = run.played(rig, 100.0)
+        for work in islice(run.healthy(rig, away=options.away), round(600 * options.hours)):
             for after in watched(watch, work):
-                windows += after.condition is not watch.condition
+                is_weighed = after.condition is not watch.condition
                 watch = after
+                if not is_weighed:
+                    continue
+                windows += 1
                 worst = min(worst, watch.condition.unchanged)
                 if watch.condition.findings():
                     false += 1
-                    print(f"    false: {watch.condition.findings()}", flush=True)
+                    print(f"    false: {said(watch)}", flush=True)
         print(f"{seed} {run.noise_mm} mm: least probability of unchanged {worst:.3f}", flush=True)
         print("\n".join(answers), flush=True)
     print("fault            exact  within two")
-    for name, found in exact.items():
+    for name, found in ({} if options.healthy else exact).items():
         print(f"{name:16s} {np.mean(found):5.2f} {np.mean(within[name]):5.2f}")
     hours = options.hours * options.seeds
     print(f"healthy: {false} of {windows} windows with a finding, in {hours:g} h")

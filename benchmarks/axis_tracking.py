@@ -173,7 +173,7 @@ def main() -> None:
     for seed in range(options.first, options.first + options.seeds):
         drawn_machine = machine(seed)
         axis, state = commissioned(seed, drawn_machine)
-        if (learnt := axis.learnt) is None:
+        if (learnt := axis.learner.learnt) is None:
             print(f"{seed} {axis.results().sentence}", flush=True)
             continue
         for delay in options.delays:

@@ -97,8 +97,8 @@ def commissioned(seed: int, machine: Machine) -> tuple[Axis, RigState]:
 
 def work(axis: Axis) -> None:
     """Do what is due."""
-    while (job := axis.job()) is not None:
-        axis.accept(job())
+    while (job := axis.learner.job()) is not None:
+        axis.learner.accept(job())
 
 
 def tracked(

@@ -23,6 +23,7 @@ from valvemap_rig.directional import DirectionalValve, true_edge_flow
 
 GEOMETRY = AxisGeometry(63, 45, 800, 1.2, 1.2)
 VALVE = DirectionalValve()
+NAME = "Axis (* by *) valvemap"  # one for all tests: a text is parsed once, for 2 s
 
 
 class TrueFit(AxisFit):
@@ -113,7 +114,7 @@ def test_the_metering_edge_is_the_one_with_the_drop(table):
 @pytest.mark.parametrize("points", [2_000, pytest.param(10_000, marks=pytest.mark.soak)])
 def test_the_function_block_computes_the_inverse(table, points):
     """As blark reads it, and by the standard's rules (`support/structured_text.py`)."""
-    run = FunctionBlock(axis_block(table, "Axis (* by *) valvemap", 7))
+    run = FunctionBlock(axis_block(table, NAME, 7))
     columns = demands(points, seed=2)
     answer = invert(table, *columns)
     answers = [
@@ -131,7 +132,7 @@ def test_the_function_block_computes_the_inverse(table, points):
 
 
 def test_the_function_block_leaks_as_oil_of_its_temperature_does(table):
-    run = FunctionBlock(axis_block(table, "Axis", 7))
+    run = FunctionBlock(axis_block(table, NAME, 7))
     columns = demands(40, seed=3)
     for T in (-10.0, 65.0, math.nan):
         leaking = replace(table, leakage=leakage_share(T) * table.leakage)

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import axis
 from support.soaked import soaked
 from valvemap.model.axis import AxisGeometry, AxisRegression, AxisSamples
-from valvemap.model.axis_search import identify
+from valvemap.model.axis_search import fitted, identify
 from valvemap.model.axis_signal_check import inconsistency
 from valvemap.vocabulary.statuses import AxisStatus
 from valvemap_rig.directional import DirectionalValve
@@ -21,18 +21,23 @@ GEOMETRY = AxisGeometry(63, 45, 800, 1.2, 1.2)
 KNOWN = AxisRegression(GEOMETRY, play_percent=2.0, spool_hz=40.0)
 
 
-def played(k_p=0.9, **spool):
+def played(k_p=0.9, seconds=70, **spool):  # an identification needs 60
     valve = DirectionalValve(leakage_l_min_bar=0.0, **{"play_percent": 2.0, **spool})
     controller = Controller(k_p_percent_mm=k_p)
     axis = Machine(name="Axis", measures="position", valve=valve, controller=controller)
     scenario = Scenario(valves=(), machines=(axis,), sample_rate_hz=100.0)
-    _, block = advance(scenario, initial(scenario, 0), 7000, Commands())
+    _, block = advance(scenario, initial(scenario, 0), 100 * seconds, Commands())
     return AxisSamples.of(block.machines["Axis"].t, **block.machines["Axis"].shown)
 
 
 @pytest.fixture(scope="module")
 def samples():
-    return played()
+    return played(seconds=40)
+
+
+def inconsistent(known, samples, together):
+    """Return the inconsistency beside the delays that a fit of the samples learns."""
+    return inconsistency(known, samples, together, fitted(known, samples)[1].theta)
 
 
 def late(samples, name, n):
@@ -45,7 +50,7 @@ def noisy(samples, name, bar):
 
 
 def test_of_signals_that_fit_none_is_inconsistent(samples):
-    assert inconsistency(KNOWN, samples, 4.0) is None
+    assert inconsistent(KNOWN, samples, 4.0) is None
 
 
 def test_noise_of_the_position_is_no_zero_of_a_pressure_where_low_ones_are_left_out():
@@ -56,14 +61,14 @@ def test_noise_of_the_position_is_no_zero_of_a_pressure_where_low_ones_are_left_
     known = AxisRegression(GEOMETRY, **spool)
     left_out = known.update(known.initial_state(), samples)[0].reasons()
     assert left_out["low pressure"] > 500
-    assert inconsistency(known, samples, 1.0) is None
-    wrong = inconsistency(known, replace(samples, pA=samples.pA + 6.0), 1.0)
+    assert inconsistent(known, samples, 1.0) is None
+    wrong = inconsistent(known, replace(samples, pA=samples.pA + 6.0), 1.0)
     assert wrong.words == "pA 6 bar too high"
     assert wrong.is_large
 
 
 def test_a_late_position_is_named_with_its_delay(samples):
-    found = inconsistency(KNOWN, late(samples, "x", 6), 10.0)
+    found = inconsistent(KNOWN, late(samples, "x", 6), 10.0)
     assert found.words == "position or speed 60 ms too late"
     assert found.is_large
 
@@ -79,7 +84,7 @@ def test_a_late_position_is_no_slow_spool(coarse):
     """With so much noise, a search takes it for a spool of 5 Hz."""
     _, samples = coarse
     slow = AxisRegression(GEOMETRY, play_percent=3.6, spool_hz=5.0)
-    found = inconsistency(slow, late(samples, "x", 6), 2.0)
+    found = inconsistent(slow, late(samples, "x", 6), 2.0)
     assert found.words == "position or speed 60 ms too late"
     assert found.is_large
 
@@ -90,29 +95,29 @@ def test_a_slow_spool_is_no_late_position(coarse):
     slow = of.model_copy(update={"valve": valve})
     samples = axis.samples(axis.played(slow, 1406, seconds=120.0))
     known = AxisRegression(GEOMETRY, play_percent=valve.play_percent, spool_hz=8.0)
-    assert inconsistency(known, samples, 2.0) is None
+    assert inconsistent(known, samples, 2.0) is None
 
 
 def test_a_late_command_is_named(samples):
-    found = inconsistency(replace(KNOWN, spool_hz=np.inf), late(samples, "U", 6), 10.0)
+    found = inconsistent(replace(KNOWN, spool_hz=np.inf), late(samples, "U", 6), 10.0)
     assert re.fullmatch("U [67]0 ms too late", found.words)  # 10 ms are as well the spool's
     assert found.is_large
 
 
 def test_a_wrong_zero_is_named(samples):
-    found = inconsistency(KNOWN, replace(samples, pA=samples.pA + 6.0), 10.0)
+    found = inconsistent(KNOWN, replace(samples, pA=samples.pA + 6.0), 10.0)
     assert found.words == "pA 6 bar too high"
 
 
 @pytest.mark.parametrize("name", ["pA", *soaked("pB")])
 def test_a_noisy_pressure_is_named_and_a_quiet_one_is_not(samples, name):
-    assert inconsistency(KNOWN, noisy(samples, name, 4.0), 4.0).words == f"{name} noisy"
-    assert inconsistency(KNOWN, noisy(samples, name, 0.1), 4.0) is None
+    assert inconsistent(KNOWN, noisy(samples, name, 4.0), 4.0).words == f"{name} noisy"
+    assert inconsistent(KNOWN, noisy(samples, name, 0.1), 4.0) is None
 
 
 def test_two_wrong_signals_are_both_named(samples):
     both = late(replace(samples, pA=samples.pA + 6.0), "x", 6)
-    found = inconsistency(KNOWN, both, 10.0)
+    found = inconsistent(KNOWN, both, 10.0)
     assert found.words == "position or speed 60 ms too late, pA 6 bar too high"
 
 
@@ -130,7 +135,8 @@ def test_wide_play_is_found():
     assert result.fit.regression.play_percent == pytest.approx(14.0, abs=0.2)
 
 
-def test_a_pressure_that_never_changes_is_no_pressure(samples):
+def test_a_pressure_that_never_changes_is_no_pressure():
+    samples = played()
     result = identify(replace(samples, pT=np.zeros(len(samples))), GEOMETRY)
     assert result.status is AxisStatus.MISSING_PRESSURE
     assert "pT never changes" in result.sentence

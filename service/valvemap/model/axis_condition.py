@@ -79,10 +79,7 @@ _ANY: Final = 0.05  # of each coefficient, each for itself
 _DRIFT_GAIN, _DRIFT_LEAKAGE, _DRIFT_COMPLIANCE, _DRIFT_AIR = 0.005, 0.1, 0.02, 0.05
 """What a healthy axis may differ from its reference: 5 K of oil change the leakage by 15 %."""
 _DRIFT_ZERO: Final = 0.05  # mm/s; of a measured speed
-_DRIFT_PLACE: Final = 20.0  # mm/GPa; of a place that is a range
 _DRIFT_FORCE: Final = 1.0  # of both parts of the force: what the piston carries may change
-_PLACE_COMPLIANCE, _PLACE_AIR = 0.1, 4.0
-"""The same where the position is a range (``axis_travel``): its middle moves with the work."""
 _CORNER: Final = 0.125  # of slope times distance: error of a parabola at a corner in its interval
 _NOISE_KNOWN: Final = 10.0  # ν: degrees of freedom with which σ² is known; it varies with the work
 _NOISE_OTHER: Final = 1.0  # ν under *another*
@@ -124,16 +121,15 @@ class Reference:
 
     @classmethod
     def of(cls, found: AxisFit, force: ForceReference | None = None) -> Self:
-        """Return the reference of a fit."""
-        volumes = (
-            (_DRIFT_COMPLIANCE, _DRIFT_AIR)
-            if found.regression.has_place
-            else (_PLACE_COMPLIANCE, _PLACE_AIR)
-        )
-        common = _common(found.theta, _DRIFT_LEAKAGE, 0.0, *volumes)
+        """Return the reference of a fit.
+
+        Where the place is a range (``axis_travel``), its middle moves with the work.
+        """
+        common = _common(found.theta, _DRIFT_LEAKAGE, 0.0, _DRIFT_COMPLIANCE, _DRIFT_AIR)
+        anywhere = found.regression.geometry.stroke_mm / math.sqrt(12.0)  # as a range: uniform
         for kind, size in (
             (ZERO, _DRIFT_ZERO),
-            (PLACE, _DRIFT_PLACE),
+            (PLACE, anywhere * found.theta[COMMON + COMPLIANCE]),
             (FORCE, _DRIFT_FORCE * found.theta[COMMON + FORCE]),
             (CREEP, _DRIFT_FORCE * found.theta[COMMON + CREEP]),
         ):

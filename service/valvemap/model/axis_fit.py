@@ -28,12 +28,14 @@ _ASSUMED: Final = 0.002  # share of 1/β and c; of the spool's assumed damping, 
 _PLACE: Final = 0.05  # share of 1/β, where the place is a range; 0.02 to 0.05 seen with long moves
 _ZERO_SIZE: Final = 0.2  # mm/s; prior of a measured speed's zero
 _PLACE_SIZE: Final = 100.0  # mm/GPa; prior of what the place is off, where it is a range
+DELAY_SIZE: Final = 1.0  # 10 ms; prior of a signal's delay: a cycle of a controller or a bus
 _SCALE: Final = 0.001  # share; of a measured speed's scale, which scales all flows
 _SHIFT: Final = 0.05  # %; step of derivatives by an edge's shift
 _LEAST_VARIANCE: Final = 1e-10  # (l/min)²
 _COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE = 10.0, 20.0, 1.0  # prior, in the coefficients' units
 _COEFFICIENT_SIZE: Final = 100.0  # l/min/√bar; prior of K itself, wide
 _DEPARTURE_SIZE: Final = 1.0  # l/min/√bar at y = 100 %
+_NO_FLOWS: Final = (kernel.ZERO, kernel.FORCE, kernel.CREEP, kernel.PISTON, kernel.COMMAND)
 _SLOPES: Final = (0.002, 0.005, 0.012, 0.03, 0.08)  # l/min/√bar/%^1.5; tried sizes of the prior
 
 
@@ -114,7 +116,7 @@ def fit(regression: AxisRegression, state: AxisState) -> AxisFit:
     if regression.has_place:
         return best
     flows = _SCALE * best.theta
-    flows[[COMMON + k for k in (kernel.ZERO, kernel.FORCE, kernel.CREEP)]] = 0.0  # no flows
+    flows[[COMMON + k for k in _NO_FLOWS]] = 0.0
     return replace(best, covariance=best.covariance + np.outer(flows, flows))
 
 
@@ -236,7 +238,7 @@ def _prior(slope: float) -> Floats:
     sizes = np.array(
         [
             *(_COMPLIANCE_SIZE, _LEAKAGE_SIZE, _AIR_SIZE),
-            *(_ZERO_SIZE, _PLACE_SIZE, FORCE_SIZE, FORCE_SIZE),
+            *(_ZERO_SIZE, _PLACE_SIZE, FORCE_SIZE, FORCE_SIZE, DELAY_SIZE, DELAY_SIZE),
         ]
     )
     common = np.arange(COMMON, SIZE)

@@ -11,7 +11,7 @@ from valvemap.model.axis_fit import AxisFit, fit, with_theta
 from valvemap.model.axis_misfit import misfit
 from valvemap.model.axis_rest import Rest
 from valvemap.model.axis_signal_check import MOST_FLOW, NAMELESS, PRESSURES, inconsistency
-from valvemap.model.axis_spool import of_spool, with_spool
+from valvemap.model.axis_spool import of_spool, with_play_near, with_spool
 from valvemap.model.axis_travel import placed
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import AxisStatus
@@ -84,10 +84,18 @@ def identify(
         return refused
     if searched:
         regression = with_spool(regression, samples[:_SEARCHED])
-    state, found = fitted(replace(regression, memory_s=memory_s), samples)
+    regression = replace(regression, memory_s=memory_s)
+    state, found = fitted(regression, samples)
+    if searched:
+        again = with_play_near(regression, samples[:_SEARCHED], found.theta)
+        if again.play_percent != regression.play_percent:
+            regression = again
+            state, found = fitted(regression, samples)
     of_shape = of_spool(found, state, samples) if searched else np.zeros_like(found.covariance)
     wrong = (
-        inconsistency(found.regression, samples[:_SEARCHED], found.together) if searched else None
+        inconsistency(regression, samples[:_SEARCHED], found.together, found.theta)
+        if searched
+        else None
     )
     if wrong is not None:
         of_shape = of_shape + np.outer(wrong.change, wrong.change)
@@ -105,10 +113,15 @@ def identify(
 
 
 def fitted(regression: AxisRegression, samples: AxisSamples) -> tuple[AxisState, AxisFit]:
-    """Return state and fit of samples, with the residuals of a first fit for its intervals."""
-    first, _ = regression.update(regression.initial_state(), samples)
-    start = with_theta(regression.initial_state(), fit(regression, first).theta)
-    state, _ = regression.update(start, samples)
+    """Return state and fit of samples.
+
+    The first fit knows no delays, and no residuals for its intervals; the second has its columns of
+    the delays, and the third the residuals that they leave.
+    """
+    state, _ = regression.update(regression.initial_state(), samples)
+    for _ in range(2):
+        start = with_theta(regression.initial_state(), fit(regression, state).theta)
+        state, _ = regression.update(start, samples)
     return state, fit(regression, state)
 
 

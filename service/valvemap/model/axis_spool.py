@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.axis import SPOOL_DAMPING, AxisRegression, AxisSamples, AxisState
-from valvemap.model.axis_fit import AxisFit, compared
+from valvemap.model.axis_fit import AxisFit, compared, with_theta
 from valvemap.model.samples import Floats
 
 _PLAYS: Final = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 13.0)  # %
@@ -84,8 +84,36 @@ def with_spool_near(
     return _with(regression, best)
 
 
+def with_play_near(
+    regression: AxisRegression, samples: AxisSamples, theta: Floats
+) -> AxisRegression:  # fmt: skip
+    """Return the regression with the play of the least residual, where signals may be delayed.
+
+    Play delays the spool. Where U is shown late and the search knows no delay, it finds a play that
+    is too narrow. The lag stays, because a delay of U has the same effect. ``theta`` (n,) are the
+    coefficients of a fit.
+    """
+    losses: dict[float, float] = {}
+
+    def loss(play: float) -> float:
+        if play not in losses:
+            tried = replace(regression, play_percent=play)
+            state, _ = tried.update(with_theta(tried.initial_state(), theta), samples)
+            losses[play] = compared(state)[1]
+        return losses[play]
+
+    best = regression.play_percent
+    for step in _PLAY_STEPS:
+        while True:
+            better = min((min(max(best + d, 0.0), _MOST_PLAY) for d in (step, -step)), key=loss)
+            if loss(better) >= loss(best):
+                break
+            best = better
+    return replace(regression, play_percent=best)
+
+
 def _loss(regression: AxisRegression, samples: AxisSamples) -> float:
-    """Return the root mean square of the residuals, l/min."""
+    """Return the root mean square of the residuals of signals without delays, l/min."""
     return compared(regression.update(regression.initial_state(), samples)[0])[1]
 
 
@@ -103,7 +131,8 @@ def of_spool(found: AxisFit, state: AxisState, samples: AxisSamples) -> Floats:
     def tried(i: int, j: int) -> tuple[Floats, float]:
         at = play + i * steps[0], lag_s + j * steps[1]
         other = _with(regression, at)
-        return compared(other.update(other.initial_state(), samples)[0])
+        start = with_theta(other.initial_state(), state.theta)  # of whose columns the delays are
+        return compared(other.update(start, samples)[0])
 
     here, ahead = compared(state), (tried(1, 0), tried(0, 1))
     slopes = np.stack(

@@ -7,13 +7,13 @@ derivative by the shift is a column of its own.
 import math
 from typing import Final
 
-from valvemap.model.kernels.compiled import inner
+from valvemap.model.kernels.compiled import inlined
 from valvemap.model.samples import Floats
 
 ROOT: Final = 10.0  # √bar; where the departure from √Δp changes its sign
 
 
-@inner
+@inlined
 def add_edge(
     table: Floats, breaks: Floats, y: float, drop: float, sign: float, moved: Floats,
     theta: Floats, row: Floats, at: int, by_shift: int,
@@ -26,33 +26,32 @@ def add_edge(
     s, y = _root(drop), min(y, 100.0)
     scale, rest = sign * (1.0 + moved[0]), 1.0 - 0.01 * y
     u = max(y - moved[1] * rest, 0.0)
-    _basis(table, breaks, u, scale * s, row, at)
-    row[at + len(breaks) + 1] += scale * 0.01 * u * s * (abs(s) / ROOT - 1.0)
-    row[by_shift] -= scale * s * rest * _rise(table, breaks, u, theta, at)
-
-
-@inner
-def _basis(table: Floats, breaks: Floats, u: float, scale: float, row: Floats, at: int) -> None:
-    """Add the three spline functions at u, times ``scale``, to a row from ``at`` on."""
     low = _interval(breaks, u)
-    y = u - breaks[low]
+    off = u - breaks[low]
+    _basis(table, low, off, scale * s, row, at)
+    row[at + len(breaks) + 1] += scale * 0.01 * u * s * (abs(s) / ROOT - 1.0)
+    row[by_shift] -= scale * s * rest * _rise(table, low, off, theta, at)
+
+
+@inlined
+def _basis(table: Floats, low: int, y: float, scale: float, row: Floats, at: int) -> None:
+    """Add the three spline functions at u, times ``scale``, to a row from ``at`` on."""
     for b in range(3):
         row[at + low + b] += scale * (
             table[low, b, 0] + y * (table[low, b, 1] + y * table[low, b, 2])
         )
 
 
-@inner
-def _rise(table: Floats, breaks: Floats, u: float, theta: Floats, at: int) -> float:
+@inlined
+def _rise(table: Floats, low: int, y: float, theta: Floats, at: int) -> float:
     """Slope of the spline at u."""
-    low = _interval(breaks, u)
-    y, rise = u - breaks[low], 0.0
+    rise = 0.0
     for b in range(3):
         rise += theta[at + low + b] * (table[low, b, 1] + 2.0 * y * table[low, b, 2])
     return rise
 
 
-@inner
+@inlined
 def _interval(breaks: Floats, u: float) -> int:
     low, high = 0, len(breaks) - 2
     while low < high:
@@ -64,6 +63,6 @@ def _interval(breaks: Floats, u: float) -> int:
     return low
 
 
-@inner
+@inlined
 def _root(drop: float) -> float:
     return math.copysign(math.sqrt(abs(drop)), drop)

@@ -9,7 +9,13 @@ it ends then stays in the filter, so that rows begin again once it has faded.
 
 Columns: for the edges PA, AT, PB, BT ``knots`` spline functions and one for the departure from √Δp,
 then 1/β, c at 40 °C and free air. Where the speed is measured: its zero, by how much the piston is
-not at its assumed place, over β, and two parts of the force.
+not at its assumed place, over β, and two parts of the force. Then two delays against the pressures.
+
+The piston's signal may be shown late by τ, and U by τ_U. To first order, with the coefficients θ::
+
+    A·ẋ = Σ X·θ - τ·d/dt(Σ X·θ) + τ_U·∂Q/∂y·ẏ
+
+The filter has the derivative of its output, so that d/dt takes no differences.
 
 A measured speed v is known at the samples, and its mean over the interval h between them is
 (Euler-Maclaurin)::
@@ -37,13 +43,14 @@ from valvemap.model.kernels.compiled import Index, inner, kernel
 from valvemap.model.samples import Codes, Flags, Floats, Times
 
 PARTS: Final = 4  # parts of an interval; a spool of 100 Hz then moves by a quarter of its way
-COMMON: Final = 7  # columns after those of the edges:
-COMPLIANCE, LEAKAGE, AIR, ZERO, PLACE, FORCE, CREEP = range(COMMON)
+COMMON: Final = 9  # columns after those of the edges:
+COMPLIANCE, LEAKAGE, AIR, ZERO, PLACE, FORCE, CREEP, PISTON, COMMAND = range(COMMON)
 ATMOSPHERE_BAR: Final = 1.013
 PER_COMPLIANCE: Final = 1e-4  # 1/bar; unit of the coefficient 1/β: 1 is 1 GPa
 PER_LEAKAGE: Final = 1e-2  # l/min/bar; unit of the coefficient c
 PER_FORCE: Final = 10.0  # mm/s² of 1 t per cm²·bar; unit of the coefficients μ: 1 is 1/t
 PER_AIR: Final = 1e-2  # unit of the coefficient of the free air: 1 %
+PER_DELAY: Final = 1e-2  # s; unit of the coefficients of the delays
 
 USED, GAP, MISSING, LOW_PRESSURE, END_STOP = range(5)
 
@@ -89,6 +96,22 @@ def _smooth(row: Floats, stages: Floats, share: float, first: int, past: int) ->
     for j in range(Index(first), Index(past)):
         stages[0, j] += share * (row[j] - stages[0, j])
         stages[1, j] += share * (stages[0, j] - stages[1, j])
+
+
+@inner
+def _set_piston_delay(
+    row: Floats, before: Floats, theta: Floats, columns: Times, per_s: float
+) -> None:  # fmt: skip
+    """Set the column of the piston's delay: how fast what the other columns add up to changes.
+
+    ``row`` and ``before`` are the two stages of the filter; ``per_s`` is the rate of the second.
+    """
+    piston, rise = Index(len(theta) - COMMON + PISTON), 0.0
+    for p in range(len(columns)):
+        j = columns[p]
+        if j != piston:
+            rise += theta[j] * (before[j] - row[j])
+    row[piston] = -PER_DELAY * per_s * rise
 
 
 @inner
@@ -176,6 +199,7 @@ def axis_rows(
     knots = len(breaks) + 2  # m + 2 functions on m intervals, and the departure
     half = settings[1]
     share, forget, stride = settings[8], settings[9], int(settings[15])
+    per_s = share / ((1.0 - share) * settings[0])
     A_A, A_B, stroke = geometry[0], geometry[1], geometry[2]
     rows, now, moved = np.zeros((2, n + 3)), np.empty(6), np.zeros((moves.EDGES, 2))
     changes_per_s = settings[19]
@@ -228,6 +252,7 @@ def axis_rows(
                 a, c = pA + w * (now[2] - pA), pB + w * (now[3] - pB)
                 s, d = pS + w * (now[4] - pS), pT + w * (now[5] - pT)
                 share_of, of_A, of_B = 1.0 / PARTS, rows[0], rows[1]
+                shifts_A, shifts_B = of_A[n + 1] + of_A[n + 2], of_B[n + 1] + of_B[n + 2]
                 if y > 0.0:
                     add_edge(table, breaks, y, s - a, share_of, moved[0], theta, of_A, 0, n + 1)
                     at = 3 * knots
@@ -237,6 +262,11 @@ def axis_rows(
                     add_edge(table, breaks, -y, a - d, -share_of, moved[1], theta, of_A, at, n + 2)
                     at = 2 * knots
                     add_edge(table, breaks, -y, s - c, share_of, moved[2], theta, of_B, at, n + 1)
+                # a shift moves |y| by -(1 - |y|/100), the delay moves y by ẏ
+                moves_y = math.copysign((memory[1] - before) * PARTS / dt, (memory[1] - before) * y)
+                by_delay = -PER_DELAY * moves_y / max(1.0 - 0.01 * abs(y), 0.01)
+                of_A[common + COMMAND] += by_delay * (of_A[n + 1] + of_A[n + 2] - shifts_A)
+                of_B[common + COMMAND] += by_delay * (of_B[n + 1] + of_B[n + 2] - shifts_B)
             if memory[10] > 0.0:
                 memory[10] -= 1.0
                 reason = GAP
@@ -303,6 +333,7 @@ def axis_rows(
                 _smooth(row, filtered[line], share, common, n + 3)
                 if not is_row:
                     continue
+                _set_piston_delay(second, filtered[line, 0], theta, places[line], per_s)
                 e, weight = second[n], 1.0
                 for p in range(places.shape[1]):
                     e -= theta[places[line, p]] * second[places[line, p]]
