@@ -7,6 +7,7 @@ from benchmarks.one_model_rows import ROWS
 from valvemap.model import flow_causes, flow_evidence
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
+from valvemap.model.flow_rivals import Rivals, none
 from valvemap.model.kernels import flow_memory
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.samples import Samples
@@ -79,7 +80,7 @@ def found(U, dp, Q, p1=None, given=None):
     start = np.zeros(paths.PARAMETERS)
     for k, value in (given or {}).items():
         start[k] = value
-    at, _ = flow_causes.search(evidence, start)
+    at, _ = flow_causes.search(evidence, start, Rivals(none(), start))
     return {int(k): float(at[k]) for k in np.flatnonzero(at)}
 
 
@@ -208,7 +209,8 @@ def test_the_doubt_about_an_operator_is_its_laplace_approximation():
     rows[:, paths.STEP], rows[:, paths.LEFT_U], rows[:, paths.LEFT_DP] = 1 / FS, U, dp
     rows[:, paths.LEFT_P1], rows[:, paths.LEFT_Q] = p1, Q
     evidence = flow_evidence.Evidence(*BOTH, rows)
-    at, _ = flow_causes.search(evidence, np.zeros(paths.PARAMETERS))
+    start = np.zeros(paths.PARAMETERS)
+    at, _ = flow_causes.search(evidence, start, Rivals(none(), start))
     std = flow_evidence.precision(evidence, at)[paths.CHOKE, paths.CHOKE] ** -0.5
     off = flow_evidence.with_value(at, paths.CHOKE, at[paths.CHOKE] + 2.0 * std)
     assert evidence.gain(at, off) == pytest.approx(2.0, rel=0.5)

@@ -180,6 +180,7 @@ HIDDEN = {
 
 
 MISSED = {
+    ("flow by the rate of dp", 0): "taken for a hysteresis, at a gain of 78",
     ("flow by the rate of dp", 1): "taken for coloured noise",
 }
 
@@ -216,14 +217,24 @@ def test_a_map_that_travels_is_no_surer_than_where_it_was_learnt():
     )
 
 
-@pytest.mark.parametrize("version", [3, 4, 5, 6, 7, 8, 9, 10, 11, 12])
+def _without_newest(arrays, version):
+    """Take away what versions 13 to 15 brought."""
+    del arrays["rivals"]
+    arrays["counters"] = arrays["counters"][: flow_memory.WEIGHED]
+    if version < 14:
+        arrays["scalars"] = arrays["scalars"][: flow_fit.TIMING]
+    if version < 13:
+        del arrays["slopes"], arrays["begun"]
+
+
+@pytest.mark.parametrize("version", [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14])
 def test_a_state_of_before_keeps_all_that_was_learnt(version):
     state = learnt(lambda U, dp, t, e: valve(U, dp) + e)
     effects = np.array([0.02, 0.1, 0.05, 0.03, 0.01])
     state.now[:, 0, EFFECTS] = state.x[..., EFFECTS] = effects
     state.scalars[[flow_fit.FIRST_T, flow_fit.NOW_T, flow_fit.LEARNT_T]] = 30.0
     arrays = {field.name: getattr(state, field.name) for field in fields(state)}
-    del arrays["slopes"], arrays["begun"]
+    _without_newest(arrays, version)
     if version < 12:
         state.scalars[flow_fit.READING :] = state.stay[flow_memory.NOISY] = 0.0  # not known then
         arrays["scalars"] = arrays["scalars"][: flow_fit.READING]
@@ -263,7 +274,7 @@ def test_a_state_of_before_keeps_all_that_was_learnt(version):
         ]
         np.testing.assert_allclose(read.P[:, known], state.P[:, known], rtol=1e-9, atol=1e-12)
     older.state_version = 2
-    with pytest.raises(StateMismatchError, match="version 2, version 13 is needed"):
+    with pytest.raises(StateMismatchError, match="version 2, version 15 is needed"):
         FlowMapState.from_bytes(older(**arrays).to_bytes("key"), "key")
 
 

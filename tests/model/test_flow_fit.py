@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from valvemap.model import flow_map_looks
+from valvemap.model import flow_fits, flow_map_looks
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
 from valvemap.model.kernels import flow_fit, flow_memory, flow_path
@@ -33,8 +33,8 @@ def of_one_cell():
 
 def test_a_map_that_refuses_its_only_cell_is_not_the_likelier_one(both):
     fitted, fresh = of_one_cell(), of_one_cell()
-    assert flow_map_looks.fit(fitted, *both, 2, fresh=False)
-    assert flow_map_looks.fit(fresh, *both, 8, fresh=True)
+    assert flow_fits.fit(fitted, *both, 2, fresh=False)
+    assert flow_fits.fit(fresh, *both, 8, fresh=True)
     at = np.array([100.0]), np.array([0.2337**2]), np.array([40.0])
     fitted.counters[flow_memory.FITTED] = fresh.counters[flow_memory.FITTED] = 1
     (known,), (refused,) = (flow_map_looks.predict(x, both, *at)[0] for x in (fitted, fresh))

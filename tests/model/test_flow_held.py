@@ -10,6 +10,7 @@ from benchmarks.one_model_rows import averaged, held, lagging, late
 from valvemap.model import flow_causes, flow_evidence
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
+from valvemap.model.flow_rivals import Rivals, none
 from valvemap.model.kernels import flow_evidence as kernel
 from valvemap.model.kernels import flow_memory
 from valvemap.model.kernels import flow_path as paths
@@ -30,7 +31,8 @@ def rows_of(U, dp, Q):
 def searched(how, seed=5, N=1280):
     U, dp = c.cycle(seed, N)
     evidence = flow_evidence.Evidence(*BOTH, rows_of(*how(U, dp, c.white(seed, N))))
-    at, _ = flow_causes.search(evidence, np.zeros(paths.PARAMETERS))
+    start = np.zeros(paths.PARAMETERS)
+    at, _ = flow_causes.search(evidence, start, Rivals(none(), start))
     return {int(k): float(at[k]) for k in np.flatnonzero(at)}
 
 

@@ -10,6 +10,7 @@ from benchmarks.one_model_rows import behind
 from model.test_flow_held import BOTH, after, rows_of
 from valvemap.model import flow_causes, flow_evidence
 from valvemap.model.flow_map import FlowMap
+from valvemap.model.flow_rivals import Rivals, none
 from valvemap.model.kernels import flow_between as between
 from valvemap.model.kernels import flow_evidence as kernel
 from valvemap.model.kernels import flow_path as paths
@@ -63,7 +64,8 @@ def test_the_noise_is_judged_where_U_is_calm(step):
 def searched(shown, actual, dp, seed):
     Q = VALVE(actual, dp) + c.white(seed, len(dp))
     evidence = flow_evidence.Evidence(*BOTH, rows_of(shown, dp, Q))
-    at, _ = flow_causes.search(evidence, np.zeros(paths.PARAMETERS))
+    start = np.zeros(paths.PARAMETERS)
+    at, _ = flow_causes.search(evidence, start, Rivals(none(), start))
     return {int(k): float(at[k]) for k in np.flatnonzero(at)}
 
 

@@ -142,6 +142,9 @@ class UsesTemperature(Protocol, metaclass=CheckedByClass):
 class PathDependent(Protocol, metaclass=CheckedByClass):
     """An estimator whose flow depends on the direction of U (hysteresis)."""
 
+    def follows(self, state: Any) -> bool:  # noqa: ANN401 - the estimator's state
+        """Whether the flow depends on earlier samples, too: on play, a lag or a dead time."""
+
     def half_play(self, state: Any) -> float:  # noqa: ANN401 - the estimator's state
         """By how much U from below or above differs from U in the middle, %."""
 

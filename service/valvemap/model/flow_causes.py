@@ -6,8 +6,7 @@ The log likelihood of the last n samples, up to a constant, is
 
 whose noise has a white and a slow part (`kernels.flow_evidence`). All operators have the same odds
 before anything is known: one is taken where it gains `rules.CLEAR`. One that is there is kept until
-the rows are likelier without it by `rules.STILL_CLEAR`, or tell another value of it and are not
-likelier with it by as much.
+the rows are likelier without it by as much, or tell another value of it and are likelier without.
 
 Several combinations are followed at once. Each grows by the operators that explain most of the
 residual together with a change of those that are there; then all parameters are refined jointly.
@@ -28,6 +27,7 @@ from valvemap.model.flow_evidence import (
     solved,
     with_value,
 )
+from valvemap.model.flow_rivals import HYSTERESES, Rivals
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.samples import Floats
@@ -52,41 +52,82 @@ AGE: Final = {  # mean age of what a lag shows, in units of its parameter
     paths.AVERAGE: 0.5,
     paths.LAG_Q: 1.0,
 }
-RIVALS: Final = (  # operators of much the same effect; of the first two groups there is one at most
-    (paths.PLAY, paths.STICK, paths.RELAYS),
+ALIKE: Final = (  # of much the same effect; of the first two groups there is one at most
+    HYSTERESES,
     (paths.CHOKE, paths.KNEE),
     tuple(AGE),
 )
 
 
-def search(evidence: Evidence, given: Floats) -> tuple[Floats, Floats]:
+def search(evidence: Evidence, given: Floats, rivals: Rivals) -> tuple[Floats, Floats]:
     """Return the parameters that the rows need, from ``given`` on, and the gain of each.
 
     Operators are added while the rows fit better as if residuals were white, since one of several
     that are missing whitens nothing alone. Those that gain too little in the end are dropped.
     Operators that are known give way only to others that are clearly likelier: rows in which
-    little moves tell nothing of them.
+    little moves tell nothing of them. The evidence of earlier looks for ``rivals`` counts as well;
+    that of this look is added to it.
     """
     at = known = given.copy()
     beam = [at]
     if np.count_nonzero(given):
         at = known = jointly(evidence, at)
         beam = [at] if evidence.explains(at) else [at, np.zeros_like(at)]
+    met: list[Floats] = []
     for _ in range(rules.MOST_OPERATORS):
         beam = _grown(evidence, beam)
+        met += beam
         if not beam or evidence.gain_if_white(beam[0], at) < rules.STILL_CLEAR:
             break
         at = beam[0]
     if np.count_nonzero(at):
         at = _swapped(evidence, at)
-    at = _needed(evidence, at, given)
-    known = _needed(evidence, known, given)
-    if evidence.gain(at, known) < rules.STILL_CLEAR:
+    of_rivals = [(rival, jointly(evidence, rival)) for rival in rivals]
+    summed = Summed(evidence, rivals)
+    known = _needed(summed, known, given)
+    likely = [one for _, one in of_rivals if summed.gain(one, known) >= rules.CLEAR]
+    likely = [one for one in likely if not _is_brief(evidence, one, given)]
+    tried = [_plainest(evidence, _needed(summed, one, given)) for one in (at, *likely)]
+    at = max(tried, key=lambda one: summed.gain(one, known))
+    if summed.gain(at, known) < rules.STILL_CLEAR:
         at = known  # what is hardly likelier is not worth another map
     gains = np.zeros(paths.PARAMETERS)
     for k in np.flatnonzero(at):
-        gains[k] = evidence.gain(at, _without(evidence, at, int(k)))
+        gains[k] = summed.gain(at, _without(evidence, at, int(k)))
+    rivals.weigh([(_over(evidence, rival, given), refined) for rival, refined in of_rivals])
+    for one in met:
+        rivals.meet(_over(evidence, one, known), one)
     return at, gains
+
+
+def weigh(evidence: Evidence, given: Floats, rivals: Rivals) -> None:
+    """Add the evidence of the rows for each rival of the operators in use."""
+    rivals.weigh([(_over(evidence, rival, given), rival) for rival in rivals])
+
+
+def _is_brief(evidence: Evidence, at: Floats, given: Floats) -> bool:
+    """Whether a new lag is within the scatter of sampling times."""
+    least = rules.LEAST_LAG * float(np.median(evidence.rows[:, paths.STEP]))
+    return any(at[k] and not given[k] and at[k] * AGE[k] < least for k in AGE)
+
+
+def _over(evidence: Evidence, rival: Floats, given: Floats) -> float:
+    """Gain of a rival over the operators in use, and over those with the noise that U has."""
+    noise = evidence.of_signals[paths.NOISE_U]
+    others = [given] if rival[paths.NOISE_U] else [given, with_value(given, paths.NOISE_U, noise)]
+    return min(evidence.gain(rival, other) for other in others)
+
+
+class Summed:
+    """Evidence of a look, and of those before it."""
+
+    def __init__(self, evidence: Evidence, rivals: Rivals) -> None:
+        self.of_look, self._rivals = evidence, rivals
+
+    def gain(self, better: Floats, than: Floats) -> float:
+        """Log likelihood ratio by the rows of all looks."""
+        look, before = self.of_look.gain(better, than), self._rivals.gain(better, than)
+        return max(look, min(look, rules.MOST_OF_LOOK) + before)
 
 
 def end_of_meter(evidence: Evidence, given: Floats) -> float:
@@ -118,17 +159,17 @@ def _grown(evidence: Evidence, beam: list[Floats]) -> list[Floats]:
 
 
 def _swapped(evidence: Evidence, best: Floats) -> Floats:
-    """Try rivals in the place of each operator until none is likelier."""
+    """Try those alike in the place of each operator until none is likelier."""
     improved = True
     while improved and evidence.spent < rules.MOST_TRIED:
         tried = [
-            limited(with_value(best, k, 0.0), rival, value)
-            for group in RIVALS
+            limited(with_value(best, k, 0.0), other, value)
+            for group in ALIKE
             for k in group
             if best[k]
-            for rival in group
-            if not best[rival]
-            for value in (*TRIED[rival], *_of_age(best, k, rival))
+            for other in group
+            if not best[other]
+            for value in (*TRIED[other], *_of_age(best, k, other))
         ]
         others = _best(evidence, _scored(evidence, best, tried))
         improved = bool(others) and evidence.gain(others[0], best) > rules.LIKELIER
@@ -136,10 +177,20 @@ def _swapped(evidence: Evidence, best: Floats) -> Floats:
     return best
 
 
-def _of_age(at: Floats, k: int, rival: int) -> Iterator[float]:
+def _plainest(evidence: Evidence, at: Floats) -> Floats:
+    """Take play for another hysteresis where that is hardly likelier."""
+    plain, *others = HYSTERESES
+    for k in others:
+        if at[k]:
+            tried = jointly(evidence, with_value(with_value(at, k, 0.0), plain, float(at[k])))
+            at = tried if evidence.gain(at, tried) < rules.STILL_CLEAR else at
+    return at
+
+
+def _of_age(at: Floats, k: int, other: int) -> Iterator[float]:
     """Return the value of a lag that shows flows as old as lag k does."""
     if k in AGE:
-        yield float(at[k]) * AGE[k] / AGE[rival]
+        yield float(at[k]) * AGE[k] / AGE[other]
 
 
 def _scored(
@@ -170,17 +221,17 @@ def _best(evidence: Evidence, scored: Iterable[tuple[float, Floats]]) -> list[Fl
     return sorted(refined, key=lambda at: evidence.of(at).square)
 
 
-def _needed(evidence: Evidence, at: Floats, given: Floats) -> Floats:
+def _needed(summed: Summed, at: Floats, given: Floats) -> Floats:
     """Drop operators that gain too little, the least first; known ones are kept unless refuted."""
     while True:
-        short = [(_surplus(evidence, at, k, given), k) for k in map(int, np.flatnonzero(at))]
+        short = [(_surplus(summed, at, k, given), k) for k in map(int, np.flatnonzero(at))]
         if not short or min(short)[0] >= 0.0:
             return at
-        at = _without(evidence, at, min(short)[1])
+        at = _without(summed.of_look, at, min(short)[1])
 
 
 def _without(evidence: Evidence, at: Floats, k: int) -> Floats:
-    """The likeliest parameters without operator k.
+    """The likeliest parameters without operator k, refined: those with it are.
 
     A lag that is there may take over its age; noise of U, that of which a hysteresis made it free.
     """
@@ -192,22 +243,23 @@ def _without(evidence: Evidence, at: Floats, k: int) -> Floats:
     ]
     if _may_be_noise(evidence, at, k):
         taken.append(with_value(without, paths.NOISE_U, evidence.of_signals[paths.NOISE_U]))
-    return min([without, *taken], key=lambda at: evidence.of(at).square)
+    return jointly(evidence, min([without, *taken], key=lambda at: evidence.of(at).square))
 
 
 def _may_be_noise(evidence: Evidence, at: Floats, k: int) -> bool:
     """Whether operator k, a hysteresis, may only keep the noise of U from the spool."""
     is_noisy = evidence.of_signals[paths.NOISE_U] > 0.0 and not at[paths.NOISE_U]
-    return bool(k in RIVALS[0] and is_noisy)
+    return bool(k in ALIKE[0] and is_noisy)
 
 
-def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
+def _surplus(summed: Summed, at: Floats, k: int, given: Floats) -> float:
     """By how much operator k gains more than it has to: a new one most, a known one nothing.
 
-    Where rows tell that a known one has another value, they have to need it, too.
+    Where rows tell that a known one has another value, they must not be likelier without it.
     """
+    evidence = summed.of_look
     without = _without(evidence, at, k)
-    gain = evidence.gain(at, without)
+    gain = summed.gain(at, without)
     if _may_be_noise(evidence, at, k):  # whether it is needed beside noise of U, too
         noisy = with_value(at, paths.NOISE_U, evidence.of_signals[paths.NOISE_U])
         gain = max(gain, evidence.gain(noisy, with_value(noisy, k, 0.0)))
@@ -217,16 +269,16 @@ def _surplus(evidence: Evidence, at: Floats, k: int, given: Floats) -> float:
     if given[k] == 0.0:
         return gain - rules.CLEAR
     is_told = evidence.gain(at, with_value(at, k, float(given[k]))) >= rules.STILL_CLEAR
-    return gain - rules.STILL_CLEAR if is_told else gain + rules.STILL_CLEAR
+    return gain if is_told else gain + rules.CLEAR
 
 
 def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
     """Return the parameters with one more operator; a lag may take over age of another one."""
     for k, values in TRIED.items():
-        for value in values:
+        for value in (*_within_a_step(evidence, k), *values):
             if not at[k] and _is_distinct(evidence, k, value):
                 tried = with_value(at, k, value)
-                for group in RIVALS[:2]:
+                for group in ALIKE[:2]:
                     if k in group:
                         tried[[other for other in group if other != k]] = 0.0
                 yield tried
@@ -238,6 +290,13 @@ def _others(evidence: Evidence, at: Floats) -> Iterator[Floats]:
     if not at[paths.TOP]:
         for share in rules.SHARES_TOP:
             yield with_value(at, paths.TOP, float(np.quantile(evidence.Q, share)))
+
+
+def _within_a_step(evidence: Evidence, k: int) -> Iterator[float]:
+    """Return half a step for a lag, if it is shorter than those tried: one of a part of a step."""
+    half = 0.5 * float(np.median(evidence.rows[:, paths.STEP]))
+    if k in AGE and half < TRIED[k][0]:
+        yield half
 
 
 def _of_signals(evidence: Evidence, at: Floats) -> Iterator[Floats]:

@@ -30,13 +30,16 @@ DAMPED: Final = (0.0, 0.1, 10.0)  # of JᵀJ's diagonal; tried in turn until a s
 class Left(NamedTuple):
     """What a coarse map leaves.
 
-    Mean square of the residual, how many rows count, at which phase friction began (slips), the
+    Mean square of the residual, how many rows count, at which phase friction began (slips); of the
+    noise of U and Δp that is averaged out the variance and the covariance of neighbours; the
     residual (N,).
     """
 
     square: float
     rows: float
     phase: float
+    averaged: float
+    beside: float
     residual: Floats
 
 
@@ -65,7 +68,7 @@ class Evidence:
             paths.HELD_Q: period(rows[:, paths.STEP], rows[:, paths.LEFT_Q]),
             paths.NOISE_U: noise_where_calm(rows[:, paths.LEFT_U]),
         }
-        self._as_they_were = {(0.0,) * len(OF_SIGNALS): rows}
+        self._as_they_were = {(0.0,) * len(OF_SIGNALS): (rows, self.of_signals[paths.NOISE_U])}
         self._known: dict[tuple[float, ...], Left] = {}
         self._noises: dict[tuple[float, ...], Noise] = {}
         self._in_phase = True  # where no operator is needed, none has a phase to be searched for
@@ -82,9 +85,9 @@ class Evidence:
         """White noise and slow part that are left."""
         key = tuple(given.tolist())
         if key not in self._noises:
-            out = np.empty(3)
-            flow_evidence.colour(self.of(given).residual, self._used, out)
-            self._noises[key] = Noise(*map(float, out))
+            left, out = self.of(given), np.empty(3)
+            flow_evidence.colour(left.residual, self._used, out)
+            self._noises[key] = without_averaging(Noise(*map(float, out)), left)
         return self._noises[key]
 
     @property
@@ -95,20 +98,23 @@ class Evidence:
     def _fit(self, given: Floats, near: Floats | None = None) -> tuple[Floats, Left]:
         b = np.zeros(flow_evidence.terms_of(self._axis)) if near is None else near.copy()
         ridge = rules.RIDGE if near is None else 1.0
-        residual, out = np.empty(len(self.rows)), np.empty(3)
+        residual, out = np.empty(len(self.rows)), np.empty(5)
         flow_evidence.leftover(
-            self._axis, self._top, self._rows(given), self._used, given, ridge, self._in_phase, b,
+            self._axis, self._top, *self._rows(given), self._used, given, ridge, self._in_phase, b,
             residual, out,
         )  # fmt: skip
-        square, many, phase = map(float, out)
-        return b, Left(square, many, phase, residual)
+        square, many, phase, averaged, beside = map(float, out)
+        return b, Left(square, many, phase, averaged, beside, residual)
 
-    def _rows(self, given: Floats) -> Floats:
-        """Rows with the signals as they were, where some are held or noisy."""
+    def _rows(self, given: Floats) -> tuple[Floats, float]:
+        """Rows with the signals as they were, where some are held or noisy; noise left of U, %."""
         key = tuple(float(given[k]) for k in OF_SIGNALS)
         if key not in self._as_they_were:
-            self._as_they_were[key] = self.rows.copy()
-            flow_evidence.as_they_were(self.rows, given, self._as_they_were[key])
+            rows = self.rows.copy()
+            left = flow_evidence.as_they_were(self.rows, given, rows)
+            if not given[paths.NOISE_U]:
+                left = self.of_signals[paths.NOISE_U]
+            self._as_they_were[key] = rows, left
         return self._as_they_were[key]
 
     def fill(self, given: Floats, axis_U: Axis, axis_s: Axis, theta: Singles) -> None:
@@ -147,6 +153,20 @@ class Evidence:
     def _ratio(self, one: float, other: float, rows: float) -> float:
         one, other = one + self._floor, other + self._floor
         return 0.5 * rows * math.log(other / one) if one > 0.0 and other > 0.0 else 0.0
+
+
+def without_averaging(noise: Noise, left: Left) -> Noise:
+    """The noise, had none of U and Δp been averaged out.
+
+    The mean square of a residual has that already, as if all of it were white. Its innovations
+    Σ w_k·r_(i-k) have more of it: Σ w_k² of its variance, Σ w_k·w_(k+1) of what neighbours share.
+    """
+    phi, kappa = noise.phi, noise.kappa
+    first, rest = -phi * kappa, phi * (1.0 - kappa)  # w_1, and w_(k+1)/w_k from there on
+    later = first**2 / max(1.0 - rest**2, 1e-9)
+    alone, shared = 1.0 + later, first + later * rest
+    innovation = noise.innovation * (1.0 - left.averaged / max(left.square, 1e-300))
+    return Noise(innovation + alone * left.averaged - 2.0 * shared * left.beside, phi, kappa)
 
 
 def period(steps: Floats, x: Floats) -> float:

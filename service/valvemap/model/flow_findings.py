@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from valvemap.model import flow_map_looks
 from valvemap.model.drift_states import covariance, drifting
-from valvemap.model.flow_map_looks import Both
+from valvemap.model.flow_arrays import Both
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits

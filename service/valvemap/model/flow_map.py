@@ -186,6 +186,10 @@ class FlowMap:
         """Causes of what the samples show, the likeliest first."""
         return flow_findings.findings(state, axes(self.U_range, self.dp_range))
 
+    def follows(self, state: FlowMapState) -> bool:
+        """Whether there are operators between map and samples."""
+        return self.half_play(state) > 0.0 or bool(state.path[: flow_path.OF_MAP].any())
+
     def half_play(self, state: FlowMapState) -> float:
         """Half of the play between U and the spool, %."""
         return float(state.play[flow_play.HALF])

@@ -1,21 +1,27 @@
 """What `FlowMap` does between samples: fits, searches for operators, and a new start of the map."""
 
 import math
-from typing import Final
 
 import numpy as np
 
 from valvemap.model import flow_causes, flow_evidence
-from valvemap.model.fleet import copied
+from valvemap.model.flow_arrays import (
+    Both,
+    bare_memory,
+    given_of,
+    memory_of,
+    new_room,
+    rows_of,
+)
+from valvemap.model.flow_fits import refit
 from valvemap.model.flow_map_state import FlowMapState
+from valvemap.model.flow_restart import begin_again
+from valvemap.model.flow_rivals import Rivals
 from valvemap.model.kernels import (
     flow_cells,
-    flow_drift,
-    flow_fit,
     flow_inverse,
     flow_look,
     flow_memory,
-    flow_oil,
     flow_path,
     flow_play,
     flow_run,
@@ -23,27 +29,7 @@ from valvemap.model.kernels import (
     flow_stay,
 )
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.flow_basis import Axis
-from valvemap.model.samples import Codes, Floats, Times
-
-NANOSECONDS: Final = 1e9
-NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
-NO_SLOPES: Final = np.zeros((0, flow_slopes.COLUMNS), np.float32)
-NO_ROWS: Final = np.zeros((0, flow_path.COLUMNS), np.float32)
-Both = tuple[Axis, Axis]
-
-
-def memory_of(state: FlowMapState) -> flow_memory.Memory:
-    """Arrays of one valve as the kernels take them."""
-    return flow_memory.Memory(*(getattr(state, name) for name in flow_memory.Memory._fields))
-
-
-def new_room() -> flow_memory.Room:
-    """Room for the kernels to work in."""
-    shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
-    return flow_memory.Room(
-        np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT), np.empty(8)
-    )
+from valvemap.model.samples import Codes, Floats
 
 
 def learn(state: FlowMapState, both: Both, batch: flow_memory.Batch, start: int, stop: int) -> None:
@@ -55,12 +41,14 @@ def learn(state: FlowMapState, both: Both, batch: flow_memory.Batch, start: int,
         T = float(batch.T[row - 1])
         T = T if abs(T) < rules.HUGE else math.nan
         if counters[flow_memory.BEGAN] != began:
-            _replay(state, both, T, batch.longest)
+            begin_again(state, both, T, batch.longest)
         if counters[flow_memory.USED] >= counters[flow_memory.NEXT_FIT]:
-            _refit(state, *both)
+            refit(state, *both)
             if counters[flow_memory.DOUBTED]:
                 _doubt(state, both)
             _watch(state, both)
+            if counters[flow_memory.ROWS_SEEN] - counters[flow_memory.WEIGHED] >= rules.ROWS:
+                _weigh(state, both)
             if counters[flow_memory.USED] >= counters[flow_memory.NEXT_LOOK]:
                 _look(state, both, T, batch.longest)
 
@@ -86,9 +74,16 @@ def invert(
     return U, unclipped, slope, status
 
 
-def bare_memory(state: FlowMapState) -> flow_memory.Memory:
-    """`memory_of` without cells and rows: results are published without them."""
-    return memory_of(state)._replace(cells=NO_CELLS, slopes=NO_SLOPES, recent=NO_ROWS)
+def _weigh(state: FlowMapState, both: Both) -> None:
+    """Weigh the operators in use against their rivals; search at once where one is likelier."""
+    counters, given = state.counters, given_of(state)
+    counters[flow_memory.WEIGHED] = counters[flow_memory.ROWS_SEEN]
+    rivals = Rivals(state.rivals, given)
+    if rivals.best > 0.0 and counters[flow_memory.USED] < counters[flow_memory.NEXT_LOOK]:
+        before = rivals.best
+        flow_causes.weigh(flow_evidence.Evidence(*both, rows_of(state)), given, rivals)
+        if before < rules.CLEAR <= rivals.best:
+            counters[flow_memory.NEXT_LOOK] = counters[flow_memory.USED]
 
 
 def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
@@ -97,10 +92,12 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
     used = int(counters[flow_memory.USED])
     later = (at for at in rules.LOOKS if at > used)
     counters[flow_memory.NEXT_LOOK] = next(later, used + rules.MOST_BETWEEN_LOOKS)
-    given = _given(state)
-    rows = _rows(state)
+    counters[flow_memory.WEIGHED] = counters[flow_memory.ROWS_SEEN]
+    given = given_of(state)
+    rows = rows_of(state)
     evidence = flow_evidence.Evidence(*both, rows)
-    found, gains = flow_causes.search(evidence, given)
+    rivals = Rivals(state.rivals, given)
+    found, gains = flow_causes.search(evidence, given, rivals)
     of = path[flow_path.GAINS : flow_path.GAINS + flow_path.PARAMETERS]
     of += gains
     of[(found == 0.0) & (np.arange(flow_path.PARAMETERS) != flow_path.LEAST)] = 0.0
@@ -110,6 +107,9 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
     path[flow_path.NEWS] = found[flow_path.NEWS]
     of_found = flow_evidence.precision(evidence, found)
     if _differ(found, given, of_found, state.precision.astype(np.float64)):
+        if ((found > 0.0) != (given > 0.0)).any():
+            rivals.forget()
+            counters[flow_memory.NEXT_LOOK] = used + rules.LOOKS[1]
         path[: flow_path.PARAMETERS] = found
         play[flow_play.HALF] = found[flow_path.PLAY]
         path[flow_path.PLAY] = 0.0  # that of the spool is in `play`
@@ -119,12 +119,15 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
         if (found == given)[: flow_path.TOP].all() and (found == given)[held].all():
             _empty_bounds(state, both)
         else:
-            _replay(state, both, T, longest)
+            change = evidence.of(given).square - evidence.of(found).square
+            if (found != given)[[flow_path.CHOKE, flow_path.KNEE]].any():
+                change = math.inf  # samples lie in other cells now
+            begin_again(state, both, T, longest, change)
         _refine(state, both, evidence, np.zeros_like(found))
     else:
         state.precision[:] += of_found
         known = state.precision.astype(np.float64)
-        ks = [k for k in flow_evidence.smooth(found) if k != flow_path.PLAY]
+        ks = flow_evidence.smooth(found)
         moved = np.zeros_like(found)
         if ks:
             weighed = of_found[np.ix_(ks, ks)] @ (found - given)[ks]
@@ -136,7 +139,7 @@ def _refine(
     state: FlowMapState, both: Both, evidence: flow_evidence.Evidence, moved: Floats
 ) -> None:
     """Move the operators' parameters and, by its derivatives, the map; note the doubt left."""
-    at = _given(state)
+    at = given_of(state)
     ks = flow_evidence.smooth(at)
     state.doubt[:] = 0.0
     if not ks:
@@ -149,7 +152,10 @@ def _refine(
     state.theta[:] += by
     flow_cells.shift(*both, by, state.cells, new_room().work)
     flow_slopes.shift(*both, by, state.cells, state.slopes, new_room().work)
-    state.path[: flow_path.PARAMETERS] += moved
+    now = np.maximum(at + moved, 0.0)
+    state.play[flow_play.HALF] = now[flow_path.PLAY]
+    now[flow_path.PLAY] = 0.0  # that of the spool is in `play`
+    state.path[: flow_path.PARAMETERS] = now
 
 
 def _doubt(state: FlowMapState, both: Both) -> None:
@@ -157,10 +163,10 @@ def _doubt(state: FlowMapState, both: Both) -> None:
     counters, path = state.counters, state.path
     was_called = counters[flow_memory.DOUBTED] == flow_memory.A_CHANGE
     counters[flow_memory.DOUBTED] = 0
-    given = _given(state)
+    given = given_of(state)
     if given[flow_path.TOP]:
         return
-    rows = _rows(state)
+    rows = rows_of(state)
     top = flow_causes.end_of_meter(flow_evidence.Evidence(*both, rows), given)
     if top and not (was_called and _was_reached(rules.NEAR_TOP * top, rows, state)):
         path[flow_path.TOP], path[flow_path.GAINS + flow_path.TOP] = top, rules.CLEAR
@@ -186,13 +192,7 @@ def _empty_bounds(state: FlowMapState, both: Both) -> None:
     cells[wrong] = 0.0
     flow_stay.forget_motion(memory_of(state))
     state.counters[flow_memory.FITTED] = 0
-    _refit(state, *both)
-
-
-def _given(state: FlowMapState) -> Floats:
-    given = state.path[: flow_path.PARAMETERS].copy()
-    given[flow_path.PLAY] = state.play[flow_play.HALF]
-    return given
+    refit(state, *both)
 
 
 def _sign(says_so: bool) -> float:  # noqa: FBT001
@@ -203,7 +203,7 @@ def _watch(state: FlowMapState, both: Both) -> None:
     """Weigh whether the meter has a least flow, by the samples since the last time."""
     path, counters = state.path, state.counters
     seen = int(counters[flow_memory.ROWS_SEEN] - counters[flow_memory.WATCHED])
-    rows = _rows(state)
+    rows = rows_of(state)
     new = flow_evidence.new_readings(rows)
     rows = rows[-seen:][new[-seen:]] if seen > 0 else np.empty((0, flow_path.COLUMNS))
     counters[flow_memory.WATCHED] = counters[flow_memory.ROWS_SEEN]
@@ -222,8 +222,8 @@ def _watch(state: FlowMapState, both: Both) -> None:
     least = float(path[flow_path.LEAST_SEEN]) if path[at] >= rules.CLEAR else 0.0
     was_there = path[flow_path.LEAST] > 0.0
     if least and not was_there:
-        evidence = flow_evidence.Evidence(*both, _rows(state))
-        least *= flow_causes.has_least(evidence, _given(state), least)
+        evidence = flow_evidence.Evidence(*both, rows_of(state))
+        least *= flow_causes.has_least(evidence, given_of(state), least)
     path[flow_path.LEAST] = least
     if was_there != (least > 0.0):
         _empty_bounds(state, both)
@@ -252,92 +252,3 @@ def _differ(found: Floats, given: Floats, of_found: Floats, of_given: Floats) ->
         sum_of = sum(flow_evidence.solved(of, np.eye(len(ks))) for of in both)
         square = float(off @ np.linalg.solve(sum_of, off))
     return bool(square > 2.0 * rules.CLEAR) and bool((np.abs(off) > rules.OTHER * found[ks]).any())
-
-
-def _rows(state: FlowMapState) -> Floats:
-    """The last samples in the order of time."""
-    seen, many = int(state.counters[flow_memory.ROWS_SEEN]), len(state.recent)
-    rows = state.recent[:seen] if seen <= many else np.roll(state.recent, -(seen % many), axis=0)
-    return np.array(rows, np.float64)
-
-
-def _replay(state: FlowMapState, both: Both, T: float, longest: float) -> None:
-    """Begin the map again, with the last samples."""
-    rows = _rows(state)
-    N = len(rows)
-    t = _times(rows, int(state.counters[flow_memory.LAST_TIME]))
-    memory, room, counters = memory_of(state), new_room(), state.counters
-    flow_stay.begin_replay(memory, N, T)
-    predicted, residual = np.empty((2, N))
-    batch = flow_memory.Batch(
-        t=t,
-        U=rows[:, flow_path.LEFT_U].copy(),
-        dp=rows[:, flow_path.LEFT_DP].copy(),
-        p1=rows[:, flow_path.LEFT_P1].copy(),
-        T=np.full(N, T),
-        Q=rows[:, flow_path.LEFT_Q].copy(),
-        usable=np.ones(N, np.bool_),
-        predicted=predicted,
-        residual=residual,
-        status=np.empty(N, np.uint8),
-        longest=longest,
-    )
-    counters[flow_memory.WATCHED] = N
-    _begin_coarse(state, both, rows)
-    flow_run.run(0, N, batch, *both, memory, room)
-    counters[flow_memory.RESTARTED] = counters[flow_memory.USED]
-    counters[flow_memory.FITTED] = 0  # the next fit starts from the first guess
-    _refit(state, *both)
-
-
-def _begin_coarse(state: FlowMapState, both: Both, rows: Floats) -> None:
-    """Take the coarse map of the rows until all are learnt: a meter's filter is undone by it."""
-    given = _given(state)
-    evidence = flow_evidence.Evidence(*both, rows)
-    left = evidence.of(given).square
-    evidence.fill(given, *both, state.theta)
-    scale = float(state.scalars[flow_fit.SCALE])
-    state.std[:] = rules.COARSE * math.sqrt(scale)
-    state.scalars[flow_fit.VARIANCE] = left  # what it was before came from another map
-    state.path[flow_path.FLOOR] = rules.OF_COARSE * left if flow_path.has_past(given) else 0.0
-    state.counters[flow_memory.FITTED] = 1
-    state.counters[flow_memory.NEXT_FIT] = state.counters[flow_memory.USED] + len(rows) + 1
-
-
-def _times(rows: Floats, last: int) -> Times:
-    steps = np.round(NANOSECONDS * rows[:, flow_path.STEP]).astype(np.int64)
-    behind = np.cumsum(steps[::-1])[::-1]  # from the row before to the last one
-    return np.asarray(last - behind + steps, np.int64)
-
-
-def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
-    """Fit the map, written in place, and set when the next fit is due."""
-    counters = state.counters
-    used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
-    fitted = bool(counters[flow_memory.FITTED])
-    rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
-    counters[flow_memory.FITTED] = fit(state, axis_U, axis_s, rounds, fresh=not fitted)
-    if used >= counters[flow_memory.NEXT_START]:
-        counters[flow_memory.NEXT_START] = 2 * used
-        other = copied(state)
-        better = fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
-        gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
-        if better and not gained <= 0.0:
-            counters[flow_memory.FITTED] = 1
-            for name in ("theta", "std", "w", "v", "scalars"):
-                getattr(state, name)[:] = getattr(other, name)
-    counters[flow_memory.FITS] += 1
-    floor = state.path[flow_path.FLOOR]
-    state.scalars[flow_fit.VARIANCE] = max(state.scalars[flow_fit.VARIANCE], floor)
-    if flow_path.has_past(state.path):  # what cells hold was corrected by earlier maps
-        state.cells[:, [flow_cells.COUNT, flow_cells.WORTH]] *= rules.KEPT_BY_FILTERS
-    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
-    counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
-
-
-def fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
-    """Fit the map, written in place; 0 where it could not be done."""
-    cells, slopes = state.cells.copy(), state.slopes.copy()
-    flow_oil.all_at_first(axis_s, memory_of(state), cells, slopes, new_room())
-    arrays = cells, slopes, state.scalars, state.w, state.v, state.theta, state.std
-    return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model import drift_states
+from valvemap.model import drift_states, flow_rivals
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.kernels import (
@@ -63,13 +63,15 @@ class FlowMapState(State):
         Inverse covariance of the operators' parameters, 0 of those that are not there.
     path : (PLACES,)
         Operators between map and samples, see :mod:`kernels.flow_path`.
+    rivals : (PLACES, COLUMNS) float32
+        Combinations of operators that are not in use, see :mod:`flow_rivals`.
     recent : (ROWS, COLUMNS) float32
         The last samples as measured, see the same.
     scalars, counters
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
-    state_version: ClassVar[int] = 13  # 12: no slopes within cells; 11: no noise of U
+    state_version: ClassVar[int] = 15  # 14: no evidence of former looks; 13: no noise of the timing
 
     cells: NDArray[np.float32]
     slopes: NDArray[np.float32]
@@ -88,6 +90,7 @@ class FlowMapState(State):
     wear: Floats
     play: Floats
     path: Floats
+    rivals: NDArray[np.float32]
     recent: NDArray[np.float32]
     scalars: Floats
     counters: Counts
@@ -96,22 +99,27 @@ class FlowMapState(State):
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
         """Add what earlier versions did not know.
 
-        Version 12: cells knew no slopes; 11: U had no noise; 10: that of Q was alike everywhere;
-        9: stays did not know signals on their way between two values; 8: cells did not know the
-        oil's temperature, and offsets of sensors did not jump; 7: sensors had none; 6: no signal
-        was held; 5: edges wore as a whole; 4: noise was AR(1), without a white part; 3: nothing
-        nameless was looked for.
+        Version 14: evidence for operators was that of one look; 13: noise did not depend on how
+        fast the flow changes; 12: cells knew no slopes; 11: U had no noise; 10: that of Q was alike
+        everywhere; 9: stays did not know signals on their way between two values; 8: cells did not
+        know the oil's temperature, and offsets of sensors did not jump; 7: sensors had none; 6: no
+        signal was held; 5: edges wore as a whole; 4: noise was AR(1), without a white part;
+        3: nothing nameless was looked for.
         """
-        if version not in ("3", "4", "5", "6", "7", "8", "9", "10", "11", "12"):
+        number = int(version) if version.isdecimal() else 0
+        if not 3 <= number <= 14:
             return {}
-        arrays["slopes"] = np.zeros((flow_slopes.PLACES, flow_slopes.COLUMNS), np.float32)
-        arrays["begun"] = np.zeros((2, flow_begun.COLUMNS), np.int32)
-        if version not in ("9", "10", "11", "12"):
+        arrays["rivals"] = flow_rivals.none()
+        if number < 13:
+            arrays["slopes"] = np.zeros((flow_slopes.PLACES, flow_slopes.COLUMNS), np.float32)
+            arrays["begun"] = np.zeros((2, flow_begun.COLUMNS), np.int32)
+        if number < 9:
             cls._add_former(version, arrays)
-        if version not in ("3", "4", "5", "6", "12"):
+        if 7 <= number < 12:
             noise = flow_path.NOISE_U
             arrays["path"] = np.insert(arrays["path"], [noise, 2 * noise], 0.0)
-        for name, size in (("stay", flow_memory.STAY), ("scalars", flow_fit.SCALARS)):
+        sizes = {"counters": flow_memory.COUNTERS, "scalars": flow_fit.SCALARS}
+        for name, size in (sizes | {"stay": flow_memory.STAY}).items():
             arrays[name] = np.pad(arrays[name], (0, max(size - len(arrays[name]), 0)))
         return arrays
 
@@ -203,6 +211,7 @@ class FlowMapState(State):
             "wear": Contents(self.wear).within(0.0, where=wearing).within(0.0, 1.0, likely),
             "chance": Contents(self.chance).within(0.0, 1.0),
             "path": Contents(self.path).within(0.0, where=slice(flow_path.GAINS)),
+            "rivals": Contents(self.rivals).within(0.0),
             "recent": Contents(self.recent).within(0.0, where=(every, flow_path.STEP)),
             "scalars": scalars,
             "counters": counters,
@@ -273,6 +282,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         wear=np.zeros((2, flow_wear.NODES + 1, flow_wear.COLUMNS)),
         play=np.zeros(flow_play.PLACES),
         path=np.zeros(flow_path.PLACES),
+        rivals=flow_rivals.none(),
         recent=np.zeros((rules.ROWS, flow_path.COLUMNS), np.float32),
         scalars=np.zeros(flow_fit.SCALARS),
         counters=counters,

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from valvemap.model import flow_map_looks
+from valvemap.model import flow_fits
+from valvemap.model.flow_arrays import memory_of
 from valvemap.model.flow_evidence import Evidence, with_value
 from valvemap.model.flow_map import FlowMap
-from valvemap.model.flow_map_looks import memory_of
 from valvemap.model.flow_map_state import FlowMapState, axes
 from valvemap.model.kernels import flow_cells, flow_fit, flow_path, flow_play, flow_stay
 from valvemap.model.samples import Samples
@@ -29,7 +29,7 @@ def fit() -> None:
     state, both = _blank(), axes((0.0, 100.0), (0.0, 200.0))
     state.cells[0, [flow_cells.COUNT, flow_cells.WORTH]] = 1.0
     state.scalars[flow_fit.SCALE] = 1.0
-    flow_map_looks.fit(state, *both, 1, fresh=True)
+    flow_fits.fit(state, *both, 1, fresh=True)
 
 
 def look() -> None:

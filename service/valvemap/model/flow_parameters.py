@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.model import flow_map_looks
-from valvemap.model.flow_map_looks import Both
+from valvemap.model.flow_arrays import Both, bare_memory, new_room
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift, flow_fit, flow_look, flow_play
 from valvemap.model.kernels import flow_rules as rules
@@ -53,8 +53,8 @@ def parameters(state: FlowMapState, both: Both) -> tuple[Floats, Floats]:
         *edges[:, 1],
         _play(state),
         flow_look.warmth(
-            *both, flow_map_looks.bare_memory(state), ends[0] / 2.0, DP, SLIGHTLY,
-            flow_map_looks.new_room(),
+            *both, bare_memory(state), ends[0] / 2.0, DP, SLIGHTLY,
+            new_room(),
         ),
         *moving.reshape(-1, 2),
     )  # fmt: skip

@@ -10,8 +10,7 @@ polynomial, and its poles are at s = -b_i.
 
 import numpy as np
 
-from valvemap.model import flow_map_looks
-from valvemap.model.flow_map_looks import Both
+from valvemap.model.flow_arrays import Both, bare_memory, new_room
 from valvemap.model.flow_map_state import FlowMapState
 from valvemap.model.kernels import flow_drift, flow_fit, flow_look, flow_memory
 from valvemap.model.kernels import flow_rules as rules
@@ -60,11 +59,11 @@ def _part(state: FlowMapState, both: Both, theta: Singles, T: float) -> Part:
     """The map of coefficients ``theta`` without its lower bound."""
     unbounded = state.scalars.copy()
     unbounded[flow_fit.LEAST] = -np.inf
-    memory = flow_map_looks.bare_memory(state)._replace(theta=theta, scalars=unbounded)
+    memory = bare_memory(state)._replace(theta=theta, scalars=unbounded)
 
     def flow(U: Floats, s: Floats) -> Floats:
         Q, std = np.empty((2, U.size))
-        room = flow_map_looks.new_room()
+        room = new_room()
         flow_look.evaluate(*both, memory, U, s**2, np.full(U.size, T), Q, std, room)
         return Q
 

@@ -4,8 +4,10 @@ A dead time ends between two rows, where spool and root are on a straight line o
 row has the variance c·(σ² + e), with e that of its flow by the coarse map. Its residual is divided
 by √(1 + e/σ²) and multiplied by the geometric mean of these: its mean square is the likelihood.
 
-A value between two rows, and a mean of several, has less of the pressures' noise than one at a row.
-A dead time that ends halfway would leave less, and so would a meter that averages. With n the
+A value between two rows, and a mean of several, has less of the noise of U and pressures than one
+at a row. A dead time that ends halfway would leave less, and so would a meter that averages; a
+hysteresis keeps noise from the spool. What U's noise is, where it is never calm, is not known: what
+of it passes is in the residual, and bounds it. With n the
 variance of the flow by the noise that is averaged out, and s² the mean square of the residual, the
 residual is multiplied by √(1 + n/s²) besides.
 """
@@ -21,35 +23,38 @@ from valvemap.model.kernels.flow_basis import Axis, interval, values
 from valvemap.model.samples import Floats
 
 ALONG_S = 3  # functions of s of the coarse map
-# Columns of places on the way: spool and share of the largest root; what both may be off by; the
-# part of the root's noise that is averaged out
-SPOOL, SHARE, OFF_U, OFF_S, NOISE_S = range(5)
-WAYS = 5
+# Columns of places on the way: spool and share of the largest root; of the variance of U's noise
+# what filters keep; what both places may be off by; the parts of their noise that are averaged out
+SPOOL, SHARE, KEPT, OFF_U, OFF_S, NOISE_U, NOISE_S = range(7)
+WAYS = 7
 
 
 @maker
 def weigh(
     axis: Axis, b: Floats, ways: Floats, used: np.ndarray, noise: float, residual: Floats,
-    scale: Floats,
+    scale: Floats, averaged: Floats,
 ) -> tuple[float, bool]:  # fmt: skip
     """Weigh the rows by their variance, the residual in place; σ² and whether it is as it was."""
     N, many, square, work = len(residual), 0, 0.0, np.empty(3)
-    loose, averaged = np.zeros(N), np.zeros(N)
+    loose, most = np.zeros(N), 0.0
     for i in range(N):
         if used[i]:
             many, square, way = many + 1, square + residual[i] ** 2, ways[i]
             loose[i] = _beside(axis, b, way, way[OFF_U], way[OFF_S], work)
-            averaged[i] = _beside(axis, b, way, 0.0, way[NOISE_S], work)
+            averaged[i] = _beside(axis, b, way, way[NOISE_U], way[NOISE_S], work)
+            most = max(most, loose[i])
     noise = noise if noise > 0.0 else max(square / max(many, 1), 1e-300)
     likeliest, logs, by, left = math.inf, 0.0, 1.0, noise
     for factor in rules.NOISE_STEPS:
+        if most == 0.0 and factor != 1.0:
+            break  # no place is uncertain: σ² is of no matter
         total, square, limit = 0.0, 0.0, math.inf
         for k_step in range(rules.ROBUST_STEPS):
             square = 0.0
             for i in range(N):
                 if used[i]:
                     ratio = 1.0 + loose[i] / (factor * noise)
-                    total += math.log(ratio) if k_step == 0 else 0.0
+                    total += math.log(ratio) if k_step == 0 and ratio > 1.0 else 0.0
                     square += min(residual[i] ** 2 / ratio, limit)
             limit = rules.MOST_STAY**2 * square / max(many, 1)
         value = total / max(many, 1) + math.log(max(square, 1e-300))
@@ -57,6 +62,12 @@ def weigh(
             likeliest, logs, by = value, total / max(many, 1), factor
             left = max(square / max(many, 1), 1e-300)
     noise *= by
+    passed = 0.0  # what of the averaged noise is left; it is in the residual, so it is no more
+    for i in range(N):
+        if averaged[i] > 0.0:
+            kept = ways[i, KEPT]
+            passed += averaged[i] * kept / max(1.0 - kept, 1e-9) / max(many, 1)
+    averaged *= min(left / max(passed, 1e-300), 1.0)
     for i in range(N):
         if used[i]:
             calm = left / (left + averaged[i])
@@ -91,21 +102,33 @@ def usual_bend(x: Floats) -> float:
     bends = np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])
     if len(bends) == 0:
         return 0.0
-    least = math.inf
-    for i in range(len(x) - 1):
-        step = abs(x[i + 1] - x[i])
-        least = step if 0.0 < step < least else least
-    least = least if least < math.inf else 0.0
-    return max(rules.MOST_STAY * rules.TENTH_TO_STD * tenth(bends), 2.0 * least)
+    return max(rules.MOST_STAY * rules.TENTH_TO_STD * tenth(bends), 2.0 * rounded_to(x))
 
 
 @maker
 def noise_of(x: Floats) -> float:
-    """Standard deviation of white noise, from second differences."""
+    """Standard deviation of white noise, from second differences; at least that of rounding."""
     bends = np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])
     if len(bends) == 0:
         return 0.0
-    return rules.TENTH_TO_STD * tenth(bends) / math.sqrt(6.0)
+    rounding = rounded_to(x) / math.sqrt(12.0)
+    return max(rules.TENTH_TO_STD * tenth(bends) / math.sqrt(6.0), rounding)
+
+
+@inner
+def rounded_to(x: Floats) -> float:
+    """Least step of a signal all of whose steps are multiples of it; 0: it is not rounded."""
+    least = math.inf
+    for i in range(len(x) - 1):
+        step = abs(x[i + 1] - x[i])
+        least = step if 0.0 < step < least else least
+    if least == math.inf:
+        return 0.0
+    for i in range(len(x) - 1):
+        step = abs(x[i + 1] - x[i])
+        if abs(step - least * np.rint(step / least)) > rules.OFF_ROUNDED * least:
+            return 0.0
+    return float(least)
 
 
 @inner
@@ -145,15 +168,39 @@ def kept(share: float) -> float:
 
 
 @inner
+def kept_by_spool(step: float, of_U: float, given: Floats) -> float:
+    """Of the variance of white noise of U, ``of_U`` %, the part that hysteresis and lag let pass.
+
+    A hysteresis stops what is narrower than half of it.
+    """
+    half, kept = given[paths.PLAY] + given[paths.STICK] + given[paths.RELAYS], 1.0
+    if half > 0.0 and of_U > 0.0:
+        kept = max(1.0 - half / of_U, 0.0) ** 2
+    return float(kept * _kept_by_lag(step, given[paths.LAG_U]))
+
+
+@inner
 def kept_by_meter(step: float, given: Floats) -> float:
     """Of the variance of white noise, the part that a meter's mean and lag leave."""
     kept = 1.0
     if 0.0 < step < given[paths.AVERAGE]:
         kept = step / given[paths.AVERAGE]
-    if given[paths.LAG_Q] > 0.0:
-        of_last = math.exp(-step / given[paths.LAG_Q])
-        kept *= (1.0 - of_last) / (1.0 + of_last)
-    return float(kept)
+    return float(kept * _kept_by_lag(step, given[paths.LAG_Q]))
+
+
+@inner
+def beside(kept: float) -> float:
+    """Covariance of neighbours in filtered white noise, as a share of the variance it has lost.
+
+    Exact behind a lag of first order; a value between two rows has ½, a mean ``kept``.
+    """
+    return kept / (1.0 + kept)
+
+
+@inner
+def _kept_by_lag(step: float, lag: float) -> float:
+    of_last = math.exp(-step / lag) if lag > 0.0 else 0.0
+    return (1.0 - of_last) / (1.0 + of_last)
 
 
 @inner

@@ -26,25 +26,25 @@ from valvemap.model.samples import Floats, Singles
 
 @kernel
 def leftover(
-    axis: Axis, top: float, rows: Floats, used: np.ndarray, given: Floats, ridge: float,
-    in_phase: bool, b: Floats, residual: Floats, out: Floats,  # noqa: FBT001
+    axis: Axis, top: float, rows: Floats, of_U: float, used: np.ndarray, given: Floats,
+    ridge: float, in_phase: bool, b: Floats, residual: Floats, out: Floats,  # noqa: FBT001
 ) -> None:  # fmt: skip
-    """Fill ``out`` (3,): mean square of the residual, number of rows, phase of friction.
+    """Fill ``out`` (5,): mean square of the residual, number of rows, phase of friction.
 
+    Then the variance of U's and Δp's noise that is averaged out, and the covariance of neighbours.
     ``in_phase``: friction holds the spool at U at first; else all `rules.PHASES` are tried.
-    ``rows`` (N, paths.COLUMNS) in the order of time; ``used`` (N,) see `counted`;
-    ``given`` (PARAMETERS,); ``axis`` of a coarse
-    map along U, ``top`` the largest √Δp. ``b`` (`terms_of`,) becomes the coarse map, drawn towards
-    what it was by the weight of ``ridge`` samples; ``residual`` (N,) what it leaves, 0 at rows that
-    do not count.
+    ``rows`` (N, paths.COLUMNS) in the order of time, ``of_U`` % noise of U in them; ``used`` (N,)
+    see `counted`; ``given`` (PARAMETERS,); ``axis`` of a coarse map along U, ``top`` the largest
+    √Δp. ``b`` (`terms_of`,) becomes the coarse map, drawn towards what it was by the weight of
+    ``ridge`` samples; ``residual`` (N,) what it leaves, 0 at rows that do not count.
     """
     N, K = len(rows), len(b)
     t, base, work = np.zeros(N), np.zeros(N, np.int64), np.empty(3)
-    prior, other, left, last = b.copy(), np.empty(K), np.empty(N), np.empty(3)
+    prior, other, left, last = b.copy(), np.empty(K), np.empty(N), np.empty(5)
     out[0] = math.inf
     for phase in rules.PHASES:  # where friction held the spool at first is not known
         X, ways = np.zeros((N, K)), np.zeros((N, between.WAYS))
-        _regressors(axis, top, rows, given, phase, X, ways, t, base, work)
+        _regressors(axis, top, rows, of_U, given, phase, X, ways, t, base, work)
         X = _filtered(X, rows, t, base, given)
         other[:], last[2] = prior, phase
         _fit(axis, X, ways, rows, used, given, ridge, other, left, last)
@@ -56,26 +56,28 @@ def leftover(
 
 @kernel
 def counted(rows: Floats, used: np.ndarray) -> None:
-    """Mark the rows that count, (N,): those that no lag joins to a stretch without samples.
-
-    One of `rules.EVERY`, another one in each part of the rows: commands may come at such a beat.
-    """
-    since, N = 0.0, len(rows)
-    for i in range(N):
+    """Mark the rows that count, (N,): those that no lag joins to a stretch without samples."""
+    since = 0.0
+    for i in range(len(rows)):
         step = rows[i, paths.STEP]
         since = 0.0 if i == 0 or step >= rules.GAP else since + step
-        used[i] = (i + rules.EVERY * i // N) % rules.EVERY == 0 and since >= rules.LONGEST_LAG
+        used[i] = since >= rules.LONGEST_LAG
 
 
 @kernel
-def as_they_were(rows: Floats, given: Floats, out: Floats) -> None:
-    """Fill ``out``, a copy of the rows, with U and pressures as the parameters say they were."""
-    held_p = given[paths.HELD_P]
+def as_they_were(rows: Floats, given: Floats, out: Floats) -> float:
+    """Fill ``out``, a copy of the rows, with U and pressures as the parameters say they were.
+
+    Return the noise that is left of U, %.
+    """
+    held_p, left = given[paths.HELD_P], 0.0
     for i in range(len(rows)):
         known, ahead = i + 1, len(rows) - 1 - i
-        out[i, paths.LEFT_U] = paths.commanded(rows, i, known, ahead, given)[0]
+        out[i, paths.LEFT_U], std = paths.commanded(rows, i, known, ahead, given)
+        left += std * std if given[paths.NOISE_U] > 0.0 else 0.0
         out[i, paths.LEFT_DP] = paths.between(rows, i, known, ahead, paths.LEFT_DP, held_p)[0]
         out[i, paths.LEFT_P1] = paths.between(rows, i, known, ahead, paths.LEFT_P1, held_p)[0]
+    return math.sqrt(left / max(len(rows), 1))
 
 
 def terms_of(axis: Axis) -> int:
@@ -116,8 +118,8 @@ def _row(axis: Axis, u: float, share: float, x: Floats, work: Floats) -> None:
 
 @maker
 def _regressors(
-    axis: Axis, top: float, rows: Floats, given: Floats, phase: float, X: Floats, ways: Floats,
-    t: Floats, base: np.ndarray, work: Floats,
+    axis: Axis, top: float, rows: Floats, of_U: float, given: Floats, phase: float, X: Floats,
+    ways: Floats, t: Floats, base: np.ndarray, work: Floats,
 ) -> None:  # fmt: skip
     """Fill the regressors (N, K), and the places ``ways`` (N, between.WAYS) between two rows."""
     path = np.zeros(paths.PLACES)
@@ -126,20 +128,25 @@ def _regressors(
     places, at, then = np.empty((len(rows), 2)), 0, 0  # spool and root; dead times ago
     usual = between.usual_bend(rows[:, paths.LEFT_U])
     of_dp = between.noise_of(rows[:, paths.LEFT_DP]) / (top * top)
+    if given[paths.NOISE_U] == 0.0:  # where U is never calm, its noise is known by its bends
+        U = rows[:, paths.LEFT_U]
+        of_U = max(min(of_U, between.noise_of(U)), between.rounded_to(U) / math.sqrt(12.0))
     for i in range(len(rows)):
         step = rows[i, paths.STEP]
         fresh = i == 0 or step >= rules.GAP
         t[i] = 0.0 if i == 0 else t[i - 1] + step
         base[i] = i if fresh else base[i - 1]
-        U = rows[i, paths.LEFT_U]
+        U, kept = rows[i, paths.LEFT_U], between.kept_by_spool(step, of_U, given)
         if given[paths.DEAD_U] > 0.0:
             at, share = _before(t, at, base[i], i, given[paths.DEAD_U])
             U = rows[at, paths.LEFT_U]
             if share > 0.0:
+                kept *= between.kept(share)
                 U += share * (rows[at + 1, paths.LEFT_U] - U)
                 ways[i, between.OFF_U] = between.bends(
                     rows[:, paths.LEFT_U], at, base[i], share, usual
                 )
+        ways[i, between.KEPT] = kept
         u = paths.spool(U, step, fresh, path)
         p = u if fresh else min(max(p, u - given[paths.PLAY]), u + given[paths.PLAY])
         places[i, 0] = min(max(p, low), high)
@@ -162,6 +169,8 @@ def _regressors(
                     ways[i, between.OFF_S] = (
                         between.bends(places[:, 1], then, base[i], share, of_root) / top
                     )
+        ways[i, between.KEPT] *= kept
+        ways[i, between.NOISE_U] = of_U * math.sqrt(1.0 - ways[i, between.KEPT])
         ways[i, between.NOISE_S] = (
             of_dp / (2.0 * max(abs(s) / top, rules.LAMINAR)) * math.sqrt(1.0 - kept)
         )
@@ -219,7 +228,8 @@ def _filtered(X: Floats, rows: Floats, t: Floats, base: np.ndarray, given: Float
             for k in range(K):  # the oldest row counts in part
                 beyond = max(span - given[paths.AVERAGE], 0.0)
                 oldest = X[min(at + 1, i), k]
-                mean[i, k] = (total[k] - beyond * oldest) / max(span - beyond, 1e-9)
+                shown = (total[k] - beyond * oldest) / max(span - beyond, 1e-9)
+                mean[i, k] = shown if abs(shown) >= rules.FADED else 0.0
             if span <= 0.0:
                 mean[i] = X[i]
         X = mean
@@ -229,6 +239,8 @@ def _filtered(X: Floats, rows: Floats, t: Floats, base: np.ndarray, given: Float
                 keep = math.exp(-(t[i] - t[i - 1]) / given[paths.LAG_Q])
                 for k in range(K):
                     X[i, k] += keep * (X[i - 1, k] - X[i, k])
+                    if abs(X[i, k]) < rules.FADED:
+                        X[i, k] = 0.0
     if given[paths.HELD_Q] > 0.0:
         for i in range(N):
             if base[i] != i and rows[i, paths.LEFT_Q] == rows[i - 1, paths.LEFT_Q]:
@@ -248,12 +260,17 @@ def _fit(
     path[: paths.PARAMETERS] = given
     flows, limit, known = np.zeros(N), math.inf, 0
     scale, noise = np.ones(N), 0.0  # σ²/variance of a row; σ²
+    averaged = np.zeros(N)
     settled = not ways[:, between.OFF_U :].any()
     has_ways = not settled
     residual[:] = 0.0
+    first, refused = np.zeros(N, np.int64), np.zeros(N, np.bool_)
+    for i in range(N):
+        while X[i, first[i]] == 0.0 and first[i] < K - 1:
+            first[i] += 1
     for k_round in range(rules.ROBUST_ROUNDS):
         A, x_Q = np.zeros(K * K), np.zeros(K)
-        refused, counted = 0, 0
+        other, counted = 0, 0  # rows that are refused now and were not, or the other way round
         for i in range(N):
             Q, weight = rows[i, paths.LEFT_Q], scale[i]
             if not used[i]:
@@ -267,20 +284,22 @@ def _fit(
                     continue
                 weight = rules.FIRST_WEIGHT if k_round == 0 else 1.0
                 Q = min(max(flows[i], -least), least)
-            if abs(residual[i]) > limit:
-                refused += 1
+            is_refused = abs(residual[i]) > limit
+            other += is_refused != refused[i]
+            refused[i] = is_refused
+            if is_refused:
                 continue
             counted += 1
-            for k in range(K):
+            for k in range(first[i], K):
                 x = weight * X[i, k]
                 if x != 0.0:
                     x_Q[k] += x * Q
-                    for j in range(k + 1):
+                    for j in range(first[i], k + 1):
                         A[Index(k * K + j)] += x * X[i, Index(j)]
         for k in range(K):
             A[k * K + k] += ridge
             x_Q[k] += ridge * prior[k]
-        is_done = refused == 0 and top + least == 0.0 and settled
+        is_done = other == 0 and top + least == 0.0 and settled
         if counted <= K or (known > 0 and is_done):
             break
         b[:] = x_Q
@@ -289,7 +308,7 @@ def _fit(
         for i in range(N):
             if used[i]:
                 flow = 0.0
-                for k in range(K):
+                for k in range(first[i], K):
                     flow += X[i, k] * b[k]
                 flows[i], Q = flow, rows[i, paths.LEFT_Q]
                 residual[i] = Q - paths.shown(flow, path)
@@ -298,7 +317,7 @@ def _fit(
                     residual[i] = other if abs(other) < abs(residual[i]) else residual[i]
                 known += 1
         if has_ways:
-            noise, settled = between.weigh(axis, b, ways, used, noise, residual, scale)
+            noise, settled = between.weigh(axis, b, ways, used, noise, residual, scale, averaged)
         square = 0.0
         for i in range(N):
             square += residual[i] ** 2 if used[i] else 0.0
@@ -315,6 +334,10 @@ def _fit(
             residual[i] = min(max(residual[i], -limit), limit)
             squares += residual[i] ** 2
     out[0], out[1] = squares / max(known, 1), max(known, 1)
+    out[3:] = 0.0
+    for i in range(N):
+        out[3] += averaged[i] / max(known, 1)
+        out[4] += averaged[i] * between.beside(ways[i, between.KEPT]) / max(known, 1)
 
 
 @kernel

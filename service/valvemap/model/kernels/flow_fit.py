@@ -53,7 +53,10 @@ ZERO_SCALE = 37  # l/min; root mean square of the flow by which the meter's offs
 READING = 38  # numbers of `flow_reading`
 MAY_HAVE_CHANGED = READING + readings.NUMBERS  # probability of a sudden change, before samples,
 # since the first of the cells of `flow_begun` began; of either side
-SCALARS = MAY_HAVE_CHANGED + 2
+TIMING = MAY_HAVE_CHANGED + 2  # numbers of `flow_reading`, of how fast the flow changes
+FLOW_BEFORE = TIMING + readings.NUMBERS  # l/min; predicted for the sample before
+RATE = FLOW_BEFORE + 1  # l/min/s; from the sample before that one to it
+SCALARS = RATE + 1
 
 
 @inner
@@ -81,6 +84,7 @@ def fit(
         return False
     alike = 1.0 + scalars[SLOW] * (2.0 * scalars[COLOUR] ** 2 / (1.0 - scalars[COLOUR] ** 2))
     readings.estimate(scalars[READING:], scalars[WITHIN_WEIGHT], alike)
+    readings.estimate(scalars[TIMING:], scalars[WITHIN_WEIGHT], alike)
     guess, lam = np.empty(prior.FAMILIES), scalars[LAM : LAM + prior.FAMILIES]
     _first_guess(axis_s, scale, guess)
     if fresh:

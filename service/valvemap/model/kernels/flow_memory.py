@@ -27,7 +27,8 @@ PAIR_CELL, PAIR_TIME = 27, 28  # of the stay that is to be compared
 LEARNT = 29  # rows of `recent` that were learnt; the others wait for signals that are held
 BLOCKED = 30  # whether the last sample showed no flow where there surely was some
 BEGAN_TIME = 31  # ns; of the map's first sample, 0: it has none
-COUNTERS = 32
+WEIGHED = 32  # rows seen when rivals of the operators in use were weighed
+COUNTERS = 33
 
 A_CHANGE, A_GUESS = 1, 2  # one that was called; one that flows at new places refute
 

@@ -24,14 +24,24 @@ def of_sample(flow: float, scalars: Floats) -> float:
 
 
 @inner
+def of_timing(rate: float, scalars: Floats) -> float:
+    """Variance of a sample by the doubt about its time, where the flow changes so fast."""
+    return float(scalars[fits.VARIANCE] * (readings.ratio(scalars[fits.TIMING :], rate) - 1.0))
+
+
+@inner
 def note(
-    error: float, weight: float, count: float, age: int, flow: float, scalars: Floats
+    error: float, weight: float, count: float, age: int, flow: float, rate: float, scalars: Floats
 ) -> None:  # fmt: skip
     """Add an error against the sample's own cell, of ``count`` samples, to variance and colour."""
     rest = 1.0 - 1.0 / min(max(0.5 * age, 50.0), rules.NOISE_MEMORY)  # early maps were worse
     part = count / (count + 1.0)
-    readings.note(scalars[fits.READING :], rest, weight, part * error * error, flow)
-    scalars[fits.WITHIN] = rest * scalars[fits.WITHIN] + weight * part * error * error
+    square = part * error * error
+    readings.note(scalars[fits.READING :], rest, weight, square, flow)
+    by_flow = readings.ratio(scalars[fits.READING :], flow)
+    readings.note(scalars[fits.TIMING :], rest, weight, square / by_flow, rate)
+    square /= readings.ratio(scalars[fits.TIMING :], rate)
+    scalars[fits.WITHIN] = rest * scalars[fits.WITHIN] + weight * square
     scalars[fits.WITHIN_WEIGHT] = rest * scalars[fits.WITHIN_WEIGHT] + weight
     last, before = scalars[fits.LAST_ERROR], scalars[fits.ERROR_BEFORE]
     skip(scalars)

@@ -3,6 +3,9 @@
 A meter's error is a constant and a share of the reading. The part follows from least squares of
 squared errors over q², weighed by 1/n²: the variance of a square is 2·σ⁴·n². One that is not surely
 above 0 is none. Where little flows, σ² stands: errors of the map and of cells are as large there.
+
+The same numbers are kept of the rate dQ/dt in place of q: where the time of a sample is not known
+to a part of a step, or its spool lags by that, it is off by as much as the flow changes then.
 """
 
 import math

@@ -134,7 +134,6 @@ LAGS_LEFT: Final = 6.0  # lags after which a first-order lag is over
 GAP: Final = 2.5  # s without samples: what lags starts again
 ENOUGH_SHOWN: Final = 0.98  # share of what a meter shows now that is known
 LONGEST_LAG: Final = 1.5  # s of a stretch that are left out, so that all lags are judged alike
-EVERY: Final = 2  # rows; of which one is compared
 ROBUST_ROUNDS: Final = 6  # fits of a coarse map, without the outliers of the fit before
 ROBUST_STEPS: Final = 5  # steps of the robust variance
 NOISE_STEPS: Final = (1.0, 0.5, 2.0, 0.25, 4.0)  # factors of σ² that are tried where the places of
@@ -143,6 +142,8 @@ NEAR_TOP: Final = 0.99  # of the meter's end; beyond it flow is not known
 WELL_BELOW_TOP: Final = 0.95  # of the meter's end; a lower reading is a flow, whatever is predicted
 NEAR_LEAST: Final = 0.3  # of the least flow; nearer to it either reading is possible
 FIRST_WEIGHT: Final = 0.02  # of a sample below the least flow, in the first fit
+OFF_ROUNDED: Final = 0.01  # of the least step; further from a multiple no rounded signal is
+FADED: Final = 1e-12  # of 1; less of a regressor is rounding, behind a meter's filter
 RIDGE: Final = (
     1e-4  # samples' weight that keeps a part of the coarse map without samples determined
 )
@@ -158,12 +159,16 @@ SHARES_COARSE: Final = (
     0.8,
     1.0,
 )  # of U_end; its knots
-SLOW_KEPT: Final = (0.6, 0.85, 0.95, 1.0)  # of the slow part of a residual, from row to row
-SLOW_GAINS: Final = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)  # of an innovation that is slow; of
-# both the likeliest are taken
+# Of the slow part of a residual, from row to row, and of an innovation that is slow: of both the
+# likeliest are taken. What changes its sign from row to row is a meter's counting of teeth.
+SLOW_KEPT: Final = (-0.5, 0.6, 0.8, 0.9, 0.95, 0.98, 1.0)
+SLOW_GAINS: Final = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
 PHASES: Final = (0.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # slips; where friction may hold a spool
 CLEAR: Final = 40.0  # log likelihood from which on an operator is taken
 STILL_CLEAR: Final = 10.0  # log likelihood from which on it is kept
+MOST_OF_LOOK: Final = 15.0  # log likelihood that one of several looks adds for an operator
+LEAST_LAG: Final = 0.25  # of the step between samples; briefer lags are taken by one look only
+RIVALS_KEPT: Final = 0.95  # from look to look, of the evidence for operators that are not in use
 MOST_OPERATORS: Final = 4  # taken in one look
 SHARES_TOP: Final = (0.9, 0.97, 1.0)  # of the readings; where a meter's end is looked for
 SEEN_BELOW: Final = 5  # readings of no flow, from which on a meter may have a least flow

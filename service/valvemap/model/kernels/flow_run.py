@@ -213,6 +213,7 @@ def _learn_row(
     beyond = 0.0  # flow that the meter shows beyond that of the place
     bent, own = 0.0, 1.0  # variance of that; of what the sample says, the share on its own cell
     loose = 0.0  # variance of the flow by that of signals on the way between two values
+    rate = 0.0  # of the flow, l/min/s
     if paths.shows_past(path):
         if not _metered(axis_U, axis_s, row, u, memory, room):
             return _WARMING_UP
@@ -226,6 +227,8 @@ def _learn_row(
         bent += (rules.BENT_BY_LAGS * beyond) ** 2
         if paths.looks_ahead(path) or room.means[6] + room.means[7] > 0.0:
             loose = _loose(row, dp, p1, axis_U, axis_s, memory, room)
+        rate = _rate(at[FLOW] + beyond, step, scalars)
+        loose += noises.of_timing(rate, scalars)
         at[SURE] += bent + loose
         at[TOTAL] += bent + loose
     beyond += memory.now[side, 0, drifts.ZERO] * scalars[fits.ZERO_SCALE]
@@ -254,7 +257,7 @@ def _learn_row(
     if counters[FITTED]:
         residual = batch.residual[i]
         slope = at[SLOPE]
-        weight = _trust(residual, axis_U, axis_s, memory, gain, number, bent, room)
+        weight = _trust(residual, axis_U, axis_s, memory, gain, number, bent, rate, room)
         if memory.cells[number, COUNT] == 0.0:
             _weigh_guess(residual, memory, at)
         is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
@@ -316,6 +319,17 @@ def _learn_row(
     if counters[BEGAN_TIME] == 0:
         counters[BEGAN_TIME] = batch.t[i]
     return _OK if known else _WARMING_UP
+
+
+@inner
+def _rate(flow: float, step: float, scalars: Floats) -> float:
+    """How fast the flow changed before this sample, l/min/s: with it, noise of Δp were a rate."""
+    rate = np.float64(scalars[fits.RATE]) if step < rules.GAP else 0.0
+    scalars[fits.RATE] = (
+        (flow - scalars[fits.FLOW_BEFORE]) / step if 0.0 < step < rules.GAP else 0.0
+    )
+    scalars[fits.FLOW_BEFORE] = flow
+    return float(rate)
 
 
 @inner
@@ -449,7 +463,7 @@ def _own(axis_U: Axis, axis_s: Axis, means: Floats) -> float:
 @inner
 def _trust(
     residual: float, axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, number: int,
-    bent: float, room: Room,
+    bent: float, rate: float, room: Room,
 ) -> float:  # fmt: skip
     """Probability that a sample is none that the meter invented, by the map or by its cell."""
     scalars, counters, cell = memory.scalars, memory.counters, memory.cells[number]
@@ -476,7 +490,8 @@ def _trust(
     if cell[COUNT] > 0.0 and not paths.filters(memory.path):
         of_way *= apart(axis_U, axis_s, cell, number, room.at)
     if cell[COUNT] > 0.0 and of_way < noise:
-        noises.note(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], at[FLOW], scalars)
+        age = counters[USED] - counters[BEGAN]
+        noises.note(error, weight, cell[COUNT], age, at[FLOW], rate, scalars)
     else:
         noises.skip(scalars)
     return weight
