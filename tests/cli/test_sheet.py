@@ -12,9 +12,10 @@ from cli.test_dynamics import recorded
 from valvemap.app.build import build_identification
 from valvemap.cli import run
 from valvemap.config.loading import load_config
+from valvemap.pipeline.commission_plan import Plan
 from valvemap.pipeline.operator_ports import Command
 from valvemap.storage.checkpoints import CheckpointFile
-from valvemap.storage.commission_files import RunFiles
+from valvemap.storage.commission_files import RunFiles, last_run, last_sampled_run
 from valvemap.storage.recording_writer import RecordingWriter
 
 DATASHEET = """
@@ -65,6 +66,8 @@ def test_a_sheet_is_printed_written_and_judged(folder, capsys):
     assert sheet["is_a_test"]
     assert figures["rated_flow"]["verdict"] == "pass"
     assert figures["hysteresis"]["verdict"] == "fail"
+    assert (figures["hysteresis"]["min"], figures["hysteresis"]["max"]) == (None, 1.5)
+    assert "105, 95 … 115" in " ".join(page_text(folder / "one.html").split())
     assert figures["threshold"]["value"] is None
     assert figures["hysteresis"]["lower"] < 2.0 < figures["hysteresis"]["upper"]
     page = (folder / "one.html").read_text(encoding="utf-8")
@@ -73,9 +76,13 @@ def test_a_sheet_is_printed_written_and_judged(folder, capsys):
     assert not re.search(r"(src|href)=[\"']?http|url\(http|@import", page)
 
 
+def page_text(file):
+    return re.sub(r"<[^>]+>", " ", file.read_text(encoding="utf-8"))
+
+
 def guided(folder, name, ended):
     """A recording with four traverses, then moves within the range, and its audit record."""
-    whole = swept(VALVES["dead band 8 %, play 2 %"], 5, guided_s=(24.0, 24.0, 24.0))
+    whole = swept(VALVES["dead band 8 %, play 2 %"], 5, guided=Plan(24.0, sweep_s=72.0))
     within = (np.abs(whole.U - 50.0) < 35.0) | (np.arange(len(whole)) < 0.82 * len(whole))
     with RunFiles(folder / f"{name}.csv", "V1") as files:
         files.append(whole[within])
@@ -111,6 +118,20 @@ def test_a_run_without_samples_is_passed_over(tmp_path, capsys, monkeypatch):
     assert "rated flow" in capsys.readouterr().out
 
 
+def test_a_refused_run_is_passed_over_and_a_refused_continuation_is_not(tmp_path, capsys):
+    folder = tmp_path / "commission"
+    for hour, notes in enumerate([[{"phase": "DONE", "elapsed_s": 60.0}], [{"phase": "REFUSED"}]]):
+        with RunFiles(folder / f"V1.20260101T0{hour}0000Z.csv", "V1") as files:
+            files.append(swept(VALVES["ordinary, no play"], 5)[:200])
+            for note in notes:
+                files.note({"event": "ended", "reason": "samples are too old", **note})
+    for found in (last_run, last_sampled_run):
+        assert found(folder, "V1").name == "V1.20260101T000000Z.csv"
+    with RunFiles(folder / "V1.20260101T000000Z.csv", "V1") as files:
+        files.note({"event": "ended", "phase": "REFUSED", "reason": "", "elapsed_s": 60.0})
+    assert last_run(folder, "V1").name == "V1.20260101T000000Z.csv"
+
+
 def test_the_sheet_stands_beside_a_saved_map(capsys):
     assert run(["replay", "one.csv", "--save", "one.model.json"]) == 0
     assert run(["sheet", "V1", "--from", "one.csv", "--against", "one.model.json"]) == 0
@@ -135,7 +156,7 @@ def test_recorded_steps_add_dynamics_step_response_and_bode_plot(folder, capsys)
 def test_the_sheet_stands_beside_the_approved_map_of_the_service(folder, capsys):
     (folder / "v.toml").write_text(CONFIG, encoding="utf-8")
     identification = build_identification(load_config(folder / "v.toml"))
-    quick = swept(VALVES["dead band 8 %, play 2 %"], 5, guided_s=(4.0,) * 15)
+    quick = swept(VALVES["dead band 8 %, play 2 %"], 5, guided=Plan(4.0, sweep_s=60.0))
     identification.take_samples(0, quick)
     identification.do(Command.of("approve", "V1"))
     with CheckpointFile(folder / "state.sqlite") as store:
@@ -159,6 +180,11 @@ WRONG = {
     "no valve": (["--from", "one.csv", "V2"], 2, "one.csv has no such valve; there is V1"),
     "Δp": (["--from", "one.csv", "--rated-dp", "300"], 1, "the rated Δp is 300 bar; the recordi"),
     "no datasheet": (["--from", "one.csv", "--datasheet", "x.toml"], 2, "x.toml: no such file"),
+    "no map": (
+        ["--from", "one.csv", "--against", "one.csv"],
+        2,
+        "--against one.csv: a saved map (.json) is needed; `valvemap replay RECORDING --save",
+    ),
 }
 
 
@@ -177,7 +203,15 @@ def test_what_is_wrong_is_named_in_one_line(name, capsys):
     [
         ("[figures.leak]\nmax = 1", "there is no figure 'leak'; allowed are rated_flow, dead_band"),
         ("[figures.leakage]\nmin = 2\nmax = 1", "figures.leakage: min 2 is above max 1"),
-        ("rated_dp_bar = -1", "rated_dp_bar: Input should be greater than 0"),
+        ("rated_dp_bar = -1", "rated_dp_bar = -1: input should be greater than 0"),
+        ("rated_dp_bar = inf", "rated_dp_bar = inf: input should be a finite number"),
+        ("[figures.leakage]\nmax = nan", "figures.leakage.max = nan: input should be a finite num"),
+        ("[figures.leakage]\nmax = true", "figures.leakage.max = True: true is no number"),
+        ("[figures.leakage]\nmax = '1 l/min'", "figures.leakage.max = '1 l/min': input should be"),
+        ("[figures.leakage]\n", "figures.leakage: value, min or max is needed"),
+        ("[figures.hysteresis]\nmax = -1", "figures.hysteresis.max = -1: no hysteresis is below 0"),
+        ("[figures.rated_flow]\nvalue = -9", "figures.rated_flow.value = -9: no rated flow is be"),
+        ("[figures.symmetry]\nmax = 1", "figures.symmetry: a valve that works one way has no symm"),
         ("x = [", "not valid TOML"),
         ("[figures.leakage]\nvalu = 1", "figures.leakage.valu: there is no such field; is value"),
         ("[figurs.leakage]\nmin = 1", "figurs: there is no such field; is figures meant?"),
@@ -195,3 +229,14 @@ def test_a_valve_that_works_both_ways_has_figures_of_both_sides(capsys):
     shown = capsys.readouterr().out
     assert "rated flow, U < 0" in shown
     assert "symmetry" in shown
+
+
+def test_a_side_that_was_not_driven_has_no_symmetry(folder, capsys):
+    outputs = ["--json", "half.json"]
+    assert run(["sheet", "V1", "--from", "one.csv", "--both-ways", *outputs]) == 0
+    capsys.readouterr()
+    sheet = json.loads((folder / "half.json").read_text(encoding="utf-8"))
+    figures = {(one["key"], one["side"]): one for one in sheet["figures"]}
+    for one in (figures["symmetry", ""], figures["rated_flow", "U < 0"]):
+        assert one["value"] is None
+        assert one["reason"] == "U was 0 % at most of 100 %"

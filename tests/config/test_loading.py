@@ -132,6 +132,10 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
             "[[valves]]\n[valves.commission]\nload_range_bar = [5, 190]\np_most_bar = 180\n",
             "p_most_bar = 180: must exceed 190 of load_range_bar = [5.0, 190.0]",
         ),
+        (
+            "[[valves]]\n[valves.commission]\nlast_period_s = 21\n",
+            "last_period_s = 21: must be 0, or between period_s = 4 and sweep_s - period_s = 20",
+        ),
         (FED + "max_age_s = 0.1\n", "valves[0].feed_forward.max_age_s = 0.1: must be longer than"),
         (FED + "max_width_percent = nan\n", "valves[0].feed_forward.max_width_percent"),
         ("[[valves]]\n[valves.feed_forward]\n", "nodes.required_U is needed"),

@@ -18,8 +18,10 @@ from valvemap.model.dynamics import Dynamics
 from valvemap.model.judged_sheet import Apart, Line, Verdict, compare, judge
 from valvemap.model.samples import Floats
 from valvemap.model.sheet import Figure, Sheet, SheetError, make_sheet, too_few_traverses
+from valvemap.model.sheet_figures import names_of
 from valvemap.storage.commission_files import why_unfinished
 from valvemap.storage.layout import Layout
+from valvemap.storage.models import is_model
 
 _NOISE_PERCENT: Final = 1.0  # of a signal at 0
 
@@ -84,6 +86,7 @@ def sheet_of(
                 "--one-way if its range is 0 to 100 %"
             )
         U_range = 0.0, 100.0
+    _check_has(datasheet, U_range)
     try:
         sheet = make_sheet(samples, dp_rated, U_range)
     except SheetError as error:
@@ -108,17 +111,34 @@ def saved_map(file: Path, valve: str) -> Other:
     ------
     ConfigurationError, StorageError
     """
+    if not is_model(file):
+        raise ConfigurationError(
+            f"--against {file}: a saved map (.json) is needed; `valvemap replay RECORDING --save "
+            "MODEL.json` makes one"
+        )
     model = open_model(file, valve=valve)
     return Other(f"{file.name} ({model.name})", model.predict)
+
+
+def _check_has(datasheet: Datasheet, U_range: tuple[float, float]) -> None:
+    """Refuse what the datasheet expects of figures that the valve has not."""
+    has = names_of(sum(end != 0.0 for end in U_range))
+    for key in datasheet.figures:
+        if key not in has:
+            raise ConfigurationError(
+                f"datasheet: figures.{key}: a valve that works one way has no "
+                f"{names_of(2)[key]}; remove it, or say --both-ways"
+            )
 
 
 def _line(figure: Figure, datasheet: Datasheet) -> Line:
     expected = datasheet.figures.get(figure.key)
     if expected is None:
         return Line(figure)
-    if math.isinf(expected.min) and math.isinf(expected.max):
+    least, most = expected.min, expected.max
+    if math.isinf(least) and math.isinf(most):
         return Line(figure, expected.value)
-    return Line(figure, expected.value, judge(figure, expected.min, expected.max))
+    return Line(figure, expected.value, judge(figure, least, most), least, most)
 
 
 def as_json(judged: JudgedSheet) -> dict[str, Any]:
@@ -134,7 +154,13 @@ def as_json(judged: JudgedSheet) -> dict[str, Any]:
         "rated_dp_bar": sheet.dp_rated,
         "conditions": asdict(sheet.conditions),
         "figures": [
-            {**asdict(line.figure), "datasheet": line.datasheet, "verdict": line.verdict}
+            {
+                **asdict(line.figure),
+                "datasheet": line.datasheet,
+                "min": line.least,
+                "max": line.most,
+                "verdict": line.verdict,
+            }
             for line in judged.lines
         ],
         "curve": {

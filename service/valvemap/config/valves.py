@@ -191,7 +191,13 @@ class ValveConfig(Section):
 
     @model_validator(mode="after")
     def _commission_fits(self) -> Self:
-        self.commission.check_within(self.U_range_percent, has_load=self.nodes.load is not None)
+        nodes = self.nodes
+        self.commission.check_within(
+            self.U_range_percent,
+            is_driven=nodes.required_U is not None,
+            has_load=nodes.load is not None,
+            has_p2=nodes.p2 is not None,
+        )
         return self
 
     @model_validator(mode="after")

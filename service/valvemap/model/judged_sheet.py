@@ -1,5 +1,6 @@
 """A sheet's figures beside a datasheet and its tolerances, and its curve beside another map."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -19,11 +20,16 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Line:
-    """A figure, the datasheet's value of it, and the verdict; None where nothing is expected."""
+    """A figure, the datasheet's value of it, the verdict, and its tolerances.
+
+    None, or an infinite tolerance, where nothing is expected.
+    """
 
     figure: Figure
     datasheet: float | None = None
     verdict: Verdict | None = None
+    least: float = -math.inf
+    most: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,12 @@ def make_sheet(
         for end, side in zip(ends, sides, strict=True)
         for row in OF_SIDES
     ]
-    figures += [_figure(row, "", sides) for row in OF_VALVE if row.sides <= len(sides)]
+    missing = next(filter(None, (_not_driven(end, conditions) for end in ends)), "")
+    figures += [
+        _figure(row, "", sides, missing if row.sides > 1 else "")
+        for row in OF_VALVE
+        if row.sides <= len(sides)
+    ]
     figures += [
         Figure(row.key, "", row.name, row.unit, "", Measured.NOT_MEASURED, reason=row.reason)
         for row in ELSEWHERE
@@ -169,7 +174,7 @@ def _side(fit: SweepFit, end: float) -> Side:
 
 def _not_driven(end: float, conditions: Conditions) -> str:
     """Return why a side is not measured, empty if it is."""
-    reached = conditions.U[1] if end > 0.0 else -conditions.U[0]
+    reached = max(0.0, conditions.U[1] if end > 0.0 else -conditions.U[0])
     driven = reached >= WHOLE * abs(end)
     return "" if driven else f"U was {reached:.3g} % at most of {abs(end):g} %"
 

@@ -184,5 +184,18 @@ ELSEWHERE: Final = (
     Elsewhere(*("pressure_gain", "pressure gain", "bar per % of U"), "needs blocked service ports"),
 )
 
-KEYS: Final = tuple(row.key for row in (*OF_SIDES, *OF_VALVE, *ELSEWHERE))
-"""Keys of all figures."""
+LEAST: Final = {row.key: row.least for row in (*OF_SIDES, *OF_VALVE)} | {
+    row.key: 0.0 for row in ELSEWHERE
+}
+"""The smallest value that a figure can have, by its key."""
+
+
+def names_of(sides: int) -> dict[str, str]:
+    """Return the names of the figures of a valve with one side or two, by their keys.
+
+    >>> "symmetry" in names_of(1), names_of(2)["symmetry"]
+    (False, 'symmetry')
+    """
+    of_valve = [row for row in OF_VALVE if row.sides <= sides]
+    rows: list[Row | Elsewhere] = [*OF_SIDES, *of_valve, *ELSEWHERE]
+    return {row.key: row.name for row in rows}

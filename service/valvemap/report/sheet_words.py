@@ -37,12 +37,26 @@ def notes_of(sheet: Sheet, apart: Apart | None) -> list[str]:
 
 
 def cells(line: Line) -> tuple[str, ...]:
-    """Texts of a figure: name, value, interval or reason, unit, datasheet's value, verdict."""
+    """Texts of a figure: name, value, interval or reason, unit, datasheet, verdict.
+
+    The datasheet's text is its value, then the tolerances.
+    """
     figure = line.figure
     name = f"{figure.name}, {figure.side}" if figure.side else figure.name
-    expected = "" if line.datasheet is None else f"{line.datasheet:.4g}"
+    expected = ", ".join(filter(None, (_datasheet(line), _tolerance(line))))
     verdict = str(line.verdict or "")
     if figure.measured is not Measured.MEASURED:
         return name, str(figure.measured), figure.reason, figure.unit, expected, verdict
     interval = f"{figure.lower:.4g} … {figure.upper:.4g}"
     return name, f"{figure.value:.4g}", interval, figure.unit, expected, verdict
+
+
+def _datasheet(line: Line) -> str:
+    return "" if line.datasheet is None else f"{line.datasheet:.4g}"
+
+
+def _tolerance(line: Line) -> str:
+    least, most = (f"{x:.4g}" if math.isfinite(x) else "" for x in (line.least, line.most))
+    if least and most:
+        return f"{least} … {most}"
+    return f"≥ {least}" if least else f"≤ {most}" if most else ""
