@@ -5,7 +5,8 @@ commission` writes them. RMSE over the whole range (U, Δp 5 … 193 bar) in σ 
 (.4 l/min), learnt from the first 30 s and 60 s of what was received. Beside the run stand its
 triangles alone, machine work, and steps of U, at the same server. ``--report`` takes the seeds that
 nothing is tuned on; ``--together`` is the number of rigs at a time. ``--slower 10`` lets the clocks
-of rig, server and run go that much slower, for a machine that is busy.
+of rig, server and run go that much slower, for a machine that is busy. ``--keep FOLDER`` leaves the
+recordings there, for `valvemap replay`.
 """
 
 import argparse
@@ -42,11 +43,11 @@ from valvemap.config.valves import NodesConfig, ValveConfig
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.storage.commission_files import RunFiles
 from valvemap.storage.recordings import read_recording
+from valvemap_rig.blocks import RigBlock
 from valvemap_rig.excitation import External
-from valvemap_rig.publication import columns_of
 from valvemap_rig.scenario import BUILTIN, Scenario
 from valvemap_rig.server import RigServer
-from valvemap_rig.simulation import advance
+from valvemap_rig.simulation import Commands, RigState, advance
 
 NAME, PASSWORD = "Valvistor", "correct horse"
 SWEEP_S: Final = 24.0  # of the 60 s: the configuration's own
@@ -78,32 +79,38 @@ class SlowClock(SystemClock):
         await asyncio.sleep(seconds * self._slower)
 
 
-class PlantRig(RigServer):
-    """The rig's server, its commands and its watchdog, with another valve's flow.
+class PlayedPlant:
+    """Another valve's flow in place of the rig's; computes blocks as `simulation.advance` does.
 
-    ``own`` are U and load (N,) by sample while nobody commands; without it the rig rests.
+    Parameters
+    ----------
+    plant
+        The valve.
+    own
+        U (%) and load (bar), (N,) by sample, in place of commands; None: the commands apply.
     """
 
-    plant: Plant
-    own: tuple[Floats, Floats] | None = None
+    def __init__(self, plant: Plant, own: tuple[Floats, Floats] | None) -> None:
+        self._plant, self._own = plant, own
 
-    def _compute(self, scenario: Scenario, rate: float) -> None:
-        U, load = self._U_in_force(scenario)[NAME], self._loads_in_force()[NAME]
-        first = self._state.index
-        self._state, block = advance(scenario, self._state, max(round(rate * 0.02), 1))
-        rows, (low, high) = [], self.plant.valve.U_range
+    def __call__(
+        self, scenario: Scenario, state: RigState, n: int, commands: Commands
+    ) -> tuple[RigState, RigBlock]:
+        """Return the state after n samples, and the samples."""
+        U, load = commands.U[NAME], commands.load[NAME]
+        first, plant = state.index, self._plant
+        state, block = advance(scenario, state, n)
+        rows, (low, high) = [], plant.valve.U_range
         for k in range(first, first + len(block)):
-            self.plant.U = low + U * (high - low) / 100.0
-            if self.own is not None:
-                self.plant.U, load = (float(x[min(k, len(x) - 1)]) for x in self.own)
-            self.plant.load_set = 150.0 if np.isnan(load) else load
-            rows.append(self.plant.sample(k * SAMPLE_S))
+            plant.U = low + U * (high - low) / 100.0
+            if self._own is not None:
+                plant.U, load = (float(x[min(k, len(x) - 1)]) for x in self._own)
+            plant.load_set = 150.0 if np.isnan(load) else load
+            rows.append(plant.sample(k * SAMPLE_S))
         shown = dict(zip(("U", "p1", "p2", "Q"), np.array(rows).T, strict=True))
         shown["U"] = 100.0 * (shown["U"] - low) / (high - low)  # the server's nodes have 0 … 100 %
         valve = replace(block.valves[NAME], **shown, U_true=shown["U"])
-        self._block = replace(block, valves={NAME: valve})
-        self._columns = columns_of(self._block, self._sequence_offset)
-        self._taken = 0
+        return state, replace(block, valves={NAME: valve})
 
 
 class Leading(CommissionRun):
@@ -146,12 +153,12 @@ async def received(
     rest = External(U_start_percent=-100.0 * low / (high - low))
     scenario = BUILTIN["external"].model_copy(update={"excitation": rest})
     clock = SlowClock(slower)
-    rig = await PlantRig.create(settings, scenario, clock=clock)
-    rig.plant = Plant(valve, seed)
-    is_led = column in COLUMNS[:2]
+    is_led, own = column in COLUMNS[:2], None
     if not is_led:
         U, dp = unled(valve, seed, max(TIMES) + 5.0, steps=column == "steps")
-        rig.own = U, SUPPLY - dp
+        own = U, SUPPLY - dp
+    plant = PlayedPlant(Plant(valve, seed), own)
+    rig = await RigServer.create(settings, scenario, clock=clock, advance=plant)
     await rig.start()
     playing = asyncio.create_task(rig.run())
     try:
@@ -160,7 +167,13 @@ async def received(
         with RunFiles(recording, NAME) as files:
             kind = Leading if is_led else Listening
             run = kind(config, settings_of(config.valves[0]), files, clock=clock)
-            state = await run.run()
+            running = asyncio.create_task(run.run())
+            await asyncio.wait({running, playing}, return_when=asyncio.FIRST_COMPLETED)
+            if playing.done():  # the rig failed
+                running.cancel()
+                await asyncio.gather(running, return_exceptions=True)
+                await playing
+            state = await running
         with read_recording(recording) as batches:
             samples = Samples.concatenate([samples for _, samples in batches])
         late = f"{rig.late_ticks} late ticks" if rig.late_ticks else ""
@@ -210,7 +223,12 @@ def errors(valve: Valve, samples: Samples) -> list[float]:
 
 
 async def measured(
-    names: Sequence[str], seeds: Sequence[int], columns: Sequence[str], together: int, slower: float
+    names: Sequence[str],
+    seeds: Sequence[int],
+    columns: Sequence[str],
+    together: int,
+    slower: float,
+    keep: Path | None = None,
 ) -> dict[tuple[str, str], list[Any]]:
     """Errors and ends by valve and column, ``together`` rigs at a time."""
     turns = asyncio.Semaphore(together)
@@ -225,13 +243,14 @@ async def measured(
         found[name, column].append(got)
         print(f"  {name}, {column}, seed {seed}: {got[0]:.2f} {got[1]:.2f} σ {said}", flush=True)
 
-    with tempfile.TemporaryDirectory() as folder:
-        for k in range(len(names)):
-            (Path(folder) / str(k)).mkdir()
+    with tempfile.TemporaryDirectory() as temporary:
+        folders = [(keep or Path(temporary)) / name.replace(" ", "_") for name in names]
+        for folder in folders:
+            folder.mkdir(parents=True, exist_ok=True)
         await asyncio.gather(
             *(
-                one(name, column, seed, Path(folder) / str(k))
-                for k, name in enumerate(names)
+                one(name, column, seed, folder)
+                for name, folder in zip(names, folders, strict=True)
                 for column in columns
                 for seed in seeds
             )
@@ -244,16 +263,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
+    parser.add_argument("--first", type=int, help="first seed, in place of these")
     parser.add_argument("--only", default="", help="columns whose names begin so")
     parser.add_argument("--together", type=int, default=5, help="rigs at a time")
     parser.add_argument("--slower", type=float, default=1.0, help="share of the clocks' speed")
-    parser.add_argument("--valve", default="", help="valves whose names begin so")
+    parser.add_argument("--keep", type=Path, help="folder for the recordings")
+    parser.add_argument("--valve", action="append", help="valves whose names begin so")
     wanted = parser.parse_args(arguments)
-    first = REPORT if wanted.report else 0
-    names = [name for name in VALVES if name.startswith(wanted.valve)]
+    first = (REPORT if wanted.report else 0) if wanted.first is None else wanted.first
+    names = [name for name in VALVES if name.startswith(tuple(wanted.valve or [""]))]
     columns = [column for column in COLUMNS if column.startswith(wanted.only)]
     seeds = range(first, first + wanted.seeds)
-    found = asyncio.run(measured(names, seeds, columns, wanted.together, wanted.slower))
+    found = asyncio.run(
+        measured(names, seeds, columns, wanted.together, wanted.slower, wanted.keep)
+    )
     print("| valve | " + " | ".join(f"{column}, 30 s, 60 s" for column in columns) + " |")
     print("|---" * (len(columns) + 1) + "|")
     missed = 0

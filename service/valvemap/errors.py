@@ -101,3 +101,12 @@ class SourceLost(SourceError):  # noqa: N818
 
 class SourceRejected(SourceError):  # noqa: N818
     """The source answered, and a retry would get the same answer."""
+
+
+def first_line(error: BaseException) -> str:
+    r"""Return the first line of an error's message, or the name of its type if it has none.
+
+    >>> first_line(ValueError("no such valve\nV9")), first_line(TimeoutError())
+    ('no such valve', 'TimeoutError')
+    """
+    return (str(error).splitlines() or [type(error).__name__])[0]

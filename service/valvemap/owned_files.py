@@ -77,6 +77,18 @@ def naming(file: Path, failed: str = "") -> Iterator[None]:
         raise StorageError(said) from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder with those above it, if it is missing.
+
+    Raises
+    ------
+    StorageError
+        with the folder's name and the reason.
+    """
+    with naming(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
 def _to_disk(path: Path) -> None:
     """Wait until the disk has a file, or a folder's names; Windows cannot open a folder."""
     if os.name == "nt" and path.is_dir():

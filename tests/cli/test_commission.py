@@ -5,6 +5,7 @@ import io
 import pytest
 
 from valvemap.cli import run
+from valvemap.storage.commission_files import RunFiles
 
 WRITTEN = """
 [source]
@@ -72,3 +73,27 @@ def test_a_safe_u_outside_the_range_names_the_field(commission):
     code, said = commission("V1", text=WRITTEN.replace("safe_percent = 5", "safe_percent = 0"))
     assert code == 2
     assert "safe_percent" in said
+
+
+def test_a_complete_run_is_not_resumed(commission, tmp_path):
+    with RunFiles(tmp_path / "commission" / "V1.20260101T000000Z.csv", "V1") as files:
+        files.note({"event": "ended", "phase": "DONE", "reason": "", "elapsed_s": 60.01})
+    code, said = commission("V1", "--unattended", "--resume")
+    assert code == 2
+    assert "--resume: the last run of V1 was complete; without --resume a new one begins" in said
+
+
+def test_an_accuracy_that_is_no_number_is_refused(commission):
+    for text in ("inf", "nan", "-1"):
+        code, said = commission("V1", "--dry-run", "--accuracy", text)
+        assert code == 2
+        assert "--accuracy" in said
+
+
+def test_the_plan_has_the_triangles_that_the_slew_permits(commission):
+    slow = WRITTEN.replace("slew_percent_per_s = 300", "slew_percent_per_s = 10\nmost_s = 24")
+    code, said = commission("V1", "--dry-run", text=slow)
+    assert code == 0
+    assert "U 5 … 80 % and back every 15 s, as the slew permits" in said
+    assert "refinement none" in said
+    assert "within 7.65 s" in said

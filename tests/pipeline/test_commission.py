@@ -307,6 +307,17 @@ def test_the_triangles_of_u_and_load_have_periods_without_a_common_multiple():
     assert len(np.unique(points.round(3))) == len(points)
 
 
+def test_the_last_triangle_of_a_sweep_may_be_slower_and_u_never_jumps():
+    plan = Plan(8.0, sweep_s=61.0, most_s=61.0, last_period_s=52.0)
+    t = np.arange(0.0, 61.0, 0.01)
+    U = np.array([sweep(plan, Limits(), at).U for at in t])
+    pace = np.abs(np.diff(U)) / 0.01
+    assert plan.last() == (8.0, 53.0)
+    assert np.allclose(pace[t[1:] < 8.0], 25.0)
+    assert np.allclose(pace[t[:-1] > 8.0], 200.0 / 53.0, atol=0.1)
+    assert pace.max() < 25.1
+
+
 def test_refinement_goes_where_the_variance_is_and_comes_back_from_the_other_side():
     U, dp = (x.ravel() for x in np.meshgrid(np.linspace(0, 100, 21), np.linspace(5, 190, 9)))
     variance = np.where(U > 80.0, 1.0, 1e-4)

@@ -35,14 +35,16 @@ from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 from valvemap.opcua_source.client import OpcUaSource
 from valvemap.opcua_source.source_nodes import HEARTBEAT, LOAD, REQUIRED_U
 from valvemap.pipeline.arrivals import Arrivals
-from valvemap.pipeline.commission import in_words, lost, start, step, written
+from valvemap.pipeline.commission import lost, start, step, written
 from valvemap.pipeline.commission_learner import Learnt, learn
 from valvemap.pipeline.commission_ports import CommissionResults
 from valvemap.pipeline.commission_state import Command, CommissionState, Seen, Settings
+from valvemap.pipeline.commission_words import in_words
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.clock_timeout import within
 from valvemap.runtime.supervisor import supervise
 from valvemap.storage.commission_files import RunFiles
+from valvemap.vocabulary.commission import Phase
 from valvemap.vocabulary.statuses import Quality
 
 TICK_S: Final = 0.02  # s; interval of steps without new samples
@@ -149,7 +151,7 @@ class CommissionRun:
         left = max(self._settings.plan.most_s - self.state.elapsed, 0.0)
         return CommissionResults(
             self.state.phase,
-            self.state.reason.value,
+            self.state.why,
             time_left=0.0 if self.state.phase.is_over else left,
             map_std=self.learnt.error,
         )
@@ -273,7 +275,7 @@ class CommissionRun:
                 "valve": self._valve,
                 **what,
                 "phase": state.phase.name,
-                "reason": state.reason.value,
+                "reason": state.why,
                 "U_percent": _known(state.at.U),
                 "load_bar": _known(state.at.load),
                 "elapsed_s": round(state.elapsed, 2),
@@ -288,12 +290,13 @@ def _known(x: float) -> float | None:
 def result_in_words(run: CommissionRun, files: RunFiles, valve: str) -> list[str]:
     """Return the run's result, line by line."""
     learnt, state = run.learnt, run.state
-    lines = [f"{valve}: {state.phase.sentence}: {state.reason.value} ({state.elapsed:.0f} s)"]
+    lines = [f"{valve}: {state.phase.sentence}: {state.why} ({state.elapsed:.0f} s)"]
     if math.isfinite(learnt.error):
         lines.append(
             f"map        ± {1.96 * learnt.error:.2g} l/min (95 %, mean over U), at Δp of "
             f"{learnt.drops[0]:.0f} … {learnt.drops[1]:.0f} bar, which were seen"
         )
-    lines.append(f"recording  {files.recording}: `valvemap replay {files.recording}` learns it")
+    if state.phase is not Phase.REFUSED or state.elapsed:
+        lines.append(f"recording  {files.recording}: `valvemap replay {files.recording}` learns it")
     lines.append(f"audit      {files.audit}")
     return lines

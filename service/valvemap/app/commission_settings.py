@@ -7,12 +7,10 @@ from typing import Any, Final
 from valvemap.config.models import Config
 from valvemap.config.valves import ValveConfig
 from valvemap.errors import ConfigurationError
-from valvemap.pipeline.commission_limits import Limits
-from valvemap.pipeline.commission_plan import Plan
+from valvemap.pipeline.commission_plan import GOLDEN
 from valvemap.pipeline.commission_state import Settings
 
 PUBLISHED_MS: Final = 40.0  # longest publishing interval: samples must be younger than max_age_s
-_FIELDS: Final = ("most_s", "sweep_s", "period_s")
 
 
 def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
@@ -29,24 +27,11 @@ def settings_of(valve: ValveConfig, accuracy: float = 0.0) -> Settings:
                 f"valve {valve.name}: nodes.{node} is needed: commission writes U there, and the "
                 "source takes the valve back when the heartbeat stops"
             )
-    given, anything = valve.commission, (-math.inf, math.inf)
-    U_range = given.range_percent or valve.U_range_percent
-    limits = Limits(
-        U_range=U_range,
-        slew_percent_per_s=given.slew_percent_per_s,
-        safe_U=given.safe_percent if given.safe_percent is not None else _nearest(0.0, U_range),
-        load_range=given.load_range_bar,
-        load_slew_bar_per_s=given.load_slew_bar_per_s,
-        safe_load=given.safe_load_bar or 0.0,
-        p1_range=given.p1_range_bar or anything,
-        p2_range=given.p2_range_bar or anything,
-        Q_range=given.Q_range_l_min or anything,
-        p_most=given.p_most_bar or math.inf,
-    )
+    given = valve.commission
     nominal = max(map(abs, valve.Q_range_l_min)) / math.sqrt(max(map(abs, valve.dp_range_bar)))
     return Settings(
-        limits=limits,
-        plan=Plan(**{name: getattr(given, name) for name in _FIELDS}),
+        limits=given.limits(valve.U_range_percent),
+        plan=given.plan(),
         accuracy=accuracy,
         opening=0.25 * nominal,
         max_age_s=given.max_age_s,
@@ -63,21 +48,27 @@ def plan_in_words(valve: ValveConfig, settings: Settings) -> list[str]:
     limits, plan = settings.limits, settings.plan
     pace = plan.pace(limits)
     within = settings.max_age_s + limits.safe_within_s
+    period_s = plan.paced_period(limits)
+    slows = ", as the slew permits" if period_s > plan.period_s else ""
     low, high = limits.U_range
+    course = f"{low:g} … {high:g} % and back every {period_s:.3g} s"
     above = f"above {limits.p_most:g} bar, " if math.isfinite(limits.p_most) else ""
     ends = f" or ± {1.96 * settings.accuracy:.2g} l/min" if settings.accuracy else ""
     return [
         f"valve      {valve.name}: U is written to {valve.nodes.required_U}",
         f"heartbeat  {valve.nodes.heartbeat}: the source takes the valve back when it stops",
         f"checks     {settings.check_s:g} s of good samples; U still; feed-forward disarmed",
-        f"sweep      {plan.sweep_s:g} s: U {low:g} … {high:g} % and back every {plan.period_s:g} s",
+        f"sweep      {plan.sweep_s:g} s: U {course}{slows}"
+        + (f", at last in {plan.last()[1]:g} s" if plan.last_period_s else ""),
         _load_in_words(valve, settings),
-        f"refinement until {plan.most_s:g} s{ends}: moves of {pace.U:.3g} %/s to uncertain points",
+        f"refinement until {plan.most_s:g} s{ends}: moves of {pace.U:.3g} %/s to uncertain points"
+        if plan.most_s > plan.sweep_s
+        else "refinement none: most_s is sweep_s",
         f"limits     U {low:g} … {high:g} %, {limits.slew_percent_per_s:g} %/s",
         f"retreat    p1 {_range(limits.p1_range)}, p2 {_range(limits.p2_range)} bar",
         f"retreat    Q {_range(limits.Q_range)} l/min",
         f"end        {above}on Ctrl-C or Enter, without the terminal",
-        f"safe U     {limits.safe_U:g} % within {within:.2g} s, then handed back to the source",
+        f"safe U     {limits.safe_U:g} % within {within:.3g} s, then handed back to the source",
     ]
 
 
@@ -114,13 +105,9 @@ def _load_in_words(valve: ValveConfig, settings: Settings) -> str:
     low, high = limits.load_range
     return (
         f"load       {valve.nodes.load}: {low:g} … {high:g} bar and back every "
-        f"{settings.plan.period_of_load():.3g} s, {limits.load_slew_bar_per_s:g} bar/s; safe "
-        f"{limits.safe_load:g} bar"
+        f"{settings.plan.paced_period(limits) / GOLDEN:.3g} s, {limits.load_slew_bar_per_s:g} "
+        f"bar/s; safe {limits.safe_load:g} bar"
     )
-
-
-def _nearest(x: float, bounds: tuple[float, float]) -> float:
-    return min(max(x, bounds[0]), bounds[1])
 
 
 def _range(bounds: tuple[float, float]) -> str:

@@ -30,6 +30,7 @@ def commission(
         float,
         typer.Option(
             min=0.0,
+            max=1e6,  # no infinite one
             metavar="Q",
             help="End when the map's 95 % interval is ± Q l/min or less; 0: use the whole time.",
         ),
@@ -84,6 +85,11 @@ async def _run(
         found = last_run(folder, valve.name)
         if found is None:
             raise ConfigurationError(f"--resume: {folder} holds no run of valve {valve.name}")
+        if RunFiles(found, valve.name).elapsed() >= valve.commission.most_s:
+            raise ConfigurationError(
+                f"--resume: the last run of {valve.name} was complete; without --resume a new one "
+                "begins"
+            )
         recording = found
     armed = await is_armed(config, data)
     with RunFiles(recording, valve.name) as files, working("connecting") as say:

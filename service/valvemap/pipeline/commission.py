@@ -35,6 +35,7 @@ from valvemap.pipeline.commission_state import (
     Seen,
     Settings,
 )
+from valvemap.pipeline.commission_words import evidence
 from valvemap.vocabulary.commission import Phase
 
 HEARTBEAT_S: Final = 0.08  # s; shortest interval between heartbeats
@@ -83,6 +84,7 @@ def step(
     reason = ending(settings, state, seen, now)
     if reason is not Reason.NONE and state.phase is not Phase.RETURNING:
         state = _enter(state, Phase.RETURNING, reason, now, Phase.ABORTED)
+        state = replace(state, evidence=evidence(settings.limits, reason, seen))
     if state.phase is Phase.RETURNING:
         return _returned(settings, state, seen, now)
     return _driven(settings, state, seen, now, passed)
@@ -125,33 +127,16 @@ def lost(
     return state
 
 
-def in_words(settings: Settings, state: CommissionState, seen: Seen) -> str:
-    """Return the progress as a line for the operator."""
-    left = max(settings.plan.most_s - state.elapsed, 0.0)
-    parts = [state.phase.sentence]
-    if state.reason is not Reason.NONE:
-        parts.append(state.reason.value)
-    if not state.phase.is_over:
-        parts.append(f"{state.elapsed:.0f} s, at most {left:.0f} s left")
-    if not math.isnan(seen.error):
-        wanted = f" (wanted {settings.accuracy:.2g} l/min)" if settings.accuracy else ""
-        parts.append(f"map ± {1.96 * seen.error:.2g} l/min{wanted}")
-    if state.is_led:
-        parts.append(f"U {state.at.U:.1f} %")
-        if not math.isnan(state.at.load):
-            parts.append(f"load {state.at.load:.0f} bar")
-    return "; ".join(parts)
-
-
 def _checked(
     settings: Settings, state: CommissionState, seen: Seen, now: float
 ) -> tuple[CommissionState, Command]:
     """Judge signals before the first command."""
     reason = refusal(settings, state, seen, now)
     if reason is not Reason.NONE:
-        return _enter(state, Phase.REFUSED, reason, now), Command()
+        state = _enter(state, Phase.REFUSED, reason, now)
+        return replace(state, evidence=evidence(settings.limits, reason, seen)), Command()
     if now - state.good_since < settings.check_s:
-        return replace(state, reason=waits_for(settings, state, seen)), Command()
+        return _because(state, waits_for(settings, state, seen)), Command()
     return _begun(settings, state, seen, now)
 
 
@@ -238,8 +223,10 @@ def _swept(
     state = replace(state, swept=state.swept + min(moves, ahead * since), owed=owed - moves)
     state, target = _target(settings, past_half_turn(settings, state), seen)
     retreats = now - state.beyond < HELD_OFF_S
-    state = replace(state, reason=Reason.LIMIT if retreats else Reason.NONE)
+    state = _because(state, Reason.LIMIT if retreats else Reason.NONE)
     if retreats:
+        values = evidence(limits, Reason.LIMIT, seen) or state.evidence
+        state = replace(state, evidence=values)
         target = _safe(limits, state.at)
     pace = plan.pace(limits)
     slow = replace(limits, slew_percent_per_s=pace.U, load_slew_bar_per_s=pace.load)
@@ -288,4 +275,9 @@ def _safe(limits: Limits, at: Point) -> Point:
 def _enter(
     state: CommissionState, phase: Phase, reason: Reason, now: float, ends_in: Phase = Phase.DONE
 ) -> CommissionState:
-    return replace(state, phase=phase, reason=reason, since=now, ends_in=ends_in)
+    return replace(_because(state, reason), phase=phase, since=now, ends_in=ends_in)
+
+
+def _because(state: CommissionState, reason: Reason) -> CommissionState:
+    """Return the state with a reason; the evidence of another one is dropped."""
+    return replace(state, reason=reason, evidence=state.evidence if reason is state.reason else "")

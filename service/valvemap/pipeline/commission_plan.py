@@ -22,16 +22,34 @@ FLAT: Final = 1e-9
 class Plan:
     """A run: triangles for ``sweep_s``, then refinement, ``most_s`` in all; times in s.
 
-    ``period_s`` is the time from end to end of the range of U and back.
+    ``period_s`` is the time from end to end of the range of U and back. The last triangle takes
+    ``last_period_s`` or somewhat longer, 0: it is like the others. Two paces tell hysteresis from
+    lag.
     """
 
     period_s: float = 4.0
     sweep_s: float = 24.0
     most_s: float = 60.0
+    last_period_s: float = 0.0
+
+    def last(self) -> tuple[float, float]:
+        """Start and duration of the last triangle, s."""
+        if self.last_period_s == 0.0:
+            return self.sweep_s, self.period_s
+        start = self.period_s * math.floor((self.sweep_s - self.last_period_s) / self.period_s)
+        return start, self.sweep_s - start
 
     def period_of_load(self) -> float:
         """Period of the load's triangle, s; its ratio to that of U is no fraction."""
         return self.period_s / GOLDEN
+
+    def paced_period(self, limits: Limits) -> float:
+        """Time from end to end of U and back that the limits' slew permits, ``period_s`` at least.
+
+        >>> Plan(period_s=4.0).paced_period(Limits(slew_percent_per_s=20.0))
+        10.0
+        """
+        return self.period_s / min(self.ahead(limits), 1.0)
 
     def pace(self, limits: Limits) -> Point:
         """Fastest planned changes, %/s and bar/s, within the limits."""
@@ -62,7 +80,9 @@ def triangle(t: float, period_s: float, bounds: Range) -> float:
 
 def sweep(plan: Plan, limits: Limits, t: float) -> Point:
     """Return the point of the crossing triangles ``t`` s after their start."""
-    U = triangle(t, plan.period_s, limits.U_range)
+    start, last_s = plan.last()
+    since, period_s = (t, plan.period_s) if t < start else (t - start, last_s)
+    U = triangle(since, period_s, limits.U_range)
     if limits.load_range is None:
         return Point(U)
     load = triangle(t, plan.period_of_load(), (limits.load_range[1], limits.load_range[0]))

@@ -39,7 +39,7 @@ class Reason(Enum):
     OTHER_WRITER = "U moves before the first command: it has another writer"
     U_OUTSIDE = "the measured U is outside the permitted range"
     P_ORDER = "p1 is below p2 although U is open: p1 and p2 may be exchanged"
-    LIMIT_BEFORE = "pressure or flow is beyond its limit before the first command"
+    LIMIT_BEFORE = "pressure or flow is beyond its limit"
 
 
 @dataclass(frozen=True)
@@ -135,6 +135,7 @@ class Watch:
 class CommissionState:
     """State of a run.
 
+    ``evidence`` are the values that ``reason`` comes of;
     ``at`` is the last command that the source accepted, unknown while the valve is not led;
     ``elapsed`` the time of sweep and refinement (s), which pauses do not count into; ``swept`` that
     of the triangles (s), which wait for U by ``owed`` (s); ``since`` the start of the phase,
@@ -143,6 +144,7 @@ class CommissionState:
 
     phase: Phase = Phase.IDLE
     reason: Reason = Reason.NONE
+    evidence: str = ""
     at: Point = UNKNOWN
     accepted: float = -math.inf
     stepped: float = -math.inf
@@ -159,6 +161,11 @@ class CommissionState:
     route: tuple[Point, ...] = ()  # points still to be visited
     route_number: int = 0
     watch: Watch = field(default_factory=Watch)
+
+    @property
+    def why(self) -> str:
+        """The reason with its evidence; empty without one."""
+        return ": ".join(filter(None, (self.reason.value, self.evidence)))
 
     @property
     def is_led(self) -> bool:

@@ -7,6 +7,7 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Self
@@ -16,6 +17,7 @@ from valvemap.owned_files import naming
 from valvemap.storage.closing import Closing
 from valvemap.storage.csv_writing import csv_header, csv_rows
 from valvemap.storage.recordings import read_recording
+from valvemap.vocabulary.commission import Phase
 
 _AUDIT: Final = ".audit.jsonl"
 
@@ -26,40 +28,56 @@ def new_run(folder: Path, valve: str, now: int) -> Path:
 
 
 def last_run(folder: Path, valve: str) -> Path | None:
-    """Return the recording of the newest run of a valve, None without one."""
-    return max(_runs(folder, valve), default=None)
+    """Return the recording of the newest run that was not refused, None without one."""
+    return next(_runs(folder, valve), None)
 
 
 def last_sampled_run(folder: Path, valve: str) -> Path | None:
-    """Return the recording of the newest run that received samples, None without one."""
+    """Return the newest such recording that has samples, None without one."""
     least = len(csv_header())
-    return max((f for f in _runs(folder, valve) if f.stat().st_size > least), default=None)
+    return next((f for f in _runs(folder, valve) if f.stat().st_size > least), None)
 
 
 def _runs(folder: Path, valve: str) -> Iterator[Path]:
     form = re.compile(re.escape(valve) + r"\.\d{8}T\d{6}Z\.csv")
     if folder.is_dir():
-        yield from (file for file in folder.iterdir() if form.fullmatch(file.name))
+        found = sorted(
+            (file for file in folder.iterdir() if form.fullmatch(file.name)), reverse=True
+        )
+        yield from (file for file in found if not _was_refused(file, valve))
+
+
+def _was_refused(recording: Path, valve: str) -> bool:
+    """Whether the run ended before its first command."""
+    if RunFiles(recording, valve).elapsed() > 0.0:
+        return False
+    return any(note.get("phase") == Phase.REFUSED.name for note in _notes(recording))
 
 
 def why_unfinished(recording: Path) -> str | None:
     """Why a guided run did not reach its end, empty if it did; None of any other recording."""
-    audit = recording.with_suffix(_AUDIT)
-    if not audit.is_file():
+    if not recording.with_suffix(_AUDIT).is_file():
         return None
     found = "the guided run did not end"
-    with naming(audit):
-        for line in audit.read_text(encoding="utf-8", errors="replace").splitlines():
-            try:
-                said = json.loads(line)
-            except ValueError:  # half a line, at a kill
-                continue
-            if said.get("event") == "started":
-                found = "the guided run did not end"
-            elif said.get("event") == "ended":
-                done = said.get("phase") == "DONE"
-                found = "" if done else f"the guided run was ended: {said.get('reason')}"
+    for note in _notes(recording):
+        if note.get("event") == "started":
+            found = "the guided run did not end"
+        elif note.get("event") == "ended":
+            done = note.get("phase") == Phase.DONE.name
+            found = "" if done else f"the guided run was ended: {note.get('reason')}"
     return found
+
+
+def _notes(recording: Path) -> Iterator[dict[str, Any]]:
+    """Yield the lines of the audit record beside a recording; none without one."""
+    audit = recording.with_suffix(_AUDIT)
+    with naming(audit):
+        text = audit.read_text(encoding="utf-8", errors="replace") if audit.is_file() else ""
+    for line in text.splitlines():
+        with suppress(ValueError):  # half a line, at a kill
+            note = json.loads(line)
+            if isinstance(note, dict):
+                yield note
 
 
 class RunFiles(Closing):
@@ -136,16 +154,10 @@ class RunFiles(Closing):
 
     def elapsed(self) -> float:
         """Return the schedule's time that the interrupted run reached, s; 0 without one."""
-        if not self._resumes or not self.audit.is_file():
-            return 0.0
         found = 0.0
-        with naming(self.audit):
-            for line in self.audit.read_text(encoding="utf-8", errors="replace").splitlines():
-                try:
-                    elapsed = json.loads(line).get("elapsed_s")
-                except ValueError:  # half a line, at a kill
-                    continue
-                found = float(elapsed) if isinstance(elapsed, int | float) else found
+        for note in _notes(self.recording) if self._resumes else ():
+            elapsed = note.get("elapsed_s")
+            found = float(elapsed) if isinstance(elapsed, int | float) else found
         return found
 
 
