@@ -22,7 +22,7 @@ async def show(plant):
 
 async def test_each_alarm_of_the_table_has_tags_and_a_condition_and_is_acknowledged():
     async with raised() as plant, Listener.of(plant) as listener:
-        alarms = plant.live._alarms.of_service = ServiceAlarms(FLEET_RULES)
+        alarms = plant.live._parts.alarms.of_service = ServiceAlarms(FLEET_RULES)
         index = await listener.namespace()
         await show(plant)
         for alarm in OF_FLEET:

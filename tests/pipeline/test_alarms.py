@@ -190,6 +190,13 @@ def test_a_sensor_that_stands_still_while_others_move_is_named(known, signal):
     assert not of(known, "SensorFrozen").active
 
 
+@pytest.mark.parametrize("signal", ["p1", "p2", "Q", "T"])
+def test_a_sensor_without_values_is_not_frozen(known, signal):
+    samples, trace = later(15)
+    watch(known, replace(samples, **{signal: np.full(len(samples), np.nan)}), trace)
+    assert of(known, "SensorFrozen").count == 0
+
+
 def test_a_meter_that_shows_nothing_and_a_command_that_is_held_are_not_frozen(known):
     samples, _ = later(600)
     closed = replace(samples, U=np.zeros(len(samples)), Q=np.zeros(len(samples)))

@@ -75,8 +75,8 @@ def test_a_head_that_is_none_is_refused_though_its_checksum_is_right(under_way, 
     ],
 )
 def test_arrays_that_cannot_wait_are_refused(under_way, name, hurt):
-    waiting = under_way._waiting
-    under_way._waiting = waiting._replace(**{name: hurt(getattr(waiting, name))})
+    waiting = under_way.buffers.waiting
+    under_way.buffers.waiting = waiting._replace(**{name: hurt(getattr(waiting, name))})
     with pytest.raises(StateMismatchError):
         arrivals().resume(under_way.to_bytes())
 
@@ -164,7 +164,7 @@ def test_an_error_at_one_valve_costs_the_others_no_bit_and_it_starts_again(
                 patch.setattr(owner, "take", raising)
             found.append(one.take(some))
         assert one.failed.tolist() == [False, number >= at, False]
-    ((valve, error),) = one.new_failures()
+    ((valve, error),) = one.buffers.new_failures()
     assert (valve, str(error)) == (CULPRIT, "injected")
     for v in (0, 2):
         assert bits(found, v) == bits(expected, v)
@@ -173,7 +173,7 @@ def test_an_error_at_one_valve_costs_the_others_no_bit_and_it_starts_again(
     assert len(one.wait_no_longer(np.array([CULPRIT]))) == 0
     one.start_again(CULPRIT)
     assert CULPRIT in [one.take(some) for some in batches(staggered, count=60)][-1]
-    assert one.new_failures() == []
+    assert one.buffers.new_failures() == []
 
 
 @pytest.mark.parametrize("call", ["flush", "begin_anew"])

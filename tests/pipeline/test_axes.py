@@ -63,9 +63,9 @@ def lines_of(samples, quality=None):
 
 def done(axis):
     names = []
-    while (job := axis.job()) is not None:
+    while (job := axis.learner.job()) is not None:
         outcome = job()
-        axis.accept(outcome)
+        axis.learner.accept(outcome)
         names.append(type(outcome).__name__)
     return names
 
@@ -73,7 +73,7 @@ def done(axis):
 def test_a_search_is_due_after_seventy_seconds_and_then_the_map_is_solved(samples, axis):
     early = Axis(PLAN)
     early.take(samples[:6_900])
-    assert early.job() is None
+    assert early.learner.job() is None
     assert early.results().status is AxisStatus.TOO_SHORT
     assert done(axis) == ["AxisResult", "Known"]
     results = axis.results()
@@ -83,13 +83,13 @@ def test_a_search_is_due_after_seventy_seconds_and_then_the_map_is_solved(sample
 
 
 def test_one_job_at_a_time_and_its_samples_are_not_lost(samples, axis, found):
-    job = axis.job()
-    assert axis.job() is None
+    job = axis.learner.job()
+    assert axis.learner.job() is None
     axis.take(samples[7_100:9_000])
-    axis.accept(job())
+    axis.learner.accept(job())
     done(axis)
     whole, _ = KNOWN.update(found.state, samples[7_100:9_000])
-    assert whole.M.tobytes() == axis._learner.state.M.tobytes()
+    assert whole.M.tobytes() == axis.learner.state.M.tobytes()
 
 
 def due():
@@ -104,13 +104,13 @@ def test_a_refused_search_keeps_the_map_that_there_is(samples, axis, found, monk
     before = axis.results().map
     for start in range(7_100, 12_000, 100):
         axis.take(samples[start : start + 100])
-        axis._learner.searches = due()
+        axis.learner.searches = due()
         done(axis)
     assert axis.results().status is AxisStatus.OK
     assert axis.results().map.U.tolist() == before.U.tolist()
     afresh = Axis(PLAN)
     afresh.take(samples[:100])
-    afresh._learner.searches = due()
+    afresh.learner.searches = due()
     done(afresh)
     assert (afresh.results().status, afresh.results().sentence) == (
         AxisStatus.TOO_SHORT,
@@ -128,7 +128,7 @@ def test_lines_meet_however_they_are_cut_and_bad_samples_are_left_out(samples):
         one.take_line(0, line_A[start:end])
     for start, end in ((0, 250), (250, 260), (270, 600)):  # ten never come
         one.take_line(1, line_B[start:end])
-    whole = one._learner.window.whole()
+    whole = one.learner.window.whole()
     assert len(whole) == 590
     assert np.isnan(whole.pA[200:210]).all()
     good = np.delete(np.arange(600), np.r_[200:210, 260:270])
@@ -142,7 +142,7 @@ def test_the_fifth_signal_of_an_axis_of_speed_is_its_speed(samples):
     v = np.gradient(samples.x, 0.01)
     for line, part in enumerate(lines_of(dataclasses.replace(samples, x=v)[:600])):
         one.take_line(line, part)
-    whole = one._learner.window.whole()
+    whole = one.learner.window.whole()
     assert whole.v.tolist() == v[:600].tolist()
     assert (whole.x[0], whole.x.min() >= 0.0, whole.x.max() <= 800.0) == (400.0, True, True)
 
@@ -153,7 +153,7 @@ def test_samples_of_one_line_alone_do_not_pile_up(samples):
     for start in range(0, 12_000, 1_000):
         one.take_line(0, line_A[start : start + 1_000])
     assert len(one._unmet[0].t) == MOST_WAITING
-    assert one.job() is None
+    assert one.learner.job() is None
 
 
 def test_after_a_sudden_change_play_and_spool_are_searched_in_what_comes_then(
@@ -164,8 +164,8 @@ def test_after_a_sudden_change_play_and_spool_are_searched_in_what_comes_then(
     monkeypatch.setattr(AxisState, "has_changed", property(lambda _: next(changed)))
     axis.take(samples[7_100:7_200])
     axis.take(samples[7_200:7_300])
-    assert len(axis._learner.window) == 100
-    assert axis._learner.searches.left_s == pytest.approx(SEARCHES_S[0], abs=1.1)
+    assert len(axis.learner.window) == 100
+    assert axis.learner.searches.left_s == pytest.approx(SEARCHES_S[0], abs=1.1)
     assert axis.results().map is not None
 
 
@@ -180,7 +180,7 @@ def at_rest(samples, seconds):
 
 def test_a_resting_axis_neither_searches_nor_forgets(samples, axis):
     done(axis)
-    before, kept_s = axis.results(), axis._learner.searches.left_s
+    before, kept_s = axis.results(), axis.learner.searches.left_s
     rest = at_rest(samples[:7_100], 3_600)
     for start in range(0, len(rest), 1_000):
         axis.take(rest[start : start + 1_000])
@@ -188,7 +188,7 @@ def test_a_resting_axis_neither_searches_nor_forgets(samples, axis):
     after = axis.results()
     assert after.t == rest.t[-1]
     assert after.used_s - before.used_s < 60.0
-    assert kept_s - axis._learner.searches.left_s < 60.0
+    assert kept_s - axis.learner.searches.left_s < 60.0
     assert after.map.known.tolist() == pytest.approx(before.map.known.tolist(), abs=5.0)
 
 
@@ -198,9 +198,9 @@ def test_refused_searches_become_rare(samples, found, monkeypatch):
     one, waits = Axis(PLAN), []
     for _ in range(7):
         one.take(samples[:100])
-        one._learner.searches = dataclasses.replace(one._learner.searches, left_s=0.0)
+        one.learner.searches = dataclasses.replace(one.learner.searches, left_s=0.0)
         done(one)
-        waits.append(one._learner.searches.left_s)
+        waits.append(one.learner.searches.left_s)
     assert waits == [30.0, 60.0, 120.0, 240.0, 480.0, 600.0, 600.0]
 
 
@@ -212,8 +212,8 @@ def test_a_state_goes_on_with_the_same_bits(samples, axis):
     assert again.results().status is AxisStatus.OK
     for one in (axis, again):
         one.take(samples[7_100:9_000])
-    for name, array in vars(axis._learner.state).items():
-        assert array.tobytes() == getattr(again._learner.state, name).tobytes(), name
+    for name, array in vars(axis.learner.state).items():
+        assert array.tobytes() == getattr(again.learner.state, name).tobytes(), name
     other = dataclasses.replace(PLAN.geometry, rod_mm=40.0)
     with pytest.raises(StateMismatchError, match="other hyper-parameters"):
         Axis(dataclasses.replace(PLAN, geometry=other)).resume(kept_axes.LEARNT, packed)
@@ -223,12 +223,12 @@ def test_a_state_goes_on_with_the_same_bits(samples, axis):
 
 def test_after_a_restart_the_searches_go_on_where_they_were(samples, axis):
     done(axis)
-    axis._learner.searches = Searches(found=3, left_s=400.0)
+    axis.learner.searches = Searches(found=3, left_s=400.0)
     again = Axis(PLAN)
     for name, packed in axis.to_bytes().items():
         again.resume(name, packed)
     assert done(again) == ["Known"]
-    assert again._learner.searches == Searches(found=2, left_s=400.0)
+    assert again.learner.searches == Searches(found=2, left_s=400.0)
     again.take(samples[7_100:9_000])
     assert done(again) == ["Known"]
 
@@ -272,7 +272,7 @@ def test_a_change_is_found_kept_over_a_restart_and_gone_with_a_new_reference(sam
     for name, packed in reference.to_bytes().items():
         again.resume(name, packed)
     assert again.results().findings == changed.findings
-    reference.set_reference()
+    reference.learner.set_reference()
     assert reference.results().findings is None
     assert reference.results().map is not None
     assert reference.to_bytes() == {}
@@ -282,19 +282,19 @@ def test_a_weighing_under_way_loses_no_window_and_outlives_no_reference(samples,
     one = reference
     for start in range(7_100, 8_300, 100):
         one.take(samples[start : start + 100])
-        if one._learner.watch.closed:
+        if one.learner.watch.closed:
             break
-    one._learner._to_refit_s = 1e9
-    job = one.job()
+    one.learner._to_refit_s = 1e9
+    job = one.learner.job()
     for later in range(start + 100, start + 1_300, 100):
         one.take(samples[later : later + 100])
-    running = one._learner.watch.running
-    one.accept(job())
-    assert len(one._learner.watch.closed) == 1
-    assert one._learner.watch.running.flow.M.tobytes() == running.flow.M.tobytes()
-    job = one.job()
-    one.set_reference()
-    one.accept(job())
+    running = one.learner.watch.running
+    one.learner.accept(job())
+    assert len(one.learner.watch.closed) == 1
+    assert one.learner.watch.running.flow.M.tobytes() == running.flow.M.tobytes()
+    job = one.learner.job()
+    one.learner.set_reference()
+    one.learner.accept(job())
     assert one.results().findings is None
 
 
@@ -309,8 +309,8 @@ def test_a_damaged_reference_is_refused_and_the_map_is_not(reference):
 
 def test_u_is_approached_from_the_side_of_the_demand(axis):
     done(axis)
-    table = dataclasses.replace(axis._learner.known.table, play_percent=4.0)
-    axis._learner.known = dataclasses.replace(axis._learner.known, table=table)
+    table = dataclasses.replace(axis.learner.known.table, play_percent=4.0)
+    axis.learner.known = dataclasses.replace(axis.learner.known, table=table)
     axis.demand(50.0)
     axis.required()
     middle = axis.invert(100.0).U

@@ -45,7 +45,7 @@ def axis(*, leads=True, spool_hz=10.0):
     size = len(regression.initial_state().b)
     found = TrueFit(regression, np.zeros(size), np.eye(size), 0.1, 1.0, 0.0, 0.0)
     known = SimpleNamespace(spool_hz=spool_hz)
-    one._learner.known = SimpleNamespace(table=axis_table(found), map=known)
+    one.learner.known = SimpleNamespace(table=axis_table(found), map=known)
     return one
 
 
@@ -62,7 +62,7 @@ def follow(one, demands, seen=lambda _: None):
 
 
 def alone(one, v):
-    return float(invert(one._learner.known.table, v, *PRESSURES.values(), 400.0).U[0])
+    return float(invert(one.learner.known.table, v, *PRESSURES.values(), 400.0).U[0])
 
 
 def test_an_axis_asks_for_the_speed_after_the_delay_of_its_spool():

@@ -158,7 +158,7 @@ def test_an_error_at_one_edge_stops_that_edge_alone(config, monkeypatch):
     recorded = ports.recording(seconds=10.0)
     whole = states(learnt(config, recorded))
     identification = build_identification(config)
-    split = identification._intake.splitter._of_edge
+    split = identification._parts.intake.splitter._of_edge
     bad = [plan.name for plan in identification.plans].index("V.PB")
 
     def raising(number):
@@ -166,7 +166,7 @@ def test_an_error_at_one_edge_stops_that_edge_alone(config, monkeypatch):
             raise ZeroDivisionError
         return split(number)
 
-    monkeypatch.setattr(identification._intake.splitter, "_of_edge", raising)
+    monkeypatch.setattr(identification._parts.intake.splitter, "_of_edge", raising)
     feed(identification, config, recorded)
     assert {failure.valve for failure in identification.failures.take_new()} == {"V.PB"}
     found = states(identification)

@@ -303,7 +303,7 @@ def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
     doubting = fresh()
     for part in (swapped[:30], swapped[30:]):
         doubting.take(as_changes(part))
-    assert doubting.implausible().tolist() == [True]
+    assert doubting.plausibility.implausible.tolist() == [True]
     assert "p1 is below p2" in doubting.plausibility.findings(0)[0].sentence
     result = doubting.results.one(0).estimators["RLS"]
     assert (result.sample_count, result.status) == (0, Status.REJECTED)

@@ -8,6 +8,7 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 from valvemap.model.estimator import StateMismatchError
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import Exponential
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
@@ -323,3 +324,30 @@ def test_a_map_that_is_restored_without_its_places_does_not_warm_up_again():
     standing = sweeps(3_000)[2_999:]  # one place: nothing new is compared
     restored.take_samples(0, replace(standing, t=standing.t + 10_000_000))
     assert {one.status for one in restored.results.one(0).estimators.values()} == {Status.OK}
+
+
+def with_play(half, N=12_000):
+    """Holds and quick moves at 100 Hz; the spool follows U through a play."""
+    rng, U = np.random.default_rng(5), np.empty(N)
+    U[: len(U)] = np.repeat(rng.uniform(10.0, 90.0, N // 100), 100)
+    U = np.clip(U, np.roll(U, 1) - 40.0, np.roll(U, 1) + 40.0)
+    spool, at = np.empty(N), U[0]
+    for i, u in enumerate(U.tolist()):
+        spool[i] = at = min(max(at, u - half), u + half)
+    dp = 100.0 + 90.0 * np.sin(2.0 * np.pi * np.arange(N) / 730.0)
+    Q = flow(spool, dp) + rng.normal(0.0, SIGMA, N)
+    return Samples.of(10_000_000 * np.arange(N), U, dp, 0.0 * dp, Q, 40.0 + 0.0 * U)
+
+
+def test_a_play_that_an_estimator_knows_is_no_error_of_its_map():
+    estimators = {"Auto": FlowMap(), "lasting": LASTING}
+    samples = with_play(2.0)
+    valves = Fleet(ValvePlan("V1", QualityGate(), estimators, "Auto", follows=True), 1)
+    valves.take(samples, Segments.one(len(samples)))
+    U, dp = np.meshgrid(np.linspace(20.0, 80.0, 7), np.linspace(20.0, 180.0, 7))
+    at = U.ravel(), dp.ravel(), np.full(U.size, 40.0)
+    lane = valves.lane(0, "Auto")
+    assert lane.estimator.half_play(lane.state) == pytest.approx(2.0, abs=0.2)
+    own, published = lane.estimator.predict(lane.state, *at)[1], predicted(lane, *at)[1]
+    assert np.median(published) < SIGMA, (own, published)
+    assert np.median(predicted(valves.lane(0, "lasting"), *at)[1]) > 2.0 * SIGMA

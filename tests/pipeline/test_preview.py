@@ -22,8 +22,6 @@ from valvemap.vocabulary.statuses import Status
 # Methods without effect on the states: they read, log or compute tables from them.
 READ = {
     "timing",
-    "holds",
-    "implausible",
     "descriptions",
     "predict",
     "predict_measurement",

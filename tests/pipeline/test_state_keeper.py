@@ -246,7 +246,8 @@ def test_states_that_are_packed_without_a_copy_have_the_bits_of_copies():
                 seen.lanes[name].t,
                 seen.lanes[name].status,
             )
-        assert _packed(copied, known._arrivals.of(m)) == _packed(seen, known._arrivals.view(m))
+        arrivals = known._parts.arrivals
+        assert _packed(copied, arrivals.of(m)) == _packed(seen, arrivals.view(m))
 
 
 def _packed(state, arrivals):

@@ -119,7 +119,7 @@ def store_with_map():
     store = FakeStore()
     service = Service(Source(), store, ManualClock(START))
     regression = AxisRegression(PLAN.geometry, period_s=0.01, play_percent=2.0, spool_hz=40.0)
-    service.axis.continue_from(
+    service.axis.learner.continue_from(
         Learnt(regression, regression.initial_state(), np.zeros((SIZE, SIZE)))
     )
     store.kept += checkpoints_of(service.axis, 1, service.axis.to_bytes())
@@ -129,7 +129,7 @@ def store_with_map():
 def alive(source, store):
     """A life that resumes the stored states; its jobs would need seconds, and are left."""
     service = Service(source, store, ManualClock(START))
-    service.axis.job = lambda: None
+    service.axis.learner.job = lambda: None
     return service
 
 
@@ -211,7 +211,7 @@ async def test_a_signal_that_stops_is_named_as_in_the_configuration():
     source, store = Source(), store_with_map()
     clock = ManualClock(START)
     service = Service(source, store, clock)
-    service.axis.job = lambda: None
+    service.axis.learner.job = lambda: None
     await service.live.connected(restarted_at=None)
     lacking = Signal.P2  # of line A
     for number in range(14):
@@ -232,7 +232,7 @@ async def test_a_state_of_other_nodes_is_set_aside_and_named():
         Service(Source(), store, ManualClock(START), replace(PLAN, meaning=other))
     aside = {one.estimator for one, _ in store.aside}
     assert {LEARNT, MEMORY} <= aside
-    (said,) = (line for line in logs if "states of axes left aside" in line["event"])
+    (said,) = (line for line in logs if "their axes are reset" in line["event"])
     assert "U came from ns=2;s=U, now from ns=2;s=U2" in said["why"]
     assert "Press.Axis" in said["why"]
 
@@ -241,7 +241,7 @@ async def test_a_renamed_axis_keeps_what_it_learnt_and_its_place_at_the_source()
     source, store = Source(), store_with_map()
     first = await killed_after(20, 14, source, store)
     service = Service(source, store, ManualClock(START), replace(PLAN, name="Ram"))
-    service.axis.job = lambda: None
+    service.axis.learner.job = lambda: None
     for changes in source.again():
         await service.live.take(changes)
     assert first.learnt[: 5 * 14] + service.learnt == EVERY[: 5 * 20]
@@ -254,7 +254,7 @@ async def test_an_axis_in_another_unit_is_set_aside_and_another_memory_keeps_its
     first = await killed_after(20, 14, source, store)
     kept = first.axis.to_bytes()[LEARNT]
     again = Service(source, store, ManualClock(START), replace(PLAN, memory_s=900.0))
-    assert again.axis.learnt is not None
+    assert again.axis.learner.learnt is not None
     in_inches = SignalMeaning("ns=2;s=U", "V", gain=10.0)
     other = replace(MEANING, signals={"U": in_inches})
     Service(source, store, ManualClock(START), replace(PLAN, meaning=other))

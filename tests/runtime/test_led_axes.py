@@ -39,7 +39,7 @@ class Rig:
 
     def answers(self, answer):
         press = self.axes[1]
-        press.required, press._learner.known = lambda: answer, object()
+        press.required, press.learner.known = lambda: answer, object()
 
     def sample(self, U=20.0, x=400.0):
         self.steps += 1

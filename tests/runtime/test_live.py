@@ -317,7 +317,7 @@ async def test_a_state_that_cannot_be_is_said_in_a_line_and_published(
     with structlog.testing.capture_logs() as logs:
         await again.start()
         await again.tick()
-    (line,) = [entry["why"] for entry in logs if "left aside" in entry["event"]]
+    (line,) = [entry["why"] for entry in logs if "set aside" in entry["event"]]
     assert line.startswith("Valvistor.RLS: forgetting factor 7.0")
     assert sink.health.checkpoints_refused == 1
     assert again.identification.results.one(0).estimators["RLS"].sample_count == 0
@@ -465,7 +465,7 @@ async def test_a_valve_that_cannot_be_what_it_is_called_is_named_once_with_the_r
     source.script = [as_changes(psi[:100]), as_changes(psi[100:])]
     with structlog.testing.capture_logs() as logs:
         await run_until_the_script_ends(source, live, clock)
-    (said,) = [entry for entry in logs if entry["event"] == "not learnt from"]
+    (said,) = [entry for entry in logs if entry["event"] == "implausible samples rejected"]
     assert said["valve"] == "Valvistor"
     assert "is it psi? signals.p1.unit" in said["why"]
     assert "insist = true" in said["remedy"]

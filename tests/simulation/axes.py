@@ -20,6 +20,7 @@ from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_arrivals import counted
+from valvemap.pipeline.axis_learner import AxisLearner
 from valvemap.pipeline.axis_states import checkpoints_of
 from valvemap.pipeline.kept_axes import LEARNT
 from valvemap.runtime.axes import LiveAxes
@@ -34,7 +35,7 @@ def _no_job(_axis):
     """A mock would take a tenth of the time of an axis."""
 
 
-NO_JOB = mock.patch.object(Axis, "job", new=_no_job)
+NO_JOB = mock.patch.object(AxisLearner, "job", new=_no_job)
 
 
 class Axes:

@@ -42,7 +42,9 @@ def first_state(plan, period_s):
     """A packed map that nothing was learnt for: with it, an axis learns from its first sample."""
     axis = Axis(plan)
     regression = AxisRegression(plan.geometry, period_s=period_s, play_percent=2.0)
-    axis.continue_from(Learnt(regression, regression.initial_state(), np.zeros((SIZE, SIZE))))
+    axis.learner.continue_from(
+        Learnt(regression, regression.initial_state(), np.zeros((SIZE, SIZE)))
+    )
     return axis.to_bytes()[LEARNT]
 
 

@@ -79,7 +79,7 @@ def _of_edit(world, identification, valve, before, said):
     now, learnt = world.plant[valve], world.learnt[valve]
     rows = [one for one in before if world.known_as(one, (RLS, OWN, LEAK)) == valve]
     newest = max(rows, key=lambda one: one.t, default=None)
-    lane = identification._valves.lane(now.name, now.estimator)
+    lane = identification._parts.valves.lane(now.name, now.estimator)
     then = None if newest is None else world.meanings[newest.meaning]
     if then is None or not now.keeps_map_of(then):
         world.began[valve], world.converted[valve] = len(learnt), False
@@ -105,7 +105,7 @@ def _of_commands(world, identification, valve):
     """Drop the commands that were given behind the restored state; the others are in it."""
     now, n = world.plant[valve], len(world.learnt[valve])
     given = [one for one in world.commands[valve] if one[0] <= n]
-    lane = identification._valves.lane(now.name, now.estimator)
+    lane = identification._parts.valves.lane(now.name, now.estimator)
     for stop in range(len(given), -1, -1):
         kinds = [kind for _, kind in given[:stop]]
         lam = next((people.FORGETTING[k] for k in kinds[::-1] if k in people.FORGETTING), None)
@@ -129,7 +129,7 @@ def _is_kept(world, row):
 
 def waiting(world, identification, valve):
     """The samples of a valve in its reorder buffer."""
-    times = times_waiting(identification._arrivals, valve)
+    times = times_waiting(identification._parts.arrivals, valve)
     times += meeting.times_unmet(identification, valve)
     return {world.number_of[valve][t] for t in times if t in world.number_of[valve]}
 
@@ -261,7 +261,7 @@ def of_states(world):
         if saved is None or own.estimator == ALSO or saved.meaning != own.meaning:
             continue
         if world.converted[one.valve]:
-            lanes = [i._valves.lane(own.valve, own.estimator) for i in (again, restored)]
+            lanes = [i._parts.valves.lane(own.valve, own.estimator) for i in (again, restored)]
             if not _are_close(*lanes):
                 world.violated(f"{own.valve}: its converted state is not that of the new unit")
         elif saved.state != own.state:

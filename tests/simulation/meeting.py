@@ -27,14 +27,14 @@ def rows_behind(world, valve):
 def learnt_samples(identification, valve):
     """The number of samples that a valve has learnt from, or passed: those that met others."""
     aligned = identification.results.counters(valve)["aligned"]
-    intake = identification._intake
+    intake = identification._parts.intake
     dropped = intake.splitter.dropped[valve] + intake.meters.dropped[valve]
     return aligned - int(dropped) - len(times_unmet(identification, valve))
 
 
 def times_unmet(identification, valve):
     """The times of a valve's samples that wait for those of others."""
-    intake = identification._intake
+    intake = identification._parts.intake
     if valve in intake.splitter._edges:
         return intake.splitter._edges[valve][1].own.t.tolist()
     if valve in intake.meters._of:

@@ -7,30 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from support.exported_maps import COARSE, ESTIMATORS, FINE, PART, exported_map
 from support.soaked import soaked
-from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_table import flow_table
 from valvemap.model.inverse_map import invert
-from valvemap.model.lookup_table import lookup_table
-from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Samples, Trace
-from valvemap.model.support import Support
-from valvemap.model.tensor_spline import TensorSpline
 from valvemap.storage.flow_tables import as_csv
 
 PAGE = Path(__file__).parents[2] / "docs" / "methods" / "models.md"
-ESTIMATORS = {
-    "eq. (7)": RecursiveLeastSquares(),
-    "spline": RecursiveLeastSquares(TensorSpline.uniform(6, 4)),
-    "kinked spline": RecursiveLeastSquares(
-        TensorSpline((0, 30, 100), (0, 7, 15), (), 8.0, 91.0, at_rest="zero")
-    ),
-    "network": RbfNetwork(),
-    "auto": FlowMap(),
-}
-N = 5000
-COARSE, FINE = (21, 16), (41, 31)  # points of a table; FINE by default, and bounded more slowly
 
 
 @pytest.fixture(
@@ -40,14 +23,7 @@ COARSE, FINE = (21, 16), (41, 31)  # points of a table; FINE by default, and bou
     ids=str,
 )
 def exported(request):
-    name, points = request.param
-    estimator, rng = ESTIMATORS[name], np.random.default_rng(4)
-    U, dp = rng.uniform(0, 100, N), rng.uniform(1, 200, N)
-    Q = 2.0 * np.clip(U - 6.0, 0, 90) * np.sqrt(dp / 200) + 0.3 * rng.normal(size=N)
-    samples = Samples.of(np.arange(N), U, dp, 0 * dp, Q, np.full(N, 40.0))
-    state, trace = estimator.update(estimator.initial_state(), samples)
-    support = Support.none().add(samples, trace)
-    inverse = lookup_table(estimator, state, support=support, points=points)
+    estimator, state, inverse = exported_map(*request.param)
     return estimator, state, flow_table(estimator, state, inverse)
 
 
@@ -109,13 +85,7 @@ def test_the_documented_formulas_give_the_tables_U(exported):
 
 
 def test_where_nothing_was_measured_the_csv_says_extrapolated():
-    estimator, rng = FlowMap(), np.random.default_rng(4)
-    U, dp = rng.uniform(5, 40, N), rng.uniform(5, 60, N)
-    Q = 2.0 * np.clip(U - 6.0, 0, 90) * np.sqrt(dp / 200) + 0.3 * rng.normal(size=N)
-    samples = Samples.of(np.arange(N), U, dp, 0 * dp, Q, np.full(N, 40.0))
-    state, _ = estimator.update(estimator.initial_state(), samples)
-    support = Support.none().add(samples, Trace(Q, 0 * Q, 0 * Q, np.zeros(N, np.uint8)))
-    inverse = lookup_table(estimator, state, support=support, points=COARSE)
+    estimator, state, inverse = exported_map("auto", COARSE, PART)
     table = flow_table(estimator, state, inverse)
     (axis_Q, axis_dp, _), (_, _, marks) = sheet(as_csv(table, "V"))
     at = np.array(marks)[

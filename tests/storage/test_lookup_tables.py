@@ -10,6 +10,7 @@ import blark.parse
 import numpy as np
 import pytest
 
+from support.exported_maps import COARSE, FINE, PART, dead_band, exported_map
 from support.soaked import soaked
 from support.structured_text import FunctionBlock
 from valvemap.errors import ConfigurationError, StorageError
@@ -18,38 +19,23 @@ from valvemap.model.inverse_map import invert
 from valvemap.model.linear_map import LinearMap, LinearMapState
 from valvemap.model.lookup_table import LookupTable, lookup_table
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Samples, Trace
-from valvemap.model.support import Support
-from valvemap.model.tensor_spline import TensorSpline
 from valvemap.storage.lookup_tables import as_c, write_table
 from valvemap.storage.structured_text import as_structured_text
 from valvemap.vocabulary.statuses import InverseStatus
 
-ESTIMATORS = {
-    "eq. (7)": RecursiveLeastSquares(),
-    "spline": RecursiveLeastSquares(TensorSpline.uniform(6, 4)),
-    "network": RbfNetwork(),
-    "auto": FlowMap(),
-}
 
-
-def dead_band(U, dp):
-    return 2.0 * np.clip(U - 6.0, 0, 90) * np.sqrt(dp / 200)
-
-
-@pytest.fixture(scope="module", params=["eq. (7)", "network", "auto", *soaked("spline")])
+@pytest.fixture(
+    scope="module",
+    params=[
+        ("eq. (7)", COARSE),
+        ("network", FINE),
+        ("auto", COARSE),
+        *soaked(*(((name, FINE),) for name in ("eq. (7)", "spline", "auto"))),
+    ],
+    ids=str,
+)
 def exported(request):
-    estimator = ESTIMATORS[request.param]
-    rng = np.random.default_rng(4)
-    U, dp = rng.uniform(0, 100, 5000), rng.uniform(1, 200, 5000)
-    Q = dead_band(U, dp) + 0.3 * rng.normal(size=5000)
-    samples = Samples.of(np.arange(5000), U, dp, 0 * dp, Q, np.full(5000, 40.0))
-    state, _ = estimator.update(estimator.initial_state(), samples)
-    status = np.zeros(5000, np.uint8)
-    support = Support.none().add(samples, Trace(Q, 0 * Q, 0 * Q, status))
-    return estimator, state, lookup_table(estimator, state, support=support)
+    return exported_map(*request.param)
 
 
 def compiled(table, folder, *more):
@@ -156,12 +142,7 @@ def test_where_the_map_is_not_known_the_compiled_table_gives_no_U(tmp_path):
 
 @pytest.mark.parametrize("name", ["auto", *soaked("eq. (7)")])
 def test_where_nothing_was_measured_every_form_of_the_table_says_extrapolating(name, tmp_path):
-    estimator, rng = ESTIMATORS[name], np.random.default_rng(4)
-    U, dp = rng.uniform(5, 40, 5000), rng.uniform(5, 60, 5000)
-    Q = dead_band(U, dp) + 0.3 * rng.normal(size=5000)
-    samples = Samples.of(np.arange(5000), U, dp, 0 * dp, Q, np.full(5000, 40.0))
-    state, trace = estimator.update(estimator.initial_state(), samples)
-    table = lookup_table(estimator, state, support=Support.none().add(samples, trace))
+    table = exported_map(name, COARSE, PART).inverse
     assert 0.4 < table.guessed.mean() < 1.0
     ask, run = compiled(table, tmp_path), FunctionBlock(as_structured_text(table, "V"))
     inside, outside = (dead_band(20.0, 30.0), 30.0), (dead_band(30.0, 150.0), 150.0)

@@ -6,7 +6,6 @@ are judged at the end of each batch, all others sample by sample.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from valvemap.pipeline.alarm_results import AlarmReport, Remark
 from valvemap.pipeline.alarm_rules import ALARM_NAMES, Alarm
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.alarm_statistics import (
-    LOSSES,
     forget_usual,
     have_moved,
     is_shown,
@@ -31,26 +29,9 @@ from valvemap.pipeline.kernels.alarm_residuals import SETTLED_BLOCKS
 from valvemap.pipeline.kernels.alarm_steps import move_on
 from valvemap.pipeline.kernels.alarms import watch
 from valvemap.pipeline.lane_failures import MOST_OF_A_REASON
-from valvemap.pipeline.quantity_alarms import KeptAlarms, check_layout, limits_of
+from valvemap.pipeline.packed_alarms import pack, unpack
+from valvemap.pipeline.quantity_alarms import limits_of
 from valvemap.vocabulary.statuses import Adaptation
-
-
-@dataclass(frozen=True)
-class _Kept(KeptAlarms):
-    """One valve's alarms as stored in a checkpoint, with the statistics that judge them."""
-
-    last: Any
-    still: Any
-    longest: Any
-    moves: Any
-    others: Any
-    weight: Any
-    bias: Any
-    square: Any
-    sums: Any
-    memory: Any
-    times: Any
-    reason: Any
 
 
 class Alarms:
@@ -264,12 +245,8 @@ class Alarms:
 
     def to_bytes(self, m: int) -> bytes:
         """Pack one valve's alarms and their statistics, without the losses of the last minute."""
-        kept = {name: array[m] for name, array in self._arrays().items()}
-        memory, times = kept["memory"].copy(), kept["times"].copy()
-        memory[LOSSES], times[layout.LOSS_TIME] = 0.0, layout.NEVER
-        kept |= {"memory": memory, "times": times}
-        kept["reason"] = np.array(self._reasons[m])
-        return _Kept(**kept, remarks=self.states.remarks_to_bytes(m)).to_bytes(_KEY)
+        row = {name: array[m] for name, array in self._arrays().items()}
+        return pack(row, str(self._reasons[m]), self.states.remarks_to_bytes(m))
 
     def from_bytes(self, m: int, data: bytes) -> None:
         """Unpack one valve's alarms.
@@ -279,13 +256,12 @@ class Alarms:
         StateMismatchError
             if the bytes are damaged, or their layout differs from the present one.
         """
-        kept = _Kept.from_bytes(data, _KEY)
         arrays = self._arrays()
-        check_layout(kept, arrays)
-        self.states.remarks_from_bytes(m, kept.remarks)
+        row, reason, remarks = unpack(data, arrays)
+        self.states.remarks_from_bytes(m, remarks)
         for name, array in arrays.items():
-            array[m] = getattr(kept, name)
-        self._reasons[m] = str(kept.reason)
+            array[m] = row[name]
+        self._reasons[m] = reason
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all arrays of the alarms and their statistics, each (M, …), not copied."""
@@ -303,6 +279,3 @@ class Alarms:
         came = np.empty(len(x), np.bool_)
         move_on(chosen, t, began, x, int(alarm), self._limits, self._conditions, came)
         return came
-
-
-_KEY = f"alarms 2: {' '.join(ALARM_NAMES)}"

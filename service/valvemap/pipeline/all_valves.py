@@ -160,7 +160,7 @@ class AllValves:
     def T_or_last(self, valve: str, T: float) -> float:
         """Return ``T``, °C, or, if it is NaN, the last temperature measured at a valve."""
         fleet, m = self.named(valve)
-        return fleet.last_T(m) if np.isnan(T) else T
+        return float(fleet.inputs.T[m]) if np.isnan(T) else T
 
 
 def once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:

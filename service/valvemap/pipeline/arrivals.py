@@ -1,7 +1,7 @@
 """Conversion of many valves' data changes into samples: timing, then alignment. Pure."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, presence
 from valvemap.pipeline.announced_steps import AnnouncedSteps
-from valvemap.pipeline.by_valve import ByValve, in_turn, together
+from valvemap.pipeline.by_valve import ByValve, in_turn
 from valvemap.pipeline.clock_steps import Known, Step
 from valvemap.pipeline.command_rests import CommandRests
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, SET_BACK, SET_FORWARD, Waiting
-from valvemap.pipeline.lane_failures import CopyBuffer, Restore, Rows, isolate, saved
 from valvemap.pipeline.packed_arrivals import key_of_arrivals, pack, unpack
+from valvemap.pipeline.reorder_buffers import ReorderBuffers
 from valvemap.pipeline.timing import Timing, TimingSettings
 from valvemap.pipeline.timing_state import IN_SCANS, LISTENING
 from valvemap.pipeline.waiting import waited_for
@@ -55,10 +55,10 @@ class Arrivals:
 
     Attributes
     ----------
+    buffers : ReorderBuffers
+        What waits, and the errors at which a valve stopped.
     finds_timing : bool
         Whether the stamping of the signals is detected.
-    failed : bool
-        Mask (V,) of the valves whose changes are dropped after an error.
     source_started : int
         Start time of the source (V,), UTC ns, with which each valve's running numbers restarted;
         0: none is known.
@@ -78,23 +78,25 @@ class Arrivals:
         self.alignment = alignment
         self.finds_timing = timing is not None
         self.timing = timing or Timing(TimingSettings(), alignment.optional, fixed=True)
-        self._waiting = alignment.initial_state()
-        self._buffer = CopyBuffer()
+        self.buffers = ReorderBuffers(alignment)
         rules = alignment.rules
         bits = np.int64(1) << np.arange(slots.SIGNALS)
         required = (rules.required[:, np.newaxis] & bits) > 0
         self._rests = CommandRests(required, self.timing.settings.horizon_ns)
         self._steps = AnnouncedSteps(required, rules.numbered, rules.reorder)
-        self.failed = np.zeros(len(self.names), np.bool_)
         self.source_started = np.zeros(len(self.names), np.int64)
-        self._errors: list[tuple[int, Exception]] = []
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Mask (V,) of the valves whose changes are dropped after an error."""
+        return self.buffers.failed
 
     def announce(self, changes: DataChanges, now_s: float) -> None:
         """Find the steps of the source's clock in changes that are going to be taken, in parts.
 
         ``now_s`` is our monotonic time of their receipt.
         """
-        self._steps.announce(changes, now_s, self._waiting, self.timing.are_alike)
+        self._steps.announce(changes, now_s, self.buffers.waiting, self.timing.are_alike)
 
     def take(self, changes: DataChanges) -> ByValve:
         """Process data changes; return the samples that they completed."""
@@ -114,27 +116,31 @@ class Arrivals:
             works = ~self.failed[changes.item // PER_VALVE]
             changes, after = changes[works], after[works]
         if not due:
-            parts = [self._align(self.timing.take(changes, self._fail))]
+            parts = [self._aligned(changes)]
         else:
-            parts = [self._align(self.timing.take(changes[~after], self._fail))]
+            parts = [self._aligned(changes[~after])]
             parts += self._set_clocks(due)
-            parts.append(self._align(self.timing.take(changes[after], self._fail)))
+            parts.append(self._aligned(changes[after]))
         self._steps.remember(parts)
         return parts
+
+    def _aligned(self, changes: DataChanges) -> ByValve:
+        return self.buffers.align(self.timing.take(changes, self.buffers.stop))
 
     def _held_commands(self, parts: Sequence[ByValve]) -> list[ByValve]:
         """Hold the commands that have come to rest; return the samples that waited for them."""
         for part in parts:
-            self._rests.note(part, self._waiting)
+            self._rests.note(part, self.buffers.waiting)
         found = []
-        for rest in self._rests.find(self._waiting, self.timing.are_alike & ~self.failed):
-            found.append(self._align(rest.changes))
+        for rest in self._rests.find(self.buffers.waiting, self.timing.are_alike & ~self.failed):
+            found.append(self.buffers.align(rest.changes))
             self.timing.hold_command(*rest.held)
         return found
 
     def _count_duplicates(self, changes: DataChanges) -> None:
         measured = changes.item % PER_VALVE < COUNT
-        np.add.at(self._waiting.counters[:, _DUPLICATES], changes.item[measured] // PER_VALVE, 1)
+        counts = self.buffers.waiting.counters[:, _DUPLICATES]
+        np.add.at(counts, changes.item[measured] // PER_VALVE, 1)
 
     def _count_dropped(self, changes: DataChanges) -> None:
         """Count the samples of failed valves as missing: as many as their most frequent signal."""
@@ -142,21 +148,13 @@ class Arrivals:
         for failed in self.failed.nonzero()[0].tolist():
             own = signal[(valve == failed) & (signal < COUNT)]
             if len(own):
-                self._waiting.counters[failed, _MISSING] += np.bincount(own).max()
+                self.buffers.waiting.counters[failed, _MISSING] += np.bincount(own).max()
 
     def _set_clocks(self, steps: Sequence[Step]) -> Iterator[ByValve]:
         for command in (SET_BACK, SET_FORWARD):
             own = np.array([step.valve for step in steps if step.command == command], np.int64)
             if len(own):
-                yield self._isolated(own, partial(self._set, command))
-
-    def _set(self, command: int, valves: Times) -> tuple[Waiting, ByValve]:
-        return self.alignment.set_clock(self._waiting, valves, command)
-
-    def new_failures(self) -> list[tuple[int, Exception]]:
-        """Return the valves at which an error was raised since the last call, with the error."""
-        new, self._errors = self._errors, []
-        return new
+                yield self.buffers.set_clock(own, command)
 
     def left_out(self) -> dict[str, int]:
         """Return the number of missing samples of each valve whose changes are dropped, by name."""
@@ -170,20 +168,20 @@ class Arrivals:
 
     def waits(self) -> NDArray[np.bool_]:
         """Mask of the valves with samples in the reorder buffer, or changes buffered for scans."""
-        found = self.alignment.waits(self._waiting) | (self.timing.pending > 0)
+        found = self.alignment.waits(self.buffers.waiting) | (self.timing.pending > 0)
         return found & ~self.failed
 
     def pending(self) -> Times:
         """Number of samples of each valve that wait for signals or for earlier samples, (V,)."""
-        return self.alignment.pending(self._waiting) + self.timing.pending
+        return self.alignment.pending(self.buffers.waiting) + self.timing.pending
 
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return its samples."""
         valves = valves[~self.failed[valves]]
-        unfinished = self.timing.flush(valves, self._fail)
+        unfinished = self.timing.flush(valves, self.buffers.stop)
         if len(unfinished):
-            return self._align(unfinished)
-        return self._flush(valves)
+            return self.buffers.align(unfinished)
+        return self.buffers.flush(valves)
 
     def begin_source_anew(self, valves: Times, started: int) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart.
@@ -194,24 +192,25 @@ class Arrivals:
         anew = valves[self.source_started[valves] != started]
         self.source_started[anew] = started
         self.failed[anew] = False
-        return self._isolated(anew, lambda own: self.alignment.begin_anew(self._waiting, own))
+        return self.buffers.begin_anew(anew)
 
     def finish(self) -> list[ByValve]:
         """Flush all buffers; return their samples, those without a running number last."""
         every = (~self.failed).nonzero()[0]
-        unfinished = self._align(self.timing.flush(every, self._fail))
-        return [unfinished, self._flush(every), self._flush(every)]
+        unfinished = self.buffers.align(self.timing.flush(every, self.buffers.stop))
+        return [unfinished, self.buffers.flush(every), self.buffers.flush(every)]
 
     def counts(self, valves: Times) -> Times:
         """Return the counters of the given valves, a column for each of ``COUNTER_NAMES``."""
-        counts: Times = self._waiting.counters[valves]
+        counts: Times = self.buffers.waiting.counters[valves]
         counts[:, _MISSING] += self.timing.not_made(valves)
         return counts
 
     def waited_for(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
         """Return the signals that are missing for a valve's samples, and a remedy."""
         timing, optional = self.timing.valves[valve], self.alignment.optional[valve]
-        newest = np.maximum(self.alignment.newest(self._waiting, valve), timing.newest[:-1])
+        aligned = self.alignment.newest(self.buffers.waiting, valve)
+        newest = np.maximum(aligned, timing.newest[:-1])
         if timing.stands == IN_SCANS:
             return (*timing.words.losses(nodes), *timing.words.still(nodes))
         said = waited_for(newest, self.alignment.settings, optional=optional, nodes=nodes)
@@ -229,11 +228,11 @@ class Arrivals:
 
     def of(self, valve: int) -> ArrivalsOfValve:
         """Return copies of one valve's state."""
-        return self.view(valve)._replace(waiting=self.alignment.of(self._waiting, valve))
+        return self.view(valve)._replace(waiting=self.alignment.of(self.buffers.waiting, valve))
 
     def view(self, valve: int) -> ArrivalsOfValve:
         """As `of`, not copied: the next changes change it."""
-        waiting = self.alignment.view(self._waiting, valve)
+        waiting = self.alignment.view(self.buffers.waiting, valve)
         started = int(self.source_started[valve])
         return ArrivalsOfValve(waiting, started, self._steps.known(valve))
 
@@ -245,13 +244,13 @@ class Arrivals:
         StateMismatchError
             if more samples wait than ``max_pending``.
         """
-        self._waiting = self.alignment.put(self._waiting, valve, one.waiting)
+        self.buffers.put(valve, one.waiting)
         self.source_started[valve] = one.source_started
         self._steps.put(valve, one.known)
 
     def to_bytes(self) -> bytes:
         """Pack the state of all valves."""
-        return pack(self._waiting, self.timing, self._key)
+        return pack(self.buffers.waiting, self.timing, self._key)
 
     def resume(self, packed: bytes) -> None:
         """Restore the state of all valves.
@@ -263,50 +262,13 @@ class Arrivals:
         """
         waiting, states = unpack(packed, self._key, len(self.names), self.alignment)
         for number in range(len(self.names)):
-            self._waiting = self.alignment.put(
-                self._waiting, number, self.alignment.of(waiting, number)
-            )
+            self.buffers.put(number, self.alignment.of(waiting, number))
             self.timing.put(number, states.get(number, _ALIKE))
 
     @cached_property
     def _key(self) -> str:
         timing = self.timing if self.finds_timing else None
         return key_of_arrivals(self.names, self.alignment, timing)
-
-    def _align(self, changes: DataChanges) -> ByValve:
-        valve = changes.item // PER_VALVE
-        present = np.zeros(len(self.names), np.bool_)
-        present[valve] = True
-        members = present.nonzero()[0]
-
-        def align(own: Times) -> tuple[Waiting, ByValve]:
-            some = changes if len(own) == len(members) else changes[valve == own[0]]
-            return self.alignment.take(self._waiting, some)
-
-        return self._isolated(members, align)
-
-    def _flush(self, valves: Times) -> ByValve:
-        return self._isolated(valves, lambda own: self.alignment.flush(self._waiting, own))
-
-    def _isolated(self, members: Times, do: Callable[[Times], tuple[Waiting, ByValve]]) -> ByValve:
-        """Align valves together or, if that raises, one by one."""
-        parts: list[ByValve] = []
-
-        def align(rows: Rows) -> None:
-            self._waiting, samples = do(members[rows])
-            parts.append(samples)
-
-        isolate(members, align, self._saved, self._fail)
-        return parts[0] if len(parts) == 1 else together(parts)
-
-    def _saved(self, valves: Times) -> Restore:
-        """Copy what waits of the given valves; the result writes the copies back."""
-        self._buffer.clear()
-        return saved(self._waiting, valves, self._buffer)
-
-    def _fail(self, valve: int, error: Exception) -> None:
-        self.failed[valve] = True
-        self._errors.append((valve, error))
 
 
 _ALIKE: Final = Timing(TimingSettings(), ((),), fixed=True).valves[0].state

@@ -18,7 +18,6 @@ from valvemap.model.lead import lead_in_words
 from valvemap.model.samples import Samples
 from valvemap.pipeline.axis_alarms import AxisAlarms
 from valvemap.pipeline.axis_demand import AxisDemand, answer
-from valvemap.pipeline.axis_jobs import Job, Outcome
 from valvemap.pipeline.axis_learner import AxisLearner
 from valvemap.pipeline.axis_memory import NEWEST, AxisMemory, Unmet
 from valvemap.pipeline.axis_plan import AxisPlan
@@ -26,14 +25,14 @@ from valvemap.pipeline.axis_ports import AxisResults, RequiredU
 from valvemap.pipeline.axis_tracking import Tracking
 from valvemap.pipeline.edges import MOST_WAITING, NEVER_MET, matched
 from valvemap.pipeline.feedforward import Situation
-from valvemap.pipeline.kept_axes import ALARMS, Learnt
+from valvemap.pipeline.kept_axes import ALARMS
 from valvemap.vocabulary.statuses import AxisStatus, Quality, Status
 
 _LONGEST_STEP_S: Final = 1.0  # s; a longer step from sample to sample is cut to this
 
 
 class Axis:
-    """One axis; `take` its samples, do the `job` that is due, and `accept` what it has found.
+    """One axis; `take` its samples, and do the `learner`'s jobs that are due.
 
     Parameters
     ----------
@@ -50,7 +49,7 @@ class Axis:
         self._unmet, self.unpaired = [Unmet.nothing(), Unmet.nothing()], 0
         self._met = np.array([NEVER_MET])  # time of their last match
         self._rest, self._travel = Rest.initial(), Travel.initial()
-        self._learner, self._demand = AxisLearner(plan), AxisDemand(plan.feed_forward)
+        self.learner, self._demand = AxisLearner(plan), AxisDemand(plan.feed_forward)
         self.alarms, self._tracking = AxisAlarms(), Tracking()
         self.newest_U = np.nan  # of the newest sample, %
         self._newest: tuple[float, ...] = (np.nan,) * NEWEST  # x, T, pA, pB, pS, pT
@@ -98,33 +97,14 @@ class Axis:
         if not moves.any():
             return
         passed_s = float(np.clip(steps_s, 0.0, _LONGEST_STEP_S)[moves].sum())
-        self._learner.take(samples[moves], passed_s)
-
-    def job(self) -> Job | None:
-        """Return the work that is due, for another thread; None: there is none, or one is done.
-
-        It changes nothing here: `accept` its outcome, or `abandon` it.
-        """
-        return self._learner.job()
-
-    def accept(self, outcome: Outcome) -> None:
-        """Apply the outcome of a job; a refusal changes no map that there is."""
-        self._learner.accept(outcome)
-
-    def abandon(self) -> None:
-        """Note that a job ended without an outcome."""
-        self._learner.abandon()
-
-    def set_reference(self) -> None:
-        """Learn anew; the map stays until there is a new one, findings come after the searches."""
-        self._learner.set_reference()
+        self.learner.take(samples[moves], passed_s)
 
     def situation(self) -> Situation:
         """Return what feed-forward goes by, as of an armed axis whose sample has just come."""
         x, _, *pressures = self._newest
         is_whole = np.isfinite([self.newest_U, x, *pressures]).all()
         required = self.required()
-        status = Status.WARMING_UP if self._learner.known is None else Status.OK
+        status = Status.WARMING_UP if self.learner.known is None else Status.OK
         return Situation(
             armed=True,
             connected=True,
@@ -143,11 +123,11 @@ class Axis:
     @property
     def lead_s(self) -> float:
         """By how much the demand is advanced, s; 0: it is not, or the map has no spool yet."""
-        return self._demand.lead_s(self._learner.known)
+        return self._demand.lead_s(self.learner.known)
 
     def required(self) -> RequiredU:
         """Return the signal for the demanded speed at the newest sample's pressures."""
-        return self._demand.required(self._learner.known, self.t, self._newest)
+        return self._demand.required(self.learner.known, self.t, self._newest)
 
     def invert(
         self,
@@ -162,11 +142,11 @@ class Axis:
         x, *newest = self._newest
         asked = zip((T, pA, pB, pS, pT), newest, strict=True)
         given = (there if np.isnan(one) else one for one, there in asked)
-        return answer(self._learner.known, v, (x, *given))
+        return answer(self.learner.known, v, (x, *given))
 
     def results(self) -> AxisResults:
         """Return the present results."""
-        used_s, left_out, learner = 0.0, dict[str, int](), self._learner
+        used_s, left_out, learner = 0.0, dict[str, int](), self.learner
         if learner.state is not None:
             left_out = learner.state.reasons()
             used_s = left_out.pop("used") * learner.regression.period_s
@@ -202,7 +182,7 @@ class Axis:
     def to_bytes(self) -> dict[str, bytes]:
         """Return alarms, searches, the learnt state, and the reference of findings, if any."""
         found = {ALARMS: self.alarms.to_bytes(self.key)} if self.alarms.version else {}
-        return {**found, **self._learner.to_bytes()}
+        return {**found, **self.learner.to_bytes()}
 
     @property
     def memory(self) -> AxisMemory:
@@ -227,17 +207,8 @@ class Axis:
         self.newest_U, *newest = memory.newest.tolist()
         self._newest = tuple(newest)
 
-    @property
-    def learnt(self) -> Learnt | None:
-        """What has been learnt; None: nothing yet."""
-        return self._learner.learnt
-
-    def continue_from(self, learnt: Learnt) -> None:
-        """Continue from this; the next `job` gives its map."""
-        self._learner.continue_from(learnt)
-
     def resume(self, name: str, packed: bytes) -> None:
-        """Resume a stored state of this name; the next `job` gives its map.
+        """Resume a stored state of this name; the learner's next job gives its map.
 
         Raises
         ------
@@ -255,4 +226,4 @@ class Axis:
         if name == ALARMS:
             self.alarms.from_bytes(packed, key)
             return
-        self._learner.resume(name, packed, key)
+        self.learner.resume(name, packed, key)

@@ -18,6 +18,7 @@ from valvemap.model.axis_search import AxisResult, identify
 from valvemap.model.kernels.flow_rules import BETWEEN_JUMPS
 from valvemap.model.samples import Floats
 from valvemap.pipeline.axis_jobs import Job, Known, Outcome, Weighed, solved, weighed
+from valvemap.pipeline.axis_past import Past
 from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_searches import Searches
 from valvemap.pipeline.axis_watch import AxisWatch
@@ -62,6 +63,7 @@ class AxisLearner:
         self.searches, self._to_refit_s = Searches(), REFIT_S
         self.refused: AxisResult | None = None
         self.state: AxisState | None = None
+        self._past = Past()
         self.regression = AxisRegression(plan.geometry, has_place=not plan.has_speed)
         self._of_shape: Floats = np.zeros((SIZE, SIZE))
         self.known: Known | None = None
@@ -77,6 +79,7 @@ class AxisLearner:
             before = self.state.has_changed
             self.state, _ = self.regression.update(self.state, samples)
             self._to_refit_s -= passed_s
+            self._drop_rows_of_change(passed_s)
             if self.state.has_changed and not before:
                 self._search_anew()
         if self.watch is not None:
@@ -125,7 +128,7 @@ class AxisLearner:
             self._of_shape = outcome.of_shape
         if self.state is None or not _are_alike(self.regression, outcome.fit.regression):
             self.regression = replace(outcome.fit.regression, changes_per_s=CHANGES_PER_S)
-            self.state = outcome.state
+            self.state, self._past = outcome.state, Past()
             for samples in since:
                 self.state, _ = self.regression.update(self.state, samples)
         self._to_refit_s = 0.0
@@ -144,7 +147,16 @@ class AxisLearner:
         """Learn anew; the map stays until there is a new one, findings come after the searches."""
         self.window.clear()
         self.watch = self.state = self._since = None
+        self._past = Past()
         self.searches = Searches()
+
+    def _drop_rows_of_change(self, passed_s: float) -> None:
+        """Continue with the sums from before a change of an edge that was just found."""
+        if self.state is not None:
+            past, state = self._past.without_change(self.state)
+            if state is not self.state:
+                self._to_refit_s = 0.0
+            self._past, self.state = past.after(state, passed_s), state
 
     def _search_anew(self) -> None:
         """Search play and spool in the samples after a sudden change alone."""
@@ -164,7 +176,7 @@ class AxisLearner:
 
     def continue_from(self, learnt: Learnt) -> None:
         """Continue from this; the next `job` gives its map."""
-        self.regression, self.state = learnt.regression, learnt.state
+        self.regression, self.state, self._past = learnt.regression, learnt.state, Past()
         self._of_shape, self._to_refit_s = learnt.of_shape, 0.0
 
     def to_bytes(self) -> dict[str, bytes]:

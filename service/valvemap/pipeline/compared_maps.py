@@ -108,8 +108,10 @@ class ComparedMaps:
         """Evaluate the maps of one valve at the places that it left, and rank them."""
         points, one = self.places.points(m), np.array([m])
         maps: list[tuple[Floats, Floats] | None] = []
+        follows: list[bool] = []
         for name, lanes in self._lanes.by_name.items():
             maps.append(None)
+            follows.append(lanes.follows(m))
             if lanes.failed[m] or name in self._lanes.waits:
                 continue
 
@@ -119,7 +121,7 @@ class ComparedMaps:
             stop = self._lanes.stop_at(Step.COMPARISON, name)
             isolate(one, evaluate, _nothing_saved, stop)
         before = self.inverse(m)
-        self.places.look_back(m, maps)
+        self.places.look_back(m, maps, follows)
         if self.inverse(m) != before:
             self._alarms.forget_usual(m)
 

@@ -94,15 +94,15 @@ class EstimatorCommands:
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN withdraws it."""
         fleet, m = self._valves.named(valve)
-        fleet.demand(m, Q, dp)
-        self._leads.note_demand(self._valves.numbers[valve], fleet.last_t(m), Q)
+        fleet.inputs.demand[m] = Q, dp
+        self._leads.note_demand(self._valves.numbers[valve], int(fleet.inputs.t[m]), Q)
 
     def demands(self) -> dict[str, tuple[float, float]]:
         """Return the standing demands by valve: flow, l/min, and pressure drop, bar."""
         found = {}
         for number, plan in enumerate(self._valves.plans):
             fleet, m = self._valves.at(number)
-            Q, dp = fleet.demands(np.array([m]))[0].tolist()
+            Q, dp = fleet.inputs.demand[m].tolist()
             if not (np.isnan(Q) and np.isnan(dp)):
                 found[plan.name] = Q, dp
         return found

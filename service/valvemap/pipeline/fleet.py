@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from valvemap.model.estimator import key_of
-from valvemap.model.samples import Codes, Floats, Samples, Segments, Times
+from valvemap.model.samples import Codes, Samples, Segments, Times
 from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.batch_parts import BatchParts, Taken, in_rounds
 from valvemap.pipeline.compared_maps import ComparedMaps
+from valvemap.pipeline.fleet_inputs import FleetInputs
 from valvemap.pipeline.fleet_lanes import FleetLanes
-from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.lane_alarms import LaneAlarms
 from valvemap.pipeline.lane_failures import (
     CopyBuffer,
@@ -33,7 +33,6 @@ from valvemap.pipeline.lane_failures import (
 from valvemap.pipeline.lane_traces import nothing_of
 from valvemap.pipeline.lanes import Lanes
 from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
-from valvemap.pipeline.quality_gate import GateState
 from valvemap.pipeline.results import EstimatorResults
 from valvemap.pipeline.shared_support import SharedRests, SharedSupport
 from valvemap.pipeline.valve_columns import Columns
@@ -69,6 +68,8 @@ class Fleet:
 
     Attributes
     ----------
+    inputs : FleetInputs
+        The gate's state, the newest time and temperature, and the standing demands.
     alarms : Alarms
     lanes : FleetLanes
         The lanes, and which of them have stopped.
@@ -88,22 +89,18 @@ class Fleet:
         self.plan = plan
         self._buffer = buffer or CopyBuffer()
         self._restore: Mapping[str | Step, Restore] = {}  # of each part, by the newest `_saved`
-        self._key = f"valve {key_of(plan.gate)}"
-        self._gate = plan.gate.initial_state(M)
+        self.inputs = FleetInputs(plan.gate, M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
         self._lanes = {
             name: Lanes(estimator, M, SharedRests(self._support, number), plan.accuracy)
             for number, (name, estimator) in enumerate(plan.estimators.items())
         }
-        self._t = np.zeros(M, np.int64)
-        self._T = np.full(M, np.nan)
-        self._demand = np.full((M, 2), np.nan)  # Q, dp
         self.alarms = Alarms(M, plan.alarms, max(plan.map_Q) - min(plan.map_Q))
         names, failures = names or [plan.name] * M, failures or LaneFailures()
-        self.lanes = FleetLanes(self._lanes, waits, names, self._t, failures, self.alarms)
+        self.lanes = FleetLanes(self._lanes, waits, names, self.inputs.t, failures, self.alarms)
         keys = {name: key_of(one) for name, one in plan.estimators.items()}
         self.maps = ComparedMaps(plan, M, keys, self.lanes, self.alarms)
-        self._lane_alarms = LaneAlarms(plan, self.alarms, self.lanes, self.maps, self._t)
+        self._lane_alarms = LaneAlarms(plan, self.alarms, self.lanes, self.maps, self.inputs.t)
 
     def take(self, samples: Samples, segments: Segments) -> Taken:
         """Gate samples and update the estimators; return the gated samples and the traces.
@@ -153,8 +150,7 @@ class Fleet:
         comparison = self._restore[Step.COMPARISON]
         traces = self.maps.compare(judged, traces, segments, comparison, self._buffer)
         running = segments.of(~self.lanes.stopped()[segments.members])
-        self._t[running.members] = samples.t[running.stops - 1]
-        kernel.last_T(judged.T, judged.quality, self._T, running)
+        self.inputs.note_newest(judged, running)
         self._lane_alarms.watch(judged, traces, running, self._restore[Step.ALARMS])
         return judged, traces
 
@@ -170,15 +166,15 @@ class Fleet:
     def _saved(self, members: Times) -> Restore:
         """Copy the state of the given valves; the result writes the copies back."""
         self._buffer.clear()
-        buffer = self._buffer
+        buffer, inputs = self._buffer, self.inputs
         self._restore = {
-            Step.GATE: saved((*self._gate.memory, self._gate.bad_status), members, buffer),
+            Step.GATE: saved((*inputs.gate.memory, inputs.gate.bad_status), members, buffer),
             Step.SUPPORT: self._support.saved(members, buffer),
             Step.COMPARISON: self.maps.places.saved(members, buffer),
             Step.ALARMS: self._lane_alarms.saved(members, buffer),
             **{name: lanes.saved(members, buffer) for name, lanes in self._lanes.items()},
         }
-        times = saved((self._t, self._T), members, buffer)
+        times = saved((inputs.t, inputs.T), members, buffer)
         return all_of([times, *self._restore.values()])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
@@ -188,7 +184,7 @@ class Fleet:
 
         def judge(_: Rows) -> None:
             nonlocal quality
-            found = self.plan.gate.judge(self._gate, samples, running).quality
+            found = self.plan.gate.judge(self.inputs.gate, samples, running).quality
             if len(running.members) == len(segments.members):
                 quality = found
                 return
@@ -227,31 +223,11 @@ class Fleet:
 
     def state(self, m: int, names: Iterable[str] | None = None) -> ValveState:
         """Return the state of one valve, with the named estimators or with all."""
-        one = slice(m, m + 1)
-        return ValveState(
-            gate=self._gate.of(one),
-            lanes={name: self.lane(m, name) for name in names or self._lanes},
-            t=int(self._t[m]),
-            T=float(self._T[m]),
-            demand_Q=float(self._demand[m, 0]),
-            demand_dp=float(self._demand[m, 1]),
-        )
+        return self.inputs.state(m, {name: self.lane(m, name) for name in names or self._lanes})
 
     def view(self, m: int) -> ValveState:
         """As `state`, not copied and without errors of maps: the next samples change it."""
-        return ValveState(
-            gate=self._gate.view(slice(m, m + 1)),
-            lanes={name: lanes.view(m) for name, lanes in self._lanes.items()},
-            t=int(self._t[m]),
-            T=float(self._T[m]),
-            demand_Q=float(self._demand[m, 0]),
-            demand_dp=float(self._demand[m, 1]),
-        )
-
-    def remember(self, m: int, gate: GateState, t: int, T: float) -> None:
-        """Restore one valve's gate, last sample time and last temperature."""
-        self._gate.put(m, gate)
-        self._t[m], self._T[m] = t, T
+        return self.inputs.view(m, {name: lanes.view(m) for name, lanes in self._lanes.items()})
 
     def results(self, chosen: Times) -> Mapping[str, EstimatorResults]:
         """Return the estimators' results of the given valves, without surveys."""
@@ -264,32 +240,14 @@ class Fleet:
         """Return Bad results of one valve, for use when `results` raises."""
         return {name: lanes.unknown(m) for name, lanes in self._lanes.items()}
 
-    def demands(self, chosen: Times) -> Floats:
-        """Flow and pressure drop demanded of the given valves (K, 2); NaN without a demand."""
-        return np.asarray(self._demand[chosen])
-
-    def last_t(self, m: int) -> int:
-        """Time of the newest sample of one valve, UTC ns."""
-        return int(self._t[m])
-
-    def last_T(self, m: int) -> float:
-        """Last measured temperature of one valve, °C."""
-        return float(self._T[m])
-
-    def demand(self, m: int, Q: float, dp: float) -> None:
-        """Set the standing demand of one valve."""
-        self._demand[m] = Q, dp
-
     def columns(self, valves: Sequence[str]) -> list[Columns]:
         """Return the state of the valves as columns; call `take_up` after writing to them.
 
         Arrays with a row for each valve are returned themselves, the others are copies.
         """
-        gate = {f"gate_{name}": array for name, array in self._gate.memory._asdict().items()}
-        own = {"bad_status": self._gate.bad_status, "t": self._t, "T": self._T}
         names = tuple(valves)
         return [
-            Columns(self._key, names, {**gate, **own, "demand": self._demand}),
+            self.inputs.columns(names),
             Columns("places", names, self.maps.places.columns_of_valves()),
             Columns("alarms", names, self._lane_alarms.columns()),
             *(
@@ -303,13 +261,13 @@ class Fleet:
         of_lanes = written[len(written) - len(self._lanes) :]
         for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
             lanes.take_up(columns.arrays)
-        for m in range(len(self._t)):
+        for m in range(len(self.inputs.t)):
             self.lanes.show_stopped(m)
 
     def rejections(self, chosen: Times) -> Times:
         """Counts (K, reasons) since the start: rejections by gate, estimators, lane failures."""
         lanes = [*self._lanes.values()]
         beyond = np.max([one.beyond[chosen] for one in lanes], axis=0)
-        censored = np.max([one.censored(chosen) for one in lanes], axis=0)
+        censored = np.max([one.states.censored(chosen) for one in lanes], axis=0)
         failed = self.alarms.failures(chosen)
-        return np.column_stack((self._gate.counts(chosen), beyond, censored, failed))
+        return np.column_stack((self.inputs.gate.counts(chosen), beyond, censored, failed))

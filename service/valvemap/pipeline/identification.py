@@ -8,33 +8,20 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 
-import numpy as np
-from numpy.typing import NDArray
-
 from valvemap.errors import CommandRejected
 from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Samples, Times, Trace
 from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alignment import Alignment
-from valvemap.pipeline.all_alarms import AllAlarms
-from valvemap.pipeline.all_valves import AllValves
-from valvemap.pipeline.approved_maps import ApprovedMaps
-from valvemap.pipeline.armed_valves import ArmedValves
-from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
 from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.call_journal import Call, CallJournal, changes_state, noted_call
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.demand_leads import DemandLeads
-from valvemap.pipeline.dynamics_reference import DynamicsReferences, Outcome
+from valvemap.pipeline.dynamics_reference import Outcome
 from valvemap.pipeline.dynamics_results import DynamicsResults
-from valvemap.pipeline.estimator_commands import EstimatorCommands
-from valvemap.pipeline.kept_columns import KeptColumns
-from valvemap.pipeline.kept_states import KeptStates
+from valvemap.pipeline.identification_parts import Parts
 from valvemap.pipeline.lane_failures import Step
-from valvemap.pipeline.line_inverse import LineInverse
-from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.readable_parts import (
     ReadableAnswers,
@@ -49,16 +36,14 @@ from valvemap.pipeline.readable_parts import (
     ReadableTiming,
     ReadableValves,
 )
-from valvemap.pipeline.result_tables import ResultTables
 from valvemap.pipeline.results import ValveDescription
-from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.service_alarms import SERVICE_RULES
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_descriptions import descriptions
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.vocabulary.commands import NAMED, Subject
+from valvemap.vocabulary.commands import NAMED
 from valvemap.vocabulary.feed_forward import FeedForwardStatus
 from valvemap.vocabulary.service_alarms import ServiceAlarm
 from valvemap.vocabulary.statuses import Status
@@ -67,9 +52,8 @@ from valvemap.vocabulary.statuses import Status
 class Identification:
     """All valves of one service; implements :class:`valvemap.pipeline.operator_ports.Operator`.
 
-    It builds the parts. Those that are public are for reading, and replaced by `take_over`: look
-    them up for each call. Calls that change the state are methods here, so that a preview can note
-    them.
+    The parts that are public are for reading, and replaced by `take_over`: look them up for each
+    call. Calls that change the state are methods here, so that a preview can note them.
 
     Parameters
     ----------
@@ -120,41 +104,20 @@ class Identification:
     ) -> None:
         self.journal = None if waits is None else CallJournal()
         self.changes = 0
-        self._arrivals = self.arrivals = arrivals = Arrivals(
-            [plan.name for plan in plans], alignment, timing
-        )
-        self._valves = self.valves = valves = AllValves(plans, arrivals.timing, waits or ())
-        self._intake = self.plausibility = intake = SampleIntake(valves, arrivals)
-        self.maps = maps = MapsAndSurveys(valves, intake)
-        self._leads = DemandLeads(valves.plans)
-        self._commands = self.answers = commands = EstimatorCommands(valves, self._leads)
-        self._references = references = DynamicsReferences()
-        self._approved = approved = ApprovedMaps(valves, self._commands, references)
-        self._alarms = alarms = AllAlarms(valves, service_alarms)
-        self._armed = self.armed = armed = ArmedValves(valves)
-        self._lines = lines = LineInverse(valves, intake)
-        self._results = self.results = ResultTables(
-            valves, arrivals, intake, maps, approved, armed, commands, lines
-        )
-        self._kept = self.states = KeptStates(
-            valves, arrivals, approved, alarms, maps, intake.splitter, intake.meters, references
-        )
-        self.stamping, self.failures = arrivals.timing, valves.failures
-        self._columns = self.kept_columns = KeptColumns(valves, intake, approved)
-        self._executors = {
-            Subject.ESTIMATOR: commands,
-            Subject.DEMAND: commands,
-            Subject.BASELINE: approved,
-            Subject.INVERSE: armed,
-            Subject.ALARM: alarms,
-        }
-        self.plans = valves.plans
+        self._parts = parts = Parts.of(plans, alignment, timing, service_alarms, waits or ())
+        self.plans = parts.valves.plans
+        self.results, self.maps = parts.results, parts.maps
+        self.answers, self.armed = parts.commands, parts.armed
+        self.valves, self.failures = parts.valves, parts.valves.failures
+        self.arrivals, self.stamping = parts.arrivals, parts.arrivals.timing
+        self.plausibility = parts.intake
+        self.states, self.kept_columns = parts.kept, parts.columns
 
     @property
     def version(self) -> tuple[int, ...]:
         """Equal as long as no state that `states` packs has changed, but for alarms that last."""
-        of_fleets = sum(fleet.changes for fleet in self._valves.fleets)
-        return self.changes, of_fleets, self._alarms.of_service.version
+        of_fleets = sum(fleet.changes for fleet in self._parts.valves.fleets)
+        return self.changes, of_fleets, self._parts.alarms.of_service.version
 
     def repeat(self, calls: Sequence[Call]) -> None:
         """Repeat the calls of a preview. A rejected command is rejected again."""
@@ -167,7 +130,7 @@ class Identification:
         changes = self.changes + successor.changes
         vars(self).update(vars(successor))
         self.changes = changes + 1  # no version of before comes again
-        self._results.show_all_alarms_again()
+        self._parts.results.show_all_alarms_again()
 
     @changes_state
     def do(self, command: Command) -> None:
@@ -178,18 +141,18 @@ class Identification:
         CommandRejected
             with the reason; nothing is changed.
         """
-        executor = self._executors[NAMED[command.action].on]
+        executor = self._parts.executor_of(NAMED[command.action].on)
         getattr(executor, command.action)(*command.arguments)
 
     @changes_state
     def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
         """Stop a lane, or (None) all lanes of a valve, after an error outside of this object."""
-        self._valves.stop(valve, step, estimator, error)
+        self._parts.valves.stop(valve, step, estimator, error)
 
     @changes_state
     def take(self, changes: DataChanges) -> ByValve:
         """Align data changes and estimate; return the samples they completed, by valve."""
-        return self._intake.take(changes)
+        return self._parts.intake.take(changes)
 
     @changes_state
     def announce(self, changes: DataChanges, now_s: float) -> None:
@@ -197,61 +160,49 @@ class Identification:
 
         Call it before `take` of these changes, whole or in parts; recordings need no call.
         """
-        self._arrivals.announce(changes, now_s)
+        self._parts.arrivals.announce(changes, now_s)
 
     @changes_state
     def learn(self, arrived: ByValve) -> ByValve:
         """Estimate from aligned samples; return them, with implausible samples marked BAD."""
-        return self._intake.learn(arrived)
+        return self._parts.intake.learn(arrived)
 
     @changes_state
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
         """Estimate from one valve's samples; return them as gated, and each estimator's trace."""
-        return self._intake.take_samples(valve, samples)
+        return self._parts.intake.take_samples(valve, samples)
 
     @changes_state
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Flush the reorder buffer of these valves; return the samples as `take` does."""
-        return self._intake.wait_no_longer(valves)
+        return self._parts.intake.wait_no_longer(valves)
 
     @changes_state
     def begin_source_anew(self, valves: Times, started: int) -> ByValve:
         """Reset the alignment of these valves: the running numbers of their source restart."""
-        return self._intake.begin_source_anew(valves, started)
+        return self._parts.intake.begin_source_anew(valves, started)
 
     @changes_state
     def note_source(self, valve: int, words: tuple[str, ...]) -> None:
         """Note what the source says of a valve's nodes; shown as `waited_for` and by its alarms."""
-        self._results.reasons.note_source(valve, words)
-        fleet, m = self._valves.at(valve)
+        self._parts.results.reasons.note_source(valve, words)
+        fleet, m = self._parts.valves.at(valve)
         fleet.alarms.note_source(m, "; ".join(words))
 
     @changes_state
     def note_dynamics(self, valve: int, found: DynamicsResults) -> None:
         """Note the dynamics of one valve; its results show them from now on."""
-        self._results.note_dynamics(valve, self._leads.noted(valve, found))
+        self._parts.results.note_dynamics(valve, self._parts.leads.noted(valve, found))
 
     @changes_state
     def judge_dynamics(self, valve: int, outcome: Outcome, t: int) -> None:
         """Compare a fit of samples up to ``t`` (UTC ns) with the valve's reference, and note it."""
-        found = self._references.judge(valve, outcome, t)
-        self._results.note_dynamics(valve, self._leads.noted(valve, found))
+        found = self._parts.references.judge(valve, outcome, t)
+        self._parts.results.note_dynamics(valve, self._parts.leads.noted(valve, found))
 
     def timing(self, valve: int) -> tuple[str, ...]:
         """Describe how each of a valve's signals is stamped."""
-        return self._arrivals.how_signals_come(valve, self.plans[valve].nodes)
-
-    def holds(self) -> NDArray[np.bool_]:
-        """Mask of the valves with on-change signals: their silence is no loss."""
-        return self._arrivals.timing.holds
-
-    def implausible(self) -> NDArray[np.bool_]:
-        """Mask of the valves whose samples are rejected as implausible.
-
-        Impossible pressures are rejected until ten times as many samples have been right;
-        inconsistent flow and pressures, until a restart.
-        """
-        return self._intake.implausible
+        return self._parts.arrivals.how_signals_come(valve, self.plans[valve].nodes)
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
         """Return the descriptions of all valves for a results server."""
@@ -261,47 +212,47 @@ class Identification:
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
         """Q (l/min), its standard deviation and status at one point."""
-        return self._commands.predict(valve, estimator, U, dp, T)
+        return self._parts.commands.predict(valve, estimator, U, dp, T)
 
     def predict_measurement(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, float, Status]:
         """Q, the 95 % interval of a new measurement (l/min), and status."""
-        return self._commands.predict_measurement(valve, estimator, U, dp, T)
+        return self._parts.commands.predict_measurement(valve, estimator, U, dp, T)
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop; of a line, signed."""
-        number = self._valves.numbers[valve]
-        if self._lines.is_line(number):
-            return self._lines.invert(number, Q, dp, T).as_inversion()
-        return self._commands.invert(valve, Q, dp, T)
+        number = self._parts.valves.numbers[valve]
+        if self._parts.lines.is_line(number):
+            return self._parts.lines.invert(number, Q, dp, T).as_inversion()
+        return self._parts.commands.invert(valve, Q, dp, T)
 
     def compare(self, valve: str, estimator: str) -> Difference:
         """Return the difference of an estimator's map from the baseline's."""
-        return self._approved.compare(valve, estimator)
+        return self._parts.approved.compare(valve, estimator)
 
     def predict_approved(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
         """Q (l/min), its standard deviation and status at one point of the approved map."""
-        return self._approved.predict(valve, estimator, U, dp, T)
+        return self._parts.approved.predict(valve, estimator, U, dp, T)
 
     def baseline(self, valve: int) -> Baseline | None:
         """Return the approved map, or None."""
-        return self._approved.baselines.get(valve)
+        return self._parts.approved.baselines.get(valve)
 
     def alarmed(self) -> list[str]:
         """Return the valves that have ever had an active alarm."""
-        return self._alarms.alarmed()
+        return self._parts.alarms.alarmed()
 
     def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
         """Return the state of all alarms of a valve or (None) of the service."""
-        return self._alarms.reports(valve)
+        return self._parts.alarms.reports(valve)
 
     @changes_state
     def was_away(self) -> None:
         """Note an outage of the service: silence until now is no loss of the sensors."""
-        self._alarms.was_away()
+        self._parts.alarms.was_away()
 
     @noted_call
     def say_overdue(self, valves: Times, now: Times) -> list[int]:
@@ -309,7 +260,7 @@ class Identification:
 
         How long they have been silent is no reason to save their states again.
         """
-        return self._alarms.say_overdue(valves, now)
+        return self._parts.alarms.say_overdue(valves, now)
 
     @noted_call
     def watch_service(
@@ -321,26 +272,28 @@ class Identification:
         history_waits_s: float = math.nan,
     ) -> tuple[AlarmReport, ...]:
         """Update the service's alarms: age of the checkpoints, certificate, load, history."""
-        return self._alarms.watch_service(now, checkpoint_age_s, days_left, load, history_waits_s)
+        return self._parts.alarms.watch_service(
+            now, checkpoint_age_s, days_left, load, history_waits_s
+        )
 
     @changes_state
     def lead(self, valve: str, *, by_another: bool) -> None:
         """Note whether something else writes to the valve; if so, it cannot be armed."""
-        self._armed.lead(valve, by_another=by_another)
+        self._parts.armed.lead(valve, by_another=by_another)
 
     @changes_state
     def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
         """Set the feed-forward status to publish."""
-        self._armed.note(valve, status)
+        self._parts.armed.note(valve, status)
 
     @changes_state
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Restore the checkpoints that fit, see :meth:`KeptStates.restore`."""
-        return self._kept.restore(checkpoints)
+        return self._parts.kept.restore(checkpoints)
 
     @changes_state
     def remember(
         self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
     ) -> set[tuple[str, str]]:
         """Restore columns and baselines; return (key, valve) of the states that were reset."""
-        return self._columns.remember(columns, baselines)
+        return self._parts.columns.remember(columns, baselines)

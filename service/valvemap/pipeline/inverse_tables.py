@@ -61,7 +61,7 @@ class InverseTables:
             t[own], quality[own] = found.t[own], found.quality[own]
         U, lower, upper = np.full((3, M), np.nan)
         status = np.full(M, np.uint8(InverseStatus.NOT_FINITE))
-        demanded: Flags = np.asarray(np.isfinite(fleet.demands(places)).all(axis=1))
+        demanded: Flags = np.asarray(np.isfinite(fleet.inputs.demand[places]).all(axis=1))
         for k in demanded.nonzero()[0]:
             (U[k], lower[k], upper[k], status[k]), _ = self._commands.required(int(valves[k]))
             if not self._valves.runs(int(valves[k]), inverses[k]):

@@ -9,13 +9,15 @@ import numpy as np
 from valvemap.model import drift_states
 from valvemap.model.axis import AxisRegression, AxisState
 from valvemap.model.axis_basis import SIZE
+from valvemap.model.axis_fit import DELAY_SIZE, FORCE_SIZE
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.samples import Floats
 
 LEARNT, SEARCHES, WATCH, ALARMS = "Axis", "AxisSearches", "AxisWatch", "AxisAlarms"
 """Names of the stored parts."""
-FORCES: Final = 2  # last columns, of the force: `axis_rows.FORCE` and `CREEP`
+NEWER: Final = FORCE_SIZE, FORCE_SIZE, DELAY_SIZE, DELAY_SIZE
+"""Prior sizes of the last columns, which states of earlier versions lack: `axis_rows.FORCE` on."""
 
 
 @dataclass(frozen=True)
@@ -64,18 +66,21 @@ def shape_of(one: AxisRegression) -> dict[str, Any]:
     }
 
 
-def with_force(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Return arrays with the columns of the force, 0, which earlier versions did not have.
+def with_newer_columns(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Return arrays with the columns, 0, which the version that stored them did not have.
 
-    >>> with_force({"theta": np.ones(SIZE - FORCES), "U": np.ones(3)})["theta"][-3:].tolist()
+    >>> with_newer_columns({"theta": np.ones(SIZE - 2), "U": np.ones(3)})["theta"][-3:].tolist()
     [1.0, 0.0, 0.0]
     """
-    before, found = SIZE - FORCES, dict(arrays)
+    before, found = np.size(arrays["theta"]), dict(arrays)
+    added = SIZE - before
+    if not 0 <= added <= len(NEWER):
+        return {}
     for name in ("M", "scores", "of_shape", "precision", "b", "theta", "score"):
         if name in arrays and set(np.shape(arrays[name])) == {before}:
-            found[name] = np.pad(arrays[name], (0, FORCES))
+            found[name] = np.pad(arrays[name], (0, added))
     if "filtered" in arrays:
-        found["filtered"] = np.insert(arrays["filtered"], [before] * FORCES, 0.0, axis=-1)
+        found["filtered"] = np.insert(arrays["filtered"], [before] * added, 0.0, axis=-1)
     return found
 
 
@@ -83,16 +88,16 @@ def with_force(arrays: dict[str, Any]) -> dict[str, Any]:
 class _Kept(KeptShape):
     """The stored form of an axis."""
 
-    state_version: ClassVar[int] = 5  # 4: no force; 3: offsets did not jump; 2: none
+    state_version: ClassVar[int] = 6  # 5: no delays; 4: no force; 3: offsets did not jump; 2: none
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the sensors' offsets, and the columns of the force."""
+        """Add the sensors' offsets, and the columns of the force and of the delays."""
         if version == "2":
             drift_states.upgrade(arrays, "drift_")
         elif version == "3":
             drift_states.add_jumps_of_offsets(arrays, "drift_")
-        return with_force(arrays) if version in ("2", "3", "4") else {}
+        return with_newer_columns(arrays) if version in ("2", "3", "4", "5") else {}
 
     last: Any
     memory: Any

@@ -217,8 +217,8 @@ class KeptStates:
             kept.state, self._keys.of_memory(number), fleet.plan.gate, self._arrivals.alignment
         )
         self._arrivals.put(number, memory.arrivals)
-        fleet.remember(m, memory.gate, memory.t, memory.T)
-        fleet.demand(m, *memory.demand)
+        fleet.inputs.put(m, memory.gate, memory.t, memory.T)
+        fleet.inputs.demand[m] = memory.demand
         for name, notes in memory.notes.items():
             known = name in fleet.plan.estimators and notes.status in (-1, *Status)
             if not known or not (lane := fleet.lane(m, name)).t:

@@ -9,12 +9,12 @@ import numpy as np
 from valvemap.model.axis import AxisRegression
 from valvemap.model.axis_basis import SIZE
 from valvemap.model.axis_condition import Condition, Reference
-from valvemap.model.axis_fit import FORCE_SIZE, with_theta
+from valvemap.model.axis_fit import with_theta
 from valvemap.model.axis_force import SUMS as FORCE_SUMS
 from valvemap.model.axis_force import ForceReference, ForceState
 from valvemap.model.contents import Contents
 from valvemap.pipeline.axis_watch import SUMS, AxisWatch, AxisWindowSums
-from valvemap.pipeline.kept_axes import FORCES, KeptShape, shape_of, with_force
+from valvemap.pipeline.kept_axes import NEWER, KeptShape, shape_of, with_newer_columns
 
 _OF_CONDITION: Final = ("probability", "size", "std", "mean", "spread")
 
@@ -26,16 +26,15 @@ class _KeptWatch(KeptShape):
     Without a balance of forces, ``force_transition`` is 0.
     """
 
-    state_version: ClassVar[int] = 3  # 2: no columns of the force
+    state_version: ClassVar[int] = 4  # 3: no columns of the delays; 2: nor of the force
 
     @classmethod
     def upgraded(cls, version: str, arrays: dict[str, Any]) -> dict[str, Any]:
-        """Add the columns of the force, of which nothing is known."""
-        if version != "2":
-            return {}
-        found = with_force(arrays)
-        forces = np.arange(SIZE - FORCES, SIZE)
-        found["precision"][forces, forces] = FORCE_SIZE**-2
+        """Add the columns of the force and of the delays, of which nothing is known."""
+        found = with_newer_columns(arrays) if version in ("2", "3") else {}
+        if found:
+            added = np.arange(np.size(arrays["theta"]), SIZE)
+            found["precision"][added, added] = np.array(NEWER)[added - SIZE] ** -2.0
         return found
 
     theta: Any

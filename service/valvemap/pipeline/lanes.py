@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.capabilities import Forgetful
+from valvemap.model.capabilities import Forgetful, PathDependent
 from valvemap.model.estimator import State, key_of
 from valvemap.model.extrapolation import ABOUT_DP, ABOUT_U, within_ranges
 from valvemap.model.residual_spread import ResidualSpread
@@ -136,6 +136,11 @@ class Lanes:
         lane = self.get(m)
         return lane.estimator.predict(lane.state, U, dp, T)
 
+    def follows(self, m: int) -> bool:
+        """Whether the estimator knows that the flow of one valve depends on earlier samples."""
+        estimator = self._estimator
+        return isinstance(estimator, PathDependent) and estimator.follows(self.states.view(m))
+
     def columns(
         self, name: str, valves: tuple[str, ...], beside: Mapping[str, NDArray[Any]]
     ) -> Columns:
@@ -171,10 +176,6 @@ class Lanes:
     def recent_rmse(self, chosen: Times) -> Floats:
         """Return the root mean square of recent residuals of the given valves, l/min."""
         return recent_rmse(self._scores[chosen])
-
-    def censored(self, chosen: Times) -> Times:
-        """Number of samples of K valves not learnt as the meter does not show their flow (K,)."""
-        return self.states.censored(chosen)
 
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
         """Mask the samples (N,) whose U or Δp is beyond the estimator's ranges; count them."""

@@ -67,7 +67,7 @@ class LineInverse:
         The pressure drop is that of the newest sample, unless one was demanded.
         """
         fleet, m = self._valves.at(line)
-        Q, dp = fleet.demands(np.array([m]))[0].tolist()
+        Q, dp = fleet.inputs.demand[m].tolist()
         return self.invert(line, Q, dp, np.nan)
 
     def invert(self, line: int, Q: float, dp: float, T: float) -> LineAnswer:

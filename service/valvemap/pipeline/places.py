@@ -7,7 +7,9 @@ A place is a cell of (U, sign(dp)·√|dp|, T). Two errors at places tell how go
   numbers of samples (`Places.due`).
 
 The first is an error of prediction, the second one of memory: an estimator with a short memory
-follows the flow from sample to sample and is wrong where it was before.
+follows the flow from sample to sample and is wrong where it was before. Where play or a lag lies
+between map and samples, and the estimator knows it, a sample in motion shows another flow than the
+map: there the smaller of the two errors counts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -94,7 +96,12 @@ class Places:
         U, dp, T = np.ascontiguousarray(points[:, : layout.AT_Q].T)
         return U, dp, T
 
-    def look_back(self, m: int, maps: Sequence[tuple[Floats, Floats] | None]) -> None:
+    def look_back(
+        self,
+        m: int,
+        maps: Sequence[tuple[Floats, Floats] | None],
+        follows: Sequence[bool] = (),
+    ) -> None:
         """Compare the newest maps of a valve's E estimators at its places, and rank them.
 
         Parameters
@@ -103,6 +110,8 @@ class Places:
             The valve.
         maps
             Each estimator's flow and standard deviation at `points`; None: it has stopped.
+        follows
+            Whether each knows of something between its map and the samples; none of them, if empty.
         """
         valve = self._record.valves[m]
         taken = int(valve[layout.TAKEN])
@@ -115,6 +124,9 @@ class Places:
         for e, found in enumerate(maps):
             if found is not None:
                 errors[e] = Q - found[0]
+        for e in np.flatnonzero(follows).tolist():
+            past = self._record.places[m, e, known, layout.PAST]
+            errors[e] = np.where(np.abs(past) < np.abs(errors[e]), past, errors[e])
         squares = clipped(errors)
         least = np.nanmin(squares.mean(axis=1), initial=np.inf)
         for e, found in enumerate(maps):

@@ -93,12 +93,24 @@ class ReadableArrivals(Protocol):
 class ReadableTiming(Protocol):
     """How signals are stamped; fulfilled by `Timing`."""
 
+    @property
+    def holds(self) -> NDArray[np.bool_]:
+        """Mask of the valves with on-change signals: their silence is no loss."""
+
     def newly_found(self) -> list[int]:
         """Return the valves whose signals were newly found to have different timestamps."""
 
 
 class ReadablePlausibility(Protocol):
     """Implausible samples; fulfilled by `SampleIntake`."""
+
+    @property
+    def implausible(self) -> NDArray[np.bool_]:
+        """Mask of the valves whose samples are rejected as implausible.
+
+        Impossible pressures are rejected until ten times as many samples have been right;
+        inconsistent flow and pressures, until a restart.
+        """
 
     def findings(self, valve: int) -> list[Finding]:
         """Return the reasons why a valve's signals are implausible."""

@@ -202,7 +202,7 @@ class SampleIntake:
 
     def _learn_arrived(self, arrived: ByValve) -> ByValve:
         """Stop the valves whose alignment raised, and estimate from the others' samples."""
-        for valve, error in self._arrivals.new_failures():
+        for valve, error in self._arrivals.buffers.new_failures():
             self._valves.stop(valve, Step.ALIGNMENT, None, error)
         return self.learn(arrived)
 

@@ -1,6 +1,5 @@
 """The live axes: data changes in, maps and the inverse for speed out, states kept."""
 
-import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -9,7 +8,6 @@ import numpy as np
 import structlog
 
 from valvemap.clock import Clock
-from valvemap.daemon_thread import in_daemon_thread
 from valvemap.errors import CommandRejected, SourceError, StorageError
 from valvemap.model.axis import AxisSamples
 from valvemap.model.samples import Times
@@ -17,7 +15,6 @@ from valvemap.pipeline.alarm_results import AlarmReport
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.axes import Axis
 from valvemap.pipeline.axis_arrivals import LINES, awaited, counted
-from valvemap.pipeline.axis_jobs import Job
 from valvemap.pipeline.axis_plan import AxisPlan
 from valvemap.pipeline.axis_ports import AxisOperator, AxisResults, AxisSink, RequiredU
 from valvemap.pipeline.axis_states import AxisStates
@@ -26,8 +23,10 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.operator_ports import Command
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import CheckpointStore, Piece
+from valvemap.runtime.axis_work import AxisWork
 from valvemap.runtime.failure_log import log_left_out, log_missing
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
+from valvemap.runtime.heard_axes import HeardAxes
 from valvemap.runtime.kept_position import resume_source
 from valvemap.runtime.led_axes import LedAxes
 from valvemap.runtime.past_pieces import pieces_of
@@ -95,17 +94,14 @@ class LiveAxes:
         self._states, self._store = AxisStates(self.axes, arrivals, self._fail), store
         self.keeper = StateKeeper(self._states, source, store, clock, checkpoint_interval_s)
         self._held = WaitingTime(LINES * len(plans), reorder_s, now)
-        self._connected = np.zeros(LINES * len(plans), np.bool_)
-        self._heard_at = np.full(len(plans), -np.inf)
-        self._began_at = np.nan  # when the first connection was made, or failed
+        self._heard = HeardAxes(self.axes, arrivals, source, clock)
         self._shown_at = np.full(len(plans), -np.inf)
         self._failed: dict[int, str] = {}
         self._keep, self._kept = keep, [(0, False)] * len(plans)
         self._source = source
         self.led = LedAxes(self.axes, self._age_s, self._show, self._fail)
         self._writer = FeedForwardWriter(self.led, LINES * len(plans), source, clock)
-        self._jobs: dict[int, asyncio.Task[None]] = {}
-        self._one_at_a_time = asyncio.Semaphore(1)
+        self._work = AxisWork(self.axes, self._show, self._fail)
 
     @property
     def names(self) -> list[str]:
@@ -125,7 +121,7 @@ class LiveAxes:
         self.keeper.refused = len({*refused, *self._store.damaged})
         if refused:
             log.warning(
-                "states of axes left aside, these start afresh",
+                "checkpoints set aside, their axes are reset",
                 why=by_reason(refused),
                 remedy=REMEDY,
             )
@@ -134,30 +130,30 @@ class LiveAxes:
 
     async def connected(self, valves: Times | None = None, *, restarted_at: int | None) -> None:
         """Note the connection; if the source was restarted, count its samples anew."""
-        rows = self._rows(valves)
-        self._begin()
+        rows = self._heard.rows(valves)
+        self._heard.begin()
         if restarted_at is not None:
             self._use(self._arrivals.begin_source_anew(rows, restarted_at))
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """Identify and show."""
-        self._connected[self._rows(valves)] = True
+        self._heard.connected[self._heard.rows(valves)] = True
         self._arrivals.announce(changes, self._clock.monotonic())
         self._use(self._arrivals.take(changes))
-        await self._writer.write(self._rows(valves))
+        await self._writer.write(self._heard.rows(valves))
         self.keeper.mark = self._source.mark
 
     async def tick(self, valves: Times | None = None) -> None:
         """Flush overdue samples, begin the jobs that are due, mark stale results, save states."""
         now = self._clock.monotonic()
-        due = self._held.due(now, self._connected, self._arrivals.waits())
+        due = self._held.due(now, self._heard.connected, self._arrivals.waits())
         if len(due):
             self._use(self._arrivals.wait_no_longer(due))
         for number in range(len(self.axes)):
             self._begin_job(number)
             if now - self._shown_at[number] > self._stale_after_s:
                 self._show(number)
-        rows = self._rows(valves)
+        rows = self._heard.rows(valves)
         await self._writer.write(rows[self._writer.are_due(rows, now)])
         self.keeper.keep_in_turn(now)
 
@@ -167,26 +163,24 @@ class LiveAxes:
         valves: Times | None = None,
     ) -> None:
         """Mark the rows' source as disconnected."""
-        rows = self._rows(valves)
-        self._begin()
-        self._connected[rows] = False
+        rows = self._heard.rows(valves)
+        self._heard.begin()
+        self._heard.connected[rows] = False
         await self._writer.write(rows)
 
     async def finish(self) -> None:
         """Save all states; a job under way is left."""
-        for task in self._jobs.values():
-            task.cancel()
-        await asyncio.gather(*self._jobs.values(), return_exceptions=True)
+        await self._work.cancel()
         log_missing(self._arrivals.left_out())
         try:
             await self.keeper.keep()
         except StorageError as error:
-            log.warning("states of axes not kept", reason=str(error))
+            log.warning("checkpoint of axes not saved", reason=str(error))
 
     def set_reference(self, axis: str) -> None:
-        """Learn the axis anew: findings are then relative to what it is from now on."""
+        """Reset an axis: findings are relative to its state from now on."""
         number = self._number(axis)
-        self.axes[number].set_reference()
+        self.axes[number].learner.set_reference()
         log.info("reference of axis set", axis=axis)
         self._show(number)
 
@@ -223,16 +217,9 @@ class LiveAxes:
             raise CommandRejected(f"{axis}: there is no such axis any more")
         return self._numbers[axis]
 
-    def _begin(self) -> None:
-        if np.isnan(self._began_at):
-            self._began_at = self._clock.monotonic()
-
-    def _rows(self, valves: Times | None) -> Times:
-        return np.arange(len(self._connected)) if valves is None else valves
-
     def _use(self, samples: ByValve) -> None:
         self._states.note_change()
-        for row, error in self._arrivals.new_failures():
+        for row, error in self._arrivals.buffers.new_failures():
             log_left_out(self._arrivals.names[row], error)
         self._held.heard(samples.segments.members)
         now = self._clock.monotonic()
@@ -247,52 +234,24 @@ class LiveAxes:
             except Exception as error:  # noqa: BLE001 - a bulkhead: the other axes go on
                 self._fail(number, error)
             if axis.t != before:  # both lines have come
-                self._heard_at[number] = now
+                self._heard.note_sample(number)
         for number in {row // LINES for row in samples.segments.members.tolist()}:
             self._begin_job(number)
             if now - self._shown_at[number] >= SHOWN_S:
                 self._show(number)
 
     def _begin_job(self, number: int) -> None:
-        job = None if number in self._failed else self.axes[number].job()
-        if job is not None:
-            self._jobs[number] = asyncio.create_task(self._work(number, job))
-
-    async def _work(self, number: int, job: Job) -> None:
-        axis, before = self.axes[number], self.axes[number].results()
-        async with self._one_at_a_time:
-            try:
-                axis.accept(await in_daemon_thread(job))
-            except asyncio.CancelledError:
-                axis.abandon()
-                raise
-            except Exception as error:  # noqa: BLE001 - a bulkhead: the other axes go on
-                axis.abandon()
-                self._fail(number, error)
-        self._show(number)
-        after = axis.results()
-        if (before.status, before.map is None) != (after.status, after.map is None):
-            log.info("axis", axis=axis.plan.name, status=after.status.label, why=after.sentence)
+        if number not in self._failed:
+            self._work.begin(number)
 
     def _fail(self, number: int, error: Exception) -> None:
         self._failed[number] = f"{AxisStatus.FAILED.sentence} ({type(error).__name__}: {error})"
         name = self.axes[number].plan.name
         log.error("axis failed", axis=name, why=str(error), exc_info=error)
 
-    def _may_rest(self, number: int) -> bool:
-        """Whether an axis' silence is no loss: a source that sends on change alone says nothing."""
-        rows = np.arange(LINES * number, LINES * (number + 1))
-        return bool(self._connected[rows].all()) and self._arrivals.timing.may_rest(rows)
-
     def _age_s(self, number: int) -> float | None:
-        """Age of the newest sample, by its arrival and by the clocks; None: nothing may be led."""
-        first = LINES * number
-        if number in self._failed or not self._connected[first : first + LINES].all():
-            return None
-        offsets = np.broadcast_to(self._source.clock_offset_s, self._connected.shape)
-        ahead = float(offsets[first])
-        behind = 1e-9 * (self._clock.now() - self.axes[number].t) + ahead
-        return max(self._clock.monotonic() - float(self._heard_at[number]), behind)
+        """Age of the newest sample, s; None: nothing may be led."""
+        return None if number in self._failed else self._heard.age_s(number)
 
     def _show(self, number: int) -> None:
         now, axis = self._clock.monotonic(), self.axes[number]
@@ -312,12 +271,10 @@ class LiveAxes:
         if number in self._failed:
             sentence = self._failed[number]
             found = replace(found, status=AxisStatus.FAILED, sentence=sentence, is_stale=True)
-        heard_at, rests = float(self._heard_at[number]), self._may_rest(number)
-        if now - heard_at > self._stale_after_s and not (rests and np.isfinite(heard_at)):
+        if self._heard.is_stale(number, now, self._stale_after_s):
             found = replace(found, is_stale=True)
         alarms = self.axes[number].alarms
-        silent_s = 0.0 if rests else now - max(self._began_at, heard_at)
-        alarms.judge(found, self._clock.now(), silent_s)
+        alarms.judge(found, self._clock.now(), self._heard.silent_s(number, now))
         axis, arrivals = self.axes[number], self._arrivals
         has_speed, is_stale = axis.plan.has_speed, found.is_stale
         found = replace(

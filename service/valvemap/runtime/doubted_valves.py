@@ -40,7 +40,7 @@ class DoubtedValves:
     async def doubt(self, now: float) -> None:
         """Mark valves as lost, overdue or old whose newest sample has aged past its limit."""
         ages = self._ages.of()
-        stale, silent = self._stale.find_stale(now, ages, self._identification.holds())
+        stale, silent = self._stale.find_stale(now, ages, self._identification.stamping.holds)
         if len(silent):
             source_now = self._ages.source_now()[silent]
             self._publisher.note_new(self._identification.say_overdue(silent, source_now))
@@ -50,7 +50,7 @@ class DoubtedValves:
 
     async def doubt_old(self, ages: Floats) -> None:
         """Set the shown results of newly old valves Uncertain, and queue their new results."""
-        old = self._stale.find_old(ages, self._identification.holds())
+        old = self._stale.find_old(ages, self._identification.stamping.holds)
         if len(old):
             await self._sink.doubt(old)
             self._publisher.note_new(old.tolist())

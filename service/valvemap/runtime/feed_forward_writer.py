@@ -122,6 +122,6 @@ async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:
         await write
     except SourceRejected as error:
         if math.isinf(refused.last):
-            log.warning("not written", reason=str(error))
+            log.warning("command not written to the valve", reason=str(error))
         return False
     return True

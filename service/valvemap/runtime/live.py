@@ -137,7 +137,9 @@ class LiveService:
         self._lost[:] = True  # no sample has arrived yet
         if refused:
             log.warning(
-                "states left aside, these start afresh", why=by_reason(refused), remedy=REMEDY
+                "checkpoints set aside, their estimators are reset",
+                why=by_reason(refused),
+                remedy=REMEDY,
             )
         self._publisher.note_new(range(len(self._lost)))
         while len(self._publisher):  # in turns, so that clients are served in between
@@ -210,7 +212,7 @@ class LiveService:
         self._held.heard(members)
         self._newest_U[members] = samples.samples.U[stops - 1]
         newest = samples.samples.t[stops - 1]
-        self._stale.note_samples(members, newest, self.identification.holds())
+        self._stale.note_samples(members, newest, self.identification.stamping.holds)
         if self._past is not None:
             self._past.take(samples)
         if self._dynamics is not None:

@@ -172,7 +172,10 @@ class PastKeeper:
             self._samples, self._results = samples + self._samples, results + self._results
             self._changes, self._of_axes = changes + self._changes, of_axes + self._of_axes
             log.warning(
-                "history not kept, its rows wait", reason=str(error), rows=self._rows, of=MOST_ROWS
+                "history not saved, its rows are buffered",
+                reason=str(error),
+                rows=self._rows,
+                of=MOST_ROWS,
             )
         for note in self._store.take_notes():
             log.warning("history damaged", reason=note, lost=self._store.lost)

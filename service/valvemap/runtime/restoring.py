@@ -28,11 +28,13 @@ def restore(
     restored, refused = states.restore(reviewed.checkpoints)
     _put_aside(states, store, reviewed, refused)
     if store.damaged:
-        log.warning("states damaged, those before them taken", estimators=_named(store.damaged))
+        log.warning("checkpoints damaged, earlier ones restored", estimators=_named(store.damaged))
     if restored:
-        log.info("states restored", estimators=_named(restored))
+        log.info("checkpoints restored", estimators=_named(restored))
     if reviewed.changes:
-        log.warning("configuration changed, states follow", what=by_reason(reviewed.changes))
+        log.warning(
+            "configuration changed, checkpoints are converted", what=by_reason(reviewed.changes)
+        )
     return {**refused, **reviewed.set_aside}
 
 

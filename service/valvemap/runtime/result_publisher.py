@@ -120,4 +120,4 @@ class ResultPublisher:
     def _soon_old(self) -> NDArray[np.bool_]:
         """Mask (M,) of valves whose newest sample will be too old before the next publication."""
         then = self._ages.of() + self._turns.round_s
-        return (then > self._stale_after_s) & ~self._identification.holds()
+        return (then > self._stale_after_s) & ~self._identification.stamping.holds

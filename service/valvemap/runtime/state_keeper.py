@@ -179,7 +179,7 @@ class StateKeeper:
             return
         except StorageError as error:
             self.failures += 1
-            log.warning("checkpoint not kept", reason=str(error))
+            log.warning("checkpoint not saved", reason=str(error))
             return
         self._saved |= {unit[0]: version for unit in changed}
         self.kept_at = self._clock.monotonic()

@@ -23,14 +23,16 @@ class ValveLog:
             log.info("signals", valve=self._identification.plans[valve].name, how=how)
 
     def _note_plausibility(self) -> None:
-        implausible = self._identification.implausible()
+        implausible = self._identification.plausibility.implausible
         for valve in (self._implausible & ~implausible).nonzero()[0].tolist():
             name = self._identification.plans[valve].name
-            log.info("learnt from again", valve=name, why="its pressures have been right for long")
+            log.info(
+                "samples accepted again", valve=name, why="its pressures have been right for long"
+            )
         for valve in (implausible & ~self._implausible).nonzero()[0].tolist():
             name = self._identification.plans[valve].name
             findings = self._identification.plausibility.findings(valve)
             why = "; ".join(finding.sentence for finding in findings)
             remedy = "mend the configuration, or insist = true for this valve"
-            log.warning("not learnt from", valve=name, why=why, remedy=remedy)
+            log.warning("implausible samples rejected", valve=name, why=why, remedy=remedy)
         self._implausible[:] = implausible

@@ -36,9 +36,18 @@ def check_types(schema: pa.Schema, found: Columns, path: Path) -> None:
             )
 
 
+def writable(column: pa.Array) -> NDArray[Any]:
+    """Return the values of a column as an array that can be written to.
+
+    Arrow's own arrays are read-only: a separate type, for which all kernels would be recompiled.
+    """
+    array: NDArray[Any] = np.require(column.to_numpy(zero_copy_only=False), requirements="W")
+    return array
+
+
 def numbers_of(column: pa.Array) -> Floats:
     """Return numbers of any type as float64; NaN where there is none."""
-    return _array(pc.cast(plain(column), pa.float64(), safe=False))
+    return writable(pc.cast(plain(column), pa.float64(), safe=False))
 
 
 def times_of(column: pa.Array, seconds: float = 1.0) -> Times:
@@ -52,13 +61,13 @@ def times_of(column: pa.Array, seconds: float = 1.0) -> Times:
         column = pc.cast(pc.cast(column, pa.int64()), kind)
     if pa.types.is_timestamp(kind):
         try:
-            return _array(pc.cast(pc.cast(column, pa.timestamp("ns", kind.tz)), pa.int64()))
+            return writable(pc.cast(pc.cast(column, pa.timestamp("ns", kind.tz)), pa.int64()))
         except pa.ArrowInvalid:
             raise CellError(0, "t", _as_text(column[0]), columns.ALLOWED_TIME) from None
     if is_text(kind):
         return times_of_cells(column.to_pylist(), seconds)
     if pa.types.is_integer(kind):
-        return columns.times_of_integers(_array(pc.cast(column, pa.int64())))
+        return columns.times_of_integers(writable(pc.cast(column, pa.int64())))
     return columns.times_of_floats(numbers_of(column))
 
 
@@ -67,7 +76,7 @@ def qualities_of(column: pa.Array) -> Codes:
     column = complete(column, "quality", columns.ALLOWED_QUALITY)
     if is_text(column.type):
         return columns.qualities(column.to_pylist())
-    return columns.qualities_of_integers(_array(pc.cast(column, pa.int64())))
+    return columns.qualities_of_integers(writable(pc.cast(column, pa.int64())))
 
 
 def valves_of(column: pa.Array | None, rows: int) -> tuple[list[str], NDArray[np.intp]]:
@@ -76,15 +85,15 @@ def valves_of(column: pa.Array | None, rows: int) -> tuple[list[str], NDArray[np
         return [DEFAULT_VALVE], np.zeros(rows, np.intp)
     column = complete(column, "valve", columns.ALLOWED_VALVE).dictionary_encode()
     if "" in column.dictionary.to_pylist():
-        row = int(np.argmax(_array(pc.equal(plain(column), ""))))
+        row = int(np.argmax(writable(pc.equal(plain(column), ""))))
         raise CellError(row, "valve", "", columns.ALLOWED_VALVE)
-    return column.dictionary.to_pylist(), _array(column.indices).astype(np.intp)
+    return column.dictionary.to_pylist(), writable(column.indices).astype(np.intp)
 
 
 def complete(column: pa.Array, name: str, allowed: str) -> pa.Array:
     """Return a column without a dictionary; raise CellError if a cell is empty."""
     if column.null_count:
-        raise CellError(int(np.argmax(_array(column.is_null()))), name, "", allowed)
+        raise CellError(int(np.argmax(writable(column.is_null()))), name, "", allowed)
     return plain(column)
 
 
@@ -119,12 +128,6 @@ _ALLOWED: dict[str, tuple[str, Callable[[pa.DataType], bool]]] = {
     "valve": ("text", is_text),
     "quality": ("an integer or text", _is_quality),
 }
-
-
-def _array(column: pa.Array) -> NDArray[Any]:
-    # Arrow's arrays are read-only, a separate type for which all kernels would be recompiled
-    array: NDArray[Any] = np.require(column.to_numpy(zero_copy_only=False), requirements="W")
-    return array
 
 
 def _as_text(time: pa.Scalar) -> str:

@@ -16,6 +16,7 @@ from pyarrow import csv
 
 from valvemap.model.samples import Codes, Floats, Times
 from valvemap.storage import columns
+from valvemap.storage.arrow_columns import writable
 from valvemap.storage.csv_cells import scaled_times, times_of_text
 from valvemap.storage.dates import DateForm
 
@@ -38,19 +39,19 @@ class ArrowCells:
 
     def numbers(self, place: int, _name: str) -> Floats:
         """Numbers; an empty cell is NaN."""
-        return _array(self._column(place))
+        return writable(self._column(place))
 
     def times(self, place: int, seconds: float = 1.0) -> Times:
         """UTC ns; ``seconds`` is the unit of numbers."""
         column = self._column(place)
         if seconds != 1.0:
-            values = _array(column)
+            values = writable(column)
             return scaled_times(values, values.tolist(), seconds)
         if pa.types.is_decimal(column.type):
             return _nanoseconds(column)
         if pa.types.is_string(column.type):
             return times_of_text(column.to_pylist(), self._separator, self._dates)
-        ns: Times = _array(column.cast(pa.int64()))
+        ns: Times = writable(column.cast(pa.int64()))
         if pa.types.is_integer(column.type) and ns.min() < columns.NANOSECONDS_FROM:
             return columns.times_of_integers(ns)
         return ns
@@ -59,7 +60,7 @@ class ArrowCells:
         """Qualities."""
         encoded = self._column(place).dictionary_encode()
         codes = columns.qualities([x.lstrip(" ") for x in encoded.dictionary.to_pylist()])
-        found: Codes = codes[_array(encoded.indices)]
+        found: Codes = codes[writable(encoded.indices)]
         return found
 
     def names(self, place: int) -> tuple[list[str], NDArray[np.intp]]:
@@ -67,7 +68,7 @@ class ArrowCells:
         encoded = self._column(place).dictionary_encode()
         cells = [x.lstrip(" ") for x in encoded.dictionary.to_pylist()]
         names, index = columns.names(cells)
-        return names, index[_array(encoded.indices)]
+        return names, index[writable(encoded.indices)]
 
     def castable(self, places: Collection[int], kind: pa.DataType) -> bool:
         """Whether these columns of texts may be read as ``kind``: a quick look."""
@@ -169,11 +170,6 @@ class ArrowParser:
 
     def _required(self) -> list[str]:
         return [name for name, kind in self._types.items() if kind != pa.float64()]
-
-
-def _array(column: Any) -> NDArray[Any]:  # noqa: ANN401 - untyped
-    array: NDArray[Any] = np.require(column.to_numpy(zero_copy_only=False), requirements="W")
-    return array
 
 
 def _nanoseconds(column: Any) -> Times:  # noqa: ANN401 - untyped

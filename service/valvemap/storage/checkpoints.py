@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock
@@ -12,6 +12,7 @@ from valvemap.pipeline.meaning import digest_of
 from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.storage import checkpoint_rows as rows_of
 from valvemap.storage.checkpoint_connection import fold_log, frames_in_log, open_checkpoints
+from valvemap.storage.checkpoint_generations import restorable
 from valvemap.storage.checkpoint_rows import Row, SetAside
 from valvemap.storage.closing import Closing
 from valvemap.storage.sqlite_files import (
@@ -22,7 +23,6 @@ from valvemap.storage.sqlite_files import (
     transaction,
 )
 from valvemap.storage.state_lock import FileLock, is_at
-from valvemap.vocabulary.edges import split_id
 
 LOG = "the log of the last save"
 MOST_ASIDE = 8  # states set aside of one valve and estimator; the oldest are deleted
@@ -180,21 +180,10 @@ class CheckpointFile(Closing):
         """
         with self._lock, naming(self.path):
             rows = self._rows()
-        whole = [row for row in rows if row.is_whole()]
-        self.damaged = sorted(
-            f"{row.valve}.{row.estimator}"
-            for row in rows
-            if not row.is_whole()
-            and not any(other.name == row.name and other.saved > row.saved for other in whole)
-        )
+        chosen, self.damaged = restorable(rows, together)
         if self._log_was_torn:
             self.damaged.append(LOG)
-        until = _until(whole, {split_id(name)[0] for name in self.damaged}, together)
-        newest: dict[tuple[str, str], Row] = {}
-        for row in sorted(whole, key=lambda row: row.saved):
-            if row.saved <= until.get(row.valve, row.saved) or row.name not in newest:
-                newest[row.name] = row
-        return [newest[name].checkpoint(self._meanings) for name in sorted(newest)]
+        return [row.checkpoint(self._meanings) for row in chosen]
 
     def _open(self) -> None:
         """Open the file at the path; set a damaged one aside and copy its readable rows."""
@@ -281,22 +270,6 @@ class CheckpointFile(Closing):
         with self._lock, naming(self.path):
             self._connection.close()
             self._in_use.close()
-
-
-def _until(
-    whole: Sequence[Row], hurt: Collection[str], together: Sequence[Sequence[str]]
-) -> dict[str, int]:
-    """Return the save up to which rows count, by valve with damaged ones and those with it."""
-    newest: dict[tuple[str, str], int] = {}
-    for row in whole:
-        newest[row.name] = max(row.saved, newest.get(row.name, row.saved))
-    units = {valve: unit for unit in together for valve in unit}
-    until: dict[str, int] = {}
-    for valve in hurt:
-        unit = units.get(valve, (valve,))
-        saved = [number for name, number in newest.items() if name[0] in unit]
-        until |= dict.fromkeys(unit, min(saved, default=0))
-    return until
 
 
 def _name(one: Checkpoint) -> tuple[str, str]:

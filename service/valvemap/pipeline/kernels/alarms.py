@@ -123,7 +123,10 @@ def _look_for_standstills(
     was_dead = conditions.active[m, SENSOR_FROZEN]
     moved = 0
     for j in range(COUNT):
-        if values[j] == last[j] or np.isnan(values[j]):
+        if values[j] == last[j]:
+            continue
+        if np.isnan(values[j]):  # a sensor without values is lost, not frozen
+            still[j] = t
             continue
         stood = t - still[j]
         if stood > senses.longest[m, j] and not (was_dead and conditions.detail[m, 4, 0] == j):

@@ -43,8 +43,8 @@ class Record(NamedTuple):
     points : (M, places, 4)
         U, dp, T and Q of the first sample of each place's newest visit.
     places : (M, E, places, 4)
-        Number of judged samples and their mean squared error; error of the newest map at the
-        place's point, and the standard deviation published there.
+        Number of judged samples and their mean squared error; error at the place's point, of its
+        prediction or of the newest map, and the standard deviation published there.
     lanes : (M, E, 18)
         Number of visits, clipped mean square of map and mean flow, whether the map predicts better;
         residual of the last sample, noise variance from successive residuals and its number;

@@ -29,6 +29,7 @@ from valvemap.pipeline.kernels.place_layout import (
     NOISE,
     NOISE_N,
     NOW,
+    PAST,
     PAST_NOISE,
     SKILLED,
     SQUARE,
@@ -119,6 +120,7 @@ def learn(
                         _compare(error * error, off * off, spread, lane)
                         if valve[KIND] > 0.0:
                             _cover(error * error, place, lane)
+                        place[PAST] = error
                     if valve[LEFT] > 0.0 and valve[KIND] > 0.0 and abs(early[e, i]) < LARGEST:
                         _judge(early[e, i] ** 2, place)
                 if said == _OK:
