@@ -116,7 +116,8 @@ async def seen_in_the_trend(visitor, began, fault):
         )
         for between in (range(-1, 30), range(55, 75))  # from the last good sample on
     ]
-    named = f"{fault.named} from ({'|'.join(begun)}) to ({'|'.join(ended)})"
+    day = r"(?:[\d/]+ )?"  # where midnight lies between
+    named = f"{fault.named} from {day}({'|'.join(begun)}) to {day}({'|'.join(ended)})"
     wanted = re.compile(f"{named}.*Estimate of RLS: .*ok from")
     lanes = visitor.page.locator("canvas.lanes")
     for _ in range(200):
