@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.page`` runs a demo with one and with twenty viewers of a valve at 10 Hz,
 three and six times, each between two stretches without any (so that a machine whose pace drifts is
-compared with itself), and writes ``benchmarks/results/page.json``. Eleven minutes.
+compared with itself), and writes ``benchmarks/results/page.json``. No dynamics are fitted: a fit of
+seconds would fall into some stretches only. Eleven minutes.
 """
 
 import asyncio
@@ -30,6 +31,7 @@ YOUNG_S = 60.0
 _SETTLE_S = 5.0
 _RIG = "opc.tcp://127.0.0.1:4850/valvemap/rig/"
 SERVICE = "opc.tcp://127.0.0.1:4851/valvemap/service/"
+_NO_DYNAMICS = {"VALVEMAP_DYNAMICS__SHARE": "0"}
 _WATCH = json.dumps({"watch": {"valve": "Valvistor", "estimator": None, "overview": True}})
 
 
@@ -44,7 +46,10 @@ def main() -> None:
 def figures() -> dict[str, float]:
     """Processor time of the page, and of the service for it."""
     bare = _bare_asyncua_mb()
-    with tempfile.TemporaryDirectory() as folder, demo(Path(folder) / "demo.log") as (pid, log):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        demo(Path(folder) / "demo.log", _NO_DYNAMICS) as (pid, log),
+    ):
         found = asyncio.run(_measure(pid, log))
     found["bare asyncua import, MB"] = bare
     found["page above a bare asyncua import, MB"] = found["page, MB, with 20 viewers"] - bare

@@ -228,7 +228,7 @@ def test_a_state_of_a_version_without_meanings_is_resumed_if_all_is_as_it_was(ax
     learnt = Learnt(regression, regression.initial_state(), np.zeros((SIZE, SIZE)))
     now = Axis(plan)
     now.resume(LEARNT, pack(learnt, FORMER_KEY))
-    assert now.learnt.regression.period_s == regression.period_s
+    assert now.learner.learnt.regression.period_s == regression.period_s
     assert unpack(now.to_bytes()[LEARNT], now.key, regression)
     other = axis.model_copy(update={"memory_s": 60.0})
     with pytest.raises(StateMismatchError, match="other hyper-parameters"):

@@ -55,7 +55,7 @@ async def played(killed_s, seconds):
     source, state = Written(clock), initial(scenario, 0)
     plan = AxisPlan("Axis", AxisGeometry(63, 45, 800, 1.2, 1.2), feed_forward=SETTINGS)
     axis = Axis(plan)
-    axis._learner.known = object()
+    axis.learner.known = object()
     led = LedAxes([axis], lambda _: 0.0, lambda _: None, lambda *_: None)
     writer, rows, lead = FeedForwardWriter(led, 2, source, clock), [], 0.0
     led.arm(0, armed=True)

@@ -111,7 +111,7 @@ def written(tmp_path):
     )
     config = load_config(file)
     axis = Axis(plan_of(config, config.axes[0]))
-    axis.continue_from(learnt(axis.plan.geometry))
+    axis.learner.continue_from(learnt(axis.plan.geometry))
     with CheckpointFile(axes_file(config)) as store:
         store.save(checkpoints_of(axis, 1, axis.to_bytes()))
     return file, rig, service

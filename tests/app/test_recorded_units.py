@@ -37,6 +37,12 @@ def fitted(table, **options):
     return valvemap.fit(table, estimator="RLS", **options)
 
 
+@pytest.fixture(scope="module")
+def plain():
+    """The model of samples whose units are right."""
+    return fitted(rows())
+
+
 def refusal(table, **options):
     with pytest.raises(RecordingError) as error:
         fitted(table, **options)
@@ -58,13 +64,13 @@ def refusal(table, **options):
         ({"U": rows()["U"]}, {"U": "ratio"}, "U is in % instead of 1"),
     ],
 )
-def test_a_contradicted_unit_is_refused_and_its_remedy_works(values, units, words):
+def test_a_contradicted_unit_is_refused_and_its_remedy_works(values, units, words, plain):
     table = rows(**values)
     said = refusal(table, units=units)
     assert words in said
     remedy = ast.literal_eval(re.search(r"units=(\{.*?\})", said)[1])
     found = fitted(table, units=units | remedy)
-    np.testing.assert_allclose(found.predict(50, 100), fitted(rows()).predict(50, 100), rtol=1e-4)
+    np.testing.assert_allclose(found.predict(50, 100), plain.predict(50, 100), rtol=1e-4)
     typed = re.search(r"(--scale .*?) \(units", said)[1]
     answers = [text for text in shlex.split(typed) if text != "--scale"]
     report = replay(table, units=units, estimators=["RLS"], given=parse_answers((), answers))
@@ -91,11 +97,10 @@ def test_what_is_plausible_is_learnt():
 
 
 @pytest.mark.parametrize(("unit", "ns"), [("ms", 10**6), ("us", 10**3)])
-def test_epochs_in_other_units_are_refused_and_their_remedies_work(unit, ns, tmp_path):
+def test_epochs_in_other_units_are_refused_and_their_remedies_work(unit, ns, plain, tmp_path):
     table = rows(t=rows()["t"] // ns)
     said = refusal(table)
     assert f"name the column t [{unit}] (units={{'t': '{unit}'}} in Python)" in said
-    wanted = fitted(rows())
     headed = {f"t [{unit}]" if name == "t" else name: x for name, x in table.items()}
     file = tmp_path / "r.csv"
     text = [
@@ -104,7 +109,7 @@ def test_epochs_in_other_units_are_refused_and_their_remedies_work(unit, ns, tmp
     ]
     file.write_text("\n".join(text))
     for found in (fitted(table, units={"t": unit}), fitted(headed), fitted(file)):
-        assert found.t == wanted.t
+        assert found.t == plain.t
 
 
 def test_times_that_are_all_equal_are_refused():
@@ -131,13 +136,13 @@ def test_no_unit_is_proposed_where_none_explains_the_flow():
 
 
 @pytest.mark.parametrize(("signal", "number"), [("U", 0.0), ("p1", -999.0), ("Q", 0.0)])
-def test_a_number_that_stands_for_no_reading_is_refused_and_the_remedy_works(signal, number):
+def test_a_number_that_stands_for_no_reading_is_refused_and_the_remedy_works(signal, number, plain):
     gone = np.random.default_rng(5).random(N) < 0.03
     values = rows()[signal]
     said = refusal(rows(**{signal: np.where(gone, number, values)}))
     assert f"{signal} is {number:g} in {gone.sum()} samples of {N}" in said
     found = fitted(rows(**{signal: np.where(gone, np.nan, values)}))
-    assert found.predict(50, 100) == pytest.approx(fitted(rows()).predict(50, 100), rel=0.01)
+    assert found.predict(50, 100) == pytest.approx(plain.predict(50, 100), rel=0.01)
 
 
 def test_a_temperature_in_kelvin_is_refused_and_the_remedy_works():
@@ -200,7 +205,7 @@ def recorded(tmp_path, *valves):
 @pytest.mark.parametrize(
     "signals", ['p1 = { unit = "MPa" }', "U = { raw = [4, 20], range = [0, 100] }"]
 )
-def test_what_record_wrote_is_not_converted_again(tmp_path, signals):
+def test_what_record_wrote_is_not_converted_again(tmp_path, signals, plain):
     config = tmp_path / "service.toml"
     nodes = "\n".join(f'{name} = "ns=2;s={name}"' for name in ("U", "p1", "p2", "Q"))
     config.write_text(
@@ -209,7 +214,7 @@ def test_what_record_wrote_is_not_converted_again(tmp_path, signals):
     )
     file = recorded(tmp_path, "V7")
     found = valvemap.fit(file, estimator="RLS", config=load_config(config))
-    np.testing.assert_array_equal(found.predict(50.0, 100.0), fitted(rows()).predict(50.0, 100.0))
+    np.testing.assert_array_equal(found.predict(50.0, 100.0), plain.predict(50.0, 100.0))
 
 
 def test_edges_and_lines_beside_a_valve_do_not_hinder_it(tmp_path):

@@ -11,18 +11,18 @@ from valvemap.model.samples import Samples
 from valvemap_rig.scenario import BUILTIN
 from valvemap_rig.simulation import Commands, advance, initial
 
-STEP = 10
+STEP = 15
 SCENARIO = BUILTIN["feedforward"]
 
 
 @pytest.fixture(scope="module")
 def course():
-    """All of the scenario, in steps of 0.1 s."""
+    """All of the scenario, in steps of 0.15 s."""
     identification = build_identification(Config(valves=feedforward.valves()))
     commission(identification, SCENARIO)
     names = [plan.name for plan in identification.plans]
     start_ns = 10**18
-    course = Course(identification, start_ns, lead_s=0.055)
+    course = Course(identification, start_ns, lead_s=0.08)
     state, U = initial(SCENARIO, start_ns), {}
     for _ in range(round(feedforward.END_S * SCENARIO.sample_rate_hz / STEP) + 1):
         state, block = advance(SCENARIO, state, STEP, Commands(U=U))

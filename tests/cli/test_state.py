@@ -173,7 +173,7 @@ def learnt_axis(axis_config):
     states = build_axis_states(loaded)
     regression = AxisRegression(AxisGeometry(63, 45, 800, 1.2, 1.2), play_percent=2.0)
     initial = regression.initial_state()
-    states._axes[0].continue_from(Learnt(regression, initial, np.zeros((SIZE, SIZE))))
+    states._axes[0].learner.continue_from(Learnt(regression, initial, np.zeros((SIZE, SIZE))))
     states._axes[0].t = 1_800_000_000_000_000_000
     with CheckpointFile(axes_file(loaded)) as store:
         store.save(states.kept([0]))
@@ -203,14 +203,14 @@ def test_axes_are_listed_with_what_the_next_start_makes_of_them(learnt_axis, axi
 def test_an_axis_that_was_set_aside_is_adopted_by_number_or_name(learnt_axis, axis_config, capsys):
     assert learnt_axis
     other = axis_config(x="ns=2;s=XT-7")
-    assert started_axis(other).learnt is None
+    assert started_axis(other).learner.learnt is None
     _, lines, _ = valvemap(capsys, "state", "list", "-c", other)
     (line,) = (one for one in lines if "Press.Axis:" in one)
     number = line.split()[0]
     assert number.startswith("a")
     code, lines, _ = valvemap(capsys, "state", "adopt", number, "-c", other)
     assert (code, lines) == (0, ["Press.Axis: adopted"])
-    assert started_axis(other).learnt is not None
+    assert started_axis(other).learner.learnt is not None
 
 
 def test_an_axis_is_renamed_exported_and_imported_as_a_valve_is(
@@ -224,7 +224,7 @@ def test_an_axis_is_renamed_exported_and_imported_as_a_valve_is(
     other = axis_config("other.sqlite", name="Ram")
     code, lines, _ = valvemap(capsys, "state", "import", out, "-c", other)
     assert (code, lines) == (0, ["Ram.Axis: imported"])
-    assert started_axis(other).learnt is not None
+    assert started_axis(other).learner.learnt is not None
     code, _, err = valvemap(capsys, "state", "rename", "Press", "X", "-c", other)
     assert (code, len(err)) == (1, 1)
     assert "Press: no such state; there are Ram" in err[0]

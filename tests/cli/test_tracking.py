@@ -17,7 +17,7 @@ from valvemap_rig.simulation import Commands, advance, initial
 pytestmark = pytest.mark.timeout(900)
 
 SCENARIO = BUILTIN["tracking"]
-START_NS, STEP = 10**18, 4
+START_NS, STEP = 10**18, 5
 COMMISSIONING_S, END_S = 120.0, 140.0  # less than the demo takes
 SIGNALS = ("U", "x", "pA", "pB", "pS", "pT", "T")
 
@@ -55,7 +55,7 @@ def played(names, n, U):
 
 @pytest.fixture(scope="module")
 def course():
-    """The scenario; answers act 40 ms after their sample."""
+    """The scenario; answers act 50 ms after their sample."""
     config = Config(axes=tuple(tracking.axes(SCENARIO)))
     led = [axis for axis in config.axes if axis.name in (FIXED, LIVING)]
     plans = [plan_of(config, axis) for axis in led]
@@ -65,7 +65,7 @@ def course():
     for plan in plans:
         one = Axis(plan, partial(found.take, service, plan.name))
         service.axes[plan.name] = one
-        one.continue_from(first.learnt)
+        one.learner.continue_from(first.learner.learnt)
     found.begin(START_NS)
     led, U = (FIXED, LIVING), {}
     for samples in played((PI, TABLE), 100, U):  # nothing is written to them: batches may be long
@@ -75,8 +75,8 @@ def course():
         for name, taken in samples.items():
             one, service.t = service.axes[name], int(taken.t[-1])
             one.take(taken)
-            while (job := one.job()) is not None:
-                one.accept(job())
+            while (job := one.learner.job()) is not None:
+                one.learner.accept(job())
         answers = {name: service.axes[name].required().U for name in service.armed}
         U |= {name: float(np.clip(u, -100, 100)) for name, u in answers.items() if np.isfinite(u)}
     assert service.armed == {FIXED, LIVING}

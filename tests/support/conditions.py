@@ -72,7 +72,7 @@ class Plant:
 
     async def set_lag(self, seconds):
         """Have a lag found: more than 0.1 s is an alarm, less than 0.08 s ends it."""
-        fleet = self.live._valves.fleets[0]
+        fleet = self.live._parts.valves.fleets[0]
         fleet.alarms.note_lags(np.array([0]), np.array([seconds]))
         await self.publish()
 

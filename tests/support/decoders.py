@@ -234,7 +234,7 @@ def _structure():
 def _of_states():
     """States as checkpoints hold them, restored by their valve."""
     learnt = _learnt()
-    keeper = learnt._kept
+    keeper = learnt._parts.kept
     doors = {
         "Diagnostics": keeper._take_memory,
         "Signals": keeper._take_timing,
@@ -685,10 +685,10 @@ def _learnt(samples=300):
     learnt.take_samples(0, plant(samples))
     learnt.maps.refresh()
     learnt.do(operator_ports.Command.of("approve", VALVE))
-    learnt._references.of[0] = DynamicsReference(
+    learnt._parts.references.of[0] = DynamicsReference(
         np.array(20.0), np.array(0.1), np.array(9, np.int64)
     )
-    learnt._alarms.of_service.note(0, {ServiceAlarm.CHECKPOINT: 1e9})
+    learnt._parts.alarms.of_service.note(0, {ServiceAlarm.CHECKPOINT: 1e9})
     return learnt
 
 

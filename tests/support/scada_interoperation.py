@@ -74,7 +74,7 @@ class ScadaInteroperation:
         assert len(found["names"]) >= 9
 
     async def test_its_alarm_list_shows_acknowledges_comments_and_confirms(self, operator, stage):
-        alarms = stage.live._valves.fleets[0].alarms
+        alarms = stage.live._parts.valves.fleets[0].alarms
         alarms.note_lags(np.array([0]), np.array([0.3]))
         await asyncio.sleep(2 * PERIOD_S)
         await operator.ask("watchAlarms")  # what stood before it came shows by a refresh
@@ -157,7 +157,7 @@ class ScadaInteroperation:
         path = [[DI, "DeviceSet"], [NAMESPACE, "Valvistor"], [DI, "DeviceHealth"]]
         found = await observer.ask("follow", node="i=85", path=path)
         assert found["targets"] == ["Valvistor.DeviceHealth"]
-        alarms = stage.live._valves.fleets[0].alarms
+        alarms = stage.live._parts.valves.fleets[0].alarms
         for lag, expected in ((0.3, DeviceHealth.MAINTENANCE_REQUIRED), (0.0, DeviceHealth.NORMAL)):
             alarms.note_lags(np.array([0]), np.array([lag]))
             await health(observer, expected)

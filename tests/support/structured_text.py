@@ -14,6 +14,7 @@ import blark.parse
 from blark import transform as st
 
 _ARRAY = re.compile(r"(\w+)( : ARRAY\[(\d+)\.\.(\d+)\] OF (\w+)) := \[(.*?)\]", re.DOTALL)
+_COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
 _INT = range(-(2**15), 2**15)
 
 
@@ -26,7 +27,8 @@ class FunctionBlock:
 
     def __init__(self, text):
         self.arrays = {m[1].lower(): _array(m) for m in _ARRAY.finditer(text)}
-        block = _parsed(_ARRAY.sub(r"\1\2", text))  # values by hand: its grammar is slow
+        # Values by hand, and tables that differ in comments are parsed once: its grammar is slow.
+        block = _parsed(_COMMENT.sub("", _ARRAY.sub(r"\1\2", text)))
         self.body = block.body
         self.types, self.values, self.inputs = {}, {}, set()
         for section in block.declarations:

@@ -116,7 +116,7 @@ class Whole:
     @property
     def refusals(self):
         """How often it said that it could not take up what was kept."""
-        return sum(map(self.said, ("states left aside", "states damaged", "set aside")))
+        return sum(map(self.said, ("checkpoints damaged", "set aside")))
 
     def said(self, text):
         """How often the log says so."""

@@ -54,7 +54,7 @@ async def _done(client: ResultsClient, valve: str, action: Action, estimator: st
         ((mean, largest, U, dp, points),) = await client.call(node, "Compare", [[estimator]])
         return (
             f"{valve}.{estimator}: {mean:+.3g} l/min on average, {largest:+.3g} at most (at "
-            f"U = {U:.3g} %, dp = {dp:.3g} bar), at {points} points"
+            f"U = {U:.3g} %, Δp = {dp:.3g} bar); {points} points compared"
         )
     if action in _METHODS:
         await client.call(node, _METHODS[action], [[]])

@@ -11,7 +11,7 @@ from valvemap.app.flow_model import Model
 from valvemap.app.given import name_in, rating_of, recordings_in
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.extrapolation import ranges_of
-from valvemap.owned_files import naming
+from valvemap.owned_files import make_folder
 from valvemap.plant.evidence import RATED_DROP_BAR
 from valvemap.storage.models import is_model, load_model, save_model
 
@@ -207,7 +207,7 @@ def save_models(target: Path, report: "Report") -> list[Path]:
         names = _recursive(report[valve])
         name = _chosen(target, "estimator", _preferred(report, valve), names)
         return [_save(target, report, valve, name)]
-    _make(target)
+    make_folder(target)
     return [
         _save(target / f"{valve}.{name}.json", report, valve, name)
         for valve, estimators in report.items()
@@ -263,8 +263,3 @@ def _chosen(file: Path | str, what: str, wanted: str | None, there: Sequence[str
     if wanted is None:
         raise ConfigurationError(f"{file}: which {what}? {known} are there")
     raise ConfigurationError(f"{file}: {what} {wanted!r} is not there; allowed is {known}")
-
-
-def _make(folder: Path) -> None:
-    with naming(folder):
-        folder.mkdir(parents=True, exist_ok=True)

@@ -137,7 +137,7 @@ class _Recorder:
         write_whole(beside, json.dumps(found, indent=2, ensure_ascii=False))
 
     def _append(self, samples: ByValve) -> None:
-        for left_out, error in self._arrivals.new_failures():
+        for left_out, error in self._arrivals.buffers.new_failures():
             log_left_out(self._names[left_out], error)
         for valve, batch in samples.items():
             self._writer.append(self._names[valve], batch)

@@ -226,7 +226,7 @@ async def _live(
     try:
         await live.keep()
     except StorageError as error:
-        log.warning("checkpoint not kept", reason=str(error))
+        log.warning("checkpoint not saved", reason=str(error))
     return following.result(), states
 
 

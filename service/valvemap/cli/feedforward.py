@@ -121,6 +121,7 @@ class Course:
         self._start_ns = start_ns
         self._lead_s = lead_s
         names = [plan.name for plan in identification.plans]
+        self._living = names.index(LIVING)
         self._open = dict.fromkeys(names, (0, 0.0, 0))  # window, sum of errors, number of samples
         self._squares = {(phase, name): (0.0, 0) for phase in PHASES for name in names}
         self._answers: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)  # t_s, U
@@ -141,7 +142,8 @@ class Course:
             self._answers.clear()
             return
         self._measure_lead(t_s.tolist(), samples.U.tolist())
-        self._answers.append((self.t_s, commands(self._identification).get(LIVING, math.nan)))
+        answer, _ = self._identification.answers.required(self._living)
+        self._answers.append((self.t_s, answer.U))
 
     def errors(self, phase: Phase) -> dict[str, float]:
         """Return the RMS flow error of each valve in a phase, l/min; NaN before it."""
@@ -180,8 +182,7 @@ class Course:
         return table
 
     def _is_held(self) -> bool:
-        names = [plan.name for plan in self._identification.plans]
-        status = self._identification.armed.feed_forward(names.index(LIVING))
+        status = self._identification.armed.feed_forward(self._living)
         return status not in {FeedForwardStatus.DISARMED, FeedForwardStatus.WRITING}
 
     def _measure_lead(self, t_s: list[float], U: list[float]) -> None:

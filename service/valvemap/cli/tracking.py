@@ -78,11 +78,11 @@ def commission(config: Config, scenario: Scenario, seconds: float = COMMISSIONIN
     """Identify the new valve from work with the table, and store the map for both led axes."""
     led = [Axis(plan_of(config, axis)) for axis in config.axes if axis.name in (FIXED, LIVING)]
     first = commissioned(scenario, Axis(plan_of(config, config.axes[-1])), seconds)
-    learnt = first.learnt
+    learnt = first.learner.learnt
     assert learnt is not None, "five minutes of the rig's work identify an axis"  # noqa: S101
     with CheckpointFile(axes_file(config)) as store:
         for axis in led:
-            axis.continue_from(learnt)
+            axis.learner.continue_from(learnt)
             store.save(checkpoints_of(axis, first.t, axis.to_bytes()))
 
 
@@ -96,8 +96,8 @@ def commissioned(scenario: Scenario, axis: Axis, seconds: float) -> Axis:
         found = block.machines[TABLE]
         names = [name for name in machine.signals if not name.endswith("Set")]
         axis.take(AxisSamples.of(found.t, **{name: found.shown[name] for name in names}))
-        while (job := axis.job()) is not None:
-            axis.accept(job())
+        while (job := axis.learner.job()) is not None:
+            axis.learner.accept(job())
     return axis
 
 

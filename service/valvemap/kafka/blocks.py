@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from valvemap.errors import BlockError
+from valvemap.errors import BlockError, first_line
 from valvemap.kafka.json_messages import loads, text, whole
 from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.by_valve import ByValve
@@ -191,7 +191,7 @@ def read(message: bytes, kind: str) -> tuple[Head, pa.RecordBatch]:
             raise BlockError(f"{len(batches)} record batches: a block has one")
         batches[0].validate(full=True)
     except _DAMAGE as error:
-        raise BlockError(f"not an Arrow IPC stream: {_one_line(error)}") from None
+        raise BlockError(f"not an Arrow IPC stream: {first_line(error)}") from None
     return head, batches[0]
 
 
@@ -251,10 +251,6 @@ def _said(name: str, value: bytes) -> Any:  # noqa: ANN401 - JSON
         return loads(value)
     except BlockError:
         raise BlockError(f"metadata {name:.100}: not JSON") from None
-
-
-def _one_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def names_of(said: Any, what: str) -> Sequence[str]:  # noqa: ANN401 - JSON

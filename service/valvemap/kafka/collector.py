@@ -177,7 +177,7 @@ class Collector:
         return np.arange(len(self._connected)) if valves is None else valves
 
     def _use(self, samples: ByValve) -> None:
-        for valve, error in self._arrivals.new_failures():
+        for valve, error in self._arrivals.buffers.new_failures():
             log_left_out(self._arrivals.names[valve], error)
         if left_out := self._arrivals.left_out():
             self.left_out = sum(left_out.values())

@@ -14,7 +14,7 @@ from typing import Final
 
 import pyarrow as pa
 
-from valvemap.errors import BlockError
+from valvemap.errors import BlockError, first_line
 
 _BATCH, _DICTIONARY, _SCHEMA = "record batch", "dictionary", "schema"
 _LZ4_FRAME: Final = 0  # `CompressionType` that `blocks.write` uses
@@ -59,7 +59,7 @@ def check(message: bytes, limits: Limits) -> None:
     try:
         _check_messages(message, limits)
     except (pa.ArrowException, OSError, ValueError, struct.error) as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0]
+        said = first_line(error)
         raise BlockError(f"not an Arrow IPC stream: {said}") from None
 
 

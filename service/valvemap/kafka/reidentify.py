@@ -19,8 +19,8 @@ import dask
 from dask.distributed import Client, LocalCluster, as_completed
 
 from valvemap.config.models import Config
-from valvemap.errors import FleetError, RecordingError, StorageError, ValvemapError
-from valvemap.owned_files import naming
+from valvemap.errors import FleetError, RecordingError, StorageError, ValvemapError, first_line
+from valvemap.owned_files import make_folder, naming
 
 AT_ONCE: Final = 8  # valves with the same files in one task: a file is read once for all of them
 NOTES: Final = "done"  # folder of completion records, one file for each valve
@@ -100,7 +100,7 @@ def reidentify(
     FleetError
         if the cluster cannot be reached, or the connection is lost.
     """
-    _make(target / NOTES)
+    make_folder(target / NOTES)
     with _cluster(processes, scheduler) as client:
         each = client.map(_valves_in, files, config=config, pure=False)
         where = _where(files, [_result(one) for one in each])
@@ -251,11 +251,6 @@ def _write(file: Path, content: object) -> None:
         part.replace(file)
 
 
-def _make(folder: Path) -> None:
-    with naming(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-
-
 def _result(future: Any) -> Any:  # noqa: ANN401 - Dask's
     try:
         return future.result()
@@ -289,8 +284,4 @@ def _cluster(processes: int, scheduler: str | None) -> Iterator[Client]:
             client.run(gc.freeze)  # skip their collection at exit
     except OSError as error:
         where = scheduler or "127.0.0.1"
-        raise FleetError(f"{where}: no Dask cluster: {_first_line(error)}") from None
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+        raise FleetError(f"{where}: no Dask cluster: {first_line(error)}") from None

@@ -14,7 +14,7 @@ from confluent_kafka import KafkaException
 from valvemap.app.metrics_address import MetricsAddress
 from valvemap.app.serving_metrics import metrics_served
 from valvemap.app.warm_up import warm_up
-from valvemap.errors import FleetError
+from valvemap.errors import FleetError, first_line
 from valvemap.kafka.broker import client_settings, reason
 from valvemap.kafka.catalogue import Catalogue, load_catalogue
 from valvemap.kafka.client_statistics import EVERY_MS
@@ -92,9 +92,9 @@ def _run_until_stopped(config: FleetConfig, catalogue: Catalogue, metrics: Worke
         try:
             _run(config, catalogue, metrics)
         except _ANOTHER_TRY_HELPS_NOT as error:
-            raise FleetError(f"{_first_line(error)}") from None
+            raise FleetError(f"{first_line(error)}") from None
         except (KafkaException, QuixException) as error:
-            said = reason(error) if isinstance(error, KafkaException) else _first_line(error)
+            said = reason(error) if isinstance(error, KafkaException) else first_line(error)
             if time.monotonic() - began > _LONG_ENOUGH_S:
                 pauses = backoff()
             pause = next(pauses)
@@ -285,7 +285,3 @@ def _application(config: FleetConfig, metrics: WorkerMetrics) -> Any:  # noqa: A
             "stats_cb": metrics.note_producer,
         },
     )
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
