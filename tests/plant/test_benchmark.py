@@ -6,6 +6,7 @@ from benchmarks.connect import outcome
 from benchmarks.connect_plants import contradicted, plant
 from benchmarks.connect_sets import SETS
 from benchmarks.connect_third import KINDS, drawn, faulty
+from valvemap.plant import scores
 
 RIGHT, CAUGHT = 0.9, 0.95  # shares
 SEEDS = pytest.mark.parametrize(
@@ -13,6 +14,23 @@ SEEDS = pytest.mark.parametrize(
     [range(500, 510), pytest.param(range(510, 535), marks=pytest.mark.soak)],
     ids=["ten", "more"],
 )
+
+
+@pytest.fixture(autouse=True, scope="module")
+def each_law_once():
+    """Plants differ by their labels more often than by the numbers of which the law is fitted."""
+    fit, found = scores.fit, {}
+
+    def known(U, dp, Q, step_s, beside=(), p1=None):
+        signals = (U, dp, Q, *(one for pair in beside for one in pair), p1)
+        key = (step_s, *(None if one is None else one.tobytes() for one in signals))
+        if key not in found:
+            found[key] = fit(U, dp, Q, step_s, beside, p1)
+        return found[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scores, "fit", known)
+        yield
 
 
 @SEEDS
