@@ -18,7 +18,7 @@ def flow(U, dp):
     return 1.2 * np.clip(U - 5.0, 0.0, 95.0) * np.sqrt(dp / 200.0)
 
 
-@pytest.mark.parametrize("fs", [10.0, 100.0])
+@pytest.mark.parametrize("fs", [100.0, *soaked(10.0)])
 @pytest.mark.parametrize("late", [2, *soaked(3, 5)])
 def test_the_map_is_as_late_as_the_search_found_it_where_blows_open_the_valve(late, fs):
     rng, N = np.random.default_rng(late), 6_000
@@ -48,6 +48,7 @@ def test_a_dead_time_that_ends_between_two_samples_is_found_to_a_part_of_one(dea
     assert abs(found - dead) < 0.1 / fs
 
 
+@pytest.mark.soak  # of a known miss; no lag is found beside the dead times above
 @pytest.mark.xfail(
     strict=True, reason="missed: of noise that grows with the flow a lag gains 106 in the peaks"
 )
