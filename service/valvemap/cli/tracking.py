@@ -90,8 +90,8 @@ def commissioned(scenario: Scenario, axis: Axis, seconds: float) -> Axis:
     """Return the axis after so long work of the new machine with the table."""
     machine = next(one for one in scenario.machines if one.name == TABLE)
     work = scenario.model_copy(update={"machines": (machine,), "faults": ()})
-    state, n = initial(work, 0), round(0.1 * work.sample_rate_hz)
-    for _ in range(round(10 * seconds)):
+    state, n = initial(work, 0), round(work.sample_rate_hz)
+    for _ in range(round(seconds)):
         state, block = advance(work, state, n)
         found = block.machines[TABLE]
         names = [name for name in machine.signals if not name.endswith("Set")]
