@@ -80,10 +80,16 @@ def points_tried(estimator, state, table, n):
 
 
 @cache
+def taught(name):
+    """An estimator and its state."""
+    estimator = (ESTIMATORS | {"Gaussians": GAUSSIANS})[name]
+    return estimator, learnt(estimator)
+
+
+@cache
 def exported(name, points):
     """An estimator, its state and its table."""
-    estimator = ESTIMATORS[name]
-    state = learnt(estimator)
+    estimator, state = taught(name)
     return estimator, state, lookup_table(estimator, state, points=points)
 
 
@@ -153,7 +159,7 @@ any_polynomial_and_grid = given(
 )
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @any_polynomial_and_grid
 def test_it_holds_for_any_polynomial_and_any_grid(parts, points, dp_min):
     holds(parts, points, dp_min)
@@ -177,7 +183,7 @@ def holds(parts, points, dp_min):
 
 
 def test_it_holds_for_gaussians_with_fixed_centres():
-    state = learnt(GAUSSIANS)
+    _, state = taught("Gaussians")
     table = lookup_table(GAUSSIANS, state, points=(9, 7))
     assert table.certified
     error_U, error_Q = largest_errors(GAUSSIANS, state, table, 2_000)
@@ -187,8 +193,7 @@ def test_it_holds_for_gaussians_with_fixed_centres():
 
 @pytest.mark.parametrize("name", ["eq. (7)", "kinked spline", "auto", "network", "Gaussians"])
 def test_pieces_bound_the_map_and_its_slopes(name):
-    estimator = (ESTIMATORS | {"Gaussians": GAUSSIANS})[name]
-    state = learnt(estimator)
+    estimator, state = taught(name)
     pieces = MapPieces.of(estimator, state, (5.0, 200.0), 40.0)
     rng = np.random.default_rng(1)
     U, s = rng.uniform(0, 99, 2000), rng.uniform(np.sqrt(5), np.sqrt(199), 2000)
@@ -208,8 +213,7 @@ def test_pieces_bound_the_map_and_its_slopes(name):
 @pytest.mark.parametrize("name", ["eq. (7)", "kinked spline", "auto", "network", "Gaussians"])
 def test_bends_bound_how_slopes_change_in_a_box_without_a_kink(name):
     """Taylor's theorem rests on them: half of a bend, or a kink that is left out, is seen here."""
-    estimator = (ESTIMATORS | {"Gaussians": GAUSSIANS})[name]
-    pieces = MapPieces.of(estimator, learnt(estimator), (5.0, 200.0), 40.0)
+    pieces = MapPieces.of(*taught(name), (5.0, 200.0), 40.0)
     rng = np.random.default_rng(2)
     n, steps = 20_000, 0.5 ** rng.uniform(0, 12, 20_000)
     low_U, low_s = rng.uniform(0, 95, n), rng.uniform(np.sqrt(5), np.sqrt(200) - 0.5, n)
@@ -236,7 +240,7 @@ class OfUnknownForm:
 
 def test_the_error_of_a_map_of_unknown_form_is_measured_and_says_so():
     network = OfUnknownForm(RbfNetwork())
-    state = learnt(RbfNetwork())
+    _, state = taught("network")
     table = lookup_table(network, state, points=COARSE)
     assert not table.certified
     assert largest_errors(network, state, table, 20_000)[1] <= table.error_Q
