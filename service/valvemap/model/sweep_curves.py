@@ -1,6 +1,7 @@
 """Piecewise linear curves of a sweep's fit: knots, their functions, and bends."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
@@ -23,13 +24,21 @@ def knots_of(low: float, high: float, step: float) -> Floats:
 
 def hats_of(knots: Floats, x: Floats) -> sparse.csr_matrix:
     """Piecewise linear functions, 1 at a knot and 0 at the others, sparse (N, K)."""
-    n = len(x)
-    right = np.clip(np.searchsorted(knots, x, side="right"), 1, len(knots) - 1)
-    share = np.clip((x - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
-    rows = np.tile(np.arange(n), 2)
-    columns = np.concatenate([right - 1, right])
-    values = np.concatenate([1.0 - share, share])
-    return sparse.csr_matrix((values, (rows, columns)), shape=(n, len(knots)))
+    return of_hats([knots], x, [np.ones(len(x))])
+
+
+def of_hats(curves: Sequence[Floats], x: Floats, by: Sequence[Floats]) -> sparse.csr_matrix:
+    """Functions of several curves side by side, each times values ``by`` (N,), sparse (N, K)."""
+    n, size = len(x), 0
+    columns, values = np.empty((n, 2 * len(curves)), np.int32), np.empty((n, 2 * len(curves)))
+    for k, (knots, each) in enumerate(zip(curves, by, strict=True)):
+        right = np.clip(np.searchsorted(knots, x, side="right"), 1, len(knots) - 1)
+        share = np.clip((x - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
+        columns[:, 2 * k], columns[:, 2 * k + 1] = size + right - 1, size + right
+        values[:, 2 * k], values[:, 2 * k + 1] = each * (1.0 - share), each * share
+        size += len(knots)
+    ends = np.arange(n + 1) * columns.shape[1]
+    return sparse.csr_matrix((values.ravel(), columns.ravel(), ends), shape=(n, size))
 
 
 def bends_of(size: int) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from valvemap.model.samples import Flags, Floats, Samples
-from valvemap.model.sweep_curves import EXACT, bends_of, hats_of, knots_of
+from valvemap.model.sweep_curves import EXACT, bends_of, hats_of, knots_of, of_hats
 from valvemap.model.sweep_law import DropLaw
 
 KNOT_K, KNOT_L = 1.0, 12.0  # % of U; distances of knots
@@ -180,7 +180,8 @@ class Problem:
     def _weighted(self, play: float, lag: float) -> sparse.csr_matrix:
         x = spool(self.U, self.dt, play, lag)
         rows = self.rows(x, self.law.factor, self.s / self.s_rated - 1.0)
-        return sparse.csr_matrix(sparse.diags(self.weight) @ rows)
+        rows.data *= np.repeat(self.weight, 2 * len(self.knots))
+        return rows
 
     def _by_law(self, play: float, lag: float, K: Floats) -> Floats:
         """Derivatives of the weighted flow by the law's values, (N, J)."""
@@ -194,12 +195,7 @@ class Problem:
 
     def rows(self, x: Floats, factor: Floats, apart: Floats) -> sparse.csr_matrix:
         """Regressors at positions, the law's factors and departures δ, sparse (N, K)."""
-        by = factor, apart, apart**2
-        parts = [
-            sparse.diags(each) @ hats_of(knots, x)
-            for each, knots in zip(by, self.knots, strict=True)
-        ]
-        return sparse.csr_matrix(sparse.hstack(parts))
+        return of_hats(self.knots, x, (factor, apart, apart**2))
 
     def posterior(self, play: float, lag: float, U_grid: Floats, seed: int) -> SweepFit | None:
         """Evaluate the fit at its optimum."""
