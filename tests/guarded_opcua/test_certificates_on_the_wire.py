@@ -179,6 +179,7 @@ async def gone_within(peer, seconds):
     return loop.time() - began
 
 
+@pytest.mark.waits
 class TestTrustTakenAway:
     """What must be gone within 10 s, without the peer doing anything."""
 

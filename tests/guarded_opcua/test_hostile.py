@@ -113,10 +113,12 @@ async def test_a_hello_that_asks_for_too_little_or_says_too_much_is_refused(peer
     assert await peer.is_closed()
 
 
+@pytest.mark.waits
 async def test_a_peer_that_says_nothing_is_disconnected_in_time(peer):
     assert await peer.is_closed()
 
 
+@pytest.mark.waits
 async def test_a_peer_that_opens_a_channel_and_stays_silent_is_disconnected(peer):
     await peer.open()
     assert await peer.is_closed()
@@ -322,6 +324,7 @@ async def test_sessions_that_nobody_logs_in_to_give_way(server, peer):
         assert await client.get_node(server.fast.id).read_value() is not None
 
 
+@pytest.mark.waits
 async def test_a_peer_that_never_reads_is_disconnected_and_holds_little(server, peer):
     await peer.log_in()
     peer.reader._transport.pause_reading()

@@ -546,6 +546,7 @@ async def test_a_subscription_moves_to_another_session_of_the_same_user_only(ser
         await one.disconnect()
 
 
+@pytest.mark.waits
 async def test_a_client_that_reconnects_by_itself_misses_nothing_within_its_queue(server):
     port = int(server.url.split(":")[2].split("/")[0])
     async with Proxy(port) as proxy:
@@ -673,6 +674,7 @@ async def test_get_monitored_items_and_resend_data_serve_the_owner_alone(server,
     await subscribed.end()
 
 
+@pytest.mark.waits
 async def test_limits_and_status_are_announced_as_they_are(server, client):
     async def read(name):
         return await client.get_node(getattr(ua.ObjectIds, name)).read_value()

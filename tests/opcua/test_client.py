@@ -387,6 +387,7 @@ async def test_after_a_cut_connect_works_again_and_counters_go_on(plant):
         await source.close()
 
 
+@pytest.mark.waits
 async def test_silence_longer_than_three_keep_alives_is_a_loss(plant):
     async with Proxy(urlsplit(plant.url).port) as proxy:
         settings = replace(through(plant.settings, proxy), timeout_s=0.8)
@@ -417,6 +418,7 @@ async def test_a_short_stall_loses_nothing(plant):
         await source.close()
 
 
+@pytest.mark.waits
 async def test_keep_alives_prevent_a_loss_where_nothing_changes(source):
     await received(source, 1)
     with pytest.raises(TimeoutError):
@@ -439,6 +441,7 @@ async def test_a_lost_message_is_asked_for_again_and_comes_in_its_place(plant, m
     await source.close()
 
 
+@pytest.mark.waits
 async def test_what_cannot_be_had_again_is_counted(plant, monkeypatch):
     source = OpcUaSource(plant.settings, [NODES])
     await source.connect()
@@ -467,6 +470,7 @@ async def test_a_cancelled_receive_loses_nothing(plant, source):
     assert of(changes, Signal.SEQUENCE).value.tolist() == list(range(50))
 
 
+@pytest.mark.waits
 async def test_a_full_buffer_holds_the_server_back_and_the_rest_comes_later(plant):
     settings = replace(plant.settings, buffer_limit=60, publish_requests=2)
     source = OpcUaSource(settings, [NODES])

@@ -165,6 +165,7 @@ async def test_what_is_followed_comes_by_itself_result_by_result(served, client)
     await until_subscriptions(client, 1)
 
 
+@pytest.mark.waits
 async def test_whoever_follows_less_is_sent_less_and_nothing_is_left_behind(served, client):
     await client.follow(["V1.Frame", "V1.Diagnostics.Late"], 0.1)
     await changes(client, lambda id_, _: id_ == "V1.Diagnostics.Late")

@@ -95,6 +95,7 @@ class TestServersOfOurClient:
         assert await meeting(impostor, replace(ours, require_crl=False), identity) == ""
 
 
+@pytest.mark.waits
 async def test_our_client_hangs_up_on_a_server_that_is_trusted_no_more(tmp_path):
     ours, its = Pki(tmp_path / "client"), Pki(tmp_path / "server")
     for pki in (ours, its):

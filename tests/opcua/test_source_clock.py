@@ -20,6 +20,7 @@ class LateClock(SystemClock):
         return super().now() - round(self.late_s * 1e9)
 
 
+@pytest.mark.waits
 async def test_a_source_that_was_busy_when_we_connected_is_asked_again(monkeypatch):
     monkeypatch.setattr(source_clock, "READ_EVERY_S", 0.05)
     clock = LateClock()

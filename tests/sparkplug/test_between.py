@@ -275,6 +275,7 @@ async def test_valves_that_are_others_after_a_return_are_born_anew_and_keep_thei
         assert whole.alias(RESIDUAL) == alias != whole.alias("V2.RLS.Residual")
 
 
+@pytest.mark.waits
 async def test_a_request_brings_births_under_the_same_bdseq_and_rubbish_brings_nothing():
     async with running() as whole:
         await whole.births(1)
@@ -290,6 +291,7 @@ async def test_a_request_brings_births_under_the_same_bdseq_and_rubbish_brings_n
         assert [Payload.FromString(m.payload).seq for m in births] == [0] * len(births)
 
 
+@pytest.mark.waits
 async def test_many_requests_bring_one_birth():
     async with running() as whole:
         await whole.births(1)
