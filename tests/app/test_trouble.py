@@ -37,6 +37,7 @@ def prepared(tmp_path):
     return data
 
 
+@pytest.mark.waits
 def test_a_source_that_is_not_there_is_named(prepared):
     line = one_line(run("serve", "--config", str(prepared / "service.toml")), 1)
     assert "opc.tcp://127.0.0.1" in line

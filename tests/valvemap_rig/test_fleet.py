@@ -64,6 +64,7 @@ class Recorded:
         self.values.setdefault(node.nodeid.Identifier, []).append(data.monitored_item.Value)
 
 
+@pytest.mark.waits
 @pytest.mark.asyncio
 async def test_a_client_gets_every_sample_of_a_fleet_with_one_time_for_all_signals_of_a_valve():
     scenario = SCENARIO.model_copy(update={"duration_s": 1.5})

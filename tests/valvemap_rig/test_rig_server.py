@@ -127,6 +127,7 @@ async def test_signals_have_unit_and_range(observer, name, unit, high):
     assert (await properties["InstrumentRange"].read_value()).High == pytest.approx(high)
 
 
+@pytest.mark.waits
 async def test_every_sample_arrives_once_in_order_with_one_time_for_all_signals(observer):
     names = ("Sequence", "U", "p1", "p2", "Q", "Temperature")
     recorded = await record(observer, [f"Valvistor.{name}" for name in names], 1.5)
@@ -221,6 +222,7 @@ async def test_an_unknown_scenario_or_fault_is_refused_and_the_rig_plays_on(oper
     assert rig.samples > before
 
 
+@pytest.mark.waits
 async def test_an_injected_fault_shows_as_bad_quality_and_ends(operator):
     await node(operator, "Valvistor").call_method(
         ua.NodeId("Valvistor.InjectFault", NS), "bad_quality.Q", 1.0, 0.5
