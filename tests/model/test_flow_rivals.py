@@ -20,15 +20,15 @@ def parameters(**values):
     return at
 
 
-def edge_at_work(play, seed, seconds=400.0):
+def edge_at_work(play, seed, seconds=400.0, gain=1.0, start=0.0):
     """Samples of P → B alone, whose spool lags by two thirds of a step."""
     rng = np.random.default_rng(seed)
     U, load = plant.work(seconds, 100.0, rng)
-    valve = plant.Valve(play=play, leakage=0.0)
+    valve = plant.Valve(play=play, leakage=0.0, gain=dict.fromkeys(plant.GAINS, gain))
     rows = plant.measured(valve, U, load, 100.0, rng)
     used = rows["U"] < 0.0
     used[5:] &= (rows["U"] < 0.0)[:-5]
-    t = np.round(rows["t"] * 1e9).astype(np.int64)
+    t = np.round((start + rows["t"]) * 1e9).astype(np.int64)
     columns = {"U": -rows["U"], "p1": rows["pP"], "p2": rows["pB"], "Q": rows["QB"]}
     return Samples.of(t=t[used], T=rows["T"][used], **{n: x[used] for n, x in columns.items()})
 
@@ -45,6 +45,28 @@ def test_no_play_is_found_where_there_is_none(seed):
     samples, flow_map = edge_at_work(0.0, seed), FlowMap()
     state, _ = flow_map.update(flow_map.initial_state(), samples)
     assert flow_map.half_play(state) == 0.0
+
+
+def changes(flow_map, state):
+    found = flow_map.last_change(state)
+    return 0 if found is None else found.count
+
+
+@pytest.mark.parametrize("seed", [1, 8])
+def test_a_play_that_is_hardly_seen_yet_is_no_sudden_change(seed):
+    samples, flow_map = edge_at_work(1.0, seed, 150.0), FlowMap()
+    state, _ = flow_map.update(flow_map.initial_state(), samples)
+    assert changes(flow_map, state) == 0
+
+
+@pytest.mark.parametrize("seed", [8, 16])
+def test_a_change_is_found_though_there_may_be_play(seed):
+    flow_map = FlowMap()
+    state, _ = flow_map.update(flow_map.initial_state(), edge_at_work(1.0, seed, 60.0))
+    assert flow_map.half_play(state) == changes(flow_map, state) == 0
+    worn = edge_at_work(1.0, 100 + seed, 30.0, gain=0.9, start=60.0)
+    state, _ = flow_map.update(state, worn)
+    assert changes(flow_map, state) == 1
 
 
 def test_evidence_of_looks_adds_up_and_fades():

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.flow_memory import RIVAL_PARAMETERS, RIVAL_SUM
 from valvemap.model.samples import Floats, Singles
 
 HYSTERESES: Final = paths.PLAY, paths.STICK, paths.RELAYS  # the plainest first
 OF_RIVALS: Final = slice(paths.TOP + 1)  # parameters that rivals may have more
-SUM, PARAMETERS = 0, slice(1, 1 + OF_RIVALS.stop)
+SUM, PARAMETERS = RIVAL_SUM, slice(RIVAL_PARAMETERS, RIVAL_PARAMETERS + OF_RIVALS.stop)
 COLUMNS: Final = PARAMETERS.stop
 PLACES: Final = 3
 

@@ -32,6 +32,9 @@ COUNTERS = 33
 
 A_CHANGE, A_GUESS = 1, 2  # one that was called; one that flows at new places refute
 
+# Places in `rivals`: log likelihood over the operators in use; from then on parameters.
+RIVAL_SUM, RIVAL_PARAMETERS = 0, 1
+
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
 APART = 3  # sum of squared distances from the cell's mean, in cells
@@ -64,6 +67,7 @@ class Memory(NamedTuple):
     wear: Floats
     play: Floats
     path: Floats
+    rivals: Singles
     recent: Singles
 
 

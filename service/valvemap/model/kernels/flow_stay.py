@@ -55,6 +55,8 @@ from valvemap.model.kernels.flow_memory import (
     PLACE_S,
     PLACE_U,
     RESIDUAL,
+    RIVAL_PARAMETERS,
+    RIVAL_SUM,
     ROWS_SEEN,
     SAMPLES,
     SKIPPED,
@@ -210,6 +212,7 @@ def end_stay(axis_U: Axis, axis_s: Axis, memory: Memory, room: Room) -> None:
         law = rules.OTHER_LAW * oil.warm(memory, side, by[drifts.LEVELS :])
         alike = _alike(memory)
         noise += alike * law * law
+        noise += by[drifts.EDGE] * by[drifts.EDGE] * _may_lag_behind(memory, axis_U)
         doubt = counters[STAYS] * (noise + share * of_cell)
         if is_settled:
             _tell(axis_U, axis_s, drift, residual, by, doubt, memory, room)
@@ -330,6 +333,25 @@ def _note_pair(doubt: float, variance: float, memory: Memory) -> None:
         scalars[fits.PAIRS] += 1.0
     scalars[fits.PAIR_ERROR] = error
     counters[PAIR_CELL], counters[PAIR_TIME] = counters[STAY_CELL], now
+
+
+@inner
+def _may_lag_behind(memory: Memory, axis_U: Axis) -> float:
+    """Variance of an edge's shift, %², by the likeliest hysteresis that is not in use yet.
+
+    The cell and the stay may be of one branch each.
+    """
+    rivals, most = memory.rivals, 0.0
+    for row in range(len(rivals)):
+        half = 0.0
+        for k in (paths.PLAY, paths.STICK, paths.RELAYS):
+            half = max(half, np.float64(rivals[row, RIVAL_PARAMETERS + k]))
+        likely = 1.0 - math.exp(-max(np.float64(rivals[row, RIVAL_SUM]), 0.0))
+        most = max(most, 2.0 * likely * half * half)
+    end = axis_U.breaks[-1] if memory.counters[STAY_SIDE] == 0 else axis_U.breaks[0]
+    half_cell = 0.5 * (axis_U.breaks[1] - axis_U.breaks[0])
+    to_end = abs(end) - abs(memory.cells[memory.counters[STAY_CELL], MEAN_U])
+    return float(most * (end / max(to_end, half_cell)) ** 2)  # an edge shifts full opening by none
 
 
 @inner
