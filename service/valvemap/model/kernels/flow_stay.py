@@ -374,7 +374,8 @@ def _over(drift: Drift, dt: float, now: int, counters: Times) -> float:
     if counters[ALARMED]:
         return 1.0 if 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP else 0.0
     of_sensor = drift.chance[drifts.OTHER_ZERO] + drift.chance[drifts.OTHER_PRESSURE]
-    return 0.0 if of_sensor > rules.OVER else min(dt / rules.AFTER_JUMP, 0.5)
+    of_visit = 1.0 / float(counters[STAYS])  # its later stays tell less, so doubt lasts longer
+    return 0.0 if of_sensor > rules.OVER else min(dt / rules.AFTER_JUMP, 0.5) * of_visit
 
 
 @inner
