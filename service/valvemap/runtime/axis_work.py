@@ -55,7 +55,7 @@ class AxisWork:
             except asyncio.CancelledError:
                 axis.learner.abandon()
                 raise
-            except Exception as error:  # noqa: BLE001 - a bulkhead: the other axes go on
+            except Exception as error:  # noqa: BLE001 - a bulkhead: the other axes continue
                 axis.learner.abandon()
                 self._fail(number, error)
         self._show(number)

@@ -342,10 +342,11 @@ def _may_lag_behind(memory: Memory, axis_U: Axis) -> float:
     The cell and the stay may be of one branch each.
     """
     rivals, most = memory.rivals, 0.0
+    in_use = memory.play[plays.HALF] + memory.path[paths.STICK] + memory.path[paths.RELAYS]
     for row in range(len(rivals)):
-        half = 0.0
+        half = -in_use
         for k in (paths.PLAY, paths.STICK, paths.RELAYS):
-            half = max(half, np.float64(rivals[row, RIVAL_PARAMETERS + k]))
+            half += np.float64(rivals[row, RIVAL_PARAMETERS + k])
         likely = 1.0 - math.exp(-max(np.float64(rivals[row, RIVAL_SUM]), 0.0))
         most = max(most, 2.0 * likely * half * half)
     end = axis_U.breaks[-1] if memory.counters[STAY_SIDE] == 0 else axis_U.breaks[0]
