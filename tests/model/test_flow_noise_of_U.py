@@ -61,6 +61,14 @@ def test_the_noise_is_judged_where_U_is_calm(step):
     assert flow_evidence.noise_where_calm(noisy(U, 4, step)) == pytest.approx(NOISE, rel=0.35)
 
 
+def test_the_steps_of_a_command_that_holds_each_value_are_no_noise():
+    U = np.repeat(50.0 + 40.0 * np.abs(np.arange(640) % 100 - 50.0) / 50.0, 2)
+    assert flow_evidence.noise_where_calm(U) < 1e-6
+    assert flow_evidence.noise_where_calm(np.repeat(noisy(U[::2], 4), 2)) == pytest.approx(
+        NOISE, rel=0.35
+    )
+
+
 def searched(shown, actual, dp, seed):
     Q = VALVE(actual, dp) + c.white(seed, len(dp))
     evidence = flow_evidence.Evidence(*BOTH, rows_of(shown, dp, Q))

@@ -185,11 +185,20 @@ def period(steps: Floats, x: Floats) -> float:
 
 
 def noise_where_calm(x: Floats) -> float:
-    """Standard deviation of a signal's noise about straight lines, where it is calmest."""
+    """Standard deviation of a signal's noise about straight lines, where it is calmest.
+
+    The steps of a signal that holds each value for some rows are no noise.
+    """
+    once = x[np.diff(x, prepend=math.nan) != 0.0]
+    noise = min(_where_calm(x), _where_calm(once) if 2 * len(once) <= len(x) else math.inf)
+    return noise if math.isfinite(noise) else 0.0
+
+
+def _where_calm(x: Floats) -> float:
     size = rules.CALM_STRETCH
     parts = x[: len(x) // size * size].reshape(-1, size)
     if not len(parts):
-        return 0.0
+        return math.inf
     line = np.vander(np.linspace(-1.0, 1.0, size), 2)
     off = parts - parts @ np.linalg.pinv(line).T @ line.T
     calmest = np.quantile(np.sum(off**2, axis=1), rules.CALMEST) / rules.OF_CALMEST
