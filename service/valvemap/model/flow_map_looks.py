@@ -106,7 +106,7 @@ def _look(state: FlowMapState, both: Both, T: float, longest: float) -> None:
         path[flow_path.HYSTERESIS] += _sign(left > rules.OTHER_HYSTERESIS * noise**2)
     path[flow_path.NEWS] = found[flow_path.NEWS]
     of_found = flow_evidence.precision(evidence, found)
-    if _differ(found, given, of_found, state.precision.astype(np.float64)):
+    if _differ(found, given, evidence.gain(found, given)):
         if ((found > 0.0) != (given > 0.0)).any():
             rivals.forget()
             counters[flow_memory.NEXT_LOOK] = used + rules.LOOKS[1]
@@ -239,16 +239,10 @@ def _watch_pump(path: Floats, rows: Floats, noise: float) -> None:
         path[flow_path.MOST_GAIN] = max(path[flow_path.MOST_GAIN] + gain, 0.0)
 
 
-def _differ(found: Floats, given: Floats, of_found: Floats, of_given: Floats) -> bool:
-    """Whether the map would be another one: other operators, or parameters beyond doubt."""
+def _differ(found: Floats, given: Floats, gain: float) -> bool:
+    """Whether the map would be another one: other operators, or values clearly likelier."""
     there = np.arange(flow_path.PARAMETERS) != flow_path.NEWS  # changes nothing of the map
-    ks = [int(k) for k in np.flatnonzero(there & (found > 0.0) & (given > 0.0))]
-    ks = [k for k in ks if k < flow_path.OF_MAP]
     if ((found > 0.0) != (given > 0.0))[there].any():
         return True
-    off, square = (found - given)[ks], 0.0
-    both = [of[np.ix_(ks, ks)] for of in (of_found, of_given)]
-    if all(np.diagonal(of).all() for of in both):
-        sum_of = sum(flow_evidence.solved(of, np.eye(len(ks))) for of in both)
-        square = float(off @ np.linalg.solve(sum_of, off))
-    return bool(square > 2.0 * rules.CLEAR) and bool((np.abs(off) > rules.OTHER * found[ks]).any())
+    ks = flow_evidence.smooth(found)
+    return gain >= rules.CLEAR and bool((np.abs(found - given) > rules.OTHER * found)[ks].any())
