@@ -34,26 +34,31 @@ def measured(*, cold: bool = False) -> Figures:
     """Seconds from the start of the demo, samples lost, and the exit code after SIGTERM."""
     with tempfile.TemporaryDirectory() as name:
         tree = copy_of_tree(Path(name))
-        url = free_url("service")
-        environment = environment_of(tree) | {
-            "VALVEMAP_SOURCE__URL": free_url("rig"),
-            "VALVEMAP_SERVER__URL": url,
-        }
+        environment = environment_of(tree)
         of_install = time.perf_counter()
         if not cold:
             command = [sys.executable, "-m", "valvemap", "warm-up"]
             subprocess.run(command, cwd=tree, env=environment, check=True)
-        began = time.perf_counter()
-        command = [sys.executable, "-m", "valvemap", "demo"]
-        with subprocess.Popen(
-            command, cwd=tree, env=environment, stdout=subprocess.DEVNULL
-        ) as process:
-            try:
-                found = asyncio.run(_watched(url, began))
-            finally:
-                process.send_signal(signal.SIGTERM)
-            found["exit code"] = process.wait()
-        return {"the install's kernels, s": began - of_install} | found
+        of_install = time.perf_counter() - of_install
+        return {"the install's kernels, s": of_install} | demo(tree, environment)
+
+
+def demo(folder: Path, environment: dict[str, str]) -> Figures:
+    """Seconds to the results of ``valvemap demo``, samples lost, exit code after SIGTERM."""
+    url = free_url("service")
+    urls = {"VALVEMAP_SOURCE__URL": free_url("rig"), "VALVEMAP_SERVER__URL": url}
+    began = time.perf_counter()
+    with subprocess.Popen(
+        [sys.executable, "-m", "valvemap", "demo"],
+        cwd=folder,
+        env=environment | urls,
+        stdout=subprocess.DEVNULL,
+    ) as process:
+        try:
+            found = asyncio.run(watched(url, began))
+        finally:
+            process.send_signal(signal.SIGTERM)
+        return found | {"exit code": process.wait()}
 
 
 def copy_of_tree(folder: Path) -> Path:
@@ -79,8 +84,8 @@ def environment_of(tree: Path) -> dict[str, str]:
     return environment | {"PYTHONPATH": os.pathsep.join(paths)}
 
 
-async def _watched(url: str, began: float) -> Figures:
-    """Poll the results from the moment at which a client is admitted."""
+async def watched(url: str, began: float) -> Figures:
+    """Poll the results of a demo from the moment at which a client is admitted."""
     found: Figures = {}
     while time.perf_counter() - began < PATIENCE_S:
         try:

@@ -120,8 +120,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--hours", type=int, default=0, help="hours of healthy valves")
     parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
+    parser.add_argument("--first", type=int, help="first seed, in place of these")
     wanted = parser.parse_args(arguments)
-    first = REPORT if wanted.report else 0
+    first = (REPORT if wanted.report else 0) if wanted.first is None else wanted.first
     if wanted.hours:
         healthy(wanted.hours, first)
     else:
