@@ -88,7 +88,7 @@ class Batch(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_path.metered`, (8,)."""
+    """Room to work in: (4, 3); see `Drift`; (AT,); see `flow_meter.metered`, (8,)."""
 
     work: Floats
     drift: Floats

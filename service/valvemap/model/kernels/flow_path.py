@@ -18,7 +18,6 @@ import numpy as np
 
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
-from valvemap.model.kernels.flow_basis import Axis, surface
 from valvemap.model.samples import Floats, Singles
 
 # Parameters, in the order of the operators.
@@ -189,14 +188,14 @@ def late(recent: Singles, newest: int, known: int, ahead: int, path: Floats) -> 
 
     The oldest one where the rows do not reach so far.
     """
-    back, _, share, _ = _ago(recent, newest, known, path[DEAD_U])
-    row = _row_before(recent, newest, back)
+    back, _, share, _ = ago(recent, newest, known, path[DEAD_U])
+    row = row_before(recent, newest, back)
     U, _ = commanded(recent, row, known - back, ahead + back, path)
     if share == 0.0:
         return U, 0.0
-    older, back = _row_before(recent, row, 1), back + 1
+    older, back = row_before(recent, row, 1), back + 1
     U_older, _ = commanded(recent, older, known - back, ahead + back, path)
-    before = _row_before(recent, older, 1) if back + 1 < known else older
+    before = row_before(recent, older, 1) if back + 1 < known else older
     at_older = abs(U - 2.0 * U_older + float(recent[before, LEFT_U]))
     at_newer = at_older
     if ahead + back > 1:
@@ -217,13 +216,13 @@ def one_way(older: float, newer: float, share: float) -> float:
 
 
 @inner
-def _row_before(recent: Singles, row: int, back: int) -> int:
+def row_before(recent: Singles, row: int, back: int) -> int:
     """The row ``back`` rows before in the ring."""
     return row - back if row >= back else row - back + len(recent)
 
 
 @inner
-def _ago(recent: Singles, newest: int, known: int, dead: float) -> tuple[int, float, float, bool]:
+def ago(recent: Singles, newest: int, known: int, dead: float) -> tuple[int, float, float, bool]:
     """Where the time ``dead`` s ago lies: on the way between two rows.
 
     Rows and s back to the newer one; the share of the way to the older one; whether it is known.
@@ -236,7 +235,7 @@ def _ago(recent: Singles, newest: int, known: int, dead: float) -> tuple[int, fl
         if age + step > dead:
             return back, age, max(dead - age, 0.0) / step, True
         age += step
-        row = _row_before(recent, row, 1)
+        row = row_before(recent, row, 1)
     return max(known - 1, 0), age, 0.0, dead <= age
 
 
@@ -285,136 +284,8 @@ def forward(flow: float, side: int, s: float, least: float) -> float:
 
 
 @inner
-def metered(
-    axis_U: Axis, axis_s: Axis, theta: Singles, least: float, recent: Singles, newest: int,
-    known: int, ahead: int, path: Floats, work: Floats, out: Floats,
-) -> bool:  # fmt: skip
-    """Means over what the meter shows now; False: not enough is known.
-
-    ``newest`` is the row of the sample, ``known`` the number of rows up to it, ``ahead`` of those
-    behind it. ``out[:6]`` becomes the mean
-    of spool and root; of the flow, less that at the mean place; of the squared difference; the
-    variances of spool and root. Flows are those of the map ``theta``, see `forward`, at the mean
-    places of parts of equal weight. ``out[6:]`` grows by the standard deviations of spool and root
-    on the way between two rows.
-    """
-    out[:6] = 0.0
-    total, age, row = 0.0, 0.0, newest
-    part, u, r = 0.0, 0.0, 0.0
-    back, dead, share, is_known = _ago(recent, newest, known, path[DEAD_Q])
-    if not is_known:
-        return False
-    if share > 0.0:
-        _on_the_way(axis_s, recent, newest, known, ahead, back, share, path, out)
-    horizon = dead + path[AVERAGE] + rules.LAGS_LEFT * path[LAG_Q]
-    for k in range(known):
-        step = float(recent[row, STEP])
-        weight = _share(age + step - dead, path) - _share(age - dead, path)
-        spool, root = (
-            float(recent[row, SPOOL]),
-            _root(axis_s, recent, row, known - k, ahead + k, path),
-        )
-        is_last = step >= rules.GAP or k == known - 1
-        if share > 0.0 and weight > 0.0 and not is_last:
-            older = _row_before(recent, row, 1)
-            spool += share * (float(recent[older, SPOOL]) - spool)
-            behind = _root(axis_s, recent, older, known - k - 1, ahead + k + 1, path)
-            root = root_between(root, behind, share)
-        total += weight
-        out[0] += weight * spool
-        out[1] += weight * root
-        out[4] += weight * spool * spool
-        out[5] += weight * root * root
-        part, u, r = part + weight, u + weight * spool, r + weight * root
-        age += step
-        is_last = is_last or age > horizon
-        if part >= 1.0 / rules.POINTS_SHOWN or (is_last and part > 0.0):
-            flow = _flow(axis_U, axis_s, theta, least, u / part, r / part, work)
-            out[2] += part * flow
-            out[3] += part * flow * flow
-            part, u, r = 0.0, 0.0, 0.0
-        if is_last:
-            break
-        row = _row_before(recent, row, 1)
-    if total < rules.ENOUGH_SHOWN:
-        return False
-    for place in range(6):
-        out[place] /= total
-    out[3] = max(out[3] - out[2] ** 2, 0.0)
-    out[4], out[5] = out[4] - out[0] ** 2, out[5] - out[1] ** 2
-    out[2] -= _flow(axis_U, axis_s, theta, least, out[0], out[1], work)
-    return True
-
-
-@inner
 def root_between(newer: float, older: float, share: float) -> float:
     """Root of the Δp on the way between two of given roots."""
     dp = newer * abs(newer)
     dp += share * (older * abs(older) - dp)
     return math.copysign(math.sqrt(abs(dp)), dp)
-
-
-@inner
-def _on_the_way(
-    axis_s: Axis, recent: Singles, newest: int, known: int, ahead: int, back: int, share: float,
-    path: Floats, out: Floats,
-) -> None:  # fmt: skip
-    """Add the standard deviations of spool and root between two rows to ``out[6:]``.
-
-    A straight line joins them. One that bends at either row may bend beside it as well, by as much
-    as w·(1 - w) of both second differences, but goes one way.
-    """
-    newer = _row_before(recent, newest, back)
-    older = _row_before(recent, newer, 1)
-    after = _row_before(recent, newest, back - 1) if back > 0 else newer
-    before = _row_before(recent, older, 1) if back + 2 < known else older
-    width = share * (1.0 - share)
-    u, v = float(recent[newer, SPOOL]), float(recent[older, SPOOL])
-    bend = other = abs(u - 2.0 * v + float(recent[before, SPOOL]))
-    if back > 0:
-        other = abs(float(recent[after, SPOOL]) - 2.0 * u + v)
-    out[6] += min(width * (bend + other), one_way(v, u, share))
-    u = _root(axis_s, recent, newer, known - back, ahead + back, path)
-    v = _root(axis_s, recent, older, known - back - 1, ahead + back + 1, path)
-    x = _root(axis_s, recent, before, known - back - 2, ahead + back + 2, path)
-    bend = other = abs(u - 2.0 * v + x)
-    if back > 0:
-        x = _root(axis_s, recent, after, known - back + 1, ahead + back - 1, path)
-        other = abs(x - 2.0 * u + v)
-    out[7] += min(width * (bend + other), one_way(v, u, share))
-
-
-@inner
-def _root(
-    axis_s: Axis, recent: Singles, row: int, known: int, ahead: int, path: Floats
-) -> float:  # fmt: skip
-    """Root of the Δp that counts at a row, within the axis."""
-    dp, _ = between(recent, row, known, ahead, LEFT_DP, path[HELD_P])
-    p1, _ = between(recent, row, known, ahead, LEFT_P1, path[HELD_P])
-    return float(min(max(effective(dp, p1, path), axis_s.breaks[0]), axis_s.breaks[-1]))
-
-
-@inner
-def _flow(
-    axis_U: Axis, axis_s: Axis, theta: Singles, least: float, u: float, s: float, work: Floats
-) -> float:
-    flow = surface(axis_U, axis_s, theta, u, s, work)
-    return forward(flow, 0 if u >= 0.0 else 1, s, least)
-
-
-@inner
-def _share(x: float, path: Floats) -> float:
-    """Of what the meter shows, the share that is younger than ``x`` s before the dead time."""
-    w, tau = path[AVERAGE], path[LAG_Q]
-    if x <= 0.0:
-        return 0.0
-    if tau <= 0.0:
-        return min(x / w, 1.0) if w > 0.0 else 1.0
-    if w <= 0.0:
-        return 1.0 - math.exp(-x / tau)
-    y = min(x, w)  # ∫ of the box's share behind the lag
-    share = (y - tau * (1.0 - math.exp(-y / tau))) / w
-    if x > w:
-        inside = tau / w * (math.exp(-(x - w) / tau) - math.exp(-x / tau))
-        share = 1.0 - inside
-    return float(share)

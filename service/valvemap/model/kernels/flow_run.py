@@ -11,21 +11,18 @@ import numpy as np
 from valvemap.model.kernels import flow_begun as begins
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_meter as meters
 from valvemap.model.kernels import flow_noise as noises
 from valvemap.model.kernels import flow_oil as oil
 from valvemap.model.kernels import flow_path as paths
 from valvemap.model.kernels import flow_play as plays
+from valvemap.model.kernels import flow_recent as recent_rows
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels import flow_slopes as slopes
 from valvemap.model.kernels.compiled import inner, lean_kernel
-from valvemap.model.kernels.flow_basis import Axis, interval, surface
+from valvemap.model.kernels.flow_basis import Axis, interval
 from valvemap.model.kernels.flow_cells import (
     COUNT,
-    MEAN_Q,
-    MEAN_S,
-    MEAN_U,
-    REFUSALS,
-    Cells,
     cell_of,
     deposit,
     share_of,
@@ -33,7 +30,6 @@ from valvemap.model.kernels.flow_cells import (
 from valvemap.model.kernels.flow_look import clipped, look, place
 from valvemap.model.kernels.flow_memory import (
     A_CHANGE,
-    A_GUESS,
     ALARMED,
     BEGAN,
     BEGAN_TIME,
@@ -46,7 +42,6 @@ from valvemap.model.kernels.flow_memory import (
     LEARNT,
     MOVED,
     NEXT_FIT,
-    PLACE_S,
     PLACE_U,
     ROWS_SEEN,
     SAMPLES,
@@ -68,6 +63,13 @@ from valvemap.model.kernels.flow_stay import (
     begin_stay,
     end_stay,
     note_stay,
+)
+from valvemap.model.kernels.flow_trust import (
+    is_surprising,
+    looseness,
+    shows_nothing,
+    trust,
+    weigh_guess,
 )
 from valvemap.model.samples import Floats
 from valvemap.vocabulary.statuses import Status
@@ -121,9 +123,9 @@ def _learn(
         return _learn_row(i, row, U, dp, p1, Q, step, batch, axis_U, axis_s, memory, room)
     while _is_due(memory):
         row = counters[LEARNT] % len(recent)
-        U, _ = _commanded(row, memory)
-        dp, _ = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
-        p1, _ = _between(row, paths.LEFT_P1, path[paths.HELD_P], memory)
+        U, _ = recent_rows.commanded(row, memory)
+        dp, _ = recent_rows.between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
+        p1, _ = recent_rows.between(row, paths.LEFT_P1, path[paths.HELD_P], memory)
         Q, step = np.float64(recent[row, paths.LEFT_Q]), np.float64(recent[row, paths.STEP])
         _learn_row(i, row, U, dp, p1, Q, step, batch, axis_U, axis_s, memory, room)
         counters[LEARNT] += 1
@@ -150,29 +152,6 @@ def _predict(
 
 
 @inner
-def _commanded(row: int, memory: Memory) -> tuple[float, float]:
-    """U at a row that is kept, and its standard deviation."""
-    recent, ahead = memory.recent, _ahead(row, memory)
-    known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
-    return paths.commanded(recent, row, known, ahead, memory.path)
-
-
-@inner
-def _between(row: int, column: int, period: float, memory: Memory) -> tuple[float, float]:
-    """A signal at a row that is kept, and its standard deviation."""
-    recent, ahead = memory.recent, _ahead(row, memory)
-    known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
-    return paths.between(recent, row, known, ahead, column, period)
-
-
-@inner
-def _ahead(row: int, memory: Memory) -> int:
-    """How many rows were seen since ``row``."""
-    newest = (memory.counters[ROWS_SEEN] - 1) % len(memory.recent)
-    return int((newest - row) % len(memory.recent))
-
-
-@inner
 def _is_due(memory: Memory) -> bool:
     """Whether the oldest row that is not learnt has waited long enough, or must not wait longer."""
     counters, recent, age = memory.counters, memory.recent, 0.0
@@ -182,7 +161,7 @@ def _is_due(memory: Memory) -> bool:
     at = counters[LEARNT] % len(recent)
     if counters[ROWS_SEEN] - counters[LEARNT] >= len(recent):
         return True
-    for _ in range(_ahead(at, memory)):
+    for _ in range(recent_rows.ahead(at, memory)):
         at = at + 1 if at + 1 < len(recent) else 0
         age, behind = age + np.float64(recent[at, paths.STEP]), behind + 1
         if recent[at, paths.STEP] >= rules.GAP:
@@ -226,7 +205,7 @@ def _learn_row(
         bent = min(room.means[3], at[SURE]) if beyond != 0.0 else 0.0
         bent += (rules.BENT_BY_LAGS * beyond) ** 2
         if paths.looks_ahead(path) or room.means[6] + room.means[7] > 0.0:
-            loose = _loose(row, dp, p1, axis_U, axis_s, memory, room)
+            loose = looseness(row, dp, p1, axis_U, axis_s, memory, room)
         rate = _rate(at[FLOW] + beyond, step, scalars)
         loose += noises.of_timing(rate, scalars)
         at[SURE] += bent + loose
@@ -244,8 +223,8 @@ def _learn_row(
     number = cell_of(axis_U, axis_s, at[PLACE_U], r)
     is_censored = paths.censored(Q, at[FLOW] + beyond if counters[FITTED] else Q, path)
     if counters[FITTED]:
-        counters[BLOCKED] = _shows_nothing(Q, at, memory.cells[number], memory)
-        repeats = not is_new and _is_surprising(batch.residual[i], at, scalars)
+        counters[BLOCKED] = shows_nothing(Q, at, memory.cells[number], memory)
+        repeats = not is_new and is_surprising(batch.residual[i], at, scalars)
         is_censored = is_censored or repeats
     if is_censored or counters[BLOCKED]:
         counters[USED] += 1
@@ -257,9 +236,9 @@ def _learn_row(
     if counters[FITTED]:
         residual = batch.residual[i]
         slope = at[SLOPE]
-        weight = _trust(residual, axis_U, axis_s, memory, gain, number, bent, rate, room)
+        weight = trust(residual, axis_U, axis_s, memory, gain, number, bent, rate, room)
         if memory.cells[number, COUNT] == 0.0:
-            _weigh_guess(residual, memory, at)
+            weigh_guess(residual, memory, at)
         is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
         is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
         if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
@@ -340,50 +319,6 @@ def _true_root(axis_s: Axis, side: int, dp: float, p1: float, memory: Memory) ->
 
 
 @inner
-def _shows_nothing(Q: float, at: Floats, cell: Cells, memory: Memory) -> bool:
-    """Whether the meter shows no flow where it showed some: it, or the valve, is blocked.
-
-    Such samples, and those of no flow that follow, tell nothing of the map.
-    """
-    scalars, counters = memory.scalars, memory.counters
-    if Q * Q >= rules.LEAST_NOISES**2 * scalars[fits.VARIANCE]:  # noqa: SIM300
-        return False
-    if counters[BLOCKED]:
-        return True
-    is_mature = counters[USED] - counters[BEGAN] >= rules.MATURE
-    if not (is_mature or cell[COUNT] >= rules.FEW):
-        return False
-    shown = abs(at[FLOW])
-    if cell[COUNT] > 0.0:
-        shown = min(shown, abs(float(cell[MEAN_Q])))
-    least = rules.BLOCKED_FROM * math.sqrt(scalars[fits.SCALE])
-    return bool(shown > least and _is_surprising(shown, at, scalars))
-
-
-@inner
-def _is_surprising(residual: float, at: Floats, scalars: Floats) -> bool:
-    """Whether neither noise nor doubt about the map explains a residual."""
-    doubt = at[TOTAL] + noises.of_sample(at[FLOW], scalars)
-    return bool(residual * residual > rules.CLEAR * doubt)
-
-
-@inner
-def _weigh_guess(residual: float, memory: Memory, at: Floats) -> None:
-    """Weigh what the map said of a place never visited: the meter may end there."""
-    scalars, counters = memory.scalars, memory.counters
-    if counters[USED] - counters[BEGAN] < rules.LOOKS[0]:
-        return
-    noise = noises.of_sample(at[FLOW], scalars)
-    square = residual * residual / (at[TOTAL] + noise)
-    against = min(0.5 * (square - 1.0), rules.MOST_OF_GUESS)
-    scalars[fits.REFUTED] = max(scalars[fits.REFUTED] + against, 0.0)
-    if scalars[fits.REFUTED] >= rules.CLEAR:
-        scalars[fits.REFUTED] = 0.0
-        if counters[DOUBTED] == 0:
-            counters[DOUBTED] = A_GUESS
-
-
-@inner
 def _keep(i: int, batch: Batch, memory: Memory) -> tuple[int, float]:
     """Keep a sample as measured; give its row and the time since the one before."""
     counters, path, recent = memory.counters, memory.path, memory.recent
@@ -405,7 +340,7 @@ def _follow(row: int, U: float, step: float, memory: Memory, room: Room) -> floa
     """Move the spool; give where it is."""
     path, recent = memory.path, memory.recent
     if path[paths.DEAD_U] > 0.0:
-        ahead = _ahead(row, memory)
+        ahead = recent_rows.ahead(row, memory)
         known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
         U, room.means[6] = paths.late(recent, row, known, ahead, path)
     return plays.follow(memory.play, paths.spool(U, step, step >= rules.GAP, path))
@@ -414,41 +349,13 @@ def _follow(row: int, U: float, step: float, memory: Memory, room: Room) -> floa
 @inner
 def _metered(axis_U: Axis, axis_s: Axis, row: int, u: float, memory: Memory, room: Room) -> bool:
     """Fill `room.means`; False: the last samples do not tell what the meter shows."""
-    recent, ahead, least = memory.recent, _ahead(row, memory), memory.scalars[fits.LEAST]
+    recent, ahead, least = memory.recent, recent_rows.ahead(row, memory), memory.scalars[fits.LEAST]
     recent[row, paths.SPOOL] = u
     known = min(memory.counters[ROWS_SEEN], len(recent)) - ahead
-    return paths.metered(
+    return meters.metered(
         axis_U, axis_s, memory.theta, least, recent, row, known, ahead, memory.path, room.work,
         room.means,
     )  # fmt: skip
-
-
-@inner
-def _loose(
-    row: int, dp: float, p1: float, axis_U: Axis, axis_s: Axis, memory: Memory, room: Room
-) -> float:  # fmt: skip
-    """Variance of the flow by that of signals on the way from one value to the next."""
-    path, of_u, of_s = memory.path, room.means[6], room.means[7]
-    if paths.looks_ahead(path):
-        _, of_U = _commanded(row, memory)
-        _, of_dp = _between(row, paths.LEFT_DP, path[paths.HELD_P], memory)
-        beside = paths.effective(dp + math.copysign(of_dp, dp), p1, path)
-        of_u, of_s = of_u + of_U, of_s + abs(beside - paths.effective(dp, p1, path))
-    square = _steepest(axis_U, axis_s, of_u, 0.0, memory, room) if of_u > 0.0 else 0.0
-    return square + (_steepest(axis_U, axis_s, 0.0, of_s, memory, room) if of_s > 0.0 else 0.0)
-
-
-@inner
-def _steepest(
-    axis_U: Axis, axis_s: Axis, du: float, ds: float, memory: Memory, room: Room
-) -> float:  # fmt: skip
-    """Largest square of the difference between the flow at `room.at` and that beside it."""
-    u, s, theta, work = room.at[PLACE_U], room.at[PLACE_S], memory.theta, room.work
-    flow, most = surface(axis_U, axis_s, theta, u, s, work), 0.0
-    for sign in (-1.0, 1.0):
-        x, y = clipped(axis_U, u + sign * du)[0], clipped(axis_s, s + sign * ds)[0]
-        most = max(most, abs(surface(axis_U, axis_s, theta, x, y, work) - flow))
-    return most * most
 
 
 @inner
@@ -458,40 +365,3 @@ def _own(axis_U: Axis, axis_s: Axis, means: Floats) -> float:
     du, ds = axis_U.breaks[i + 1] - axis_U.breaks[i], axis_s.breaks[j + 1] - axis_s.breaks[j]
     lost = max(means[4], 0.0) / (du * du) + max(means[5], 0.0) / (ds * ds)
     return float(1.0 / math.sqrt(1.0 + math.pi * math.pi * lost))
-
-
-@inner
-def _trust(
-    residual: float, axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, number: int,
-    bent: float, rate: float, room: Room,
-) -> float:  # fmt: skip
-    """Probability that a sample is none that the meter invented, by the map or by its cell."""
-    scalars, counters, cell = memory.scalars, memory.counters, memory.cells[number]
-    if not cell[COUNT] > 0.0:  # a fit weighs a cell of one sample against all others
-        noises.skip(scalars)
-        return 1.0
-    width = rules.OUTLIER_WIDTH * math.sqrt(scalars[fits.SCALE])
-    at, variance = room.at, room.at[TOTAL]
-    noise = noises.of_sample(at[FLOW], scalars)
-    own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
-    off = gain * (oil.at_first(axis_s, memory, cell, room) - own)
-    error = residual - off
-    by_map = fits.outlier_weight(residual * residual, noise + variance, width)
-    doubt = noise * (1.0 + 1.0 / cell[COUNT]) + scalars[fits.MISFIT]
-    weight = max(by_map, fits.outlier_weight(error * error, doubt, width))
-    if cell[REFUSALS] >= rules.REFUSED:
-        cell[:] = 0.0
-        weight = 1.0
-    elif cell[COUNT] < rules.FEW and by_map > 0.5:
-        doubt = noise / cell[COUNT] + variance
-        if fits.outlier_weight(off * off, doubt, width / cell[COUNT]) < rules.DOUBTED:
-            cell[:] = 0.0
-    of_way = variance - bent  # of the map, from the cell's mean to the sample
-    if cell[COUNT] > 0.0 and not paths.filters(memory.path):
-        of_way *= apart(axis_U, axis_s, cell, number, room.at)
-    if cell[COUNT] > 0.0 and of_way < noise:
-        age = counters[USED] - counters[BEGAN]
-        noises.note(error, weight, cell[COUNT], age, at[FLOW], rate, scalars)
-    else:
-        noises.skip(scalars)
-    return weight
