@@ -73,3 +73,22 @@ def test_a_rounded_signal_is_told_from_one_that_moves_in_steps():
         between.rounded_to.py_func(np.interp(np.arange(500), np.arange(0, 500, 40), x[:13])) == 0.0
     )
     assert between.rounded_to.py_func(np.full(9, 3.0)) == 0.0
+
+
+def test_a_command_that_goes_on_by_equal_steps_is_not_rounded():
+    """Its steps of 2 % are its own: a play behind it is no filter of their noise."""
+    rng, spool, at = np.random.default_rng(3), np.empty(N), 0.0
+    U = np.repeat(2.0 * np.abs(np.arange(N // 4) % 100 - 50.0), 4)
+    dp = 100.0 + 80.0 * np.sin(np.arange(N) / 37.0)
+    for i in range(N):
+        at = spool[i] = min(max(at, U[i] - 2.0), U[i] + 2.0)
+    rows = np.zeros((N, paths.COLUMNS))
+    rows[:, paths.STEP], rows[:, paths.LEFT_U] = 1.0 / HZ, U
+    rows[:, paths.LEFT_DP] = rows[:, paths.LEFT_P1] = dp + 0.07 * rng.standard_normal(N)
+    rows[:, paths.LEFT_Q] = 0.12 * np.maximum(spool - 5.0, 0.0) * np.sqrt(dp)
+    rows[:, paths.LEFT_Q] += 0.4 * rng.standard_normal(N)
+    with_play, later = NONE.copy(), NONE.copy()
+    with_play[paths.PLAY], later[paths.DEAD_U] = 2.0, 0.04
+    evidence = Evidence(*BOTH, rows)
+    assert evidence.gain(with_play, NONE) > 200.0
+    assert evidence.gain(with_play, later) > 100.0

@@ -111,8 +111,7 @@ def noise_of(x: Floats) -> float:
     bends = np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])
     if len(bends) == 0:
         return 0.0
-    rounding = rounded_to(x) / math.sqrt(12.0)
-    return max(rules.TENTH_TO_STD * tenth(bends) / math.sqrt(6.0), rounding)
+    return max(rules.TENTH_TO_STD * tenth(bends) / math.sqrt(6.0), rounding_of(x))
 
 
 @inner
@@ -129,6 +128,28 @@ def rounded_to(x: Floats) -> float:
         if abs(step - least * np.rint(step / least)) > rules.OFF_ROUNDED * least:
             return 0.0
     return float(least)
+
+
+@inner
+def rounding_of(x: Floats) -> float:
+    """Standard deviation of the rounding error that a signal shows while it moves.
+
+    That of a signal rounded to ``step`` bends it between its values, by less than two steps: white
+    noise of the variance step²/12 by step²/2 in the mean square. A command that goes on by equal
+    steps is bent at turns alone; its steps are its own.
+    """
+    step, square, many = rounded_to(x), 0.0, 0
+    if step == 0.0:
+        return 0.0
+    before = last = math.inf  # the last move, and the value it led to
+    for i in range(len(x)):
+        if x[i] != last:
+            move = x[i] - last if last != math.inf else math.inf
+            if before != math.inf:
+                square += min(abs(move - before), step) ** 2
+                many += 1
+            before, last = move, x[i]
+    return math.sqrt(min(square / max(many, 1) / 6.0, step * step / 12.0))
 
 
 @inner

@@ -26,7 +26,7 @@ def regressors(
     of_dp = between.noise_of(rows[:, paths.LEFT_DP]) / (top * top)
     if given[paths.NOISE_U] == 0.0:  # where U is never calm, its noise is known by its bends
         U = rows[:, paths.LEFT_U]
-        of_U = max(min(of_U, between.noise_of(U)), between.rounded_to(U) / math.sqrt(12.0))
+        of_U = max(min(of_U, between.noise_of(U)), between.rounding_of(U))
     for i in range(len(rows)):
         step = rows[i, paths.STEP]
         fresh = i == 0 or step >= rules.GAP
