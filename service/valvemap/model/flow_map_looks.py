@@ -245,4 +245,5 @@ def _differ(found: Floats, given: Floats, gain: float) -> bool:
     if ((found > 0.0) != (given > 0.0))[there].any():
         return True
     ks = flow_evidence.smooth(found)
-    return gain >= rules.CLEAR and bool((np.abs(found - given) > rules.OTHER * found)[ks].any())
+    is_other = bool((np.abs(found - given) > rules.OTHER * found)[ks].any())
+    return is_other and gain >= rules.STILL_CLEAR
