@@ -91,4 +91,4 @@ def test_a_command_that_goes_on_by_equal_steps_is_not_rounded():
     with_play[paths.PLAY], later[paths.DEAD_U] = 2.0, 0.04
     evidence = Evidence(*BOTH, rows)
     assert evidence.gain(with_play, NONE) > 200.0
-    assert evidence.gain(with_play, later) > 100.0
+    assert evidence.gain(with_play, later) > 5.0
