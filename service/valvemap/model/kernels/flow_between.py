@@ -106,12 +106,12 @@ def usual_bend(x: Floats) -> float:
 
 
 @maker
-def noise_of(x: Floats) -> float:
+def noise_of(x: Floats, steps: Floats) -> float:
     """Standard deviation of white noise, from second differences; at least that of rounding."""
     bends = np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])
     if len(bends) == 0:
         return 0.0
-    return max(rules.TENTH_TO_STD * tenth(bends) / math.sqrt(6.0), rounding_of(x))
+    return max(rules.TENTH_TO_STD * tenth(bends) / math.sqrt(6.0), rounding_of(x, steps))
 
 
 @inner
@@ -131,25 +131,27 @@ def rounded_to(x: Floats) -> float:
 
 
 @inner
-def rounding_of(x: Floats) -> float:
-    """Standard deviation of the rounding error that a signal shows while it moves.
+def rounding_of(x: Floats, steps: Floats) -> float:
+    """Standard deviation of a signal's rounding error, as far as it shows while it moves.
 
-    That of a signal rounded to ``step`` bends it between its values, by less than two steps: white
-    noise of the variance step²/12 by step²/2 in the mean square. A command that goes on by equal
-    steps is bent at turns alone; its steps are its own.
+    White noise of the variance step²/12 bends a signal that moves by step²/2 in the mean square. A
+    command that goes on by equal steps is bent at turns alone; its steps are its own. Moves with a
+    rest between, which lasts ``rules.LONGEST_HELD`` s at least, may be those of a slow signal.
     """
-    step, square, many = rounded_to(x), 0.0, 0
+    step, square, many, since = rounded_to(x), 0.0, 0, math.inf
     if step == 0.0:
         return 0.0
-    before = last = math.inf  # the last move, and the value it led to
-    for i in range(len(x)):
-        if x[i] != last:
-            move = x[i] - last if last != math.inf else math.inf
-            if before != math.inf:
+    before = 0.0  # the last move, ``since`` s ago
+    for i in range(1, len(x)):
+        since += steps[i]
+        if x[i] != x[i - 1]:
+            move = x[i] - x[i - 1]
+            if since <= rules.LONGEST_HELD:
                 square += min(abs(move - before), step) ** 2
                 many += 1
-            before, last = move, x[i]
-    return math.sqrt(min(square / max(many, 1) / 6.0, step * step / 12.0))
+            before, since = move, 0.0
+    shown = square / many / 6.0 if many else math.inf
+    return math.sqrt(min(shown, step * step / 12.0))
 
 
 @inner

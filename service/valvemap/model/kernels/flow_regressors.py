@@ -23,10 +23,11 @@ def regressors(
     low, high, p = axis.breaks[0], axis.breaks[-1], 0.0
     places, at, then = np.empty((len(rows), 2)), 0, 0  # spool and root; dead times ago
     usual = between.usual_bend(rows[:, paths.LEFT_U])
-    of_dp = between.noise_of(rows[:, paths.LEFT_DP]) / (top * top)
+    steps = rows[:, paths.STEP]
+    of_dp = between.noise_of(rows[:, paths.LEFT_DP], steps) / (top * top)
     if given[paths.NOISE_U] == 0.0:  # where U is never calm, its noise is known by its bends
         U = rows[:, paths.LEFT_U]
-        of_U = max(min(of_U, between.noise_of(U)), between.rounding_of(U))
+        of_U = max(min(of_U, between.noise_of(U, steps)), between.rounding_of(U, steps))
     for i in range(len(rows)):
         step = rows[i, paths.STEP]
         fresh = i == 0 or step >= rules.GAP
