@@ -300,21 +300,30 @@ async def test_a_flood_of_refusals_is_told_in_part_and_costs_little(plant, liste
         wrong = ua.WriteValue(
             plant.demand.id, ua.AttributeIds.Value, None, ua.DataValue(ua.Variant(1.0))
         )
-        request = ua.WriteParameters([wrong] * 1_000)
-        began, spent = time.monotonic(), time.process_time()
-        await anybody.uaclient.write(request)
-        assert time.process_time() - spent < 1.0
+        request, began = ua.WriteParameters([wrong] * 1_000), time.monotonic()
+        refused, answered = [], []
+        for _ in range(3):
+            refused.append(await processor_time(anybody.uaclient.write(request)))
+            reading = [plant.demand.id] * 1_000, ua.AttributeIds.Value
+            answered.append(await processor_time(anybody.uaclient.read_attributes(*reading)))
+        assert min(refused) < 10.0 * min(answered)
         await asyncio.sleep(0.3)
         events = len(listening.of(Ids.AuditWriteUpdateEventType))
         covered = PER_SECOND * (5.0 + time.monotonic() - began) + 1
         assert events <= covered
-        assert plant.server.counters.lost_notifications - lost >= 1_000 - covered
+        assert plant.server.counters.lost_notifications - lost >= 3_000 - covered
         await asyncio.sleep(0.2)
         with pytest.raises(ua.UaStatusCodeError):
             await anybody.get_node(plant.demand.id).write_value(1.0)
     await listening.heard(
         Ids.AuditWriteUpdateEventType, lambda event: "left out" in event.Message.Text
     )
+
+
+async def processor_time(request):
+    spent = time.process_time()
+    await request
+    return time.process_time() - spent
 
 
 async def test_a_filter_of_audit_events_passes_those_derived_from_them(plant, sara):
