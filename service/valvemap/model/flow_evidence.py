@@ -187,7 +187,7 @@ def period(steps: Floats, x: Floats) -> float:
 def noise_where_calm(x: Floats) -> float:
     """Standard deviation of a signal's noise about straight lines, where it is calmest.
 
-    The steps of a signal that holds each value for some rows are no noise.
+    The steps of a signal whose values last several rows are no noise.
     """
     once = x[np.diff(x, prepend=math.nan) != 0.0]
     noise = min(_where_calm(x), _where_calm(once) if 2 * len(once) <= len(x) else math.inf)

@@ -135,8 +135,8 @@ def rounding_of(x: Floats, steps: Floats) -> float:
     """Standard deviation of a signal's rounding error, as far as it shows while it moves.
 
     White noise of the variance step²/12 bends a signal that moves by step²/2 in the mean square. A
-    command that goes on by equal steps is bent at turns alone; its steps are its own. Moves with a
-    rest between, which lasts ``rules.LONGEST_HELD`` s at least, may be those of a slow signal.
+    command that continues by equal steps is bent at turns alone; its steps are its own. Moves with
+    a rest between, which lasts ``rules.LONGEST_HELD`` s at least, may be those of a slow signal.
     """
     step, square, many, since = rounded_to(x), 0.0, 0, math.inf
     if step == 0.0:

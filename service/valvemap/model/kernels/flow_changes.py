@@ -1,4 +1,4 @@
-"""What a stay tells of drift, sudden changes and wear."""
+"""Drift, sudden changes and wear, learnt from a stay."""
 
 import math
 

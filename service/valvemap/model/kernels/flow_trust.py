@@ -1,4 +1,4 @@
-"""How far a sample can be trusted: what it shows nothing of, how loose its place is."""
+"""The weight of a sample: whether the meter shows flow, how uncertain its place is."""
 
 import math
 
