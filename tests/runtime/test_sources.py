@@ -128,6 +128,46 @@ async def test_each_source_teaches_its_valves_though_another_is_away(two, sink, 
     assert south.closed
 
 
+class Late(Scripted):
+    """Changes come while the connection ends, ``turns`` of the event loop after it began to."""
+
+    begins_to_end: asyncio.Event
+    turns: int
+
+    async def receive(self):
+        await self.begins_to_end.wait()
+        for _ in range(self.turns):
+            await asyncio.sleep(0)
+        return await super().receive()
+
+
+@pytest.mark.parametrize("turns", range(6))
+@pytest.mark.parametrize("lost", [False, True])
+async def test_what_is_received_while_a_connection_ends_is_taken(
+    turns, lost, plan, sink, store, clock
+):
+    source, stop = Late([as_changes(plant(100, seed=1))]), asyncio.Event()
+    source.begins_to_end, source.turns = asyncio.Event(), turns
+    alone = Identification([plan], Alignment(AlignmentSettings(), optional=(("T",),)))
+    sources = Sources([Part(None, source, (0,))])
+
+    class Consumer(LiveService):
+        async def tick(self, valves=None):
+            await super().tick(valves)
+            if not source.begins_to_end.is_set():
+                source.begins_to_end.set()
+                stop.set()
+                await asyncio.sleep(0)
+                if lost:
+                    raise SourceLost("while writing")
+
+    live = Consumer(alone, sources, sink, store, clock, LiveSettings())
+    await live.start()
+    await supervise_all(sources, live, clock, stop, QUICK)
+    handed_out = 100 * (not source.script)
+    assert alone.results.one(0).estimators["RLS"].sample_count == handed_out
+
+
 async def test_what_both_send_is_learnt_as_from_one(two, plan, sink, store, clock):
     north, south = Scripted([of_both(100)]), Scripted([as_changes(plant(100, seed=3))])
     sources = parts(north, south)

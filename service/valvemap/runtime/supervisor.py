@@ -107,7 +107,7 @@ async def supervise(
 
 
 async def _receive(source: Source, consumer: Consumer, stop: asyncio.Event, tick_s: float) -> None:
-    """Receive until ``stop``; a tick does not cancel a pending receive, so no change is lost."""
+    """Receive until ``stop``; changes that were received are taken, however this ends."""
     stopped = asyncio.ensure_future(stop.wait())
     receiving: asyncio.Future[DataChanges] | None = None
     try:
@@ -119,13 +119,19 @@ async def _receive(source: Source, consumer: Consumer, stop: asyncio.Event, tick
                 changes, receiving = receiving.result(), None
                 await consumer.take(changes)
             await consumer.tick()
-        if receiving is not None and receiving.done() and not receiving.exception():
-            await consumer.take(receiving.result())
     finally:
-        for task in (stopped, receiving):
-            if task is not None:
-                task.cancel()
-                await asyncio.gather(task, return_exceptions=True)
+        stopped.cancel()
+        received = None if receiving is None else await _ended(receiving)
+        if received is not None:
+            with suppress(SourceLost):
+                await consumer.take(received)
+
+
+async def _ended(receiving: asyncio.Future[DataChanges]) -> DataChanges | None:
+    """Cancel, and return what was received all the same."""
+    receiving.cancel()
+    (outcome,) = await asyncio.gather(receiving, return_exceptions=True)
+    return None if isinstance(outcome, BaseException) else outcome
 
 
 async def _wait(stop: asyncio.Event, pause_s: float, consumer: Consumer, tick_s: float) -> None:
