@@ -10,6 +10,7 @@ from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alarm_results import AlarmChange, AlarmReport
 from valvemap.pipeline.by_valve import ByValve
 from valvemap.pipeline.results import EstimatorResults, InverseResults, Results, SignalResults
+from valvemap.pipeline.store_ports import Piece
 from valvemap.runtime import past
 from valvemap.runtime.past import PastKeeper
 from valvemap.storage.history import HistoryFile
@@ -150,7 +151,7 @@ async def test_changes_of_alarms_are_kept_and_no_room_for_them_is_counted(keeper
     keeper.note_alarm(changes[0])
     assert not await keeper.settle()
     assert keeper.lost == 0
-    await keeper.end()
+    keeper.end()
     assert keeper.lost == 1
 
 
@@ -272,8 +273,31 @@ async def test_rows_beyond_the_buffer_are_counted_while_the_disk_refuses(
 async def test_rows_that_cannot_be_saved_at_the_end_are_counted(keeper, store):
     store.broken = True
     keeper.take(samples_of([0]))
-    await keeper.end()
+    assert not await keeper.settle()
+    keeper.end()
     assert (keeper.failures, keeper.lost) == (1, 3)
+
+
+async def test_rows_that_wait_are_saved_after_a_reload_under_their_names(keeper, store):
+    store.broken = True
+    keeper.take(samples_of([0, 2]))
+    keeper.note(results_of([1], t=11))
+    keeper.note_axis([Piece("Boom", np.array([5]), np.zeros(1, np.uint32), {"x": np.ones(1)})])
+    keeper.tick(0.0)  # it saves while the configuration is reloaded
+    await keeper.follow(("V3", "V9"))
+    keeper.take(samples_of([0, 1], start=20))
+    keeper.note_axis([Piece("Boom", np.array([6]), np.zeros(1, np.uint32), {"v": np.ones(1)})])
+    store.broken = False
+    assert await keeper.settle()
+    found = {}
+    for piece in store.pieces:
+        found.setdefault(piece.series, []).extend(piece.t.tolist())
+    first, second = [10, 11, 12], [20, 21, 22]
+    signals = [found[f"{name}.Signals"] for name in ("V1", "V3", "V9")]
+    assert signals == [first, first + second, second]
+    assert (found["V2.RLS"], found["Boom"]) == ([11], [5, 6])
+    keeper.end()
+    assert keeper.lost == 0
 
 
 async def test_what_damage_took_is_counted_with_the_rest_and_said(keeper, store, capsys):

@@ -51,7 +51,9 @@ class Axes:
         self.states = StateFile()
         self.learnt = []  # samples (k) of both lines, in their order
         self.of_A = []  # those of line A alone, by which the axis counts
-        self.live = self.client = None
+        self.live = self.client = self.sources = None
+        self.reloaded = None  # the sources that the next life takes over
+        self.handed_over = None  # the states, from the start of a process to its end
         self.delivers = False  # whether its source did, until an orderly stop
         self.installed, self.edits = InstalledAxis(), list(world.case.axis_edits)
         self.parts = [(0, self.installed)]  # how many were learnt before each configuration
@@ -78,27 +80,44 @@ class Axes:
         flags = (self.case.numbered,) * len(LINES)
         arrivals = Arrivals(["A", "B"], Alignment(alignment, (("T",),) * len(LINES), flags))
         clock = self.world.time
-        client = self.client = Client(self.server, clock, self._lines())
+        sources, self.reloaded = self.reloaded or self._sources(), None
+        (client,) = (part.source for part in sources.parts)
+        client.configure(self._lines())
+        self.client = client
         self.world.clients.append(client)
-        sources = Sources([Part(None, client, LINES)])
+        self.sources = sources
         self.live = LiveAxes(
             [self.installed.plan],
             arrivals,
             self,
             sources,
-            self.states,
+            self.handed_over,
             clock,
             reorder_s=settings.reorder_s,
             stale_after_s=settings.stale_after_s,
             checkpoint_interval_s=settings.checkpoint_interval_s,
             tap=self._learn,
         )
-        before, logged = self.states.load(), len(self.world.logs)
+        before, logged = self.handed_over.load(), len(self.world.logs)
         self.live.start()
         self._judge_edit(before, repr(self.world.logs[logged:]))
         self._note_line_A()
         self._judge_start(client)
         return sources, self.live
+
+    def _sources(self):
+        client = Client(self.server, self.world.time, self._lines())
+        return Sources([Part(None, client, LINES)])
+
+    def reload(self):
+        """Another configuration takes over the source."""
+        self.reloaded = self._sources()
+        self.reloaded.succeed(self.sources)
+
+    async def hand_over(self):
+        """The configuration has ended: the next one has all states."""
+        states = self.live.keeper.states()
+        self.handed_over.hand_over(states, saved=await self.live.finish())
 
     def edit(self):
         """Edit the configuration as drawn, between two lives."""
@@ -130,7 +149,8 @@ class Axes:
             return
         if found is not None:
             world.violated("axis: it learns on under another meaning")
-        kept = [one.state for one in (*self.states.load(), *self._aside())]
+        kept = (*self.states.load(), *self._aside(), *self.handed_over.waiting)
+        kept = [one.state for one in kept]
         if any(one.state not in kept for one in maps):
             world.violated("axis: its former state is not kept")
         if any(f"{one.valve}.{LEARNT}" not in said for one in maps):

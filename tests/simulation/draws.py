@@ -23,6 +23,7 @@ REAL_FILES: Final = 0.1  # share of the seeds
 AXES: Final = 0.4  # share of the seeds with one source
 PORTS: Final = 0.15
 METERS: Final = 0.1
+RELOADS: Final = 0.2
 LED: Final = 0.05  # their ticks are ten times as many
 
 
@@ -80,6 +81,7 @@ def draw(seed):
         case = _with_meter(rng, case)
     elif is_plain and rng.random() < LED:
         case = _with_leads(rng, case)
+    case = _with_reloads(random.Random(f"{seed} reloads"), case)
     rng = random.Random(f"{seed} edits of the axis")
     return replace(
         case,
@@ -89,6 +91,23 @@ def draw(seed):
             if case.axis is not None
         ),
     )
+
+
+def _with_reloads(rng, case):
+    """The configuration is reloaded, too, edited like behind other ends."""
+    if rng.random() >= RELOADS:
+        return case
+    times = spread(rng, SIMULATED_S - CALM_S, (1, 1, 2), lambda: ("reload", 0.0))
+    is_edited = not (case.ports or case.meter or case.led)
+    edits = [_edits(rng, case.valves) if is_edited else () for _ in times]
+    given = case.edits or [()] * len(case.ends)
+    both = sorted([*zip(case.ends, given, strict=True), *zip(times, edits, strict=True)])
+    return replace(case, ends=tuple(end for end, _ in both), edits=tuple(own for _, own in both))
+
+
+def _edits(rng, valves):
+    n = rng.choice((0, 1, 1, 2))
+    return tuple((rng.choice(EDITS), rng.randrange(valves)) for _ in range(n))
 
 
 def draw_axes(seed):

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from unittest import mock
 
 from guarded_opcua.history.historian import Span
+from simulation.reload_faults import RELOAD_FAULTS
 from simulation.stores import StateFile
 from valvemap.errors import StorageError
 from valvemap.pipeline import feedforward
@@ -299,4 +300,5 @@ FAULTS = (
     a_disarmed_valve_that_is_led,
     a_lost_source_that_is_not_asked_again,
     a_clock_set_back_that_ends_the_learning,
+    *RELOAD_FAULTS,
 )

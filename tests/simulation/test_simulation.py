@@ -24,11 +24,21 @@ MORE_SEEDS = sorted({*range(500)} - {*SEEDS})
 MOST_SEEDS = 1_000  # in which a planted fault is found
 WHERE = (
     *(0, 0, 919, 10, 73, 110, 18, 11, 0, 12, 4, 1, 11, 1, 0, 1),
-    *(15, 49, 452, 29, 2, 10, 55, 326, 1, 1),
+    *(15, 49, 452, 29, 2, 10, 55, 326, 1, 1, 133, 332),
 )
 FIRST = dict(zip(FAULTS, WHERE, strict=True))
 HAPPENING = (
-    *("kill", "power", "stop", "lost", "axis lost", "calls", "rivals refused", "rows read"),
+    *(
+        "kill",
+        "power",
+        "stop",
+        "reload",
+        "lost",
+        "axis lost",
+        "calls",
+        "rivals refused",
+        "rows read",
+    ),
     *("led by a client", "commands"),
 )
 

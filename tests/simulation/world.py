@@ -6,6 +6,7 @@ import random
 import re
 import tempfile
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
@@ -28,10 +29,11 @@ from simulation.source_client import Client
 from simulation.stores import PastFile, RealPastFile, StateFile
 from simulation.virtual_loop import DeadlockError, VirtualTime, process
 from support.plant import START
-from valvemap.errors import SourceLost
+from valvemap.errors import SourceLost, StorageError
 from valvemap.model.samples import Samples
 from valvemap.runtime import learning_pace
 from valvemap.runtime import past as past_module
+from valvemap.runtime.handed_over import HandedOver
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.past import PastKeeper
@@ -43,6 +45,9 @@ from valvemap.storage.state_lock import FileLock
 
 _MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 - a disk that costs no time
 _FOLDER = tempfile.TemporaryDirectory(prefix="simulation", dir=_MEMORY)  # lock file and histories
+_SHARP = 0.5  # share of the reloads that come with a message
+_LONGEST_S = 6.0
+_TURNS = 6  # of the event loop, behind it
 _SEALED_ROWS = 24  # of a block of the history: several in a simulated minute
 
 
@@ -119,6 +124,9 @@ class World:
         self.delivering = set()  # valves whose source delivered until an orderly stop
         self.all_taken = []  # servers of which the stop refused no part of a batch
         self.all_saved = False  # whether the last life ended so
+        self.reloaded = None  # the sources that the next life takes over
+        self.handed_over = None  # the states, from the start of a process to its end
+        self.keeper = None  # of the history, from the start of a process to its end
 
     def _numbers(self, valve):
         t = self.server_of[valve].t.tolist()
@@ -164,35 +172,52 @@ class World:
         return (self.rng.uniform(0.0, slow), self.rng.uniform(0.0, slow)) if slow else (0.0, 0.0)
 
     def _live(self, until, kind):
-        clients = self.clients = [Client(s, self.time, self.plant) for s in self.servers]
+        reloaded, self.reloaded = self.reloaded, None
+        sources = reloaded or self._sources()
+        clients = self.clients = [part.source for part in sources.parts]
+        for client in clients:
+            client.configure(self.plant)
         if self.leading is not None:
             self.leading.begin()
             for client in clients:
                 client.leading = self.leading
         self.disturbed = max(self.disturbed, self.time.elapsed)
         self.meanings |= {one.meaning.to_text(): one for one in self.plant}
-        parts = [
-            Part(str(n) if len(clients) > 1 else None, client, client.server.case.valves)
-            for n, client in enumerate(clients)
-        ]
-        self.past.start()
-        self.published, self.stored = Counter(), self.past.rows.copy()
-        if self.rows is not None:
-            self.rows.begin()
+        if reloaded is None:
+            self._begin_process()
         lock = FileLock(self.lock_path)
         with process(self.time, self._thread_takes) as loop:
             loop.set_exception_handler(self._forgotten)
-            loop.run_until_complete(self._process(Sources(parts), until, kind))
+            loop.run_until_complete(self._process(sources, until, kind))
             for client in self.clients:
                 client.alive = False  # a killed process says no good-bye
             lock.close()  # as the kernel does
             self._refuse(refuses=True)  # a dead process writes nothing
-            self.past.die()
+            if kind != "reload":
+                self.past.die()
         self._refuse(refuses=False)
         self.note(kind)
         if kind == "power":
             for one in self._state_files():
                 one.lose_power()
+
+    def _sources(self):
+        clients = [Client(server, self.time, self.plant) for server in self.servers]
+        return Sources(
+            [
+                Part(str(n) if len(clients) > 1 else None, client, client.server.case.valves)
+                for n, client in enumerate(clients)
+            ]
+        )
+
+    def _begin_process(self):
+        self.past.start()
+        self.keeper, self.handed_over = PastKeeper(self.past), HandedOver(self.states)
+        if self.axes is not None:
+            self.axes.handed_over = HandedOver(self.axes.states)
+        self.published, self.stored = Counter(), self.past.rows.copy()
+        if self.rows is not None:
+            self.rows.begin()
 
     def _state_files(self):
         return [self.states] if self.axes is None else [self.states, self.axes.states]
@@ -214,19 +239,20 @@ class World:
         )
         identification = self.fresh()
         self.numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
-        keeper = PastKeeper(self.past, [plan.name for plan in identification.plans])
+        keeper = self.keeper
+        await keeper.follow([plan.name for plan in identification.plans])
         shown = Shown(self)
         live = LiveService(
             identification,
             sources,
             shown,
-            self.states,
+            self.handed_over,
             clock,
             settings,
             self._learn,
             keeper,
         )
-        before, logged = self.states.load(), len(self.logs)
+        before, logged = self.handed_over.load(), len(self.logs)
         await live.start()
         said = repr(self.logs[logged:])
         judge.of_start(self, identification, [p.source for p in sources.parts], before, said)
@@ -245,6 +271,8 @@ class World:
         if kind == "kill" and len(sources.parts) > 1 and case.sink_s:
             await taking.wait()
         at_work.cancel()
+        if kind == "reload":
+            await self._reload(live, sources, stop, supervising)
         if kind != "stop":
             return
         judge.of_calm(self, [p.source for p in sources.parts])
@@ -271,6 +299,28 @@ class World:
             c.server for c, mark in zip(clients, marks, strict=True) if c.mark == mark
         ]
         judge.of_counts(self, identification)
+
+    async def _reload(self, live, sources, stop, supervising):
+        """Hand over to another configuration, sometimes in the moment in which a message comes."""
+        if self.rng.random() < _SHARP:
+            await asyncio.sleep(min(self.rng.choice(sources.parts).source.due_s, _LONGEST_S))
+            for _ in range(self.rng.randrange(_TURNS)):
+                await asyncio.sleep(0.0)
+        following = self._sources()
+        following.succeed(sources)
+        if self.axes is not None:
+            self.axes.reload()
+        stop.set()
+        await supervising
+        if self.axes is not None:
+            await self.axes.hand_over()
+        states, saved = live.keeper.states(), False
+        with suppress(StorageError):
+            saved = await live.keep()
+        self.handed_over.hand_over(states, saved=saved)
+        self.all_saved, self.delivering = True, set()
+        judge.of_counts(self, live.identification)
+        self.reloaded = following
 
     def _learn(self, name, samples: Samples):
         valve = self.numbers[name]

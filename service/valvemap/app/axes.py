@@ -23,11 +23,11 @@ from valvemap.pipeline.axis_ports import AxisOperator, AxisResults
 from valvemap.pipeline.axis_states import AxisStates
 from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.source_ports import AllSources
-from valvemap.pipeline.store_ports import KeptElsewhere, Piece
+from valvemap.pipeline.store_ports import CheckpointStore, KeptElsewhere, Piece
 from valvemap.runtime.axes import AxisTap, LiveAxes
+from valvemap.runtime.handed_over import HandedOver
 from valvemap.runtime.sources import Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
-from valvemap.storage.checkpoints import CheckpointFile
 
 log = structlog.get_logger(__name__)
 
@@ -49,14 +49,16 @@ async def run_axes(
     stop: asyncio.Event,
     sources: Sources,
     supervision: SupervisorSettings,
+    open_store: Callable[[], HandedOver],
     note_states: Callable[[KeptElsewhere], None],
     tap: AxisTap | None = None,
     keep: Callable[[Sequence[Piece]], None] | None = None,
 ) -> None:
     """Identify the axes of a configuration until ``stop`` is set; without axes, show none.
 
-    ``sources`` are their servers; ``note_states`` gets the keeper of the states,
-    ``tap`` the samples, ``keep`` rows for the history.
+    ``sources`` are their servers; ``open_store`` opens the store of their states, once for all
+    configurations; ``note_states`` gets the keeper of the states, ``tap`` the samples, ``keep``
+    rows for the history.
 
     Raises
     ------
@@ -66,24 +68,22 @@ async def run_axes(
     if not config.axes:
         await server.follow_axes([], None)
         return
-    with CheckpointFile(axes_file(config)) as store:
-        live = build_live_axes(config, server, sources, store, clock, tap, keep)
-        await server.follow_axes(live.names, live)
-        live.start()
-        note_states(live.keeper)
-        try:
-            await supervise_all(sources, live, clock, stop, supervision)
-        finally:
-            await live.finish()
-            if store.renewed:
-                log.warning("state file was lost while in use", file=str(store.path))
+    store = open_store()
+    live = build_live_axes(config, server, sources, store, clock, tap, keep)
+    await server.follow_axes(live.names, live)
+    live.start()
+    note_states(live.keeper)
+    try:
+        await supervise_all(sources, live, clock, stop, supervision)
+    finally:
+        store.hand_over(live.keeper.states(), saved=await live.finish())
 
 
 def build_live_axes(
     config: Config,
     server: AxisServer,
     source: AllSources,
-    store: CheckpointFile,
+    store: CheckpointStore,
     clock: Clock,
     tap: AxisTap | None = None,
     keep: Callable[[Sequence[Piece]], None] | None = None,

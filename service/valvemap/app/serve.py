@@ -3,13 +3,14 @@
 import asyncio
 from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import structlog
 
 from guarded_opcua import HardenedError, ServerSettings
-from valvemap.app.axes import run_axes
+from valvemap.app.axes import axes_file, run_axes
 from valvemap.app.commissions import Commissions
 from valvemap.app.connections import (
     build_history,
@@ -36,9 +37,9 @@ from valvemap.model.kernels import interpreted
 from valvemap.model.kernels.warmed_up import was_warmed_up
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
-from valvemap.pipeline.store_ports import Checkpoint
 from valvemap.runtime.axes import AxisTap
 from valvemap.runtime.dynamics import LiveDynamics
+from valvemap.runtime.handed_over import HandedOver
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.sources import supervise_all
@@ -94,32 +95,34 @@ async def serve(
     identification = identification or first_identification(config)
     plan: Plan | None = make_plan(config, server_settings, identification)
     before: Plan | None = None
-    known: list[Checkpoint] = []
     shown = Shown(reload)
     async with AsyncExitStack() as opened:
         opened.callback(interpreted.end)
-        store = opened.enter_context(CheckpointFile(config.state.file))
-        past = build_history(config)
+        file = opened.enter_context(CheckpointFile(config.state.file))
+        opened.callback(_name_lost_file, file)
+        stores = _Stores(HandedOver(file), cache(lambda: _open_states_of_axes(config, opened)))
+        past, keeper = build_history(config), None
         if past is not None:
             opened.enter_context(past)
+            keeper = PastKeeper(past)
+            opened.callback(keeper.end)
             for note in past.take_notes():
                 log.warning("history damaged", reason=note, lost=past.lost)
             log.info("history kept", size=span_in_words(config, past.bytes_per_s))
-        if store.set_aside is not None:
-            log.warning("damaged or old state file set aside", file=str(store.set_aside))
-        opened.callback(_name_lost_file, store)
+        if file.set_aside is not None:
+            log.warning("damaged or old state file set aside", file=str(file.set_aside))
         opened.push_async_callback(shown.end)
         await opened.enter_async_context(giving_back())
         while plan is not None:
             try:
-                following, states = await _live(
+                following = await _live(
                     plan,
-                    store,
+                    stores,
                     past,
+                    keeper,
                     stop,
                     on_samples,
                     reload,
-                    known,
                     shown,
                     manager,
                     on_axis_samples,
@@ -134,29 +137,44 @@ async def serve(
                 await plan.source.close()
                 plan, before = back, None
             else:
-                plan, before, known = following, plan, states
+                plan, before = following, plan
 
 
-def _name_lost_file(store: CheckpointFile) -> None:
-    if store.renewed:
-        log.warning("state file was lost while in use", file=str(store.path), times=store.renewed)
+@dataclass(frozen=True)
+class _Stores:
+    """The stores of states; that of the axes is opened with the first of them."""
+
+    of_valves: HandedOver
+    of_axes: Callable[[], HandedOver]
+
+
+def _open_states_of_axes(config: Config, opened: AsyncExitStack) -> HandedOver:
+    file = opened.enter_context(CheckpointFile(axes_file(config)))
+    opened.callback(_name_lost_file, file)
+    return HandedOver(file)
+
+
+def _name_lost_file(file: CheckpointFile) -> None:
+    if file.renewed:
+        log.warning("state file was lost while in use", file=str(file.path), times=file.renewed)
 
 
 async def _live(
     plan: Plan,
-    store: CheckpointFile,
+    stores: _Stores,
     past: HistoryFile | None,
+    keeper: PastKeeper | None,
     stop: asyncio.Event,
     on_samples: SampleTap | None,
     reload: Reload,
-    known: list[Checkpoint],
     shown: Shown,
     manager: ServiceManager,
     on_axis_samples: AxisTap | None,
-) -> tuple[Plan | None, list[Checkpoint]]:
-    """Run one configuration to its end; return the next plan (None: stop) and all states."""
+) -> Plan | None:
+    """Run one configuration to its end; return the next plan, or None to stop."""
     config, clock = plan.config, SystemClock()
-    keeper = None if past is None else PastKeeper(past, [valve.name for valve in config.valves])
+    if keeper is not None:
+        await keeper.follow([valve.name for valve in config.valves])
     server = await shown.server(plan, past, None if keeper is None else keeper.note_alarm)
     share, window_s = config.dynamics.share, config.dynamics.window_s
     dynamics = LiveDynamics(plan.identification, clock, share, window_s) if share else None
@@ -164,7 +182,7 @@ async def _live(
         plan.identification,
         plan.source,
         server,
-        store,
+        stores.of_valves,
         clock,
         build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
         on_samples,
@@ -174,7 +192,7 @@ async def _live(
     commissions = Commissions(config, plan.identification, server, clock)
     await server.commissions.follow(commissions.valves, commissions)
     ended = asyncio.Event()
-    await live.start(known)
+    await live.start()
     server.show_demands(plan.identification.answers.demands())
     log.info("results served", url=server.url)
     completing = asyncio.create_task(_complete(plan, live, ended))
@@ -198,6 +216,7 @@ async def _live(
                 ended,
                 plan.axis_source,
                 supervision,
+                stores.of_axes,
                 live.note_states_elsewhere,
                 on_axis_samples,
                 None if keeper is None else keeper.note_axis,
@@ -221,13 +240,18 @@ async def _live(
     if not completing.cancelled():
         await completing  # raises if the kernels could not be compiled
     if not goes_on:
-        return None, []
-    states = live.identification.states.kept()
+        return None
+    await _hand_over(live, stores.of_valves)
+    return following.result()
+
+
+async def _hand_over(live: LiveService, store: HandedOver) -> None:
+    states, saved = live.keeper.states(), False
     try:
-        await live.keep()
+        saved = await live.keep()
     except StorageError as error:
-        log.warning("checkpoint not saved", reason=str(error))
-    return following.result(), states
+        log.warning("checkpoint not saved, its states are handed over", reason=str(error))
+    store.hand_over(states, saved=saved)
 
 
 async def _together(ended: asyncio.Event, *lives: Coroutine[Any, Any, None]) -> None:

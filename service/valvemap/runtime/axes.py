@@ -168,14 +168,15 @@ class LiveAxes:
         self._heard.connected[rows] = False
         await self._writer.write(rows)
 
-    async def finish(self) -> None:
-        """Save all states; a job under way is left."""
+    async def finish(self) -> bool:
+        """Save all states; a job under way is left. Returns whether they are saved."""
         await self._work.cancel()
         log_missing(self._arrivals.left_out())
         try:
-            await self.keeper.keep()
+            return await self.keeper.keep()
         except StorageError as error:
             log.warning("checkpoint of axes not saved", reason=str(error))
+            return False
 
     def set_reference(self, axis: str) -> None:
         """Reset an axis: findings are relative to its state from now on."""

@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import structlog
@@ -18,7 +18,7 @@ from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
 from valvemap.pipeline.result_ports import COMPLETE, ResultSink
 from valvemap.pipeline.source_ports import AllSources
-from valvemap.pipeline.store_ports import Checkpoint, CheckpointStore, KeptElsewhere
+from valvemap.pipeline.store_ports import CheckpointStore, KeptElsewhere
 from valvemap.runtime.doubted_valves import DoubtedValves
 from valvemap.runtime.dynamics import LiveDynamics
 from valvemap.runtime.failure_log import log_failure
@@ -124,12 +124,9 @@ class LiveService:
         self._is_whole.set()
         self._publisher.note_new(range(len(self._lost)))
 
-    async def start(self, known: Sequence[Checkpoint] = ()) -> None:
-        """Restore the checkpoints and publish all sensors as lost until samples arrive.
-
-        ``known``, if not empty, replaces the stored checkpoints.
-        """
-        stored = known or self._store.load(self._states.together)
+    async def start(self) -> None:
+        """Restore the checkpoints and publish all sensors as lost until samples arrive."""
+        stored = self._store.load(self._states.together)
         kept, lost_place = resume_source(self._source, stored)
         refused = {**restore(self._states, self._store, kept), **lost_place}
         self.identification.was_away()
@@ -294,7 +291,7 @@ class LiveService:
         """Save all states, or as many as the time limit permits; see `StateKeeper.keep`."""
         end = self._clock.monotonic() + within_s
         if self._past is not None:
-            await self._past.end()
+            await self._past.settle()
         return await self.keeper.keep(end)
 
 

@@ -34,14 +34,14 @@ class PastKeeper:
     """Buffers rows and saves them in a thread: identification waits for neither disk nor lock.
 
     A kill loses the rows since the last save: one second for up to 100 valves. If a save fails, as
-    on a full disk, its rows wait in the buffer for the next one.
+    on a full disk, its rows wait in the buffer for the next one, also over a reload.
 
     Parameters
     ----------
     store
         The history.
     valves
-        Names.
+        Names, until `follow`.
 
     Attributes
     ----------
@@ -51,13 +51,13 @@ class PastKeeper:
         Saves that failed.
     """
 
-    def __init__(self, store: PastStore, valves: Sequence[str]) -> None:
+    def __init__(self, store: PastStore, valves: Sequence[str] = ()) -> None:
         self._store = store
         self._valves = tuple(valves)
         self._samples: list[ByValve] = []
         self._results: list[PartResults] = []
         self._changes: list[AlarmChange] = []
-        self._of_axes: list[Piece] = []
+        self._named: list[Piece] = []  # of axes, and of valves before the last reload
         self._rows = 0
         self._due = self._forget_due = 0.0
         self._keeping: asyncio.Task[None] | None = None
@@ -66,6 +66,18 @@ class PastKeeper:
         self._failing_since = math.nan  # monotonic s, as of `tick`
         self._now = 0.0
         self._lost_before = store.lost
+
+    async def follow(self, valves: Sequence[str]) -> None:
+        """Buffer rows of these valves from now on; those that wait keep the names they came under.
+
+        Call it between the last `take` or `note` of the former valves and the first of these.
+        """
+        if self._keeping is not None:
+            await self._keeping
+        self._named = list(self._pieces(self._samples, self._results, self._named, self._failed))
+        self._samples, self._results = [], []
+        self._rows = sum(len(piece.t) for piece in self._named) + len(self._changes)
+        self._valves = tuple(valves)
 
     def take_failed(self) -> list[tuple[int, Exception]]:
         """Return the valves whose rows raised an error in saving since the last call."""
@@ -87,7 +99,7 @@ class PastKeeper:
     def note_axis(self, pieces: Sequence[Piece]) -> None:
         """Buffer rows of an axis."""
         if self._has_room(sum(len(piece.t) for piece in pieces)):
-            self._of_axes += pieces
+            self._named += pieces
 
     def note_alarm(self, change: AlarmChange) -> None:
         """Buffer a change of an alarm."""
@@ -120,13 +132,13 @@ class PastKeeper:
         await self._keep()
         return self._rows == 0
 
-    async def end(self) -> None:
-        """Save the whole buffer; rows that cannot be saved are lost."""
-        if not await self.settle():
+    def end(self) -> None:
+        """Count the rows that wait as lost: nobody saves them any more."""
+        if self._rows:
             log.error("history rows lost at the end", rows=self._rows)
-            self.lost += self._rows
-            self._samples, self._results, self._changes, self._rows = [], [], [], 0
-            self._of_axes = []
+        self.lost += self._rows
+        self._samples, self._results, self._named, self._changes = [], [], [], []
+        self._rows = 0
 
     @property
     def counters(self) -> PastCounters:
@@ -142,19 +154,16 @@ class PastKeeper:
 
     async def _keep(self, *, forget: bool = False) -> None:
         samples, results, rows = self._samples, self._results, self._rows
-        changes, of_axes = self._changes, self._of_axes
-        self._samples, self._results, self._changes, self._of_axes = [], [], [], []
+        changes, named = self._changes, self._named
+        self._samples, self._results, self._changes, self._named = [], [], [], []
 
         failed: dict[str, Exception] = {}
 
         def pieces() -> Iterator[Piece]:
-            of_samples = rows_of_samples(self._valves, samples, failed)
-            return chain(
-                of_samples, rows_of_results(self._valves, results, failed), joined(of_axes)
-            )
+            return self._pieces(samples, results, named, failed)
 
         def keep() -> None:
-            if samples or results or of_axes:
+            if samples or results or named:
                 self._save(pieces, failed)  # piece by piece: all at once would be tens of megabytes
             if changes:
                 self._store.note(changes)
@@ -170,7 +179,7 @@ class PastKeeper:
             if math.isnan(self._failing_since):
                 self._failing_since = self._now
             self._samples, self._results = samples + self._samples, results + self._results
-            self._changes, self._of_axes = changes + self._changes, of_axes + self._of_axes
+            self._changes, self._named = changes + self._changes, named + self._named
             log.warning(
                 "history not saved, its rows are buffered",
                 reason=str(error),
@@ -180,6 +189,19 @@ class PastKeeper:
         for note in self._store.take_notes():
             log.warning("history damaged", reason=note, lost=self._store.lost)
         self._failed = failed | self._failed
+
+    def _pieces(
+        self,
+        samples: Sequence[ByValve],
+        results: Sequence[PartResults],
+        named: Sequence[Piece],
+        failed: dict[str, Exception],
+    ) -> Iterator[Piece]:
+        return chain(
+            joined(named),
+            rows_of_samples(self._valves, samples, failed),
+            rows_of_results(self._valves, results, failed),
+        )
 
     def _save(self, pieces: Callable[[], Iterator[Piece]], failed: dict[str, Exception]) -> None:
         """Save all pieces together; if one raises, save each alone and skip those that fail."""

@@ -64,14 +64,12 @@ def pieces_of(axis: str, results: AxisResults, *, with_map: bool) -> list[Piece]
 
 
 def joined(pieces: Sequence[Piece]) -> Iterator[Piece]:
-    """Yield one piece for each series, of pieces with the same columns."""
-    by_series: dict[str, list[Piece]] = {}
+    """Yield one piece for each series and its columns, which another configuration may change."""
+    alike: dict[tuple[str, ...], list[Piece]] = {}
     for piece in pieces:
-        by_series.setdefault(piece.series, []).append(piece)
-    for series, own in by_series.items():
-        columns = {
-            name: np.concatenate([one.columns[name] for one in own]) for name in own[0].columns
-        }
+        alike.setdefault((piece.series, *piece.columns), []).append(piece)
+    for (series, *names), own in alike.items():
+        columns = {name: np.concatenate([one.columns[name] for one in own]) for name in names}
         codes = np.concatenate([one.codes for one in own])
         yield Piece(series, np.concatenate([one.t for one in own]), codes, columns)
 

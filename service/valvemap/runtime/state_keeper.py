@@ -99,6 +99,10 @@ class StateKeeper:
         if self._keeping is not None:
             await self._keeping
 
+    def states(self) -> list[Checkpoint]:
+        """Return all states, packed now."""
+        return self._states_of([number for unit in self._units for number in unit])
+
     async def keep(self, until: float = math.inf) -> bool:
         """Save all states, oldest save first, as far as the time ``until`` permits.
 
