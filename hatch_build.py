@@ -26,13 +26,6 @@ kinds = {{kind: ahead.place(kind) for kind in ahead.KINDS}}
 tag = f"cp{{sys.version_info[0]}}{{sys.version_info[1]}}"
 print(json.dumps([is_tested(), ahead.INTO, tag, kinds]))
 """
-TRUTH = f"""
-from {PACKAGE}.cli.rig_kernels import keep_rig_kernels
-from valvemap_rig.scenario import load_scenario
-from valvemap_rig.verification import verification_points
-keep_rig_kernels()
-verification_points(load_scenario("demo"), "Valvistor")
-"""
 PACK = f"""
 import sys
 from pathlib import Path
@@ -74,10 +67,6 @@ class KernelsAhead(BuildHookInterface):  # type: ignore[type-arg]
             }
             self.app.display_info(f"compiling for {kind} ...")
             self._run([python, "-m", PACKAGE, "warm-up"], environment)
-            drawn = str(folder.parent / f"drawn-{kind}.csv")
-            rig = ["rig", "--offline", "--duration", "1", "--record", drawn]
-            self._run([python, "-m", PACKAGE, *rig], environment)
-            self._run([python, "-c", TRUTH], environment)
             self._run([python, "-c", PACK, str(folder)], environment)
             build_data["force_include"][str(folder)] = f"{HOME}/{place}"
         build_data["pure_python"] = False

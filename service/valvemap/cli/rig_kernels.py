@@ -5,9 +5,21 @@ The rig itself does not depend on the service.
 
 from valvemap.model.kernels.compiled import keep_kernels
 from valvemap_rig import dynamics, kernels, machine_kernels
+from valvemap_rig.scenario import load_scenario
+from valvemap_rig.simulation import advance, initial
+from valvemap_rig.verification import verification_points
 
 
 def keep_rig_kernels() -> None:
     """Give the rig's loops the service's cache."""
     for module in (dynamics, kernels, machine_kernels):
         keep_kernels(module)
+
+
+def compile_rig_kernels() -> None:
+    """Compile all loops of the rig, or load them: valves, machines, the true map."""
+    keep_rig_kernels()
+    for name in ("demo", "directional"):
+        scenario = load_scenario(name)
+        advance(scenario, initial(scenario, 0), 1)
+    verification_points(load_scenario("demo"))

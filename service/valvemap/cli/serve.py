@@ -129,6 +129,8 @@ def check_config(
 def warm_up(config: ConfigOption = None) -> None:
     """Compile the estimators ahead (for images)."""
     from valvemap.app.warm_up import warm_up as run
+    from valvemap.cli.rig_kernels import compile_rig_kernels
 
     with working("compiling: a minute at first") as say:
         run(load_config(config), lambda done, of: say(f"compiling: {done} of {of} parts are done"))
+        compile_rig_kernels()
