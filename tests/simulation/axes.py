@@ -38,6 +38,11 @@ def _no_job(_axis):
 NO_JOB = mock.patch.object(AxisLearner, "job", new=_no_job)
 
 
+def _terms(installed):
+    """What a map is valid under: neither name nor memory."""
+    return installed.plan.meaning.to_text(), Axis(installed.plan).key
+
+
 class Axes:
     """The axis of one world: its server and its states survive a process."""
 
@@ -57,7 +62,7 @@ class Axes:
         self.delivers = False  # whether its source did, until an orderly stop
         self.installed, self.edits = InstalledAxis(), list(world.case.axis_edits)
         self.parts = [(0, self.installed)]  # how many were learnt before each configuration
-        self.given_up = {}  # by configuration: its states, and what was learnt under it
+        self.given_up = {}  # by what it was valid under: its states, and what was learnt of it
         first = first_state(self.installed.plan, self.case.period_s)
         (one,) = checkpoints_of(Axis(self.installed.plan), 0, {LEARNT: first})
         self.states.committed = self.states.durable = {(one.valve, one.estimator): one}
@@ -139,7 +144,7 @@ class Axes:
         if valid := [one for one in maps if self._is_valid(one)]:
             if found not in [one.state for one in valid]:
                 world.violated("axis: it has forgotten what it had learnt")
-            states, learnt = self.given_up.get(self.installed, ((), None))
+            states, learnt = self.given_up.get(_terms(self.installed), ((), None))
             if self.installed != self.parts[-1][1]:
                 own = self._counters()["aligned"] - len(axis._unmet[0].t)
                 if found in states:  # what replaced it was lost with the power
@@ -157,14 +162,13 @@ class Axes:
             world.violated("axis: no word of its former state")
         self.server.excuse((line, k) for k in range(self.server.taken) for line in LINES)
         was = [one.state for one in maps], (self.learnt, self.of_A, self.parts)
-        self.given_up[self.parts[-1][1]] = was
+        self.given_up[_terms(self.parts[-1][1])] = was
         self.learnt, self.of_A, self.parts = [], [], [(0, self.installed)]
         axis.resume(LEARNT, first_state(self.installed.plan, self.case.period_s))
 
     def _is_valid(self, row):
         """Whether a stored map was learnt from the signals that are configured now."""
-        plan = self.installed.plan
-        return (row.meaning, row.key) == (plan.meaning.to_text(), Axis(plan).key)
+        return (row.meaning, row.key) == _terms(self.installed)
 
     def _aside(self):
         return [one for one, _ in self.states.aside]

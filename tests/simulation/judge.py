@@ -82,7 +82,9 @@ def _of_edit(world, identification, valve, before, said):
     lane = identification._parts.valves.lane(now.name, now.estimator)
     then = None if newest is None else world.meanings[newest.meaning]
     if then is None or not now.keeps_map_of(then):
-        world.began[valve], world.converted[valve] = len(learnt), False
+        world.began[valve] = len(learnt)
+        is_other_unit = then is not None and then.flow != now.flow
+        world.converted[valve] = is_other_unit and bool(waiting(world, identification, valve))
         world.commands[valve] = []
         if lane.count:
             world.violated(f"V{valve} learns on under another meaning")

@@ -46,6 +46,7 @@ class StateFile:
         put = {
             new: replace(self.committed[old], valve=new[0], estimator=new[1])
             for old, new in moved.items()
+            if old in self.committed
         }
         kept = {name: one for name, one in self.committed.items() if name not in gone}
         self.committed, self.aside = kept | put, [*self.aside, *aside]

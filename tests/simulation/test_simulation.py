@@ -110,11 +110,20 @@ def test_no_seed_with_feed_forward_that_found_a_defect_does_so_again(seed):
     assert simulate(seed).violations == []
 
 
+# 9811507: what an axis had learnt was lost in a reload on a full disk.
+# 9812424: so was the newest state of a valve whose name and nodes had changed.
+@pytest.mark.parametrize("seed", [9_811_507, 9_812_424])
+def test_no_seed_with_reloads_that_found_a_defect_does_so_again(seed):
+    assert simulate(seed).violations == []
+
+
 # 9501376: valves behind a meter learnt nothing, and the simulator failed to repeat that.
 # 9601413: the first samples behind a meter did not meet: those lost between them are counted, too.
 # 9602288: the power failed before the first save under an edit, which was undone.
 # 9602994: a subscription lapsed between the last look and the end.
-@pytest.mark.parametrize("seed", [9_501_376, 9_601_413, 9_602_288, 9_602_994])
+# 9840019: an axis was found again under another name, whose edit was lost with the power.
+# 9840923: samples that waited over a reload were converted to another unit.
+@pytest.mark.parametrize("seed", [9_501_376, 9_601_413, 9_602_288, 9_602_994, 9_840_019, 9_840_923])
 def test_a_seed_in_which_the_simulator_was_wrong_is_judged(seed):
     assert simulate(seed).violations == []
 

@@ -6,7 +6,7 @@ import random
 import re
 import tempfile
 from collections import Counter
-from contextlib import suppress
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
@@ -24,12 +24,13 @@ from simulation.meeting import give_one_flow
 from simulation.overtaken import Overtaken
 from simulation.plant_server import Server
 from simulation.ports import give_signals
+from simulation.reloads import hand_over
 from simulation.shown import Shown
 from simulation.source_client import Client
 from simulation.stores import PastFile, RealPastFile, StateFile
 from simulation.virtual_loop import DeadlockError, VirtualTime, process
 from support.plant import START
-from valvemap.errors import SourceLost, StorageError
+from valvemap.errors import SourceLost
 from valvemap.model.samples import Samples
 from valvemap.runtime import learning_pace
 from valvemap.runtime import past as past_module
@@ -45,9 +46,6 @@ from valvemap.storage.state_lock import FileLock
 
 _MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 - a disk that costs no time
 _FOLDER = tempfile.TemporaryDirectory(prefix="simulation", dir=_MEMORY)  # lock file and histories
-_SHARP = 0.5  # share of the reloads that come with a message
-_LONGEST_S = 6.0
-_TURNS = 6  # of the event loop, behind it
 _SEALED_ROWS = 24  # of a block of the history: several in a simulated minute
 
 
@@ -173,7 +171,7 @@ class World:
 
     def _live(self, until, kind):
         reloaded, self.reloaded = self.reloaded, None
-        sources = reloaded or self._sources()
+        sources = reloaded or self.connect()
         clients = self.clients = [part.source for part in sources.parts]
         for client in clients:
             client.configure(self.plant)
@@ -186,7 +184,7 @@ class World:
         if reloaded is None:
             self._begin_process()
         lock = FileLock(self.lock_path)
-        with process(self.time, self._thread_takes) as loop:
+        with closing(lock), process(self.time, self._thread_takes) as loop:
             loop.set_exception_handler(self._forgotten)
             loop.run_until_complete(self._process(sources, until, kind))
             for client in self.clients:
@@ -201,7 +199,8 @@ class World:
             for one in self._state_files():
                 one.lose_power()
 
-    def _sources(self):
+    def connect(self):
+        """The sources of a configuration, not connected yet."""
         clients = [Client(server, self.time, self.plant) for server in self.servers]
         return Sources(
             [
@@ -272,7 +271,7 @@ class World:
             await taking.wait()
         at_work.cancel()
         if kind == "reload":
-            await self._reload(live, sources, stop, supervising)
+            await hand_over(self, live, sources, stop, supervising)
         if kind != "stop":
             return
         judge.of_calm(self, [p.source for p in sources.parts])
@@ -299,28 +298,6 @@ class World:
             c.server for c, mark in zip(clients, marks, strict=True) if c.mark == mark
         ]
         judge.of_counts(self, identification)
-
-    async def _reload(self, live, sources, stop, supervising):
-        """Hand over to another configuration, sometimes in the moment in which a message comes."""
-        if self.rng.random() < _SHARP:
-            await asyncio.sleep(min(self.rng.choice(sources.parts).source.due_s, _LONGEST_S))
-            for _ in range(self.rng.randrange(_TURNS)):
-                await asyncio.sleep(0.0)
-        following = self._sources()
-        following.succeed(sources)
-        if self.axes is not None:
-            self.axes.reload()
-        stop.set()
-        await supervising
-        if self.axes is not None:
-            await self.axes.hand_over()
-        states, saved = live.keeper.states(), False
-        with suppress(StorageError):
-            saved = await live.keep()
-        self.handed_over.hand_over(states, saved=saved)
-        self.all_saved, self.delivering = True, set()
-        judge.of_counts(self, live.identification)
-        self.reloaded = following
 
     def _learn(self, name, samples: Samples):
         valve = self.numbers[name]
