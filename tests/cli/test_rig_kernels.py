@@ -18,14 +18,13 @@ def compiled():
     return {loop.__name__: set(loop.signatures) for loop in loops}
 
 
-def test_nothing_is_left_to_compile_when_the_rig_plays():
+def test_nothing_is_left_to_compile_when_valves_play():
     compile_rig_kernels()
     before = compiled()
     assert any(before.values())
-    for scenario in BUILTIN.values():
+    for scenario in (one for one in BUILTIN.values() if not one.machines):
         state = initial(scenario, 0)
         for n in (1, 10):
             state, _ = advance(scenario, state, n)
-        if scenario.valves:
-            verification_points(scenario)
+        verification_points(scenario)
     assert compiled() == before
