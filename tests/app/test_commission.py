@@ -115,6 +115,7 @@ async def test_a_driven_load_crosses_the_range_of_pressure_drops(tmp_path):
         assert error < 1.0  # .5 in simulated time: tests/pipeline/test_commissioned_map.py
 
 
+@pytest.mark.alone  # half a second, beside tests that take the processor for longer
 async def test_an_abort_reaches_the_safe_u_and_a_resumed_run_keeps_what_was_learnt(tmp_path):
     async with Stage(tmp_path, sweep_s=2.0, most_s=3.0) as stage:
         run, files = stage.run()

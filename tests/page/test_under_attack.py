@@ -20,7 +20,7 @@ HOSTS, OPERATOR = [f"127.0.0.{number}" for number in range(2, 7)], "127.0.0.9"
 SOON_S, LOG_IN_S, FAREWELL_S, DESCRIPTORS = 2.0, 5.0, 5.0, 200
 GETS = 14
 
-pytestmark = pytest.mark.waits
+pytestmark = [pytest.mark.waits, pytest.mark.timeout(900)]  # 100 s alone
 
 
 class PageProcess:
