@@ -58,7 +58,7 @@ class Axes:
         self.of_A = []  # those of line A alone, by which the axis counts
         self.live = self.client = self.sources = None
         self.reloaded = None  # the sources that the next life takes over
-        self.handed_over = None  # the states, from the start of a process to its end
+        self.transferred = None  # the states, from the start of a process to its end
         self.delivers = False  # whether its source did, until an orderly stop
         self.installed, self.edits = InstalledAxis(), list(world.case.axis_edits)
         self.parts = [(0, self.installed)]  # how many were learnt before each configuration
@@ -96,14 +96,14 @@ class Axes:
             arrivals,
             self,
             sources,
-            self.handed_over,
+            self.transferred,
             clock,
             reorder_s=settings.reorder_s,
             stale_after_s=settings.stale_after_s,
             checkpoint_interval_s=settings.checkpoint_interval_s,
             tap=self._learn,
         )
-        before, logged = self.handed_over.load(), len(self.world.logs)
+        before, logged = self.transferred.load(), len(self.world.logs)
         self.live.start()
         self._judge_edit(before, repr(self.world.logs[logged:]))
         self._note_line_A()
@@ -119,10 +119,10 @@ class Axes:
         self.reloaded = self._sources()
         self.reloaded.succeed(self.sources)
 
-    async def hand_over(self):
+    async def transfer(self):
         """The configuration has ended: the next one has all states."""
         states = self.live.keeper.states()
-        self.handed_over.hand_over(states, saved=await self.live.finish())
+        self.transferred.transfer(states, saved=await self.live.finish())
 
     def edit(self):
         """Edit the configuration as drawn, between two lives."""
@@ -154,7 +154,7 @@ class Axes:
             return
         if found is not None:
             world.violated("axis: it learns on under another meaning")
-        kept = (*self.states.load(), *self._aside(), *self.handed_over.waiting)
+        kept = (*self.states.load(), *self._aside(), *self.transferred.waiting)
         kept = [one.state for one in kept]
         if any(one.state not in kept for one in maps):
             world.violated("axis: its former state is not kept")

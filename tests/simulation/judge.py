@@ -126,7 +126,7 @@ def _of_commands(world, identification, valve):
 def _is_kept(world, row):
     """Whether a state is still in the file, aside or under its name, or waits to be saved there."""
     stored = [one for one, _ in world.states.aside] + world.states.load()
-    stored += world.handed_over.waiting
+    stored += world.transferred.waiting
     return any(one.state == row.state for one in stored)
 
 

@@ -12,7 +12,7 @@ _LONGEST_S: Final = 6.0  # until that message
 _TURNS: Final = 6  # of the event loop, behind it
 
 
-async def hand_over(world, live, sources, stop, supervising):
+async def transfer(world, live, sources, stop, supervising):
     """End one configuration as the service does; the world's next life takes over from it."""
     if world.rng.random() < _SHARP:
         await asyncio.sleep(min(world.rng.choice(sources.parts).source.due_s, _LONGEST_S))
@@ -25,11 +25,11 @@ async def hand_over(world, live, sources, stop, supervising):
     stop.set()
     await supervising
     if world.axes is not None:
-        await world.axes.hand_over()
+        await world.axes.transfer()
     states, saved = live.keeper.states(), False
     with suppress(StorageError):
         saved = await live.keep()
-    world.handed_over.hand_over(states, saved=saved)
+    world.transferred.transfer(states, saved=saved)
     world.all_saved, world.delivering = True, set()
     judge.of_counts(world, live.identification)
     world.reloaded = following

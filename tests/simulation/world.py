@@ -24,7 +24,7 @@ from simulation.meeting import give_one_flow
 from simulation.overtaken import Overtaken
 from simulation.plant_server import Server
 from simulation.ports import give_signals
-from simulation.reloads import hand_over
+from simulation.reloads import transfer
 from simulation.shown import Shown
 from simulation.source_client import Client
 from simulation.stores import PastFile, RealPastFile, StateFile
@@ -34,13 +34,13 @@ from valvemap.errors import SourceLost
 from valvemap.model.samples import Samples
 from valvemap.runtime import learning_pace
 from valvemap.runtime import past as past_module
-from valvemap.runtime.handed_over import HandedOver
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.live_settings import LiveSettings
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.past_pieces import signals_of
 from valvemap.runtime.sources import Part, Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
+from valvemap.runtime.transferred_states import TransferredStates
 from valvemap.storage import history_series
 from valvemap.storage.state_lock import FileLock
 
@@ -123,7 +123,7 @@ class World:
         self.all_taken = []  # servers of which the stop refused no part of a batch
         self.all_saved = False  # whether the last life ended so
         self.reloaded = None  # the sources that the next life takes over
-        self.handed_over = None  # the states, from the start of a process to its end
+        self.transferred = None  # the states, from the start of a process to its end
         self.keeper = None  # of the history, from the start of a process to its end
 
     def _numbers(self, valve):
@@ -211,9 +211,9 @@ class World:
 
     def _begin_process(self):
         self.past.start()
-        self.keeper, self.handed_over = PastKeeper(self.past), HandedOver(self.states)
+        self.keeper, self.transferred = PastKeeper(self.past), TransferredStates(self.states)
         if self.axes is not None:
-            self.axes.handed_over = HandedOver(self.axes.states)
+            self.axes.transferred = TransferredStates(self.axes.states)
         self.published, self.stored = Counter(), self.past.rows.copy()
         if self.rows is not None:
             self.rows.begin()
@@ -245,13 +245,13 @@ class World:
             identification,
             sources,
             shown,
-            self.handed_over,
+            self.transferred,
             clock,
             settings,
             self._learn,
             keeper,
         )
-        before, logged = self.handed_over.load(), len(self.logs)
+        before, logged = self.transferred.load(), len(self.logs)
         await live.start()
         said = repr(self.logs[logged:])
         judge.of_start(self, identification, [p.source for p in sources.parts], before, said)
@@ -271,7 +271,7 @@ class World:
             await taking.wait()
         at_work.cancel()
         if kind == "reload":
-            await hand_over(self, live, sources, stop, supervising)
+            await transfer(self, live, sources, stop, supervising)
         if kind != "stop":
             return
         judge.of_calm(self, [p.source for p in sources.parts])

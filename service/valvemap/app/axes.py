@@ -25,9 +25,9 @@ from valvemap.pipeline.meaning import Meaning, SignalMeaning
 from valvemap.pipeline.source_ports import AllSources
 from valvemap.pipeline.store_ports import CheckpointStore, KeptElsewhere, Piece
 from valvemap.runtime.axes import AxisTap, LiveAxes
-from valvemap.runtime.handed_over import HandedOver
 from valvemap.runtime.sources import Sources, supervise_all
 from valvemap.runtime.supervisor import SupervisorSettings
+from valvemap.runtime.transferred_states import TransferredStates
 
 log = structlog.get_logger(__name__)
 
@@ -49,7 +49,7 @@ async def run_axes(
     stop: asyncio.Event,
     sources: Sources,
     supervision: SupervisorSettings,
-    open_store: Callable[[], HandedOver],
+    open_store: Callable[[], TransferredStates],
     note_states: Callable[[KeptElsewhere], None],
     tap: AxisTap | None = None,
     keep: Callable[[Sequence[Piece]], None] | None = None,
@@ -76,7 +76,7 @@ async def run_axes(
     try:
         await supervise_all(sources, live, clock, stop, supervision)
     finally:
-        store.hand_over(live.keeper.states(), saved=await live.finish())
+        store.transfer(live.keeper.states(), saved=await live.finish())
 
 
 def build_live_axes(

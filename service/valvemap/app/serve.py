@@ -39,10 +39,10 @@ from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
 from valvemap.runtime.axes import AxisTap
 from valvemap.runtime.dynamics import LiveDynamics
-from valvemap.runtime.handed_over import HandedOver
 from valvemap.runtime.live import LiveService
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.sources import supervise_all
+from valvemap.runtime.transferred_states import TransferredStates
 from valvemap.storage.checkpoints import CheckpointFile
 from valvemap.storage.history import HistoryFile
 
@@ -100,7 +100,9 @@ async def serve(
         opened.callback(interpreted.end)
         file = opened.enter_context(CheckpointFile(config.state.file))
         opened.callback(_name_lost_file, file)
-        stores = _Stores(HandedOver(file), cache(lambda: _open_states_of_axes(config, opened)))
+        stores = _Stores(
+            TransferredStates(file), cache(lambda: _open_states_of_axes(config, opened))
+        )
         past, keeper = build_history(config), None
         if past is not None:
             opened.enter_context(past)
@@ -144,14 +146,14 @@ async def serve(
 class _Stores:
     """The stores of states; that of the axes is opened with the first of them."""
 
-    of_valves: HandedOver
-    of_axes: Callable[[], HandedOver]
+    of_valves: TransferredStates
+    of_axes: Callable[[], TransferredStates]
 
 
-def _open_states_of_axes(config: Config, opened: AsyncExitStack) -> HandedOver:
+def _open_states_of_axes(config: Config, opened: AsyncExitStack) -> TransferredStates:
     file = opened.enter_context(CheckpointFile(axes_file(config)))
     opened.callback(_name_lost_file, file)
-    return HandedOver(file)
+    return TransferredStates(file)
 
 
 def _name_lost_file(file: CheckpointFile) -> None:
@@ -241,17 +243,17 @@ async def _live(
         await completing  # raises if the kernels could not be compiled
     if not goes_on:
         return None
-    await _hand_over(live, stores.of_valves)
+    await _transfer(live, stores.of_valves)
     return following.result()
 
 
-async def _hand_over(live: LiveService, store: HandedOver) -> None:
+async def _transfer(live: LiveService, store: TransferredStates) -> None:
     states, saved = live.keeper.states(), False
     try:
         saved = await live.keep()
     except StorageError as error:
-        log.warning("checkpoint not saved, its states are handed over", reason=str(error))
-    store.hand_over(states, saved=saved)
+        log.warning("checkpoint not saved, its states are transferred", reason=str(error))
+    store.transfer(states, saved=saved)
 
 
 async def _together(ended: asyncio.Event, *lives: Coroutine[Any, Any, None]) -> None:

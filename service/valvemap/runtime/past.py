@@ -133,7 +133,7 @@ class PastKeeper:
         return self._rows == 0
 
     def end(self) -> None:
-        """Count the rows that wait as lost: nobody saves them any more."""
+        """Count the rows that wait as lost: they are not saved any more."""
         if self._rows:
             log.error("history rows lost at the end", rows=self._rows)
         self.lost += self._rows

@@ -128,7 +128,7 @@ async def _receive(source: Source, consumer: Consumer, stop: asyncio.Event, tick
 
 
 async def _ended(receiving: asyncio.Future[DataChanges]) -> DataChanges | None:
-    """Cancel, and return what was received all the same."""
+    """Cancel, and return the changes received all the same."""
     receiving.cancel()
     (outcome,) = await asyncio.gather(receiving, return_exceptions=True)
     return None if isinstance(outcome, BaseException) else outcome

@@ -1,12 +1,12 @@
-"""States handed over from one configuration to the next, also while the disk is full."""
+"""States transferred from one configuration to the next, also while the disk is full."""
 
 import pytest
 
 from simulation.stores import StateFile
 from valvemap.errors import StorageError
 from valvemap.pipeline.store_ports import Checkpoint
-from valvemap.runtime.handed_over import HandedOver
 from valvemap.runtime.kept_position import POSITION
+from valvemap.runtime.transferred_states import TransferredStates
 
 
 def state(valve, text, estimator="RLS"):
@@ -24,7 +24,7 @@ def file():
 
 @pytest.fixture
 def store(file):
-    return HandedOver(file)
+    return TransferredStates(file)
 
 
 def test_before_a_reload_it_is_the_file(store, file):
@@ -36,17 +36,17 @@ def test_what_is_handed_over_replaces_what_is_stored_but_for_other_valves(store,
     file.save(
         [state("V1", "old"), state("V2", "removed before"), state("Service", "", POSITION[1])]
     )
-    store.hand_over([state("V1", "new")], saved=True)
+    store.transfer([state("V1", "new")], saved=True)
     assert texts(store.load()) == {"V1": "new", "V2": "removed before"}
     assert texts(store.load()) == {"V1": "new", "V2": "removed before"}  # after a failed start
 
 
 def test_what_a_full_disk_refused_is_part_of_the_next_save(store, file):
-    store.hand_over([state("V1", "new"), state("V2", "removed now")], saved=False)
+    store.transfer([state("V1", "new"), state("V2", "removed now")], saved=False)
     file.refuses = True
     with pytest.raises(StorageError):
         store.save([state("V1", "newer")])
-    store.hand_over([state("V1", "newest")], saved=False)
+    store.transfer([state("V1", "newest")], saved=False)
     assert texts(store.load()) == {"V1": "newest", "V2": "removed now"}
     file.refuses = False
     store.save([state("V1", "at last")])
@@ -58,7 +58,7 @@ def test_what_a_full_disk_refused_is_part_of_the_next_save(store, file):
 
 def test_what_is_set_aside_is_not_saved_again(store, file):
     file.save([state("V1", "old")])
-    store.hand_over([state("V1", "new")], saved=False)
+    store.transfer([state("V1", "new")], saved=False)
     store.put_aside([(state("V1", "new"), "other nodes")], {})
     store.save([state("V3", "begins")])
     assert texts(file.load()) == {"V3": "begins"}
@@ -72,11 +72,11 @@ def test_a_file_that_cannot_be_read_ends_no_reload(store, file, monkeypatch):
     monkeypatch.setattr(file, "load", gone)
     with pytest.raises(StorageError):
         store.load()
-    store.hand_over([state("V1", "new")], saved=False)
+    store.transfer([state("V1", "new")], saved=False)
     assert texts(store.load()) == {"V1": "new"}
 
 
 def test_damage_of_what_was_handed_over_is_no_news(store, file):
     file.damaged = ("V1.RLS", "V2.RLS")
-    store.hand_over([state("V1", "new")], saved=True)
+    store.transfer([state("V1", "new")], saved=True)
     assert store.damaged == ["V2.RLS"]

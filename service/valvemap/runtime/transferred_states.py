@@ -1,4 +1,4 @@
-"""The checkpoint store over reloads: one configuration's states are handed over to the next."""
+"""The checkpoint store over reloads: one configuration's states are transferred to the next."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,37 +9,37 @@ from valvemap.runtime.kept_position import POSITION
 _Name = tuple[str, str]
 
 
-class HandedOver:
+class TransferredStates:
     """Wraps a store for the time of a process; fulfils `CheckpointStore` as well.
 
-    After `hand_over`, `load` returns the states handed over in place of the stored ones of their
+    After `transfer`, `load` returns the states transferred in place of the stored ones of their
     names, and no position: the next configuration takes over the source itself. States that the
     store refused, as on a full disk, are part of the next save.
     """
 
     def __init__(self, store: CheckpointStore) -> None:
         self._store = store
-        self._handed: dict[_Name, Checkpoint] | None = None  # None: there was no reload
+        self._transferred: dict[_Name, Checkpoint] | None = None  # None: there was no reload
         self._unsaved: dict[_Name, Checkpoint] = {}
 
-    def hand_over(self, states: Sequence[Checkpoint], *, saved: bool) -> None:
-        """Note all states at the end of a configuration, and whether the store has them."""
-        self._handed = {_name(one): one for one in states}
-        self._unsaved = {} if saved else self._unsaved | self._handed
+    def transfer(self, states: Sequence[Checkpoint], *, saved: bool) -> None:
+        """Take all states at the end of a configuration; ``saved``: the store has them."""
+        self._transferred = {_name(one): one for one in states}
+        self._unsaved = {} if saved else self._unsaved | self._transferred
 
     def load(self, together: Sequence[Sequence[str]] = ()) -> Sequence[Checkpoint]:
         """Return the newest state of each name; see `CheckpointStore.load`."""
-        if self._handed is None:
+        if self._transferred is None:
             return self._store.load(together)
         try:
             stored = self._store.load(together)
         except StorageError:  # a full disk or a lost volume ends no service that runs
             stored = ()
         known = {_name(one): one for one in stored if _name(one) != POSITION}
-        return list((known | self._unsaved | self._handed).values())
+        return list((known | self._unsaved | self._transferred).values())
 
     def save(self, checkpoints: Sequence[Checkpoint]) -> None:
-        """Save all of them and what was refused before, or none."""
+        """Save all of them and those refused before, or none."""
         new = {_name(one): one for one in checkpoints}
         self._store.save(list((self._unsaved | new).values()))
         self._unsaved = {}
@@ -56,7 +56,7 @@ class HandedOver:
 
     @property
     def waiting(self) -> list[Checkpoint]:
-        """The states handed over that the store has refused so far."""
+        """The transferred states that the store has refused."""
         return list(self._unsaved.values())
 
     @property
@@ -66,9 +66,9 @@ class HandedOver:
 
     @property
     def damaged(self) -> Sequence[str]:
-        """``<Valve>.<Estimator>`` whose newest state was damaged, unless it was handed over."""
-        handed = {".".join(name) for name in self._handed or ()}
-        return [name for name in self._store.damaged if name not in handed]
+        """``<Valve>.<Estimator>`` whose newest state was damaged, unless it was transferred."""
+        transferred = {".".join(name) for name in self._transferred or ()}
+        return [name for name in self._store.damaged if name not in transferred]
 
 
 def _name(one: Checkpoint) -> _Name:
